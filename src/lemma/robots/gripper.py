@@ -1,0 +1,142 @@
+"""A two-finger parallel gripper in the manner of a Hand-E, with a longer stroke.
+
+Both fingers are one degree of freedom: a servo drives their summed travel, which is
+the opening width, and an equality keeps them symmetric. Nothing is ever welded: what
+the pads hold, they hold by friction.
+"""
+
+import mujoco
+
+from lemma.robots.shapes import (
+    Box,
+    Cylinder,
+    add_box,
+    box_inertia,
+    draw_box,
+    draw_cylinder,
+    set_inertia,
+)
+
+FINGER_OPENING_M = 0.1
+"""Distance between the pads when fully open."""
+TCP_OFFSET_M = 0.12
+"""Distance of the tool centre point from the flange."""
+FINGERTIP_BEYOND_TCP_M = 0.012
+"""How far the fingertips reach beyond the tool centre point."""
+FINGER_WIDTH_M = 0.022
+"""Extent of a finger across the closing direction."""
+FINGER_THICKNESS_M = 0.016
+"""Extent of a finger along the closing direction."""
+PALM_BEYOND_FLANGE_M = 0.072
+"""Where the palm ends: what is deeper than this collides with it."""
+GRIP_FORCE_N = 50.0
+"""Largest force of each finger (a Hand-E: 20 to 185 N)."""
+MASS_KG = 1.0
+"""Mass of palm and fingers (a Hand-E: 1.07 kg)."""
+
+_FINGER_MASS_KG = 0.1
+# At full force a finger moves at 0.1 m/s: the whole stroke takes half a second.
+_FINGER_DAMPING = GRIP_FORCE_N / 0.1
+# The screw drive's reflected inertia; it also keeps the light fingers well conditioned.
+_FINGER_ARMATURE = 1.0
+_SERVO_STIFFNESS = 5000.0
+_DARK = [0.16, 0.17, 0.18, 1.0]
+_METAL = [0.62, 0.64, 0.66, 1.0]
+_PALM = Box((0.0, 0.0, 0.051), (0.060, 0.112, 0.042))
+
+
+def add_gripper(
+    spec: mujoco.MjSpec, parent: mujoco.MjsBody, prefix: str, flange_z_m: float
+) -> mujoco.MjsBody:
+    """Add a gripper to the last link of an arm.
+
+    Args:
+        spec: The scene that is being built.
+        parent: The last link; its z axis points out of the flange.
+        prefix: Name of the robot.
+        flange_z_m: Height of the flange in the frame of ``parent`` [m].
+
+    Returns:
+        The body ``<prefix>/gripper``, whose frame is that of the flange.
+    """
+    palm = parent.add_body(name=f"{prefix}/gripper", pos=[0, 0, flange_z_m])
+    palm_mass = MASS_KG - 2.0 * _FINGER_MASS_KG
+    set_inertia(palm, palm_mass, (0, 0, 0.04), box_inertia(palm_mass, _PALM.size))
+    add_box(palm, f"{prefix}/palm", _PALM)
+    draw_cylinder(palm, Cylinder((0, 0, 0), (0, 0, 0.03), 0.0375), _DARK)
+    draw_box(palm, _PALM, _DARK)
+    palm.add_site(
+        name=f"{prefix}/tcp", pos=[0, 0, TCP_OFFSET_M], size=[0.005] * 3, group=4
+    )
+    _add_finger(palm, prefix, "left", 1.0)
+    _add_finger(palm, prefix, "right", -1.0)
+    _couple_fingers(spec, prefix)
+    return palm
+
+
+def _add_finger(palm: mujoco.MjsBody, prefix: str, side: str, direction: float) -> None:
+    """Add one finger, closed at joint position zero, its pad facing the other's."""
+    name = f"{prefix}/finger_{side}"
+    finger = palm.add_body(name=name, pos=[0, 0, TCP_OFFSET_M])
+    top = PALM_BEYOND_FLANGE_M - TCP_OFFSET_M
+    tip = FINGERTIP_BEYOND_TCP_M
+    width, thickness = FINGER_WIDTH_M, FINGER_THICKNESS_M
+    centre_y = direction * 0.5 * thickness
+    pad = Box((0, centre_y, 0), (width, thickness, 2.0 * tip))
+    # Recessed, so that only the pad touches what is held.
+    recess = 0.003
+    stem = Box(
+        (0, centre_y + direction * 0.5 * recess, 0.5 * (top - tip)),
+        (width, thickness - recess, -tip - top),
+    )
+    inertia = box_inertia(_FINGER_MASS_KG, (width, thickness, tip - top))
+    set_inertia(finger, _FINGER_MASS_KG, (0, centre_y, 0.5 * (top + tip)), inertia)
+    finger.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[0, direction, 0],
+        limited=True,
+        range=[0.0, 0.5 * FINGER_OPENING_M],
+        damping=[_FINGER_DAMPING, 0, 0],
+        armature=_FINGER_ARMATURE,
+    )
+    geom = add_box(finger, f"{prefix}/pad_{side}", pad)
+    geom.priority = 1
+    geom.condim = 4
+    geom.friction = [1.2, 0.01, 0.0001]
+    geom.solref = [0.01, 1.0]
+    geom.solimp = [0.99, 0.9995, 0.001, 0.5, 2.0]
+    add_box(finger, f"{name}_stem", stem)
+    draw_box(finger, pad, _DARK)
+    draw_box(finger, stem, _METAL)
+
+
+def _couple_fingers(spec: mujoco.MjSpec, prefix: str) -> None:
+    """Drive the opening width by one servo and keep the fingers symmetric."""
+    left, right = f"{prefix}/finger_left", f"{prefix}/finger_right"
+    width = spec.add_tendon(name=f"{prefix}/width")
+    width.wrap_joint(left, 1.0)
+    width.wrap_joint(right, 1.0)
+    coupling = spec.add_equality(
+        name=f"{prefix}/fingers",
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        name1=left,
+        name2=right,
+        solref=[0.01, 1.0],
+        solimp=[0.99, 0.9999, 0.001, 0.5, 2.0],
+    )
+    coupling.data[:5] = [0, 1, 0, 0, 0]
+    spec.add_actuator(
+        name=f"{prefix}/gripper",
+        target=width.name,
+        trntype=mujoco.mjtTrn.mjTRN_TENDON,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        gainprm=[_SERVO_STIFFNESS, *[0.0] * 9],
+        biasprm=[0.0, -_SERVO_STIFFNESS, *[0.0] * 8],
+        ctrllimited=True,
+        ctrlrange=[0.0, FINGER_OPENING_M],
+        forcelimited=True,
+        forcerange=[-GRIP_FORCE_N, GRIP_FORCE_N],
+    )
+    spec.add_exclude(bodyname1=left, bodyname2=right)
