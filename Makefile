@@ -1,0 +1,79 @@
+# Everything runs in .venv, which the targets make when it is missing or out of date.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+VENV := .venv
+BIN := $(VENV)/bin
+OUT ?= out
+# Worker processes of the tests.
+JOBS ?= 2
+# The first interpreter of a supported version; `make PYTHON=/path/to/python` overrules.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' \
+	2>/dev/null && echo $$p && break; done)
+INSTALL := $(BIN)/python -m pip install -qq -c constraints.txt
+INPUTS := pyproject.toml constraints.txt Makefile scripts/prepare_system.py
+CHECKED := src tests examples scripts docs
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help setup setup-dev demo bench test lint types layers docs tests format clean
+
+help: ## Say what the targets do.
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(VENV)/core.stamp ## Make .venv with what the `lemma` command needs.
+
+setup-dev: $(VENV)/dev.stamp ## Add what the tests and the documentation need.
+
+demo: setup ## The expert solves one instance of each task; videos in out/demo.
+	$(BIN)/lemma demo --out $(OUT)/demo
+
+bench: setup ## Measure speed and the expert's success (takes long).
+	$(BIN)/lemma bench --expert
+
+test: lint types layers docs tests ## All checks and tests.
+
+lint: setup-dev ## Style, formatting and spelling.
+	$(BIN)/ruff check $(CHECKED)
+	$(BIN)/ruff format --check $(CHECKED)
+	$(BIN)/codespell
+
+types: setup-dev ## Static types.
+	$(BIN)/mypy
+
+layers: setup-dev ## Which module may import which.
+	$(BIN)/lint-imports
+
+docs: setup-dev ## The documentation, in out/docs.
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs $(OUT)/docs
+
+tests: setup-dev ## The tests alone.
+	$(BIN)/pytest -n $(JOBS)
+
+format: setup-dev ## Format the code and fix what can be fixed.
+	$(BIN)/ruff format $(CHECKED)
+	$(BIN)/ruff check --fix $(CHECKED)
+
+clean: ## Remove caches and everything that was written to out/.
+	rm -rf $(OUT) dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	find $(CHECKED) -name __pycache__ -prune -exec rm -rf {} +
+
+$(VENV)/core.stamp: $(INPUTS)
+	@if [ -z "$(PYTHON)" ]; then \
+		echo "No Python 3.11, 3.12 or 3.13 was found. Install one (Debian, Ubuntu:" \
+		"apt-get install python3 python3-venv) or say where it is:" \
+		"make PYTHON=/path/to/python" >&2; exit 1; fi
+	@$(PYTHON) scripts/prepare_system.py
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
+	@echo "Installing the packages into $(VENV) ..."
+	@$(INSTALL) -e .
+	@touch $@
+
+$(VENV)/dev.stamp: $(VENV)/core.stamp
+	@echo "Installing the development tools into $(VENV) ..."
+	@$(INSTALL) -e '.[dev,docs]'
+	@touch $@
