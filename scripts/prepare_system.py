@@ -33,7 +33,7 @@ def main() -> int:
         if not has_opengl():
             say(
                 "No library for off-screen OpenGL (EGL or OSMesa) works here, so "
-                "pictures and videos cannot be made; everything else works. "
+                "pictures and videos cannot be made; the rest works. "
                 f"Install one: {advice(EGL_PACKAGES)}"
             )
     return 0

@@ -1,9 +1,12 @@
 """Settings that every test shares: hypothesis profiles and off-screen rendering."""
 
 import os
+from functools import cache
 
 import pytest
 from hypothesis import settings
+
+from lemma.core.errors import RenderingError
 
 IN_CI = os.environ.get("CI", "").lower() == "true"
 
@@ -14,33 +17,25 @@ settings.register_profile("ci", deadline=None, max_examples=50, derandomize=True
 settings.load_profile("ci" if IN_CI else "local")
 
 
-def choose_opengl() -> str:
-    """Make MuJoCo render with what works here; return why nothing does, or ``""``.
+@cache
+def why_no_opengl() -> str:
+    """Return why nothing renders here, or ``""`` if something does.
 
-    MuJoCo reads ``MUJOCO_GL`` once, when it is imported, and the worker processes of
-    pytest-xdist inherit it: so this runs before any test module is imported.
+    ``MUJOCO_GL`` stays as it is: the package does not need it, and setting it would
+    hide the automatic choice from the tests.
     """
-    if "MUJOCO_GL" in os.environ:
-        return ""
-    from lemma.core.errors import RenderingError
+    from lemma.scene.opengl import choose_backend
 
     try:
-        from lemma.scene.opengl import choose_backend
-    except ModuleNotFoundError:
-        return ""
-    try:
-        os.environ["MUJOCO_GL"] = choose_backend()
+        choose_backend()
     except RenderingError as error:
         return str(error)
     return ""
 
 
-WHY_NO_OPENGL = choose_opengl()
-
-
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip what renders where nothing can, except in CI, where that is a failure."""
-    if WHY_NO_OPENGL and item.get_closest_marker("render"):
+    if item.get_closest_marker("render") and (reason := why_no_opengl()):
         if IN_CI:
-            pytest.fail(WHY_NO_OPENGL, pytrace=False)
-        pytest.skip(WHY_NO_OPENGL)
+            pytest.fail(reason, pytrace=False)
+        pytest.skip(reason)
