@@ -35,10 +35,10 @@ MASS_KG = 1.0
 """Mass of palm and fingers (a Hand-E: 1.07 kg)."""
 
 _FINGER_MASS_KG = 0.1
-# At full force a finger moves at 0.1 m/s: the whole stroke takes half a second.
-_FINGER_DAMPING = GRIP_FORCE_N / 0.1
+# At full force the width changes at 0.2 m/s: the whole stroke takes half a second.
+_WIDTH_DAMPING = GRIP_FORCE_N / 0.2
 # The screw drive's reflected inertia; it also keeps the light fingers well conditioned.
-_FINGER_ARMATURE = 1.0
+_FINGER_ARMATURE = 5.0
 _SERVO_STIFFNESS = 5000.0
 _DARK = [0.16, 0.17, 0.18, 1.0]
 _METAL = [0.62, 0.64, 0.66, 1.0]
@@ -97,15 +97,15 @@ def _add_finger(palm: mujoco.MjsBody, prefix: str, side: str, direction: float) 
         axis=[0, direction, 0],
         limited=True,
         range=[0.0, 0.5 * FINGER_OPENING_M],
-        damping=[_FINGER_DAMPING, 0, 0],
         armature=_FINGER_ARMATURE,
     )
     geom = add_box(finger, f"{prefix}/pad_{side}", pad)
     geom.priority = 1
     geom.condim = 4
-    geom.friction = [1.2, 0.01, 0.0001]
-    geom.solref = [0.01, 1.0]
-    geom.solimp = [0.99, 0.9995, 0.001, 0.5, 2.0]
+    geom.friction = [1.2, 0.02, 0.0001]
+    geom.solref = [-10000.0, -280.0]
+    geom.solimp = [0.995, 0.995, 0.001, 0.5, 2.0]
+    geom.margin = 0.001
     add_box(finger, f"{name}_stem", stem)
     draw_box(finger, pad, _DARK)
     draw_box(finger, stem, _METAL)
@@ -114,7 +114,7 @@ def _add_finger(palm: mujoco.MjsBody, prefix: str, side: str, direction: float) 
 def _couple_fingers(spec: mujoco.MjSpec, prefix: str) -> None:
     """Drive the opening width by one servo and keep the fingers symmetric."""
     left, right = f"{prefix}/finger_left", f"{prefix}/finger_right"
-    width = spec.add_tendon(name=f"{prefix}/width")
+    width = spec.add_tendon(name=f"{prefix}/width", damping=[_WIDTH_DAMPING, 0, 0])
     width.wrap_joint(left, 1.0)
     width.wrap_joint(right, 1.0)
     coupling = spec.add_equality(

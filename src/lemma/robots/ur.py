@@ -79,8 +79,11 @@ class ArmSpec:
     """Radius of the forearm's tube [m]."""
     stiffness: Six
     """Servo gains on position [N m/rad]."""
-    damping: Six
-    """Servo gains on velocity [N m s/rad]."""
+    lag_s: float
+    """Gain on velocity over gain on position: how far, in time, a moving arm trails.
+
+    One figure for all joints, so that trailing leaves the shape of a path alone.
+    """
     armature: Six
     """Inertias of the rotors, seen through the gears [kg m2]."""
     joint_range: Six = (math.tau, math.tau, math.pi, math.tau, math.tau, math.tau)
@@ -115,8 +118,8 @@ ARMS.add(
         upper_tube_radius=0.050,
         forearm_tube_radius=0.038,
         stiffness=(30000.0, 30000.0, 20000.0, 4000.0, 4000.0, 4000.0),
-        damping=(700.0, 700.0, 450.0, 70.0, 70.0, 70.0),
-        armature=(2.5, 2.5, 1.5, 0.25, 0.25, 0.25),
+        lag_s=0.025,
+        armature=(4.2, 4.2, 2.8, 0.56, 0.56, 0.56),
     ),
 )
 ARMS.add(
@@ -141,8 +144,8 @@ ARMS.add(
         upper_tube_radius=0.062,
         forearm_tube_radius=0.048,
         stiffness=(60000.0, 60000.0, 30000.0, 6000.0, 6000.0, 6000.0),
-        damping=(1700.0, 1700.0, 750.0, 100.0, 100.0, 100.0),
-        armature=(5.0, 5.0, 2.5, 0.4, 0.4, 0.4),
+        lag_s=0.028,
+        armature=(9.4, 9.4, 4.7, 0.94, 0.94, 0.94),
     ),
 )
 
@@ -210,7 +213,7 @@ def _add_joint(
     """Add a hinge about the body's z axis, with its position servo."""
     name = f"{prefix}/{JOINTS[index]}"
     limit, effort = arm.joint_range[index], arm.effort_limits[index]
-    stiffness, damping = arm.stiffness[index], arm.damping[index]
+    stiffness = arm.stiffness[index]
     body.add_joint(
         name=name,
         type=mujoco.mjtJoint.mjJNT_HINGE,
@@ -226,7 +229,7 @@ def _add_joint(
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
         biastype=mujoco.mjtBias.mjBIAS_AFFINE,
         gainprm=[stiffness, *[0.0] * 9],
-        biasprm=[0.0, -stiffness, -damping, *[0.0] * 7],
+        biasprm=[0.0, -stiffness, -arm.lag_s * stiffness, *[0.0] * 7],
         ctrllimited=True,
         ctrlrange=[-limit, limit],
         forcelimited=True,
