@@ -1,0 +1,50 @@
+"""The exceptions that this package raises on purpose.
+
+Each message says what was wrong, what is valid and what to try.
+"""
+
+import difflib
+from collections.abc import Iterable
+
+
+class LemmaError(Exception):
+    """Base of every error raised on purpose by this package."""
+
+
+class UnknownNameError(LemmaError, ValueError):
+    """A name that is not in a registry: a task, a robot, a colour, a camera."""
+
+    def __init__(self, kind: str, name: object, valid: Iterable[str]) -> None:
+        """Build the message from the valid names.
+
+        Args:
+            kind: What was looked up, as a noun: ``"task"``.
+            name: The name that was not found.
+            valid: Every name that would have been accepted.
+        """
+        names = list(valid)
+        close = difflib.get_close_matches(str(name), names, n=1)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        super().__init__(
+            f"Unknown {kind} {name!r}.{hint} Valid: {', '.join(names) or '(none)'}."
+        )
+
+
+class InvalidActionError(LemmaError, ValueError):
+    """An action of the wrong shape, out of bounds, or not finite."""
+
+
+class InvalidConfigError(LemmaError, ValueError):
+    """A configuration value that cannot be used."""
+
+
+class SamplingError(LemmaError, RuntimeError):
+    """No instance was found that satisfies a task's constraints."""
+
+
+class RenderingError(LemmaError, RuntimeError):
+    """No OpenGL library could be used to render off screen."""
+
+
+class ResetNeededError(LemmaError, RuntimeError):
+    """``step`` was called before ``reset``, or after the episode had ended."""

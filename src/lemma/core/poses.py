@@ -1,0 +1,130 @@
+"""Poses in the plane and in space.
+
+Scalars go through :mod:`math`, not NumPy ufuncs: NumPy picks SIMD kernels by CPU, and
+their last bits differ, while everything that reaches the simulation must not.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose2:
+    """A pose on the table, in SE(2), world frame."""
+
+    x: float
+    """Position along the line from the first robot to the second [m]."""
+    y: float
+    """Position to the left of that line, seen from the first robot [m]."""
+    yaw: float = 0.0
+    """Counter-clockwise rotation about the vertical [rad]."""
+
+    @property
+    def xy(self) -> tuple[float, float]:
+        """Position [m]."""
+        return (self.x, self.y)
+
+    def __matmul__(self, other: "Pose2") -> "Pose2":
+        """Compose: ``a_from_b @ b_from_c`` is ``a_from_c``."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose2(
+            self.x + cos * other.x - sin * other.y,
+            self.y + sin * other.x + cos * other.y,
+            wrap(self.yaw + other.yaw),
+        )
+
+    def inverse(self) -> "Pose2":
+        """Return ``b_from_a`` for ``a_from_b``."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose2(
+            -cos * self.x - sin * self.y, sin * self.x - cos * self.y, -self.yaw
+        )
+
+    def distance(self, other: "Pose2") -> float:
+        """Return the distance between the two positions [m]."""
+        return math.hypot(self.x - other.x, self.y - other.y)
+
+    def rounded(self, decimals: int = 4) -> "Pose2":
+        """Return the pose with every number rounded (0.1 mm and 0.1 mrad)."""
+        return Pose2(
+            round(self.x, decimals), round(self.y, decimals), round(self.yaw, decimals)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A pose in space, in SE(3)."""
+
+    position: tuple[float, float, float]
+    """Position [m]."""
+    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    """Unit quaternion, ``wxyz``."""
+
+    @classmethod
+    def from_matrix(cls, matrix: FloatArray) -> Self:
+        """Make a pose from a homogeneous transform.
+
+        Args:
+            matrix: Homogeneous transform, shape (4, 4).
+        """
+        x, y, z = (float(v) for v in matrix[:3, 3])
+        return cls((x, y, z), quaternion_from_matrix(matrix[:3, :3]))
+
+    def matrix(self) -> FloatArray:
+        """Return the homogeneous transform, shape (4, 4)."""
+        result = np.eye(4)
+        result[:3, :3] = matrix_from_quaternion(self.quaternion)
+        result[:3, 3] = self.position
+        return result
+
+
+def wrap(angle: float) -> float:
+    """Return the angle [rad] in [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def matrix_from_quaternion(
+    quaternion: tuple[float, float, float, float] | FloatArray,
+) -> FloatArray:
+    """Return the rotation matrix, shape (3, 3), of a unit quaternion ``wxyz``."""
+    w, x, y, z = (float(v) for v in quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_matrix(
+    rotation: FloatArray,
+) -> tuple[float, float, float, float]:
+    """Return the unit quaternion ``wxyz`` (w >= 0) of a rotation matrix (3, 3)."""
+    r = [[float(v) for v in row] for row in rotation]
+    # The largest of the four squared components divides safely.
+    squares = (
+        1 + r[0][0] + r[1][1] + r[2][2],
+        1 + r[0][0] - r[1][1] - r[2][2],
+        1 - r[0][0] + r[1][1] - r[2][2],
+        1 - r[0][0] - r[1][1] + r[2][2],
+    )
+    k = squares.index(max(squares))
+    if k == 0:
+        q = [squares[0], r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]]
+    elif k == 1:
+        q = [r[2][1] - r[1][2], squares[1], r[0][1] + r[1][0], r[0][2] + r[2][0]]
+    elif k == 2:
+        q = [r[0][2] - r[2][0], r[0][1] + r[1][0], squares[2], r[1][2] + r[2][1]]
+    else:
+        q = [r[1][0] - r[0][1], r[0][2] + r[2][0], r[1][2] + r[2][1], squares[3]]
+    norm = math.sqrt(sum(v * v for v in q))
+    sign = -1.0 if q[0] < 0 else 1.0
+    w, x, y, z = (sign * v / norm for v in q)
+    return (w, x, y, z)

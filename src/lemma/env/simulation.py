@@ -1,0 +1,152 @@
+"""The step loop: physics, servos and skills, one servo tick at a time.
+
+This is the only place that steps the physics. The expert, the environments, data
+generation and viewers all drive it; whoever wants to watch registers an observer.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from lemma.core.errors import UnknownNameError
+from lemma.motion.arm import ArmMotion
+from lemma.motion.outcome import Outcome, SkillResult
+from lemma.motion.skills import Skill, SkillRunner
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.scene.compose import TIME_STEP_S
+from lemma.scene.scene import Scene
+from lemma.scene.spec import SceneSpec
+from lemma.tasks.subtask import GroundedSubTask
+
+TICK_S = 0.01
+"""Servo tick: how often skills look at the world."""
+STEPS_PER_TICK = round(TICK_S / TIME_STEP_S)
+HORIZON_S = 100.0
+"""T_max: simulated seconds after which an episode ends (paper, section IV)."""
+
+_SETTLE_TICKS = 30
+
+
+@dataclass
+class RobotClock:
+    """How one robot spends its time."""
+
+    busy_s: float = 0.0
+    """Executing sub-tasks [s]."""
+
+    def idle_s(self, elapsed_s: float) -> float:
+        """Return the time spent waiting so far [s]."""
+        return max(0.0, elapsed_s - self.busy_s)
+
+
+class Simulation:
+    """A scene in motion."""
+
+    def __init__(self, spec: SceneSpec, actuation: str = "position") -> None:
+        """Compile a scene, park the arms and let the objects come to rest.
+
+        Args:
+            spec: The scene.
+            actuation: ``"position"``, ``"velocity"`` or ``"torque"``.
+        """
+        self.scene = Scene(spec, actuation)
+        self.arms = {
+            robot.name: ArmMotion(self.scene, robot) for robot in self.scene.robots
+        }
+        self.clocks = {name: RobotClock() for name in self.arms}
+        self.observers: list[Callable[[], None]] = []
+        self._skills = SkillRunner(self.arms)
+        for arm in self.arms.values():
+            self.scene.set_joints(arm.robot, arm.park, FINGER_OPENING_M)
+            arm.sync()
+            arm.follow_posture(arm.park)
+        self._settle()
+
+    def _settle(self) -> None:
+        """Let the objects sink into their resting contact, then call that time zero."""
+        for _ in range(_SETTLE_TICKS):
+            mujoco.mj_step(self.scene.model, self.scene.data, STEPS_PER_TICK)
+        self.scene.data.time = 0.0
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since the first state [s]."""
+        return self.scene.time_s
+
+    def tick(self, active: tuple[str, ...] = ()) -> None:
+        """Advance by one servo tick.
+
+        Args:
+            active: Robots whose reference moves under RMPflow; the servos of the others
+                keep what they were last told.
+        """
+        moving = [self.arms[name] for name in active]
+        model, data = self.scene.model, self.scene.data
+        for _ in range(STEPS_PER_TICK):
+            for arm in moving:
+                arm.step()
+            mujoco.mj_step(model, data)
+        for observer in self.observers:
+            observer()
+
+    def execute(
+        self, subtask: GroundedSubTask, until_s: float = HORIZON_S
+    ) -> SkillResult:
+        """Execute a grounded sub-task to its end.
+
+        Args:
+            subtask: What to do.
+            until_s: Simulated time at which to break off [s].
+
+        Raises:
+            UnknownNameError: There is no such robot in this scene.
+        """
+        if subtask.robot not in self.arms:
+            raise UnknownNameError("robot in this scene", subtask.robot, self.arms)
+        start = self.time_s
+        result = self._drive(self._skills.run(subtask), subtask.robot, until_s)
+        self.clocks[subtask.robot].busy_s += self.time_s - start
+        return result
+
+    def _drive(self, skill: Skill, robot: str, until_s: float) -> SkillResult:
+        start = self.time_s
+        active = (robot,)
+        while True:
+            try:
+                next(skill)
+            except StopIteration as end:
+                result: SkillResult = end.value
+                return result
+            if self.time_s >= until_s - 0.5 * TIME_STEP_S:
+                skill.close()
+                return SkillResult(
+                    Outcome.OUT_OF_TIME,
+                    f"The episode ended at {until_s:g} s.",
+                    self.time_s - start,
+                )
+            self.tick(active)
+
+    def rest(self, seconds: float) -> None:
+        """Let time pass without moving any arm."""
+        for _ in range(max(0, int(np.ceil(seconds / TICK_S)))):
+            self.tick()
+
+    def held(self) -> dict[str, str]:
+        """Return what each gripper holds: robot name to entity name.
+
+        An object is held when both finger pads of a gripper touch it.
+        """
+        model, data = self.scene.model, self.scene.data
+        touching: dict[tuple[str, str], set[str]] = {}
+        for contact in data.contact[: data.ncon]:
+            for pad, other in (contact.geom, contact.geom[::-1]):
+                name = model.geom(pad).name
+                robot, _, part = name.partition("/")
+                if not part.startswith("pad_"):
+                    continue
+                entity = self.scene.entity_of_body(int(model.geom_bodyid[other]))
+                if entity is not None:
+                    touching.setdefault((robot, entity), set()).add(part)
+        return {r: entity for (r, entity), pads in touching.items() if len(pads) == 2}

@@ -1,0 +1,242 @@
+"""The leaves of RMPflow: what each wants, and how much it cares.
+
+Each leaf is a second-order policy in its own task space: a desired acceleration and a
+metric that weighs it against the other leaves (Ratliff et al., *Riemannian Motion
+Policies*, 2018; Cheng et al., *RMPflow*, 2018). The formulas are those that NVIDIA
+publishes for Lula, with its UR10 parameters where it gives them.
+"""
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+
+from lemma.core.poses import FloatArray
+
+
+class TargetLeaf(NamedTuple):
+    """Draws the tool centre point to a position."""
+
+    gain: float = 110.0
+    damping: float = 120.0
+    epsilon_m: float = 0.075
+    """Below this distance the pull fades linearly."""
+    near_sigma_m: float = 0.05
+    near_floor: float = 0.01
+    near_metric: float = 10000.0
+    far_metric: float = 2500.0
+    boost: float = 20.0
+    """How much more the leaf weighs at the target."""
+    boost_sigma_m: float = 0.02
+
+
+class AxisLeaf(NamedTuple):
+    """Turns one axis of the gripper into a direction."""
+
+    gain: float = 200.0
+    damping: float = 40.0
+    metric: float = 1000.0
+    boost: float = 30.0
+    boost_sigma_m: float = 0.05
+
+
+class PostureLeaf(NamedTuple):
+    """Draws the joints to a posture: picks one of the arm's many ways to reach."""
+
+    gain: float = 100.0
+    damping: float = 50.0
+    cap_rad: float = 1.5
+    metric: float = 50.0
+    inertia: float = 1.0
+
+
+class JointLimitLeaf(NamedTuple):
+    """Keeps a joint inside its range."""
+
+    gain: float = 1.0
+    damping: float = 200.0
+    gain_length: float = 0.1
+    gain_epsilon: float = 0.01
+    metric: float = 1000.0
+    metric_length: float = 0.01
+    metric_epsilon: float = 0.001
+    velocity_gate: float = 0.01
+    buffer_rad: float = 0.01
+
+
+class VelocityCapLeaf(NamedTuple):
+    """Brakes a joint that comes near its velocity limit."""
+
+    limit_fraction: float = 0.95
+    """Of the motor's limit, so that the servo's overshoot stays below it."""
+    region_rad_s: float = 0.5
+    damping: float = 300.0
+    metric: float = 100.0
+
+
+class CollisionLeaf(NamedTuple):
+    """Keeps a point of the arm away from an obstacle."""
+
+    gain: float = 1000.0
+    gain_length_m: float = 0.01
+    damping: float = 50.0
+    damping_length_m: float = 0.04
+    damping_epsilon: float = 0.01
+    velocity_gate: float = 0.01
+    metric: float = 500.0
+    metric_length_m: float = 0.02
+    metric_epsilon: float = 0.001
+
+
+class DampingLeaf(NamedTuple):
+    """Takes energy out of fast motion."""
+
+    damping: float = 30.0
+    metric: float = 50.0
+    inertia: float = 100.0
+
+
+class Leaves(NamedTuple):
+    """The parameters of all leaves and of the root."""
+
+    target: TargetLeaf = TargetLeaf()
+    axis: AxisLeaf = AxisLeaf()
+    posture: PostureLeaf = PostureLeaf()
+    joint_limit: JointLimitLeaf = JointLimitLeaf()
+    velocity_cap: VelocityCapLeaf = VelocityCapLeaf()
+    collision: CollisionLeaf = CollisionLeaf()
+    damping: DampingLeaf = DampingLeaf()
+    max_acceleration: float = 50.0
+    """Bound on the norm of the joint accelerations [rad/s2]."""
+
+
+@njit(cache=True)
+def sigmoid(x: float) -> float:
+    """Return the logistic function, without overflow."""
+    if x >= 0:
+        return 1.0 / (1.0 + math.exp(-x))
+    e = math.exp(x)
+    return e / (1.0 + e)
+
+
+@njit(cache=True)
+def target(
+    leaf: TargetLeaf,
+    error: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    metric: FloatArray,
+) -> float:
+    """Evaluate the target leaf.
+
+    Args:
+        leaf: Parameters.
+        error: Target minus position, (3,) [m].
+        velocity: (3,) [m/s].
+        acceleration: Written, (3,) [m/s2].
+        metric: Written, (3, 3).
+
+    Returns:
+        The distance to the target [m].
+    """
+    distance = math.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
+    pull = leaf.gain / (distance + leaf.epsilon_m)
+    near = (1.0 - leaf.near_floor) * math.exp(
+        -0.5 * (distance / leaf.near_sigma_m) ** 2
+    ) + leaf.near_floor
+    weight = boost(leaf.boost, leaf.boost_sigma_m, distance)
+    unit = 1.0 / max(distance, 1e-9)
+    for i in range(3):
+        acceleration[i] = pull * error[i] - leaf.damping * velocity[i]
+        for j in range(3):
+            along = error[i] * unit * error[j] * unit
+            same = 1.0 if i == j else 0.0
+            metric[i, j] = weight * (
+                near * leaf.near_metric * same + (1.0 - near) * leaf.far_metric * along
+            )
+    return distance
+
+
+@njit(cache=True)
+def boost(factor: float, sigma_m: float, distance: float) -> float:
+    """Return a weight that grows from 1 far away to ``factor`` at the target."""
+    beta = math.exp(-0.5 * (distance / sigma_m) ** 2)
+    return beta * factor + (1.0 - beta)
+
+
+@njit(cache=True)
+def joint_limit(
+    leaf: JointLimitLeaf, distance: float, velocity: float
+) -> tuple[float, float]:
+    """Evaluate one side of a joint's range.
+
+    Args:
+        leaf: Parameters.
+        distance: To the limit, as a fraction of the range; positive inside.
+        velocity: Its rate [1/s]; negative towards the limit.
+
+    Returns:
+        Acceleration away from the limit, and metric.
+    """
+    x = max(distance, 0.0)
+    acceleration = (
+        leaf.gain / ((x / leaf.gain_length) ** 2 + leaf.gain_epsilon)
+        - leaf.damping * velocity
+    )
+    gate = 1.0 - sigmoid(velocity / leaf.velocity_gate)
+    return acceleration, gate * leaf.metric / (
+        x / leaf.metric_length + leaf.metric_epsilon
+    )
+
+
+@njit(cache=True)
+def velocity_cap(
+    leaf: VelocityCapLeaf, velocity: float, limit: float
+) -> tuple[float, float]:
+    """Evaluate the brake of one joint.
+
+    Args:
+        leaf: Parameters.
+        velocity: [rad/s].
+        limit: The joint's velocity limit [rad/s].
+
+    Returns:
+        Acceleration and metric; both zero while the joint is slow enough.
+    """
+    excess = abs(velocity) - (limit * leaf.limit_fraction - leaf.region_rad_s)
+    if excess <= 0.0:
+        return 0.0, 0.0
+    sign = 1.0 if velocity > 0 else -1.0
+    ratio = min(excess / leaf.region_rad_s, 0.999)
+    return -sign * leaf.damping * excess, leaf.metric / (1.0 - ratio * ratio)
+
+
+@njit(cache=True)
+def collision(
+    leaf: CollisionLeaf, distance: float, velocity: float, radius: float
+) -> tuple[float, float]:
+    """Evaluate one point of the arm against one obstacle.
+
+    Args:
+        leaf: Parameters.
+        distance: Between the surfaces [m].
+        velocity: Its rate [m/s]; negative when closing.
+        radius: Distance [m] from which on the obstacle is ignored.
+
+    Returns:
+        Acceleration away from the obstacle, and metric.
+    """
+    if distance >= radius:
+        return 0.0, 0.0
+    x = max(distance, 0.0)
+    gate = 1.0 - sigmoid(velocity / leaf.velocity_gate)
+    acceleration = leaf.gain * math.exp(-x / leaf.gain_length_m) - (
+        leaf.damping
+        * gate
+        * velocity
+        / (x / leaf.damping_length_m + leaf.damping_epsilon)
+    )
+    fade = (1.0 - x / radius) ** 2
+    return acceleration, gate * fade * leaf.metric / (
+        x / leaf.metric_length_m + leaf.metric_epsilon
+    )

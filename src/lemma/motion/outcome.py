@@ -1,0 +1,55 @@
+"""How a sub-task ended, and why."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Outcome(StrEnum):
+    """The ways in which executing a sub-task can end."""
+
+    SUCCESS = "success"
+    """The motion was carried out. Whether it served the goal is another matter."""
+    STOPPED = "stopped"
+    """The policy said ``stop``."""
+    INVALID = "invalid"
+    """The sub-task makes no sense: an unknown entity, hooking with a cube."""
+    UNREACHABLE = "unreachable"
+    """The robot's arm cannot get there."""
+    NOTHING_TO_PICK = "nothing_to_pick"
+    """There is nothing graspable where the gripper should close."""
+    MISSED_GRASP = "missed_grasp"
+    """The fingers closed on nothing."""
+    DROPPED = "dropped"
+    """What was held is no longer held."""
+    COLLISION = "collision"
+    """Something was in the way."""
+    TIMEOUT = "timeout"
+    """The motion did not end in time."""
+    OUT_OF_TIME = "out_of_time"
+    """The episode's time was over."""
+
+
+@dataclass(frozen=True, slots=True)
+class SkillResult:
+    """How one grounded sub-task went."""
+
+    outcome: Outcome
+    explanation: str
+    """One sentence for a person."""
+    duration_s: float
+    """Simulated time that it took [s]."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the motion was carried out."""
+        return self.outcome in (Outcome.SUCCESS, Outcome.STOPPED)
+
+
+class SkillFailure(Exception):
+    """Raised inside a skill to end it; the skill turns it into a result."""
+
+    def __init__(self, outcome: Outcome, explanation: str) -> None:
+        """Keep the outcome and its explanation."""
+        super().__init__(explanation)
+        self.outcome = outcome
+        self.explanation = explanation

@@ -1,0 +1,224 @@
+"""Cameras: where they are, and which point of the world each pixel sees.
+
+Camera frames follow OpenCV: x right, y down, z forward (MuJoCo's own have y up and z
+backward). Pixel coordinates follow OpenCV as well: u grows to the right, v grows
+downward, and the centre of the pixel in row r and column c is (u, v) = (c, r). An
+image thus spans u from -0.5 to width - 0.5, and its centre is ((width - 1) / 2,
+(height - 1) / 2). Depth is the distance along the camera's z axis, not along the ray.
+"""
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.poses import FloatArray, Pose, quaternion_from_matrix
+
+# OpenCV's camera frame in MuJoCo's, and the reverse: half a turn about x.
+_FLIP = np.array([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class CameraIntrinsics:
+    """The pinhole model of a camera."""
+
+    width: int
+    """Image width [px]."""
+    height: int
+    """Image height [px]."""
+    fx: float
+    """Focal length along u [px]."""
+    fy: float
+    """Focal length along v [px]."""
+    cx: float
+    """Principal point, u [px]; the centre of the first column is 0."""
+    cy: float
+    """Principal point, v [px]; the centre of the first row is 0."""
+
+    @classmethod
+    def from_fovy(cls, fovy_rad: float, width: int, height: int) -> "CameraIntrinsics":
+        """Return square pixels, centred, with a vertical field of view [rad].
+
+        Raises:
+            InvalidConfigError: No such camera can be.
+        """
+        if width < 1 or height < 1:
+            raise InvalidConfigError(
+                f"An image of {width} x {height} pixels cannot be rendered. Both "
+                "sides must be at least 1."
+            )
+        if not 0.0 < fovy_rad < math.pi:
+            raise InvalidConfigError(
+                f"A field of view of {fovy_rad} rad is impossible. It must lie "
+                "between 0 and pi; 1.0 is common."
+            )
+        focal = 0.5 * height / math.tan(0.5 * fovy_rad)
+        return cls(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
+
+    @property
+    def fovy_rad(self) -> float:
+        """Vertical field of view [rad]."""
+        return 2.0 * math.atan(0.5 * self.height / self.fy)
+
+    def matrix(self) -> FloatArray:
+        """Return the intrinsic matrix K, shape (3, 3)."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A calibrated camera."""
+
+    name: str
+    """Its name in the scene."""
+    world_from_camera: Pose
+    """Where it is; x right, y down, z forward."""
+    intrinsics: CameraIntrinsics
+    """Its pinhole model."""
+
+    def project(self, points_world: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return where points appear in the image.
+
+        Args:
+            points_world: Points in the world frame [m], shape (N, 3).
+
+        Returns:
+            Pixels (u, v), shape (N, 2), and depths [m], shape (N,). A point that is
+            not in front of the camera (depth <= 0) has no pixel: NaN.
+        """
+        points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
+        matrix = self.world_from_camera.matrix()
+        in_camera = (points - matrix[:3, 3]) @ matrix[:3, :3]
+        depth = in_camera[:, 2]
+        scale = 1.0 / np.where(depth > 0.0, depth, np.nan)
+        lens = self.intrinsics
+        u = lens.fx * in_camera[:, 0] * scale + lens.cx
+        v = lens.fy * in_camera[:, 1] * scale + lens.cy
+        return np.stack([u, v], axis=1), depth
+
+    def unproject(self, depth_m: ArrayLike) -> FloatArray:
+        """Return the points that the pixels of a depth image see.
+
+        Args:
+            depth_m: Depth image [m], shape (height, width).
+
+        Returns:
+            Points in the world frame [m], shape (height, width, 3); NaN where the
+            depth is 0, which means that nothing was seen.
+
+        Raises:
+            InvalidConfigError: The image has another size than the camera's.
+        """
+        depth = np.asarray(depth_m, dtype=np.float64)
+        lens = self.intrinsics
+        if depth.shape != (lens.height, lens.width):
+            raise InvalidConfigError(
+                f"The depth image has shape {depth.shape}, but camera {self.name!r} "
+                f"makes images of shape {(lens.height, lens.width)} (rows, columns)."
+            )
+        depth = np.where(depth > 0.0, depth, np.nan)
+        x = (np.arange(lens.width) - lens.cx) / lens.fx * depth
+        y = ((np.arange(lens.height) - lens.cy) / lens.fy)[:, None] * depth
+        matrix = self.world_from_camera.matrix()
+        return np.stack([x, y, depth], axis=-1) @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+@dataclass(frozen=True, slots=True)
+class FreeCamera:
+    """A camera for people, that orbits a point; it is not part of the scene."""
+
+    lookat: tuple[float, float, float] = (0.0, 0.0, 0.1)
+    """The point in the middle of the picture [m], world frame."""
+    distance: float = 3.0
+    """Distance from that point [m]."""
+    azimuth_deg: float = 90.0
+    """Direction of view about the vertical: 0 looks along +x, 90 along +y [deg]."""
+    elevation_deg: float = -35.0
+    """Direction of view against the horizontal: negative looks down [deg]."""
+    fovy_deg: float = 40.0
+    """Vertical field of view [deg]."""
+
+    def camera(self, width: int, height: int) -> Camera:
+        """Return it as a calibrated camera, to draw over its pictures.
+
+        Args:
+            width: Image width [px].
+            height: Image height [px].
+        """
+        azimuth, elevation = map(math.radians, (self.azimuth_deg, self.elevation_deg))
+        ca, sa = math.cos(azimuth), math.sin(azimuth)
+        ce, se = math.cos(elevation), math.sin(elevation)
+        forward = np.array([ce * ca, ce * sa, se])
+        right = np.array([sa, -ca, 0.0])
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+        matrix[:3, 3] = np.array(self.lookat) - self.distance * forward
+        lens = CameraIntrinsics.from_fovy(math.radians(self.fovy_deg), width, height)
+        return Camera("free", Pose.from_matrix(matrix), lens)
+
+
+def add_camera(
+    spec: mujoco.MjSpec, name: str, world_from_camera: Pose, fovy_rad: float
+) -> None:
+    """Add a fixed camera to a scene that is being composed.
+
+    Args:
+        spec: The scene.
+        name: The camera's name.
+        world_from_camera: Where it is; x right, y down, z forward.
+        fovy_rad: Vertical field of view [rad].
+    """
+    rotation = world_from_camera.matrix()[:3, :3] * _FLIP
+    spec.worldbody.add_camera(
+        name=name,
+        pos=world_from_camera.position,
+        quat=quaternion_from_matrix(rotation),
+        # In degrees whatever the unit of angles in the rest of the scene.
+        fovy=math.degrees(fovy_rad),
+    )
+
+
+def camera_from_model(
+    model: mujoco.MjModel, data: mujoco.MjData, name: str, width: int, height: int
+) -> Camera:
+    """Return a camera of a compiled scene, where it is now.
+
+    Args:
+        model: The scene.
+        data: Its state, with derived poses up to date (``mj_forward``).
+        name: The camera's name.
+        width: Image width [px].
+        height: Image height [px].
+
+    Raises:
+        UnknownNameError: The scene has no such camera.
+        InvalidConfigError: It is no perspective camera given by a field of view.
+    """
+    index = camera_index(model, name)
+    if model.cam_sensorsize[index].any() or model.cam_projection[index]:
+        raise InvalidConfigError(
+            f"Camera {name!r} is orthographic or has a sensor size. Only perspective "
+            "cameras given by their field of view (fovy) are supported."
+        )
+    matrix = np.eye(4)
+    matrix[:3, :3] = data.cam_xmat[index].reshape(3, 3) * _FLIP
+    matrix[:3, 3] = data.cam_xpos[index]
+    fovy_rad = math.radians(float(model.cam_fovy[index]))
+    lens = CameraIntrinsics.from_fovy(fovy_rad, width, height)
+    return Camera(name, Pose.from_matrix(matrix), lens)
+
+
+def camera_index(model: mujoco.MjModel, name: str) -> int:
+    """Return the number of a camera in a model.
+
+    Raises:
+        UnknownNameError: The scene has no such camera.
+    """
+    index: int = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA.value, name)
+    if index < 0:
+        names = [model.camera(i).name for i in range(model.ncam)]
+        raise UnknownNameError("camera", name, names)
+    return index

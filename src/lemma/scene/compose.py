@@ -1,0 +1,148 @@
+"""From a scene's data to one compiled MuJoCo model."""
+
+import math
+
+import mujoco
+
+from lemma.core.errors import UnknownNameError
+from lemma.robots.ur import ARMS, JOINTS, add_arm
+from lemma.scene.cameras import add_camera
+from lemma.scene.layout import camera_mount
+from lemma.scene.objects import CONTACT_SOLIMP, CONTACT_SOLREF, add_object
+from lemma.scene.palette import FLOOR, TABLE, TABLE_EDGE
+from lemma.scene.spec import SceneSpec
+
+TIME_STEP_S = 0.005
+"""Physics step: 20 Hz control and 10 Hz recording are whole numbers of steps."""
+
+TABLE_HALF_X_M = 1.55
+TABLE_HALF_Y_M = 1.10
+_TABLE_THICKNESS_M = 0.04
+_FLOOR_Z_M = -0.75
+
+ACTUATIONS = ("position", "velocity", "torque")
+"""How the arm's motors are driven: servo on position or on velocity, or open loop."""
+
+# A velocity servo that reaches its target in a few steps without ringing.
+_VELOCITY_TIME_CONSTANT_S = 0.02
+
+
+def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjModel:
+    """Compile a scene.
+
+    Args:
+        spec: The scene.
+        actuation: One of :data:`ACTUATIONS`.
+
+    Raises:
+        UnknownNameError: No such actuation.
+    """
+    if actuation not in ACTUATIONS:
+        raise UnknownNameError("actuation", actuation, ACTUATIONS)
+    world = mujoco.MjSpec()
+    _set_options(world)
+    _add_room(world)
+    for name, robot in zip(spec.robot_names, spec.robots, strict=True):
+        add_arm(world, ARMS[robot.arm], name, robot.base, robot.colour)
+        pose, fovy = camera_mount(robot)
+        add_camera(world, f"{name}/camera", pose, fovy)
+        _set_actuation(world, name, actuation)
+    for placed in spec.objects:
+        add_object(world, placed)
+    return world.compile()
+
+
+def _set_options(world: mujoco.MjSpec) -> None:
+    world.modelname = "lemma"
+    world.compiler.degree = False
+    # Keeps clipping planes and lights the same in every scene.
+    world.stat.extent = 3.0
+    world.stat.center = [0, 0, 0.2]
+    option = world.option
+    option.timestep = TIME_STEP_S
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.iterations = 100
+    option.ls_iterations = 50
+    option.tolerance = 1e-8
+    # Friction harder than the normal constraint: what is held does not creep.
+    option.impratio = 20
+    visual = world.visual
+    visual.global_.offwidth = 1280
+    visual.global_.offheight = 960
+    visual.map.znear = 0.05
+    visual.map.zfar = 4.0
+    visual.quality.shadowsize = 2048
+    visual.quality.offsamples = 4
+    visual.headlight.ambient = [0.35, 0.35, 0.35]
+    visual.headlight.diffuse = [0.25, 0.25, 0.25]
+    visual.headlight.specular = [0.05, 0.05, 0.05]
+
+
+def _add_room(world: mujoco.MjSpec) -> None:
+    body = world.worldbody
+    body.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[-1.0, -1.5, 4.0],
+        dir=[0.25, 0.35, -1.0],
+        diffuse=[0.55, 0.55, 0.53],
+        specular=[0.15, 0.15, 0.15],
+        castshadow=True,
+    )
+    body.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=[0, 0, _FLOOR_Z_M],
+        size=[8, 8, 0.1],
+        rgba=FLOOR,
+        contype=0,
+        conaffinity=0,
+    )
+    body.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[0, 0, -_TABLE_THICKNESS_M / 2],
+        size=[TABLE_HALF_X_M, TABLE_HALF_Y_M, _TABLE_THICKNESS_M / 2],
+        rgba=TABLE,
+        friction=[0.8, 0.01, 0.0002],
+        solref=CONTACT_SOLREF,
+        solimp=CONTACT_SOLIMP,
+        condim=4,
+    )
+    for i, (x, y) in enumerate(((-1, -1), (-1, 1), (1, -1), (1, 1))):
+        body.add_geom(
+            name=f"leg_{i}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[
+                x * (TABLE_HALF_X_M - 0.1),
+                y * (TABLE_HALF_Y_M - 0.1),
+                (_FLOOR_Z_M - _TABLE_THICKNESS_M) / 2,
+            ],
+            size=[0.04, 0.04, -(_FLOOR_Z_M + _TABLE_THICKNESS_M) / 2],
+            rgba=TABLE_EDGE,
+            contype=0,
+            conaffinity=0,
+        )
+
+
+def _set_actuation(world: mujoco.MjSpec, robot: str, actuation: str) -> None:
+    """Replace the position servos of one arm where another actuation is asked for."""
+    if actuation == "position":
+        return
+    for joint in JOINTS:
+        motor = world.actuator(f"{robot}/{joint}")
+        limit = float(motor.forcerange[1])
+        motor.gainprm[:] = 0.0
+        motor.biasprm[:] = 0.0
+        if actuation == "torque":
+            motor.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+            motor.biastype = mujoco.mjtBias.mjBIAS_NONE
+            motor.gainprm[0] = 1.0
+            motor.ctrlrange = [-limit, limit]
+        else:
+            gain = limit / _VELOCITY_TIME_CONSTANT_S / (2.0 * math.pi)
+            motor.gainprm[0] = gain
+            motor.biasprm[2] = -gain
+            motor.ctrlrange = [-math.pi, math.pi]

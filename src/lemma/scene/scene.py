@@ -1,0 +1,197 @@
+"""A compiled scene: its physics, and names instead of addresses."""
+
+import hashlib
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from lemma.core.errors import UnknownNameError
+from lemma.core.poses import FloatArray, Pose, Pose2
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.robots.ur import ARMS, JOINTS, ArmSpec
+from lemma.scene.compose import compile_model
+from lemma.scene.spec import RobotPlacement, SceneSpec
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+@dataclass(frozen=True)
+class RobotIndex:
+    """Where one robot lives in the model's arrays."""
+
+    name: str
+    placement: RobotPlacement
+    arm: ArmSpec
+    qpos: slice
+    """Joint positions in ``data.qpos``."""
+    dof: slice
+    """Joint velocities in ``data.qvel``."""
+    ctrl: slice
+    """Servos in ``data.ctrl``."""
+    gripper_ctrl: int
+    finger_qpos: tuple[int, int]
+    world_from_base: FloatArray
+    """(4, 4)."""
+
+
+class Scene:
+    """One world: model, data and everything that is found by name.
+
+    Positions are read from the generalised coordinates, never from derived quantities,
+    so they are current right after a step.
+    """
+
+    def __init__(self, spec: SceneSpec, actuation: str = "position") -> None:
+        """Compile a scene and set it to its first state.
+
+        Args:
+            spec: The scene.
+            actuation: ``"position"``, ``"velocity"`` or ``"torque"``.
+        """
+        self.spec = spec
+        self.actuation = actuation
+        self.model = compile_model(spec, actuation)
+        self.data = mujoco.MjData(self.model)
+        self.robots = tuple(
+            self._index_robot(name, placement)
+            for name, placement in zip(spec.robot_names, spec.robots, strict=True)
+        )
+        self._free_qpos = {
+            placed.name: int(self.model.joint(placed.name).qposadr[0])
+            for placed in spec.objects
+            if placed.kind != "pad"
+        }
+        self._entity_by_body = {
+            self.model.body(placed.name).id: placed.name for placed in spec.objects
+        }
+        self._state_size = mujoco.mj_stateSize(self.model, _STATE)
+
+    def _index_robot(self, name: str, placement: RobotPlacement) -> RobotIndex:
+        model = self.model
+        qpos = [int(model.joint(f"{name}/{joint}").qposadr[0]) for joint in JOINTS]
+        dof = [int(model.joint(f"{name}/{joint}").dofadr[0]) for joint in JOINTS]
+        ctrl = [int(model.actuator(f"{name}/{joint}").id) for joint in JOINTS]
+        fingers = [
+            int(model.joint(f"{name}/finger_{side}").qposadr[0])
+            for side in ("left", "right")
+        ]
+        cos, sin = math.cos(placement.base.yaw), math.sin(placement.base.yaw)
+        base = np.array(
+            [
+                [cos, -sin, 0.0, placement.base.x],
+                [sin, cos, 0.0, placement.base.y],
+                [0.0, 0.0, 1.0, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+        return RobotIndex(
+            name=name,
+            placement=placement,
+            arm=ARMS[placement.arm],
+            qpos=slice(qpos[0], qpos[0] + 6),
+            dof=slice(dof[0], dof[0] + 6),
+            ctrl=slice(ctrl[0], ctrl[0] + 6),
+            gripper_ctrl=int(model.actuator(f"{name}/gripper").id),
+            finger_qpos=(fingers[0], fingers[1]),
+            world_from_base=base,
+        )
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since the first state [s]."""
+        return float(self.data.time)
+
+    def robot(self, name: str) -> RobotIndex:
+        """Return the robot called ``name``.
+
+        Raises:
+            UnknownNameError: There is no such robot in this scene.
+        """
+        for robot in self.robots:
+            if robot.name == name:
+                return robot
+        raise UnknownNameError("robot in this scene", name, self.spec.robot_names)
+
+    @property
+    def movable_names(self) -> tuple[str, ...]:
+        """Names of the cubes and of the stick."""
+        return tuple(self._free_qpos)
+
+    def pose(self, name: str) -> Pose:
+        """Return the pose of an object's body frame in the world."""
+        address = self._free_qpos.get(name)
+        if address is None:
+            fixed = self.spec.placement(name).pose
+            half = fixed.yaw / 2
+            return Pose(
+                (fixed.x, fixed.y, 0.0), (math.cos(half), 0.0, 0.0, math.sin(half))
+            )
+        q = self.data.qpos[address : address + 7].tolist()
+        return Pose((q[0], q[1], q[2]), (q[3], q[4], q[5], q[6]))
+
+    def pose2(self, name: str) -> Pose2:
+        """Return the pose of an object on the table: the heading of its x axis."""
+        pose = self.pose(name)
+        w, x, y, z = pose.quaternion
+        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return Pose2(pose.position[0], pose.position[1], yaw)
+
+    def set_pose(self, name: str, pose: Pose) -> None:
+        """Move a cube or the stick and stop it."""
+        address = self._free_qpos.get(name)
+        if address is None:
+            raise UnknownNameError("movable object", name, self._free_qpos)
+        self.data.qpos[address : address + 3] = pose.position
+        self.data.qpos[address + 3 : address + 7] = pose.quaternion
+        dof = int(self.model.joint(name).dofadr[0])
+        self.data.qvel[dof : dof + 6] = 0.0
+
+    def speed(self, name: str) -> float:
+        """Return the linear speed of an object [m/s]; pads never move."""
+        if name not in self._free_qpos:
+            return 0.0
+        dof = int(self.model.joint(name).dofadr[0])
+        vx, vy, vz = self.data.qvel[dof : dof + 3].tolist()
+        return math.sqrt(vx * vx + vy * vy + vz * vz)
+
+    def set_joints(self, robot: RobotIndex, q: FloatArray, opening_m: float) -> None:
+        """Put one arm at joint angles ``q`` (6,) [rad], at rest, servos there too."""
+        self.data.qpos[robot.qpos] = q
+        self.data.qvel[robot.dof] = 0.0
+        for address in robot.finger_qpos:
+            self.data.qpos[address] = opening_m / 2
+        self.data.ctrl[robot.ctrl] = q if self.actuation == "position" else 0.0
+        self.data.ctrl[robot.gripper_ctrl] = opening_m
+
+    def opening_m(self, robot: RobotIndex) -> float:
+        """Return the measured distance between the finger pads [m]."""
+        left, right = robot.finger_qpos
+        width = float(self.data.qpos[left]) + float(self.data.qpos[right])
+        return min(max(width, 0.0), FINGER_OPENING_M)
+
+    def entity_of_body(self, body: int) -> str | None:
+        """Return the entity that a MuJoCo body belongs to, if any."""
+        return self._entity_by_body.get(body)
+
+    def snapshot(self) -> FloatArray:
+        """Return the full integration state: continuing from it is exact to the bit."""
+        state = np.empty(self._state_size)
+        mujoco.mj_getState(self.model, self.data, state, _STATE)
+        return state
+
+    def restore(self, state: FloatArray) -> None:
+        """Set the full integration state that :meth:`snapshot` returned."""
+        mujoco.mj_setState(self.model, self.data, state, _STATE)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Update derived poses, for rendering; leaves the integration state alone."""
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    def state_hash(self) -> str:
+        """Return the SHA-256 of the full integration state."""
+        return hashlib.sha256(self.snapshot().tobytes()).hexdigest()

@@ -1,0 +1,116 @@
+"""What a scene consists of: frozen data, no physics."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.poses import Pose2
+from lemma.robots.ur import ARMS
+from lemma.scene.palette import OBJECT_COLOURS
+
+ROBOT_COLOURS = ("red", "white")
+OBJECT_KINDS = ("cube", "pad", "stick")
+STICK = "stick"
+"""Name of the one L-shaped stick."""
+SHARED = "shared"
+"""Place entity: the region that every robot of the team reaches."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotPlacement:
+    """One robot: what it is and where it stands."""
+
+    arm: str
+    """Arm type, a name in ``lemma.robots.ur.ARMS``."""
+    colour: str
+    """``"red"`` or ``"white"``."""
+    base: Pose2
+    """World from base: the yaw points the robot's front at the table."""
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        ARMS[self.arm]
+        if self.colour not in ROBOT_COLOURS:
+            raise UnknownNameError("robot colour", self.colour, ROBOT_COLOURS)
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectPlacement:
+    """One object: what it is and where it lies."""
+
+    kind: str
+    """``"cube"``, ``"pad"`` or ``"stick"``."""
+    colour: str
+    """A name in ``lemma.scene.palette.OBJECT_COLOURS``; ``"yellow"`` for the stick."""
+    pose: Pose2
+    """World from object, lying on the table. The stick's origin is the free end of its
+    handle, its x axis points along the handle to the hook, which bends to +y."""
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        if self.kind not in OBJECT_KINDS:
+            raise UnknownNameError("object kind", self.kind, OBJECT_KINDS)
+        if self.kind != "stick":
+            OBJECT_COLOURS[self.colour]
+
+    @property
+    def name(self) -> str:
+        """Entity name: ``"red_cube"``, ``"white_pad"``, ``"stick"``."""
+        return STICK if self.kind == "stick" else f"{self.colour}_{self.kind}"
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSpec:
+    """Everything that a compiled scene depends on."""
+
+    robots: tuple[RobotPlacement, ...]
+    objects: tuple[ObjectPlacement, ...]
+
+    def __post_init__(self) -> None:
+        """Check that every entity can be named without doubt."""
+        names = [placed.name for placed in self.objects]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise InvalidConfigError(
+                f"Objects named twice in one scene: {', '.join(twice)}. Each kind and "
+                "colour may occur once; choose another colour."
+            )
+
+    @property
+    def robot_names(self) -> tuple[str, ...]:
+        """``("robot_0", "robot_1", ...)``."""
+        return tuple(f"robot_{i}" for i in range(len(self.robots)))
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """Entity names in the order of ``objects``."""
+        return tuple(placed.name for placed in self.objects)
+
+    def placement(self, name: str) -> ObjectPlacement:
+        """Return the object called ``name``.
+
+        Raises:
+            UnknownNameError: There is no such object in this scene.
+        """
+        for placed in self.objects:
+            if placed.name == name:
+                return placed
+        raise UnknownNameError("object in this scene", name, self.object_names)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> "SceneSpec":
+        """Make a scene from what :meth:`to_dict` returned."""
+        return cls(
+            tuple(
+                RobotPlacement(r["arm"], r["colour"], Pose2(**r["base"]))
+                for r in data["robots"]
+            ),
+            tuple(
+                ObjectPlacement(o["kind"], o["colour"], Pose2(**o["pose"]))
+                for o in data["objects"]
+            ),
+        )

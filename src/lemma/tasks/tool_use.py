@@ -1,0 +1,167 @@
+"""Where the stick must be to drag or push a cube: pure geometry of the plane.
+
+Sampling asks whether a robot could do it, the expert asks how. Both get their answer
+here, so that what is sampled as solvable is what the expert then does.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from lemma.core.poses import Pose2
+from lemma.robots.reach import reach_of
+from lemma.scene.objects import (
+    CUBE_EDGE_M,
+    HANDLE_LENGTH_M,
+    HOOK_LENGTH_M,
+    STICK_SECTION_M,
+)
+from lemma.scene.spec import RobotPlacement
+from lemma.tasks.subtask import Primitive
+
+GRASP_FROM_END_M = 0.07
+"""Where the handle is grasped, from its free end: the stick then reaches farthest."""
+PREPARE_GAP_M = 0.02
+"""Between the stick and the cube before the drag: a cube turned by 45 degrees fits."""
+
+_HALF = CUBE_EDGE_M / 2
+_INNER_FACE_M = HANDLE_LENGTH_M - STICK_SECTION_M
+# The cube in the stick's frame while it is dragged: in the middle of the hook's free
+# length, or of the head's outer face.
+_CONTACT = {
+    Primitive.HOOK: (
+        _INNER_FACE_M - _HALF,
+        0.5 * (HOOK_LENGTH_M - STICK_SECTION_M) + STICK_SECTION_M / 2,
+    ),
+    Primitive.POKE: (
+        HANDLE_LENGTH_M + _HALF,
+        0.5 * HOOK_LENGTH_M - STICK_SECTION_M / 2,
+    ),
+}
+_DIRECTION = {Primitive.HOOK: -1.0, Primitive.POKE: 1.0}
+_CUBE_RADIUS_M = 0.036
+_STICK_CLEARANCE_M = STICK_SECTION_M / 2 + 0.012
+_GRIP_MARGIN_M = 0.02
+_END_MARGIN_M = 0.05
+_GOOD_MARGIN_M = 0.10
+_BEARINGS_RAD = tuple(
+    math.radians(d) for d in (0, 8, -8, 16, -16, 24, -24, 32, -32, 42, -42, 54, -54)
+)
+_LENGTHS_M = tuple(0.10 + 0.02 * i for i in range(17))
+
+Disc = tuple[float, float, float]
+"""Something to keep clear of: x, y, radius [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drag:
+    """One way to move a cube with the stick."""
+
+    primitive: Primitive
+    """``hook`` or ``poke``."""
+    prepared: Pose2
+    """Gripper where the stick is put down next to the cube."""
+    end: Pose2
+    """Gripper where the drag ends."""
+    cube: Pose2
+    """Where the cube will be."""
+    score: float
+
+
+def grasp_on_stick(stick: Pose2) -> Pose2:
+    """Return the gripper pose that grasps a stick lying at a pose."""
+    return stick @ Pose2(GRASP_FROM_END_M, 0.0)
+
+
+def stick_in_grasp(gripper: Pose2) -> Pose2:
+    """Return the stick's pose when the gripper holds its handle."""
+    return gripper @ Pose2(-GRASP_FROM_END_M, 0.0)
+
+
+def find_drag(
+    primitive: Primitive,
+    robot: RobotPlacement,
+    cube: Pose2,
+    margin_at: Callable[[float, float], float],
+    obstacles: Sequence[Disc],
+) -> Drag | None:
+    """Find the best way for a robot to bring a cube where it is wanted.
+
+    Args:
+        primitive: ``HOOK`` (towards the robot) or ``POKE`` (away from it).
+        robot: Who drags.
+        cube: Where the cube is.
+        margin_at: How far inside the wanted region a position is [m].
+        obstacles: What the stick and the cube keep clear of.
+
+    Returns:
+        The drag with the best margin, among equals the shortest and straightest; None
+        if there is no way.
+    """
+    reach = reach_of(robot.arm)
+    base = robot.base
+    outward = math.atan2(cube.y - base.y, cube.x - base.x)
+    found: list[Drag] = []
+    for turn in _BEARINGS_RAD:
+        bearing = outward + turn
+        prepared = _gripper(primitive, cube, bearing, PREPARE_GAP_M)
+        if reach.margin(base, prepared.x, prepared.y) < _GRIP_MARGIN_M:
+            continue
+        sign = _DIRECTION[primitive]
+        cos, sin = sign * math.cos(bearing), sign * math.sin(bearing)
+        for length in _LENGTHS_M:
+            moved = Pose2(cube.x + length * cos, cube.y + length * sin, bearing)
+            margin = margin_at(moved.x, moved.y)
+            if margin < _END_MARGIN_M:
+                continue
+            end = _gripper(primitive, moved, bearing, 0.0)
+            if reach.margin(base, end.x, end.y) < _GRIP_MARGIN_M:
+                continue
+            score = min(margin, _GOOD_MARGIN_M) - 0.15 * length - 0.03 * abs(turn)
+            found.append(Drag(primitive, prepared, end, moved, score))
+    found.sort(key=lambda drag: -drag.score)
+    for drag in found:
+        if _is_free(drag, cube, obstacles):
+            return drag
+    return None
+
+
+def _gripper(
+    primitive: Primitive, cube: Pose2, bearing: float, gap_m: float
+) -> Pose2:
+    """Return the gripper pose that has the cube in contact, or ``gap_m`` before it."""
+    u, v = _CONTACT[primitive]
+    u += _DIRECTION[primitive] * gap_m
+    stick = Pose2(cube.x, cube.y, bearing) @ Pose2(-u, -v)
+    return grasp_on_stick(stick)
+
+
+def _is_free(drag: Drag, cube: Pose2, obstacles: Sequence[Disc]) -> bool:
+    """Whether stick and cube meet nothing, where the stick is put and all along."""
+    for i in range(6):
+        t = i / 5
+        grip = Pose2(
+            drag.prepared.x + t * (drag.end.x - drag.prepared.x),
+            drag.prepared.y + t * (drag.end.y - drag.prepared.y),
+            drag.end.yaw,
+        )
+        x = cube.x + t * (drag.cube.x - cube.x)
+        y = cube.y + t * (drag.cube.y - cube.y)
+        stick = stick_in_grasp(grip)
+        for ox, oy, radius in obstacles:
+            if math.hypot(ox - x, oy - y) < radius + _CUBE_RADIUS_M + 0.01:
+                return False
+            if stick_gap(stick, ox, oy) < radius + _STICK_CLEARANCE_M:
+                return False
+    return True
+
+
+def stick_gap(stick: Pose2, x: float, y: float) -> float:
+    """Return the distance of a position from the stick's two axes [m]."""
+    local = stick.inverse() @ Pose2(x, y)
+    along = min(max(local.x, 0.0), HANDLE_LENGTH_M)
+    handle = math.hypot(local.x - along, local.y)
+    bar_u = HANDLE_LENGTH_M - STICK_SECTION_M / 2
+    across = min(max(local.y, 0.0), HOOK_LENGTH_M - STICK_SECTION_M / 2)
+    hook = math.hypot(local.x - bar_u, local.y - across)
+    return min(handle, hook)
