@@ -5,15 +5,18 @@ the opening width, and an equality keeps them symmetric. Nothing is ever welded:
 the pads hold, they hold by friction.
 """
 
+from functools import lru_cache
+
 import mujoco
 
+from lemma.robots.lofts import Loft, Surface, mesh
 from lemma.robots.shapes import (
+    DARK,
+    METAL,
     Box,
-    Cylinder,
     add_box,
     box_inertia,
-    draw_box,
-    draw_cylinder,
+    draw,
     set_inertia,
 )
 
@@ -31,6 +34,8 @@ PALM_BEYOND_FLANGE_M = 0.072
 """Where the palm ends: what is deeper than this collides with it."""
 GRIP_FORCE_N = 50.0
 """Largest force of each finger (a Hand-E: 20 to 185 N)."""
+SKIN_M = 0.001
+"""Depth of the soft skin in which the pads' contacts begin: nothing sinks deeper."""
 MASS_KG = 1.0
 """Mass of palm and fingers (a Hand-E: 1.07 kg)."""
 
@@ -40,8 +45,6 @@ _WIDTH_DAMPING = GRIP_FORCE_N / 0.2
 # The screw drive's reflected inertia; it also keeps the light fingers well conditioned.
 _FINGER_ARMATURE = 5.0
 _SERVO_STIFFNESS = 5000.0
-_DARK = [0.16, 0.17, 0.18, 1.0]
-_METAL = [0.62, 0.64, 0.66, 1.0]
 _PALM = Box((0.0, 0.0, 0.051), (0.060, 0.112, 0.042))
 
 
@@ -63,18 +66,24 @@ def add_gripper(
     palm_mass = MASS_KG - 2.0 * _FINGER_MASS_KG
     set_inertia(palm, palm_mass, (0, 0, 0.04), box_inertia(palm_mass, _PALM.size))
     add_box(palm, f"{prefix}/palm", _PALM)
-    draw_cylinder(palm, Cylinder((0, 0, 0), (0, 0, 0.03), 0.0375), _DARK)
-    draw_box(palm, _PALM, _DARK)
+    for part, paint in (("coupling", METAL), ("palm", DARK)):
+        draw(spec, palm, f"gripper/{part}", _looks()[part], paint)
     palm.add_site(
         name=f"{prefix}/tcp", pos=[0, 0, TCP_OFFSET_M], size=[0.005] * 3, group=4
     )
-    _add_finger(palm, prefix, "left", 1.0)
-    _add_finger(palm, prefix, "right", -1.0)
+    _add_finger(spec, palm, prefix, "left", 1.0)
+    _add_finger(spec, palm, prefix, "right", -1.0)
     _couple_fingers(spec, prefix)
     return palm
 
 
-def _add_finger(palm: mujoco.MjsBody, prefix: str, side: str, direction: float) -> None:
+def _add_finger(
+    spec: mujoco.MjSpec,
+    palm: mujoco.MjsBody,
+    prefix: str,
+    side: str,
+    direction: float,
+) -> None:
     """Add one finger, closed at joint position zero, its pad facing the other's."""
     name = f"{prefix}/finger_{side}"
     finger = palm.add_body(name=name, pos=[0, 0, TCP_OFFSET_M])
@@ -105,10 +114,10 @@ def _add_finger(palm: mujoco.MjsBody, prefix: str, side: str, direction: float) 
     geom.friction = [1.2, 0.02, 0.0001]
     geom.solref = [-10000.0, -280.0]
     geom.solimp = [0.995, 0.995, 0.001, 0.5, 2.0]
-    geom.margin = 0.001
+    geom.margin = SKIN_M
     add_box(finger, f"{name}_stem", stem)
-    draw_box(finger, pad, _DARK)
-    draw_box(finger, stem, _METAL)
+    for part, paint in (("pad", DARK), ("stem", METAL)):
+        draw(spec, finger, f"gripper/{part}_{side}", _looks()[f"{part}_{side}"], paint)
 
 
 def _couple_fingers(spec: mujoco.MjSpec, prefix: str) -> None:
@@ -140,3 +149,52 @@ def _couple_fingers(spec: mujoco.MjSpec, prefix: str) -> None:
         forcerange=[-GRIP_FORCE_N, GRIP_FORCE_N],
     )
     spec.add_exclude(bodyname1=left, bodyname2=right)
+
+
+@lru_cache
+def _looks() -> dict[str, Surface]:
+    """Return what is seen of the gripper, each part in the frame of its body."""
+    up = (0.0, 0.0, 1.0)
+    palm_z, (palm_x, palm_y, palm_height) = _PALM.centre[2], _PALM.size
+    low, high = palm_z - 0.5 * palm_height, palm_z + 0.5 * palm_height
+    corner = 0.014
+    flat = (0.5 * palm_x - corner, 0.5 * palm_y - corner)
+    bevel = 0.005
+    coupling = ((0.0, 0.034), (low, 0.034))
+    palm = (
+        (low, corner - bevel),
+        (low + bevel, corner),
+        (high - bevel, corner),
+        (high, corner - bevel),
+    )
+    result = {
+        "coupling": mesh([Loft((0, 0, 0), up, coupling)]),
+        "palm": mesh([Loft((0, 0, 0), up, palm, 8, (True, True), flat)]),
+    }
+    top, tip = PALM_BEYOND_FLANGE_M - TCP_OFFSET_M, FINGERTIP_BEYOND_TCP_M
+    edge = 0.003
+    for side, direction in (("left", 1.0), ("right", -1.0)):
+        rubber, back = 0.004, FINGER_THICKNESS_M
+        # The skin in which contacts begin is drawn too, else what is held floats.
+        inner = (rubber + SKIN_M) / 2
+        pad_flat = (0.5 * FINGER_WIDTH_M - edge / 3, inner - edge / 3)
+        pad = Loft(
+            (0, direction * (inner - SKIN_M), 0),
+            up,
+            ((-tip, edge / 3), (tip, edge / 3)),
+            4,
+            (True, True),
+            pad_flat,
+        )
+        stem_flat = (0.5 * FINGER_WIDTH_M - edge, 0.5 * (back - rubber) - edge)
+        stem = Loft(
+            (0, direction * 0.5 * (back + rubber), 0),
+            up,
+            ((top, edge), (tip - 0.004, edge), (tip, edge / 2)),
+            4,
+            (False, True),
+            stem_flat,
+        )
+        result[f"pad_{side}"] = mesh([pad])
+        result[f"stem_{side}"] = mesh([stem])
+    return result

@@ -9,10 +9,18 @@ from dataclasses import dataclass
 
 import mujoco
 
-Vector = tuple[float, float, float]
+from lemma.robots.lofts import Surface, Vector
+
+Rgba = tuple[float, float, float, float]
 
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
+
+DARK: Rgba = (0.17, 0.18, 0.20, 1.0)
+"""Seams, collars, the gripper."""
+METAL: Rgba = (0.66, 0.68, 0.70, 1.0)
+"""Flange and fingers."""
+_COLLIDER: Rgba = (0.4, 0.7, 0.4, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +38,11 @@ class Cylinder:
     def length(self) -> float:
         """Distance between the ends [m]."""
         return math.dist(self.start, self.end)
+
+    @property
+    def centre(self) -> Vector:
+        """The point halfway [m]."""
+        return _between(self, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +65,7 @@ def add_capsule(body: mujoco.MjsBody, name: str, shape: Cylinder) -> mujoco.MjsG
         fromto=[*start, *end],
         size=[shape.radius, 0, 0],
         group=COLLISION_GROUP,
-        rgba=[0.4, 0.7, 0.4, 0.5],
+        rgba=_COLLIDER,
     )
 
 
@@ -64,29 +77,33 @@ def add_box(body: mujoco.MjsBody, name: str, shape: Box) -> mujoco.MjsGeom:
         pos=list(shape.centre),
         size=[0.5 * edge for edge in shape.size],
         group=COLLISION_GROUP,
-        rgba=[0.4, 0.7, 0.4, 0.5],
+        rgba=_COLLIDER,
     )
 
 
-def draw_cylinder(body: mujoco.MjsBody, shape: Cylinder, rgba: list[float]) -> None:
-    """Add a cylinder that is only seen."""
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        fromto=[*shape.start, *shape.end],
-        size=[shape.radius, 0, 0],
-        group=VISUAL_GROUP,
-        contype=0,
-        conaffinity=0,
-        rgba=rgba,
-    )
+def draw(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, surface: Surface, rgba: Rgba
+) -> None:
+    """Add a mesh that is only seen.
 
-
-def draw_box(body: mujoco.MjsBody, shape: Box, rgba: list[float]) -> None:
-    """Add a box that is only seen."""
+    Args:
+        spec: The scene that is being built.
+        body: What the mesh is fixed to.
+        name: Name of the mesh; drawn a second time, it is shared.
+        surface: Its triangles, in the frame of ``body``.
+        rgba: Colour.
+    """
+    if spec.mesh(name) is None:
+        spec.add_mesh(
+            name=name,
+            uservert=surface.vertices,
+            userface=surface.faces,
+            # The mesh weighs nothing; this is the way to say so that costs least.
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
     body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=list(shape.centre),
-        size=[0.5 * edge for edge in shape.size],
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
         group=VISUAL_GROUP,
         contype=0,
         conaffinity=0,

@@ -1,0 +1,133 @@
+"""The arms of the UR family: one record of numbers each.
+
+Lengths, masses and limits are the maker's published ones (as in the ROS-Industrial
+descriptions); radii are measured off pictures; servo gains are ours.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lemma.core.poses import FloatArray
+from lemma.core.registry import Registry
+
+Six = tuple[float, float, float, float, float, float]
+
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+"""The joints, from the base to the flange."""
+LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+"""The links that they move."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmSpec:
+    """The numbers that make one arm of the family."""
+
+    name: str
+    """Name in the registry."""
+    d1: float
+    """Height of the shoulder above the base [m]."""
+    a2: float
+    """Length of the upper arm [m]."""
+    a3: float
+    """Length of the forearm [m]."""
+    d4: float
+    """Offset of wrist 1 along the shoulder axis [m]."""
+    d5: float
+    """Offset of wrist 2 along the axis of joint 5 [m]."""
+    d6: float
+    """Offset of the flange along the axis of joint 6 [m]."""
+    shoulder_offset: float
+    """Offset of the upper arm's tube along the shoulder axis [m]."""
+    elbow_offset: float
+    """Offset from there to the forearm's tube; negative: back again [m]."""
+    link_masses: Six
+    """Masses, shoulder to wrist 3 [kg]."""
+    effort_limits: Six
+    """Largest joint torques [N m]."""
+    velocity_limits: Six
+    """Largest joint speeds [rad/s]."""
+    payload_kg: float
+    """What the arm may carry, gripper included."""
+    shoulder_radius: float
+    """Radius of the shoulder's housings [m]."""
+    elbow_radius: float
+    """Radius of the elbow's housings [m]."""
+    wrist_radius: float
+    """Radius of the wrists' housings [m]."""
+    upper_tube_radius: float
+    """Radius of the upper arm's tube [m]."""
+    forearm_tube_radius: float
+    """Radius of the forearm's tube [m]."""
+    stiffness: Six
+    """Servo gains on position [N m/rad]."""
+    lag_s: float
+    """Gain on velocity over gain on position: how far, in time, a moving arm trails.
+
+    One figure for all joints, so that trailing leaves the shape of a path alone.
+    """
+    armature: Six
+    """Inertias of the rotors, seen through the gears [kg m2]."""
+    joint_range: Six = (math.tau, math.tau, math.pi, math.tau, math.tau, math.tau)
+    """Joint limits, symmetric about zero [rad]."""
+
+    @property
+    def dh(self) -> FloatArray:
+        """Return ``[d1, a2, a3, d4, d5, d6]``, shape (6,) [m]."""
+        return np.array([self.d1, self.a2, self.a3, self.d4, self.d5, self.d6])
+
+
+ARMS: Registry[ArmSpec] = Registry("arm")
+ARMS.add(
+    "ur5",
+    ArmSpec(
+        name="ur5",
+        d1=0.089159,
+        a2=0.425,
+        a3=0.39225,
+        d4=0.10915,
+        d5=0.09465,
+        d6=0.0823,
+        shoulder_offset=0.13585,
+        elbow_offset=-0.1197,
+        link_masses=(3.7, 8.393, 2.275, 1.219, 1.219, 0.1879),
+        effort_limits=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0),
+        velocity_limits=(3.15, 3.15, 3.15, 3.2, 3.2, 3.2),
+        payload_kg=5.0,
+        shoulder_radius=0.060,
+        elbow_radius=0.057,
+        wrist_radius=0.041,
+        upper_tube_radius=0.047,
+        forearm_tube_radius=0.036,
+        stiffness=(30000.0, 30000.0, 20000.0, 4000.0, 4000.0, 4000.0),
+        lag_s=0.025,
+        armature=(4.2, 4.2, 2.8, 0.56, 0.56, 0.56),
+    ),
+)
+ARMS.add(
+    "ur10",
+    ArmSpec(
+        name="ur10",
+        d1=0.1273,
+        a2=0.612,
+        a3=0.5723,
+        d4=0.163941,
+        d5=0.1157,
+        d6=0.0922,
+        shoulder_offset=0.220941,
+        elbow_offset=-0.1719,
+        link_masses=(7.778, 12.93, 3.87, 1.96, 1.96, 0.202),
+        effort_limits=(330.0, 330.0, 150.0, 54.0, 54.0, 54.0),
+        velocity_limits=(2.16, 2.16, 3.15, 3.2, 3.2, 3.2),
+        payload_kg=10.0,
+        shoulder_radius=0.078,
+        elbow_radius=0.065,
+        wrist_radius=0.048,
+        upper_tube_radius=0.056,
+        forearm_tube_radius=0.043,
+        stiffness=(60000.0, 60000.0, 30000.0, 6000.0, 6000.0, 6000.0),
+        lag_s=0.028,
+        armature=(9.4, 9.4, 4.7, 0.94, 0.94, 0.94),
+    ),
+)
