@@ -77,6 +77,11 @@ class ArmSpec:
         """Return ``[d1, a2, a3, d4, d5, d6]``, shape (6,) [m]."""
         return np.array([self.d1, self.a2, self.a3, self.d4, self.d5, self.d6])
 
+    @property
+    def damping(self) -> tuple[float, ...]:
+        """Servo gains on velocity, one per joint [N m s/rad]."""
+        return tuple(self.lag_s * stiffness for stiffness in self.stiffness)
+
 
 ARMS: Registry[ArmSpec] = Registry("arm")
 ARMS.add(

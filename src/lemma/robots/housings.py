@@ -15,8 +15,8 @@ LID = 1.1
 
 _EDGE = 0.35
 """Radius of the lids' edges, in radii of the housing."""
-_SEAM = 0.93
-"""Radius of the seams where links turn against each other, in the same."""
+_INSET = 0.985
+"""Radius of lids and seams, in the same: what meets a shell lies just inside it."""
 _SEAM_M = 0.006
 _ORIGIN: Vector = (0, 0, 0)
 _Z: Vector = (0, 0, 1)
@@ -44,7 +44,7 @@ def _base(arm: ArmSpec) -> Look:
     plate, top = 0.2 * radius, _base_top(arm)
     foot = ((0.0, 1.25 * radius), (plate, 1.25 * radius), (plate, radius))
     column = ((plate, radius), (top - _SEAM_M, radius))
-    seam = ((top - _SEAM_M, _SEAM * radius), (top, _SEAM * radius))
+    seam = ((top - _SEAM_M, _INSET * radius), (top, _INSET * radius))
     return {
         "dark": mesh([Loft(_ORIGIN, _Z, foot), Loft(_ORIGIN, _Z, seam)]),
         "shell": mesh([Loft(_ORIGIN, _Z, column)]),
@@ -107,9 +107,9 @@ def _motor(
     """
     x, y, z = axis
     split = (LID - 0.45) * radius
-    lid = rounded(split, LID * radius, 0.97 * radius, _EDGE * radius)
+    lid = rounded(split - _SEAM_M, LID * radius, _INSET * radius, _EDGE * radius)
     shell = ((-split, radius), (seam - _SEAM_M, radius))
-    ring = ((seam - _SEAM_M, _SEAM * radius), (seam, _SEAM * radius))
+    ring = ((seam - _SEAM_M, _INSET * radius), (seam, _INSET * radius))
     return {
         "lid": [Loft(centre, (-x, -y, -z), lid, closed=(False, True))],
         "shell": [Loft(centre, axis, shell)],
@@ -126,17 +126,12 @@ def _add_tube(
 ) -> None:
     """Add the tube between two housings, with a collar at each end."""
     near, far = 1.08 * housings[0], length - 1.08 * housings[1]
-    collar, width = 1.07 * radius, 0.2 * radius
+    width = 0.2 * radius
     along: Vector = (-1, 0, 0)
     tube = ((0.0, radius), (length, radius))
     look["shell"].append(Loft(origin, along, tube))
     for start in (near, far - width):
-        ring = (
-            (start, radius),
-            (start, collar),
-            (start + width, collar),
-            (start + width, radius),
-        )
+        ring = ((start, 1.035 * radius), (start + width, 1.035 * radius))
         look["dark"].append(Loft(origin, along, ring))
 
 

@@ -107,7 +107,7 @@ def _add_joint(
     """Add a hinge about the body's z axis, with its position servo."""
     name = f"{prefix}/{JOINTS[index]}"
     limit, effort = arm.joint_range[index], arm.effort_limits[index]
-    stiffness = arm.stiffness[index]
+    stiffness, damping = arm.stiffness[index], arm.damping[index]
     body.add_joint(
         name=name,
         type=mujoco.mjtJoint.mjJNT_HINGE,
@@ -123,7 +123,7 @@ def _add_joint(
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
         biastype=mujoco.mjtBias.mjBIAS_AFFINE,
         gainprm=[stiffness, *[0.0] * 9],
-        biasprm=[0.0, -stiffness, -arm.lag_s * stiffness, *[0.0] * 7],
+        biasprm=[0.0, -stiffness, -damping, *[0.0] * 7],
         ctrllimited=True,
         ctrlrange=[-limit, limit],
         forcelimited=True,
