@@ -293,7 +293,9 @@ def _abandon() -> None:
     global _lock
     _lock = threading.RLock()
     if _process is not None:
-        # Their destructors would call OpenGL, whose threads the child does not have.
+        # Both would wait for OpenGL's threads, which the child does not have.
+        if _process.backend.name == "egl":
+            atexit.unregister(sys.modules["mujoco.egl"].EGL.eglTerminate)
         for held in (_process.context, *(upload.drawing for upload in _process.pool)):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))
 

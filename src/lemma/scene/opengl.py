@@ -118,10 +118,11 @@ def _choose(asked: str) -> Backend:
         )
     candidates = _CANDIDATES.get(platform.system(), ("glfw",))
     names = candidates if asked in _AUTOMATIC else (asked.replace("glx", "glfw"),)
-    if not set(names) <= set(_REMEDY):
+    valid = dict.fromkeys((*candidates, "glfw"))
+    if not set(names) <= set(valid):
         raise RenderingError(
-            f"MUJOCO_GL={asked} names no OpenGL library. Valid here: "
-            f"{', '.join(candidates)}. Unset it to choose automatically."
+            f"MUJOCO_GL={asked} names no OpenGL library of this system. Valid: "
+            f"{', '.join(valid)}. Unset it to choose automatically."
         )
     known = _remembered()
     if known is not None and known.name in names:
@@ -130,7 +131,7 @@ def _choose(asked: str) -> Backend:
     for name in names:
         renderer, failure = _probe(name)
         if failure is None:
-            why = f"MUJOCO_GL={asked}" if names != candidates else "works"
+            why = "asked for by MUJOCO_GL" if names != candidates else "works"
             tried = "".join(f"; {n} failed: {f}" for n, f in failures.items())
             backend = Backend(name, renderer, why + tried)
             _remember(backend)
@@ -141,6 +142,10 @@ def _choose(asked: str) -> Backend:
 
 def _probe(name: str) -> tuple[str, str | None]:
     """Render a picture in a child process: the renderer's name, or why it failed."""
+    displays = ("DISPLAY", "WAYLAND_DISPLAY")
+    on_linux = platform.system() == "Linux"
+    if name == "glfw" and on_linux and not any(map(os.environ.get, displays)):
+        return "", "there is no display (DISPLAY is not set)"
     try:
         child = subprocess.run(
             [sys.executable, "-c", _PROBE, name, _MODEL_XML],
@@ -160,7 +165,11 @@ def _probe(name: str) -> tuple[str, str | None]:
     lines = [line for line in child.stderr.splitlines() if line.strip()]
     if child.returncode < 0:
         lines.append(f"it crashed with signal {-child.returncode}")
-    return "", lines[-1].strip() if lines else f"exit code {child.returncode}"
+    reason = lines[-1].strip() if lines else f"exit code {child.returncode}"
+    if reason.startswith("AttributeError: 'NoneType'"):
+        # PyOpenGL's way to say it.
+        reason = "its library is not installed, or incomplete"
+    return "", reason
 
 
 def _explain(failures: dict[str, str], asked: str) -> str:

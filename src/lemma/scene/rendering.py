@@ -102,6 +102,8 @@ class Renderer:
     ) -> CameraImage:
         """Render color and depth of a camera of the scene, in one pass.
 
+        What is transparent (alpha below 1) has color but no depth.
+
         Args:
             model: The scene.
             data: Its state, with derived poses up to date (``mj_forward``).
