@@ -31,7 +31,7 @@ class TargetLeaf(NamedTuple):
 
 
 class AxisLeaf(NamedTuple):
-    """Turns one axis of the gripper into a direction."""
+    """Turns an axis of the gripper into a direction."""
 
     gain: float = 200.0
     damping: float = 40.0
@@ -155,6 +155,43 @@ def target(
                 near * leaf.near_metric * same + (1.0 - near) * leaf.far_metric * along
             )
     return distance
+
+
+@njit(cache=True)
+def axes(
+    leaf: AxisLeaf,
+    rotation: FloatArray,
+    goal: FloatArray,
+    omega: FloatArray,
+    distance: float,
+    acceleration: FloatArray,
+) -> float:
+    """Evaluate the axis leaves of all three axes of a frame, as one.
+
+    Each axis n is to become m: ``ndd = gain (m - n) - damping nd``, weighed by a
+    scalar. Pulled back to rotations by ``nd = omega x n`` and added up, the three of an
+    orthonormal frame are one angular acceleration, ``gain / 2 sum n x m - damping
+    omega``, weighed by twice that scalar.
+
+    Args:
+        leaf: Parameters.
+        rotation: Present axes in columns, (3, 3) or a transform (4, 4).
+        goal: Axes to turn to, (3, 3).
+        omega: Angular velocity, (3,) [rad/s].
+        distance: Of the tool centre point from its target [m].
+        acceleration: Written: angular acceleration, (3,) [rad/s2].
+
+    Returns:
+        The metric, a multiple of the identity.
+    """
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        cross = 0.0
+        for axis in range(3):
+            cross += rotation[j, axis] * goal[k, axis]
+            cross -= rotation[k, axis] * goal[j, axis]
+        acceleration[i] = 0.5 * leaf.gain * cross - leaf.damping * omega[i]
+    return 2.0 * leaf.metric * boost(leaf.boost, leaf.boost_sigma_m, distance)
 
 
 @njit(cache=True)

@@ -1,0 +1,198 @@
+"""The space that an arm fills, simplified: capsules to keep clear of, spheres that do.
+
+An arm is an obstacle as capsules, one per link, and moves around obstacles as spheres
+strung along its outer links. Both are given in link frames, so that one forward
+kinematics places them.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from lemma.core.poses import FloatArray
+from lemma.robots.gripper import FINGERTIP_BEYOND_TCP_M, TCP_OFFSET_M
+from lemma.robots.ur import ARMS
+
+_FINGER_HALF_SPAN_M = 0.055
+_FINGER_RADIUS_M = 0.018
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Capsules and spheres of one arm type."""
+
+    capsule_links: FloatArray
+    """Link frame of each capsule, (n,)."""
+    capsules: FloatArray
+    """Both ends in that frame and radius, (n, 7) [m]."""
+    sphere_links: FloatArray
+    """Link frame of each sphere, (m,)."""
+    spheres: FloatArray
+    """Centre in that frame and radius, (m, 4) [m]."""
+    sphere_meets_table: FloatArray
+    """1 where the table is an obstacle; 0 for the fingers, whose work is there."""
+
+
+@lru_cache
+def envelope_of(arm_name: str) -> Envelope:
+    """Return the envelope of an arm type."""
+    arm = ARMS[arm_name]
+    side = arm.shoulder_offset
+    forearm_side = side + arm.elbow_offset
+    tip = TCP_OFFSET_M + FINGERTIP_BEYOND_TCP_M - _FINGER_RADIUS_M
+    capsules = (
+        (0, (0, 0, 0), (0, 0, arm.d1), arm.shoulder_radius),
+        (1, (0, 0, 0), (0, 0, side), arm.shoulder_radius),
+        (2, (arm.a2, 0, side), (0, 0, side), arm.elbow_radius),
+        (2, (0, 0, side), (0, 0, forearm_side), arm.elbow_radius),
+        (3, (arm.a3, 0, forearm_side), (0, 0, forearm_side), arm.elbow_radius),
+        (3, (0, 0, forearm_side), (0, 0, arm.d4), arm.wrist_radius),
+        (4, (0, 0, 0), (0, 0, arm.d5), arm.wrist_radius),
+        (6, (0, 0, -arm.d6), (0, 0, 0.05), 0.06),
+        (6, (0, 0.03, 0.06), (0, 0.03, tip), 0.04),
+        (6, (0, -0.03, 0.06), (0, -0.03, tip), 0.04),
+    )
+    spheres = (
+        (2, (0.5 * arm.a2, 0, side), arm.upper_tube_radius),
+        (2, (0, 0, side), arm.elbow_radius * 1.1),
+        (2, (0, 0, forearm_side), arm.elbow_radius * 1.1),
+        (3, (0.67 * arm.a3, 0, forearm_side), arm.forearm_tube_radius * 1.1),
+        (3, (0.33 * arm.a3, 0, forearm_side), arm.forearm_tube_radius * 1.1),
+        (3, (0, 0, forearm_side), arm.wrist_radius * 1.2),
+        (4, (0, 0, 0), arm.wrist_radius * 1.2),
+        (4, (0, 0, arm.d5), arm.wrist_radius * 1.2),
+        (6, (0, 0.03, 0.05), 0.05),
+        (6, (0, -0.03, 0.05), 0.05),
+        (6, (0, _FINGER_HALF_SPAN_M, tip), _FINGER_RADIUS_M),
+        (6, (0, -_FINGER_HALF_SPAN_M, tip), _FINGER_RADIUS_M),
+    )
+    at_work = 4
+    return Envelope(
+        np.array([float(link) for link, *_ in capsules]),
+        np.array([[*a, *b, radius] for _, a, b, radius in capsules]),
+        np.array([float(link) for link, *_ in spheres]),
+        np.array([[*centre, radius] for _, centre, radius in spheres]),
+        np.array([1.0] * (len(spheres) - at_work) + [0.0] * at_work),
+    )
+
+
+@njit(cache=True)
+def place_capsules(
+    all_frames: FloatArray, links: FloatArray, capsules: FloatArray, out: FloatArray
+) -> None:
+    """Write capsules to world coordinates.
+
+    Args:
+        all_frames: World from link frames, (7, 4, 4).
+        links: (n,).
+        capsules: (n, 7) in link frames.
+        out: (n, 7) or wider; ends and radius are written.
+    """
+    for k in range(capsules.shape[0]):
+        f = all_frames[int(links[k])]
+        for end in range(2):
+            for i in range(3):
+                value = f[i, 3]
+                for j in range(3):
+                    value += f[i, j] * capsules[k, 3 * end + j]
+                out[k, 3 * end + i] = value
+        out[k, 6] = capsules[k, 6]
+
+
+@njit(cache=True)
+def segment_distance(a: FloatArray, b: FloatArray) -> float:
+    """Return the distance between the axes of two capsules, (6+,) each [m].
+
+    Ericson, *Real-Time Collision Detection*, section 5.1.9.
+    """
+    d1 = np.empty(3)
+    d2 = np.empty(3)
+    r = np.empty(3)
+    aa = ee = f = c = bb = 0.0
+    for i in range(3):
+        d1[i] = a[3 + i] - a[i]
+        d2[i] = b[3 + i] - b[i]
+        r[i] = a[i] - b[i]
+        aa += d1[i] * d1[i]
+        ee += d2[i] * d2[i]
+        f += d2[i] * r[i]
+        c += d1[i] * r[i]
+        bb += d1[i] * d2[i]
+    s = t = 0.0
+    if aa > 1e-12 and ee > 1e-12:
+        denominator = aa * ee - bb * bb
+        if denominator > 1e-12:
+            s = min(1.0, max(0.0, (bb * f - c * ee) / denominator))
+        t = (bb * s + f) / ee
+        if t < 0.0:
+            t, s = 0.0, min(1.0, max(0.0, -c / aa))
+        elif t > 1.0:
+            t, s = 1.0, min(1.0, max(0.0, (bb - c) / aa))
+    elif ee > 1e-12:
+        t = min(1.0, max(0.0, f / ee))
+    elif aa > 1e-12:
+        s = min(1.0, max(0.0, -c / aa))
+    gap = 0.0
+    for i in range(3):
+        gap += (r[i] + s * d1[i] - t * d2[i]) ** 2
+    return math.sqrt(gap)
+
+
+# Capsules of one arm that may come near each other: outer links against the inner ones.
+_SELF_PAIRS = np.array(
+    [
+        [outer, inner]
+        for outer, inners in (
+            (4, (0,)),
+            (5, (0, 1)),
+            (6, (0, 1, 2)),
+            (7, (0, 1, 2, 4)),
+            (8, (0, 1, 2, 4)),
+            (9, (0, 1, 2, 4)),
+        )
+        for inner in inners
+    ]
+)
+
+
+@njit(cache=True)
+def self_clearance(placed: FloatArray) -> float:
+    """Return the smallest distance between links that could meet [m].
+
+    Args:
+        placed: Capsules of one arm in one frame, (n, 7).
+    """
+    least = np.inf
+    for k in range(_SELF_PAIRS.shape[0]):
+        a = placed[_SELF_PAIRS[k, 0]]
+        b = placed[_SELF_PAIRS[k, 1]]
+        least = min(least, segment_distance(a, b) - a[6] - b[6])
+    return least
+
+
+@njit(cache=True)
+def obstacle_clearance(placed: FloatArray, obstacles: FloatArray) -> float:
+    """Return the smallest distance between an arm and obstacle capsules [m].
+
+    Args:
+        placed: Capsules of the arm, (n, 7).
+        obstacles: Capsules, (m, 7) or wider.
+    """
+    least = np.inf
+    for i in range(1, placed.shape[0]):
+        for j in range(obstacles.shape[0]):
+            gap = segment_distance(placed[i], obstacles[j])
+            least = min(least, gap - placed[i, 6] - obstacles[j, 6])
+    return least
+
+
+@njit(cache=True)
+def table_clearance(placed: FloatArray) -> float:
+    """Return the height of the lowest point of links 2 to 5 above the table [m]."""
+    least = np.inf
+    for k in range(2, 7):
+        least = min(least, min(placed[k, 2], placed[k, 5]) - placed[k, 6])
+    return least
