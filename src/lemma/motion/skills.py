@@ -7,6 +7,7 @@ every robot parked and nothing held, whatever happened.
 
 import math
 from collections.abc import Generator
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -88,6 +89,7 @@ class SkillRunner:
 
     def _move(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
         held, grip_m = self._what_to_pick(subtask)
+        subtask = _as_it_turns(subtask, arm)
         low = _stand(subtask.pick, grip_m)
         over = _stand(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
         body = self.scene.model.body(held).id
@@ -116,11 +118,11 @@ class SkillRunner:
                 Outcome.INVALID,
                 f"{subtask.primitive} needs the stick, but the pick pose is on {held}.",
             )
+        subtask = _as_it_turns(subtask, arm)
         low = _stand(subtask.pick, STICK_GRASP_HEIGHT_M)
         over = _stand(subtask.pick, TRAVEL_HEIGHT_M)
-        yaw = _near_half_turn(subtask.place.yaw, subtask.pick.yaw)
         start = _stand(subtask.pick, DRAG_HEIGHT_M)
-        end = (subtask.place.x, subtask.place.y, DRAG_HEIGHT_M, yaw)
+        end = _stand(subtask.place, DRAG_HEIGHT_M)
         for pose in (low, over):
             self._check_reach(arm, pose, "pick")
         self._check_reach(arm, end, "place")
@@ -247,10 +249,8 @@ class SkillRunner:
         fly_by: bool = False,
     ) -> Motion:
         """Go to a waypoint (x, y, z, yaw) with the gripper pointing down."""
-        x, y, z, yaw = stand
-        near = arm.tcp_pose()
-        yaw = _near_half_turn(yaw, math.atan2(near[1, 0], near[0, 0]))
-        pose = top_down(x, y, z, yaw)
+        x, y, z, _ = stand
+        pose = top_down(*stand)
         posture = arm.solve_posture(pose)
         if posture is None:
             raise SkillFailure(
@@ -403,9 +403,21 @@ def _withdrawal(
     return [back, side]
 
 
-def _near_half_turn(yaw: float, reference: float) -> float:
-    """Return ``yaw`` plus whole half turns, as near to ``reference`` as possible."""
-    return yaw + math.pi * round((reference - yaw) / math.pi)
+def _as_it_turns(subtask: GroundedSubTask, arm: ArmMotion) -> GroundedSubTask:
+    """Return the sub-task with both yaws half a turn on, where that turns the arm less.
+
+    The fingers are alike, so half a turn does not matter to the grasp; but what is held
+    must turn from pick to place as the sub-task says, so both turn or neither.
+    """
+    gripper = arm.tcp_pose()
+    turned = math.pi + subtask.pick.yaw - math.atan2(gripper[1, 0], gripper[0, 0])
+    if abs(wrap(turned)) >= 0.5 * math.pi:
+        return subtask
+    return replace(
+        subtask,
+        pick=replace(subtask.pick, yaw=subtask.pick.yaw + math.pi),
+        place=replace(subtask.place, yaw=subtask.place.yaw + math.pi),
+    )
 
 
 def _error(pose: FloatArray, goal: FloatArray) -> tuple[float, float]:

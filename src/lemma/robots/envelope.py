@@ -124,7 +124,8 @@ def segment_distance(a: FloatArray, b: FloatArray) -> float:
     s = t = 0.0
     if aa > 1e-12 and ee > 1e-12:
         denominator = aa * ee - bb * bb
-        if denominator > 1e-12:
+        # Between parallel segments any s will do.
+        if denominator > 1e-12 * aa * ee:
             s = min(1.0, max(0.0, (bb * f - c * ee) / denominator))
         t = (bb * s + f) / ee
         if t < 0.0:

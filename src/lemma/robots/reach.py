@@ -4,8 +4,9 @@ A robot reaches a table position if closed-form inverse kinematics has a solutio
 the gripper pointing down, at grasp height *and* at travel height, inside the joint
 limits and clear of the table and of itself. A gripper that points down turns about the
 vertical with the last joint alone, and the base turns all the way round, so reach
-depends on the distance to the base and on nothing else: a ring per arm type. That is
-computed once, and a test compares it with inverse kinematics over the plane.
+depends on the distance to the base and on nothing else: a ring per arm type. (Where the
+fingers turn next to the base, the inner edge moves by up to 2 mm.) That is computed
+once, and a test compares it with inverse kinematics over the plane.
 """
 
 import math
@@ -188,5 +189,5 @@ def reach_map(arm_name: str, base: Pose2, x: FloatArray, y: FloatArray) -> Float
         Margin [m], (H, W): positive where the robot reaches.
     """
     reach = reach_of(arm_name)
-    distance = np.hypot(x[None, :] - base.x, y[:, None] - base.y)
+    distance = np.sqrt((x[None, :] - base.x) ** 2 + (y[:, None] - base.y) ** 2)
     return np.minimum(distance - reach.inner_m, reach.travel_m - distance)

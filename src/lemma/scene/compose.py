@@ -5,7 +5,7 @@ import math
 import mujoco
 
 from lemma.core.errors import UnknownNameError
-from lemma.robots.ur import ARMS, JOINTS, add_arm
+from lemma.robots.ur import ARMS, JOINTS, ArmSpec, add_arm
 from lemma.scene.cameras import add_camera
 from lemma.scene.layout import camera_mount
 from lemma.scene.objects import CONTACT_SOLIMP, CONTACT_SOLREF, add_object
@@ -22,9 +22,6 @@ _FLOOR_Z_M = -0.75
 
 ACTUATIONS = ("position", "velocity", "torque")
 """How the arm's motors are driven: servo on position or on velocity, or open loop."""
-
-# A velocity servo that reaches its target in a few steps without ringing.
-_VELOCITY_TIME_CONSTANT_S = 0.02
 
 
 def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjModel:
@@ -46,7 +43,7 @@ def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjMode
         add_arm(world, ARMS[robot.arm], name, robot.base, robot.colour)
         pose, fovy = camera_mount(robot)
         add_camera(world, f"{name}/camera", pose, fovy)
-        _set_actuation(world, name, actuation)
+        _set_actuation(world, name, ARMS[robot.arm], actuation)
     for placed in spec.objects:
         add_object(world, placed)
     return world.compile()
@@ -55,19 +52,22 @@ def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjMode
 def _set_options(world: mujoco.MjSpec) -> None:
     world.modelname = "lemma"
     world.compiler.degree = False
+    world.compiler.usethread = False
     # Keeps clipping planes and lights the same in every scene.
     world.stat.extent = 3.0
     world.stat.center = [0, 0, 0.2]
     option = world.option
     option.timestep = TIME_STEP_S
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # Implicit integration scales accelerations after the contacts are solved, which
+    # shakes what is held out of the fingers; dampings are small enough for Euler.
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.iterations = 100
     option.ls_iterations = 50
     option.tolerance = 1e-8
     # Friction harder than the normal constraint: what is held does not creep.
-    option.impratio = 20
+    option.impratio = 300
     visual = world.visual
     visual.global_.offwidth = 1280
     visual.global_.offheight = 960
@@ -127,11 +127,13 @@ def _add_room(world: mujoco.MjSpec) -> None:
         )
 
 
-def _set_actuation(world: mujoco.MjSpec, robot: str, actuation: str) -> None:
+def _set_actuation(
+    world: mujoco.MjSpec, robot: str, arm: ArmSpec, actuation: str
+) -> None:
     """Replace the position servos of one arm where another actuation is asked for."""
     if actuation == "position":
         return
-    for joint in JOINTS:
+    for joint, gain in zip(JOINTS, arm.damping, strict=True):
         motor = world.actuator(f"{robot}/{joint}")
         limit = float(motor.forcerange[1])
         motor.gainprm[:] = 0.0
@@ -142,7 +144,6 @@ def _set_actuation(world: mujoco.MjSpec, robot: str, actuation: str) -> None:
             motor.gainprm[0] = 1.0
             motor.ctrlrange = [-limit, limit]
         else:
-            gain = limit / _VELOCITY_TIME_CONSTANT_S / (2.0 * math.pi)
             motor.gainprm[0] = gain
             motor.biasprm[2] = -gain
             motor.ctrlrange = [-math.pi, math.pi]

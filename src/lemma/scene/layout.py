@@ -4,11 +4,15 @@ import math
 
 import numpy as np
 
-from lemma.core.poses import Pose, Pose2
+from lemma.core.poses import Pose, Pose2, matrix_from_quaternion
 from lemma.robots.reach import reach_of
 from lemma.scene.spec import RobotPlacement
 
 CAMERA_FOVY_RAD = math.radians(58.0)
+CAMERA_WIDTH_PX = 640
+CAMERA_HEIGHT_PX = 480
+_IMAGE_MARGIN = 0.94
+"""Fraction of the half image in which an object's centre counts as seen."""
 
 
 def camera_mount(robot: RobotPlacement) -> tuple[Pose, float]:
@@ -35,3 +39,18 @@ def camera_mount(robot: RobotPlacement) -> tuple[Pose, float]:
     matrix[:3, 2] = forward
     matrix[:3, 3] = [eye.x, eye.y, height]
     return Pose.from_matrix(matrix), CAMERA_FOVY_RAD
+
+
+def camera_sees(robot: RobotPlacement, x: float, y: float) -> bool:
+    """Whether a position on the table lies well inside a robot's camera image."""
+    pose, fovy = camera_mount(robot)
+    rotation = matrix_from_quaternion(pose.quaternion)
+    offset = (x - pose.position[0], y - pose.position[1], -pose.position[2])
+    right, down, forward = (
+        sum(float(rotation[i, j]) * offset[i] for i in range(3)) for j in range(3)
+    )
+    if forward <= 0.0:
+        return False
+    half = math.tan(fovy / 2) * _IMAGE_MARGIN
+    aspect = CAMERA_WIDTH_PX / CAMERA_HEIGHT_PX
+    return abs(down) <= half * forward and abs(right) <= half * aspect * forward

@@ -19,7 +19,7 @@ from lemma.scene.objects import (
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.subtask import Primitive
 
-GRASP_FROM_END_M = 0.07
+GRASP_FROM_END_M = 0.05
 """Where the handle is grasped, from its free end: the stick then reaches farthest."""
 PREPARE_GAP_M = 0.02
 """Between the stick and the cube before the drag: a cube turned by 45 degrees fits."""
@@ -41,13 +41,16 @@ _CONTACT = {
 _DIRECTION = {Primitive.HOOK: -1.0, Primitive.POKE: 1.0}
 _CUBE_RADIUS_M = 0.036
 _STICK_CLEARANCE_M = STICK_SECTION_M / 2 + 0.012
-_GRIP_MARGIN_M = 0.02
+_GRIP_MARGIN_M = 0.015
 _END_MARGIN_M = 0.05
 _GOOD_MARGIN_M = 0.10
 _BEARINGS_RAD = tuple(
     math.radians(d) for d in (0, 8, -8, 16, -16, 24, -24, 32, -32, 42, -42, 54, -54)
 )
-_LENGTHS_M = tuple(0.10 + 0.02 * i for i in range(17))
+MAX_DRAG_M = 0.26
+"""A longer drag may lose the cube. It also keeps the tasks apart: what is pushed over to
+the other robot is too far away to be dragged back."""
+_LENGTHS_M = tuple(round(0.10 + 0.02 * i, 2) for i in range(9))
 
 Disc = tuple[float, float, float]
 """Something to keep clear of: x, y, radius [m]."""
@@ -165,3 +168,21 @@ def stick_gap(stick: Pose2, x: float, y: float) -> float:
     across = min(max(local.y, 0.0), HOOK_LENGTH_M - STICK_SECTION_M / 2)
     hook = math.hypot(local.x - bar_u, local.y - across)
     return min(handle, hook)
+
+
+def stick_discs(stick: Pose2) -> tuple[Disc, ...]:
+    """Return discs that cover a lying stick."""
+    half = STICK_SECTION_M / 2
+    spacing = 0.05
+    handle = [(i * spacing, 0.0) for i in range(round(HANDLE_LENGTH_M / spacing) + 1)]
+    hook = [(HANDLE_LENGTH_M - half, v) for v in (0.05, 0.10, HOOK_LENGTH_M - half)]
+    placed = [stick @ Pose2(u, v) for u, v in (*handle, *hook)]
+    return tuple((pose.x, pose.y, half) for pose in placed)
+
+
+def is_prepared(primitive: Primitive, stick: Pose2, cube: Pose2) -> bool:
+    """Whether a stick lies so that a drag would take the cube along."""
+    u, v = _CONTACT[primitive]
+    u += _DIRECTION[primitive] * PREPARE_GAP_M
+    local = stick.inverse() @ cube
+    return abs(local.x - u) < 0.025 and abs(local.y - v) < 0.025

@@ -1,1 +1,1 @@
-
+"""The eight tasks, one file each."""

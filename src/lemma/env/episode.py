@@ -1,0 +1,126 @@
+"""One instance being worked on: what was done, how long it took, how it stands."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from lemma.core.errors import ResetNeededError
+from lemma.env.simulation import HORIZON_S, Simulation
+from lemma.motion.outcome import Outcome, SkillResult
+from lemma.scene.compose import TIME_STEP_S
+from lemma.tasks.instance import Instance
+from lemma.tasks.subtask import GroundedSubTask
+
+
+@dataclass(frozen=True, slots=True)
+class ExecutedSubTask:
+    """One sub-task that was tried."""
+
+    grounded: GroundedSubTask
+    result: SkillResult
+    start_s: float
+    """Simulated time at which it began [s]."""
+
+
+class Episode:
+    """An executed instance, whoever decides what to do.
+
+    Success is judged when the episode ends (``stop``, or the horizon), but can be asked
+    for at any time: every ``On`` of the goal holds, at rest, and nothing is held.
+    """
+
+    def __init__(
+        self,
+        instance: Instance,
+        *,
+        horizon_s: float = HORIZON_S,
+        actuation: str = "position",
+    ) -> None:
+        """Set the table.
+
+        Args:
+            instance: The problem.
+            horizon_s: T_max, simulated time after which the episode ends [s].
+            actuation: How the motors are driven; skills need ``"position"``.
+        """
+        self.instance = instance
+        self.horizon_s = horizon_s
+        self.simulation = Simulation(instance.scene, actuation)
+        self.executed: list[ExecutedSubTask] = []
+        self.stopped = False
+
+    @property
+    def elapsed_s(self) -> float:
+        """Simulated time since the first state [s]."""
+        return self.simulation.time_s
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the horizon is reached."""
+        return self.elapsed_s >= self.horizon_s - 0.5 * TIME_STEP_S
+
+    @property
+    def is_over(self) -> bool:
+        """Whether somebody said ``stop`` or the time is up."""
+        return self.stopped or self.out_of_time
+
+    @property
+    def progress(self) -> float:
+        """Fraction of the goal that holds now, in [0, 1]."""
+        return self.instance.goal.progress(self.simulation.scene)
+
+    @property
+    def is_success(self) -> bool:
+        """Whether the goal holds now, and nothing is held."""
+        return self.progress == 1.0 and not self.simulation.held()
+
+    @property
+    def failure(self) -> str | None:
+        """Why the episode failed: an outcome, or ``"goal_not_reached"``; else None.
+
+        None as well while the episode is not over.
+        """
+        if not self.is_over or self.is_success:
+            return None
+        if self.out_of_time:
+            return str(Outcome.OUT_OF_TIME)
+        failed = [done.result.outcome for done in self.executed if not done.result.ok]
+        return str(failed[-1]) if failed else "goal_not_reached"
+
+    def execute(self, grounded: GroundedSubTask) -> SkillResult:
+        """Execute one grounded sub-task.
+
+        Raises:
+            ResetNeededError: The episode is over.
+            UnknownNameError: There is no such robot in this scene.
+        """
+        if self.is_over:
+            raise ResetNeededError(
+                f"The episode {self.instance.key} is over. Reset before you act again."
+            )
+        start = self.elapsed_s
+        result = self.simulation.execute(grounded, until_s=self.horizon_s)
+        self.executed.append(ExecutedSubTask(grounded, result, start))
+        return result
+
+    def stop(self) -> SkillResult:
+        """End the episode."""
+        self.stopped = True
+        return SkillResult(Outcome.STOPPED, "The policy said stop.", 0.0)
+
+    def info(self) -> dict[str, Any]:
+        """Return the figures that every step and reset reports."""
+        success = self.is_success
+        elapsed = self.elapsed_s
+        return {
+            "is_success": success,
+            "success": success,
+            "progress": self.progress,
+            "elapsed_s": elapsed,
+            "idle_s": {
+                name: clock.idle_s(elapsed)
+                for name, clock in self.simulation.clocks.items()
+            },
+            "failure": self.failure,
+            "instruction": self.instance.instructions["high_level"],
+            "instance": self.instance.key,
+        }

@@ -1,0 +1,126 @@
+"""The expert: plans, grounds, executes, looks, and plans again."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from lemma.env.episode import Episode
+from lemma.expert.grounding import Grounding, OracleGrounder
+from lemma.expert.planner import Plan, find_plan
+from lemma.expert.situation import Situation
+from lemma.motion.outcome import SkillResult
+from lemma.scene.scene import Scene
+from lemma.scene.spec import STICK
+from lemma.tasks.goal import Goal
+from lemma.tasks.subtask import STOP, GroundedSubTask, SubTask
+
+_AS_PREDICTED_M = 0.03
+_MAX_STEPS = 30
+"""No task needs more than 7; failures may repeat some."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One executed sub-task."""
+
+    subtask: SubTask
+    grounded: GroundedSubTask
+    result: SkillResult
+    start_s: float
+    """Simulated time at which it began [s]."""
+
+
+class Expert:
+    """The oracle as planner and grounder: it sees the true state.
+
+    It keeps its plan while the world does what was predicted, and plans again from what
+    it sees when a sub-task failed or something is not where it should be.
+    """
+
+    def __init__(
+        self, scene: Scene, goal: Goal, team: tuple[str, ...] | None = None
+    ) -> None:
+        """Look at a scene for the first time.
+
+        Args:
+            scene: The world.
+            goal: What shall become true.
+            team: Robots that may act; all if None.
+        """
+        self._scene = scene
+        self._goal = goal
+        self._team = team
+        self._grounder = OracleGrounder(scene.spec)
+        self._queue: list[Grounding] = []
+        self._expected: Situation | None = None
+        self.replans = -1
+        """How often the plan had to be made anew."""
+
+    def plan(self) -> Plan | None:
+        """Return the plan of highest utility from the present state."""
+        now = Situation.observe(self._scene)
+        return find_plan(now, self._goal, self._grounder, team=self._team)
+
+    def act(self) -> tuple[SubTask, GroundedSubTask | None]:
+        """Return the next sub-task and its poses; ``STOP`` and None at the end.
+
+        ``STOP`` is also the answer where no plan exists.
+        """
+        now = Situation.observe(self._scene)
+        if self._expected is not None and not _agree(now, self._expected):
+            self._queue = []
+        if not self._queue and self._goal.progress(self._scene) < 1.0:
+            self.replans += 1
+            plan = find_plan(now, self._goal, self._grounder, team=self._team)
+            self._queue = list(plan.steps) if plan is not None else []
+        if not self._queue:
+            return STOP, None
+        step = self._grounder.ground(self._queue.pop(0).subtask, now)
+        if step is None:
+            # The poses differ a little from what was predicted, and now it is too far.
+            self._queue, self._expected = [], None
+            return self._act_anew()
+        self._expected = step.after
+        return step.subtask, step.grounded
+
+    def _act_anew(self) -> tuple[SubTask, GroundedSubTask | None]:
+        self.replans += 1
+        plan = self.plan()
+        if plan is None or not plan.steps:
+            return STOP, None
+        first, *rest = plan.steps
+        self._queue, self._expected = rest, first.after
+        return first.subtask, first.grounded
+
+    def notice(self, result: SkillResult) -> None:
+        """Take note of how the last sub-task went."""
+        if not result.ok:
+            self._queue, self._expected = [], None
+
+
+def solve(episode: Episode, expert: Expert) -> Iterator[Step]:
+    """Let an expert work on an episode to its end, yielding every sub-task.
+
+    Args:
+        episode: The instance being worked on.
+        expert: Decides.
+    """
+    for _ in range(_MAX_STEPS):
+        subtask, grounded = expert.act()
+        if grounded is None:
+            break
+        start = episode.elapsed_s
+        result = episode.execute(grounded)
+        expert.notice(result)
+        yield Step(subtask, grounded, result, start)
+        if episode.is_over:
+            return
+    episode.stop()
+
+
+def _agree(now: Situation, expected: Situation) -> bool:
+    """Whether cubes and supports are as predicted; the stick is looked at again."""
+    return now.supports == expected.supports and all(
+        now.poses[name].distance(pose) < _AS_PREDICTED_M
+        for name, pose in expected.poses.items()
+        if name != STICK
+    )

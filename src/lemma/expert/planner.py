@@ -1,0 +1,175 @@
+"""The symbolic planner: the plan of highest utility, for any goal and any team.
+
+States are where the cubes and the stick are and what lies on what; steps are sub-tasks
+that the grounder says a robot can do. The utility of a step is the paper's u = q - c,
+minus infinity where the robot cannot: q grows with the margin to the edge of reach, c
+with time and with handling a thing twice. Uniform-cost search with an admissible bound
+returns the plan whose summed utility is highest; nothing is scripted per task.
+"""
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from lemma.expert.grounding import Grounding, OracleGrounder
+from lemma.expert.situation import Situation
+from lemma.scene.spec import SHARED, STICK
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.subtask import Primitive, SubTask
+
+_EFFORT = 1.0
+"""Cost of doing anything at all, so that a shorter plan wins."""
+_PER_SECOND = 0.02
+_QUALITY = 0.2
+_AGAIN = 0.5
+"""Cost of handling a cube that was already moved: each grasp can fail."""
+_AHEAD = 0.1
+"""Cost of working on a conjunct while an earlier one is open: one thing at a time."""
+_LEAST = _EFFORT - _QUALITY
+_MAX_EXPANSIONS = 4000
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A sequence of groundings that makes the goal true."""
+
+    steps: tuple[Grounding, ...]
+    utility: float
+    """Sum of u over the steps."""
+
+    @property
+    def subtasks(self) -> tuple[SubTask, ...]:
+        """The symbolic plan."""
+        return tuple(step.subtask for step in self.steps)
+
+    @property
+    def duration_s(self) -> float:
+        """Predicted time [s]."""
+        return sum(step.duration_s for step in self.steps)
+
+
+def utility(step: Grounding, before: Situation, goal: Goal) -> float:
+    """Return u = q - c of a step; see the constants of this module."""
+    subject = step.subtask.pick
+    if subject == STICK and step.subtask.place != SHARED:
+        subject = step.subtask.place
+    cost = _EFFORT + _PER_SECOND * step.duration_s
+    if step.subtask.primitive is Primitive.MOVE and before.labels[subject] == SHARED:
+        cost += _AGAIN
+    rank = conjunct_of(subject, before, goal)
+    cost += _AHEAD * sum(
+        not _holds(on, before) for on in goal.conjuncts[:rank] if rank is not None
+    )
+    return _QUALITY * step.quality - cost
+
+
+def conjunct_of(name: str, now: Situation, goal: Goal) -> int | None:
+    """Return the first open conjunct that speaks of an object."""
+    for i, on in enumerate(goal.conjuncts):
+        if name in (on.top, on.bottom) and not _holds(on, now):
+            return i
+    return None
+
+
+def find_plan(
+    now: Situation,
+    goal: Goal,
+    grounder: OracleGrounder,
+    *,
+    limit_s: float = 100.0,
+    team: tuple[str, ...] | None = None,
+) -> Plan | None:
+    """Find the plan of highest utility.
+
+    Args:
+        now: Where things are.
+        goal: What shall become true.
+        grounder: Says what can be done and what follows.
+        limit_s: Largest predicted duration, the paper's T_max [s].
+        team: Robots that may act; all if None.
+
+    Returns:
+        The plan; empty where the goal holds already, None where there is none.
+    """
+    robots = team if team is not None else tuple(grounder.robots)
+    queue: list[tuple[float, int, float, Situation, tuple[Grounding, ...]]] = []
+    count = 0
+    heapq.heappush(queue, (_bound(now, goal), count, 0.0, now, ()))
+    done: set[tuple[tuple[str, str], ...]] = set()
+    for _ in range(_MAX_EXPANSIONS):
+        if not queue:
+            break
+        _, _, cost, state, steps = heapq.heappop(queue)
+        if all(_holds(on, state) for on in goal.conjuncts):
+            return Plan(steps, -cost)
+        if state.key in done:
+            continue
+        done.add(state.key)
+        elapsed = sum(step.duration_s for step in steps)
+        for subtask in _candidates(state, goal, robots, grounder):
+            step = grounder.ground(subtask, state)
+            if step is None or elapsed + step.duration_s > limit_s:
+                continue
+            if step.after.key in done:
+                continue
+            count += 1
+            total = cost - utility(step, state, goal)
+            bound = round(total + _bound(step.after, goal), 9)
+            heapq.heappush(queue, (bound, count, total, step.after, (*steps, step)))
+    return None
+
+
+def _holds(on: On, now: Situation) -> bool:
+    return now.supports[on.top] == on.bottom
+
+
+def _bound(now: Situation, goal: Goal) -> float:
+    """Return a cost that no way to the goal undercuts: one step per open conjunct."""
+    return _LEAST * sum(not _holds(on, now) for on in goal.conjuncts)
+
+
+def _candidates(
+    now: Situation, goal: Goal, robots: tuple[str, ...], grounder: OracleGrounder
+) -> Iterator[SubTask]:
+    """Propose the sub-tasks that could serve the goal."""
+    for cube, places in _wanted(now, goal).items():
+        able = [name for name in robots if grounder.reaches(name, now.poses[cube])]
+        for robot in able:
+            for place in places:
+                yield SubTask(robot, Primitive.MOVE, cube, place)
+        if STICK in now.poses and not able and now.supports[cube] == "table":
+            for robot in robots:
+                yield from _tool_steps(robot, cube, now)
+    if STICK in now.poses and now.labels[STICK] != SHARED:
+        for robot in robots:
+            yield SubTask(robot, Primitive.MOVE, STICK, SHARED)
+
+
+def _tool_steps(robot: str, cube: str, now: Situation) -> Iterator[SubTask]:
+    for prepare, use in (
+        (Primitive.PREHOOK, Primitive.HOOK),
+        (Primitive.PREPOKE, Primitive.POKE),
+    ):
+        if now.is_prepared(use, cube):
+            yield SubTask(robot, use, STICK, cube)
+        else:
+            yield SubTask(robot, prepare, STICK, cube)
+
+
+def _wanted(now: Situation, goal: Goal) -> dict[str, list[str]]:
+    """Return the cubes worth moving, each with the places worth moving it to."""
+    wanted: dict[str, list[str]] = {}
+    for on in goal.conjuncts:
+        if _holds(on, now):
+            continue
+        wanted.setdefault(on.top, []).append(on.bottom)
+        for blocked in (on.top, on.bottom):
+            blocker = now.on_top_of(blocked)
+            if blocker is not None and blocker != on.top:
+                wanted.setdefault(blocker, [])
+        if on.bottom.endswith("_cube"):
+            wanted.setdefault(on.bottom, [])
+    for cube, places in wanted.items():
+        if now.labels[cube] != SHARED:
+            places.append(SHARED)
+    return wanted

@@ -1,0 +1,94 @@
+"""An instance: one sampled problem, as plain frozen data."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from lemma.scene.spec import SceneSpec
+from lemma.tasks.goal import Goal
+
+BENCHMARK_VERSION = "v1"
+"""Part of every instance's key: a change of the sampler is a new version."""
+
+SPLITS = {"train": 700, "val": 40, "test": 60}
+"""Frozen instances per task and split (paper, section V)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instance:
+    """One problem. A pure function of (benchmark version, task, split, index)."""
+
+    task: str
+    split: str
+    index: int
+    scene: SceneSpec
+    goal: Goal
+    instructions: dict[str, str]
+    """Kind (``high_level``, ``human``, ``unseen``) to sentence."""
+    distractors: tuple[str, ...]
+    """Objects that the goal does not need."""
+
+    @property
+    def key(self) -> str:
+        """Unique readable name: ``"v1/stack/test/3"``."""
+        return f"{BENCHMARK_VERSION}/{self.task}/{self.split}/{self.index}"
+
+    @property
+    def team(self) -> str:
+        """Arm types from small to large: ``"ur5+ur10"``, whoever stands first."""
+        arms = sorted((robot.arm for robot in self.scene.robots), key=_arm_order)
+        return "+".join(arms)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON."""
+        return {
+            "version": BENCHMARK_VERSION,
+            "task": self.task,
+            "split": self.split,
+            "index": self.index,
+            "robots": [
+                [r.arm, r.colour, r.base.x, r.base.y, r.base.yaw]
+                for r in self.scene.robots
+            ],
+            "objects": [
+                [o.kind, o.colour, o.pose.x, o.pose.y, o.pose.yaw]
+                for o in self.scene.objects
+            ],
+            "goal": [list(pair) for pair in self.goal.pairs],
+            "instructions": dict(self.instructions),
+            "distractors": list(self.distractors),
+        }
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> "Instance":
+        """Make an instance from what :meth:`to_dict` returned."""
+        robots = [
+            {"arm": arm, "colour": colour, "base": {"x": x, "y": y, "yaw": yaw}}
+            for arm, colour, x, y, yaw in data["robots"]
+        ]
+        objects = [
+            {"kind": kind, "colour": colour, "pose": {"x": x, "y": y, "yaw": yaw}}
+            for kind, colour, x, y, yaw in data["objects"]
+        ]
+        return cls(
+            task=data["task"],
+            split=data["split"],
+            index=data["index"],
+            scene=SceneSpec.from_dict({"robots": robots, "objects": objects}),
+            goal=Goal.from_pairs(tuple((top, bottom) for top, bottom in data["goal"])),
+            instructions=dict(data["instructions"]),
+            distractors=tuple(data["distractors"]),
+        )
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the instance's canonical JSON."""
+        text = json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _arm_order(arm: str) -> tuple[int, str]:
+    """Order arm types by size: the number in their name."""
+    digits = "".join(c for c in arm if c.isdigit())
+    return (int(digits or 0), arm)
+

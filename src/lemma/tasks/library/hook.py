@@ -1,0 +1,29 @@
+"""Hook: a cube that nobody reaches is dragged closer with the stick."""
+
+from lemma.tasks.board import Board
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.language import bank_for
+from lemma.tasks.subtask import Primitive
+from lemma.tasks.task import TASKS, Task
+
+
+def arrange(board: Board) -> Goal:
+    """Set the table."""
+    first, second = board.order[:2]
+    cube = board.cube(board.tool_only(Primitive.HOOK, first, second))
+    pad = board.pad(board.only(second))
+    board.stick(board.only(first))
+    return Goal((On(cube, pad),))
+
+
+TASKS.add(
+    "hook",
+    Task(
+        name="hook",
+        summary="One robot hooks the cube and hands it over, the other puts it on its pad.",
+        subtasks=4,
+        distractors=(0, 2),
+        arrange=arrange,
+        language=bank_for("hook"),
+    ),
+)

@@ -1,0 +1,29 @@
+"""Hook and stack: both robots hook a cube, with one stick between them."""
+
+from lemma.tasks.board import Board
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.language import bank_for
+from lemma.tasks.subtask import Primitive
+from lemma.tasks.task import TASKS, Task
+
+
+def arrange(board: Board) -> Goal:
+    """Set the table."""
+    first, second = board.order[:2]
+    top = board.cube(board.tool_only(Primitive.HOOK, first, second))
+    bottom = board.cube(board.tool_only(Primitive.HOOK, second, first))
+    board.stick(board.only(first))
+    return Goal((On(top, bottom),))
+
+
+TASKS.add(
+    "hook_stack",
+    Task(
+        name="hook_stack",
+        summary="Each robot hooks a cube with the one stick, which is passed; then they stack.",
+        subtasks=7,
+        distractors=(0, 3),
+        arrange=arrange,
+        language=bank_for("hook_stack"),
+    ),
+)

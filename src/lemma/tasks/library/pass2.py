@@ -1,0 +1,29 @@
+"""Pass2: two cubes cross the table in opposite directions."""
+
+from lemma.tasks.board import Board
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.language import bank_for
+from lemma.tasks.task import TASKS, Task
+
+
+def arrange(board: Board) -> Goal:
+    """Set the table."""
+    first, second = board.order[:2]
+    cube_1 = board.cube(board.only(first))
+    pad_1 = board.pad(board.only(second))
+    cube_2 = board.cube(board.only(second))
+    pad_2 = board.pad(board.only(first))
+    return Goal((On(cube_1, pad_1), On(cube_2, pad_2)))
+
+
+TASKS.add(
+    "pass2",
+    Task(
+        name="pass2",
+        summary="Two cubes change sides, in opposite directions.",
+        subtasks=4,
+        distractors=(0, 4),
+        arrange=arrange,
+        language=bank_for("pass2"),
+    ),
+)

@@ -1,0 +1,30 @@
+"""Poke: a cube that nobody reaches is pushed over with the stick."""
+
+from lemma.tasks.board import Board
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.language import bank_for
+from lemma.tasks.subtask import Primitive
+from lemma.tasks.task import TASKS, Task
+
+
+def arrange(board: Board) -> Goal:
+    """Set the table."""
+    first, second = board.order[:2]
+    cube = board.cube(board.tool_only(Primitive.POKE, first, second))
+    pad = board.pad(board.only(second))
+    board.stick(board.only(first))
+    return Goal((On(cube, pad),))
+
+
+TASKS.add(
+    "poke",
+    Task(
+        name="poke",
+        summary="One robot pushes the cube over with the stick, the other puts it on its pad.",
+        subtasks=3,
+        distractors=(0, 3),
+        arrange=arrange,
+        language=bank_for("poke"),
+        gap_probability=0.5,
+    ),
+)

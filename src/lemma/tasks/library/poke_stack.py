@@ -1,0 +1,30 @@
+"""Poke and stack: two cubes are pushed over, then stacked."""
+
+from lemma.tasks.board import Board
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.language import bank_for
+from lemma.tasks.subtask import Primitive
+from lemma.tasks.task import TASKS, Task
+
+
+def arrange(board: Board) -> Goal:
+    """Set the table."""
+    first, second = board.order[:2]
+    top = board.cube(board.tool_only(Primitive.POKE, first, second))
+    bottom = board.cube(board.tool_only(Primitive.POKE, first, second))
+    board.stick(board.only(first))
+    return Goal((On(top, bottom),))
+
+
+TASKS.add(
+    "poke_stack",
+    Task(
+        name="poke_stack",
+        summary="One robot pushes two cubes over with the stick, the other stacks them.",
+        subtasks=5,
+        distractors=(0, 2),
+        arrange=arrange,
+        language=bank_for("poke_stack"),
+        gap_probability=0.5,
+    ),
+)

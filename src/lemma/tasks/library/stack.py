@@ -1,0 +1,27 @@
+"""Stack: the robots meet in the middle to build a tower."""
+
+from lemma.tasks.board import Board
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.language import bank_for
+from lemma.tasks.task import TASKS, Task
+
+
+def arrange(board: Board) -> Goal:
+    """Set the table."""
+    first, second = board.order[:2]
+    bottom = board.cube(board.only(first))
+    top = board.cube(board.only(second))
+    return Goal((On(top, bottom),))
+
+
+TASKS.add(
+    "stack",
+    Task(
+        name="stack",
+        summary="One robot brings the lower cube, the other puts its own on top.",
+        subtasks=2,
+        distractors=(0, 3),
+        arrange=arrange,
+        language=bank_for("stack"),
+    ),
+)

@@ -1,0 +1,29 @@
+"""Stack2: two towers, each built by both robots."""
+
+from lemma.tasks.board import Board
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.language import bank_for
+from lemma.tasks.task import TASKS, Task
+
+
+def arrange(board: Board) -> Goal:
+    """Set the table."""
+    first, second = board.order[:2]
+    bottom_1 = board.cube(board.only(first))
+    top_1 = board.cube(board.only(second))
+    bottom_2 = board.cube(board.only(second))
+    top_2 = board.cube(board.only(first))
+    return Goal((On(top_1, bottom_1), On(top_2, bottom_2)))
+
+
+TASKS.add(
+    "stack2",
+    Task(
+        name="stack2",
+        summary="Two towers, each of one cube from either side.",
+        subtasks=4,
+        distractors=(0, 2),
+        arrange=arrange,
+        language=bank_for("stack2"),
+    ),
+)
