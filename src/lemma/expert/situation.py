@@ -72,9 +72,7 @@ class Situation:
         )
 
 
-def _support(
-    name: str, poses: dict[str, Pose2], heights: dict[str, float]
-) -> str:
+def _support(name: str, poses: dict[str, Pose2], heights: dict[str, float]) -> str:
     """Return what a cube lies on."""
     if heights[name] > _STACKED_Z_M:
         below = [

@@ -194,9 +194,7 @@ class ArmMotion:
     def command(self) -> None:
         """Send the reference to the servos, led by their lag."""
         control = self.scene.data.ctrl
-        control[self.robot.ctrl] = (
-            self.state[0] + self.robot.arm.lag_s * self.state[1]
-        )
+        control[self.robot.ctrl] = self.state[0] + self.robot.arm.lag_s * self.state[1]
         control[self.robot.gripper_ctrl] = self.opening_m
 
     def tcp_pose(self) -> FloatArray:

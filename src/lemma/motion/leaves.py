@@ -43,7 +43,7 @@ class AxisLeaf(NamedTuple):
 class PostureLeaf(NamedTuple):
     """Draws the joints to a posture: picks one of the arm's many ways to reach."""
 
-    gain: float = 100.0
+    gain: float = 200.0
     damping: float = 50.0
     cap_rad: float = 1.5
     metric: float = 50.0
@@ -106,7 +106,7 @@ class Leaves(NamedTuple):
     velocity_cap: VelocityCapLeaf = VelocityCapLeaf()
     collision: CollisionLeaf = CollisionLeaf()
     damping: DampingLeaf = DampingLeaf()
-    max_acceleration: float = 50.0
+    max_acceleration: float = 12.0
     """Bound on the norm of the joint accelerations [rad/s2]."""
 
 

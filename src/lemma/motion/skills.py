@@ -26,21 +26,32 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 Skill = Generator[None, None, SkillResult]
 Motion = Generator[None, None, None]
+Stand = tuple[float, float, float, float]
+"""Where a gripper that points down stands: x, y, z [m] and yaw [rad]."""
 
 STICK_GRASP_HEIGHT_M = 0.018
 """The fingertips end 6 mm above the table, so they never touch it."""
 DRAG_HEIGHT_M = 0.022
 """While it pushes or pulls, the stick hovers 4 mm above the table."""
 DRAG_SPEED_M_S = 0.25
+_VERTICAL_M_S = 0.5
+_TOUCHDOWN_M = 0.03
+_TOUCHDOWN_M_S = 0.12
+_MEETING_M = 0.05
+_MEETING_M_S = 0.12
+"""The stick meets the cube slowly: a knock would send it ahead."""
 RETREAT_M = 0.13
 """How far the gripper rises before the arm swings away."""
 
-_RELEASE_GAP_M = 0.001
+_PRESS_M = 0.0005
+"""What is put down is lowered until it surely touches: nothing is dropped."""
 _FLY_BY_M = 0.03
 _FLY_BY_RAD = 0.15
 _ARRIVED_M = 0.002
 _ARRIVED_RAD = 0.02
 _PARKED_RAD = 0.05
+_TOUCHED_M = 0.010
+_TOUCHED_S = 0.15
 _SWING_RAD = 0.6
 _SWUNG_RAD = 0.25
 _WAYPOINT_TIMEOUT_S = 7.0
@@ -95,7 +106,7 @@ class SkillRunner:
         body = self.scene.model.body(held).id
         bottom = grip_m - _grip_above_bottom(held)
         support = self.surface(subtask.place, exclude=body)[0]
-        put = _stand(subtask.place, support + grip_m - bottom + _RELEASE_GAP_M)
+        put = _stand(subtask.place, support + grip_m - bottom - _PRESS_M)
         over_put = _stand(subtask.place, max(put[2], TRAVEL_HEIGHT_M))
         for pose in (low, over):
             self._check_reach(arm, pose, "pick")
@@ -103,12 +114,12 @@ class SkillRunner:
             self._check_reach(arm, pose, "place")
         arm.set_obstacles(around(self.arms, arm, subtask.pick, held))
         yield from self._grasp(arm, over, low)
-        yield from self._to(arm, over, fly_by=True)
+        yield from self._rise(arm, low, over[2] - _FLY_BY_M)
         self._check_held(arm)
         arm.set_obstacles(around(self.arms, arm, subtask.place, held))
         yield from self._to(arm, over_put, fly_by=True)
         self._check_held(arm)
-        yield from self._to(arm, put)
+        yield from self._lower(arm, put, contact=True)
         yield from self._release(arm, put)
 
     def _drag(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
@@ -128,17 +139,20 @@ class SkillRunner:
         self._check_reach(arm, end, "place")
         arm.set_obstacles(around(self.arms, arm, subtask.pick, held))
         yield from self._grasp(arm, over, low)
-        yield from self._to(arm, start)
+        yield from self._to(arm, start, contact=True)
         self._check_held(arm)
-        yield from self._along(arm, start, end)
+        met = _between(start, end, _MEETING_M)
+        yield from self._along(arm, start, met, _MEETING_M_S)
+        yield from self._along(arm, met, end, DRAG_SPEED_M_S)
+        yield from self._to(arm, end, contact=True)
         self._check_held(arm)
         last = end
         for stand in _withdrawal(subtask.primitive, start, end):
             if arm.solve_posture(top_down(*stand)) is not None:
-                yield from self._to(arm, stand)
+                yield from self._to(arm, stand, contact=True)
                 last = stand
-        down = (last[0], last[1], STICK_GRASP_HEIGHT_M + _RELEASE_GAP_M, last[3])
-        yield from self._to(arm, down)
+        down = (last[0], last[1], STICK_GRASP_HEIGHT_M - _PRESS_M, last[3])
+        yield from self._to(arm, down, contact=True)
         yield from self._release(arm, down)
 
     def _what_to_pick(self, subtask: GroundedSubTask) -> tuple[str, float]:
@@ -191,9 +205,7 @@ class SkillRunner:
         body = int(self.scene.model.geom_bodyid[geom[0]])
         return max(0.0, start_z - distance), self.scene.entity_of_body(body)
 
-    def _check_reach(
-        self, arm: ArmMotion, stand: tuple[float, float, float, float], what: str
-    ) -> None:
+    def _check_reach(self, arm: ArmMotion, stand: Stand, what: str) -> None:
         if arm.solve_posture(top_down(*stand)) is None:
             raise SkillFailure(
                 Outcome.UNREACHABLE,
@@ -204,26 +216,21 @@ class SkillRunner:
     def _grasp(
         self,
         arm: ArmMotion,
-        over: tuple[float, float, float, float],
-        low: tuple[float, float, float, float],
+        over: Stand,
+        low: Stand,
     ) -> Motion:
         arm.opening_m = FINGER_OPENING_M
         yield from self._to(arm, over, fly_by=True)
-        yield from self._to(arm, low)
+        yield from self._lower(arm, low)
         arm.opening_m = 0.0
         yield from self._wait_for_fingers(arm)
         if self.scene.opening_m(arm.robot) < _GRASP_LEAST_M:
-            raise SkillFailure(
-                Outcome.MISSED_GRASP, "The fingers closed on nothing."
-            )
+            raise SkillFailure(Outcome.MISSED_GRASP, "The fingers closed on nothing.")
 
-    def _release(
-        self, arm: ArmMotion, stand: tuple[float, float, float, float]
-    ) -> Motion:
+    def _release(self, arm: ArmMotion, stand: Stand) -> Motion:
         arm.opening_m = FINGER_OPENING_M
         yield from self._wait_for_fingers(arm)
-        x, y, z, yaw = stand
-        yield from self._to(arm, (x, y, z + RETREAT_M, yaw), fly_by=True)
+        yield from self._rise(arm, stand, stand[2] + RETREAT_M)
 
     def _wait_for_fingers(self, arm: ArmMotion) -> Motion:
         """Wait until the fingers stand still, at most a second."""
@@ -244,11 +251,20 @@ class SkillRunner:
     def _to(
         self,
         arm: ArmMotion,
-        stand: tuple[float, float, float, float],
+        stand: Stand,
         *,
         fly_by: bool = False,
+        contact: bool = False,
     ) -> Motion:
-        """Go to a waypoint (x, y, z, yaw) with the gripper pointing down."""
+        """Go to a waypoint (x, y, z, yaw) with the gripper pointing down.
+
+        Args:
+            arm: Who goes.
+            stand: The waypoint.
+            fly_by: Near is enough: the arm does not slow down.
+            contact: What is held is put down: that it touches the support a little early
+                ends the motion well.
+        """
         x, y, z, _ = stand
         pose = top_down(*stand)
         posture = arm.solve_posture(pose)
@@ -270,6 +286,8 @@ class SkillRunner:
             error = distance + 0.1 * angle
             since = 0.0 if error < best - _STALL_PROGRESS_M else since + _TICK_S
             best = min(best, error)
+            if contact and since > _TOUCHED_S and distance < _TOUCHED_M:
+                return
             if since > _STALL_S:
                 yield from self._fall_back(arm, pose)
                 return
@@ -293,26 +311,43 @@ class SkillRunner:
     def _along(
         self,
         arm: ArmMotion,
-        start: tuple[float, float, float, float],
-        end: tuple[float, float, float, float],
+        start: Stand,
+        end: Stand,
+        speed_m_s: float,
     ) -> Motion:
-        """Follow a straight line at drag speed, then arrive."""
-        length = math.hypot(end[0] - start[0], end[1] - start[1])
-        ticks = max(1, round(length / DRAG_SPEED_M_S / _TICK_S))
+        """Lead the target along a straight line; the tool follows closely behind.
+
+        Left to itself RMPflow reaches a waypoint on whatever curve suits the joints. Where
+        objects stand close, or a cube is being pushed, the way there matters too.
+        """
+        length = math.dist(start[:3], end[:3])
+        ticks = max(1, round(length / speed_m_s / _TICK_S))
         turn = wrap(end[3] - start[3])
         posture = arm.solve_posture(top_down(*end))
         for i in range(1, ticks + 1):
             t = i / ticks
-            pose = top_down(
-                start[0] + t * (end[0] - start[0]),
-                start[1] + t * (end[1] - start[1]),
-                end[2],
-                start[3] + t * turn,
-            )
-            arm.aim(pose, posture)
+            x, y, z = (a + t * (b - a) for a, b in zip(start[:3], end[:3], strict=True))
+            arm.aim(top_down(x, y, z, start[3] + t * turn), posture)
             self._check_tracking(arm)
             yield
-        yield from self._to(arm, end)
+
+    def _lower(self, arm: ArmMotion, stand: Stand, *, contact: bool = False) -> Motion:
+        """Go straight down to a waypoint and arrive there."""
+        height = float(arm.reference_pose()[2, 3])
+        above = _at_height(stand, max(height, stand[2]))
+        if contact:
+            # What is put down fast sinks in or bounces.
+            gently = _at_height(stand, min(above[2], stand[2] + _TOUCHDOWN_M))
+            yield from self._along(arm, above, gently, _VERTICAL_M_S)
+            above = gently
+        speed = _TOUCHDOWN_M_S if contact else _VERTICAL_M_S
+        yield from self._along(arm, above, stand, speed)
+        yield from self._to(arm, stand, contact=contact)
+
+    def _rise(self, arm: ArmMotion, stand: Stand, height_m: float) -> Motion:
+        """Go straight up from a waypoint, without stopping at the end."""
+        above = _at_height(stand, height_m)
+        yield from self._along(arm, stand, above, _VERTICAL_M_S)
 
     def _fall_back(self, arm: ArmMotion, pose: FloatArray) -> Motion:
         """Leave RMPflow: a collision-checked joint path from inverse kinematics."""
@@ -378,15 +413,15 @@ def _grip_above_bottom(entity: str) -> float:
     return STICK_GRASP_HEIGHT_M if entity == STICK else 0.5 * height_m("cube")
 
 
-def _stand(pose: Pose2, z: float) -> tuple[float, float, float, float]:
+def _stand(pose: Pose2, z: float) -> Stand:
     return (pose.x, pose.y, z, pose.yaw)
 
 
 def _withdrawal(
     primitive: Primitive,
-    start: tuple[float, float, float, float],
-    end: tuple[float, float, float, float],
-) -> list[tuple[float, float, float, float]]:
+    start: Stand,
+    end: Stand,
+) -> list[Stand]:
     """Return waypoints that take the stick off the cube, so that fingers fit around it.
 
     A hook is pushed out beyond the cube and then to the side of its opening's far end; a
@@ -401,6 +436,17 @@ def _withdrawal(
     # The drag points from the hook to the hand; the handle is to its left of the cube.
     side = (back[0] - _WITHDRAW_M * uy, back[1] + _WITHDRAW_M * ux, back[2], back[3])
     return [back, side]
+
+
+def _at_height(stand: Stand, z: float) -> Stand:
+    return (stand[0], stand[1], z, stand[3])
+
+
+def _between(start: Stand, end: Stand, distance_m: float) -> Stand:
+    """Return the waypoint that lies a distance along the way."""
+    t = min(1.0, distance_m / max(math.dist(start[:3], end[:3]), 1e-9))
+    x, y, z, yaw = (a + t * (b - a) for a, b in zip(start, end, strict=True))
+    return (x, y, z, yaw)
 
 
 def _as_it_turns(subtask: GroundedSubTask, arm: ArmMotion) -> GroundedSubTask:

@@ -8,8 +8,13 @@ from lemma.core.errors import UnknownNameError
 from lemma.robots.ur import ARMS, JOINTS, ArmSpec, add_arm
 from lemma.scene.cameras import add_camera
 from lemma.scene.layout import camera_mount
-from lemma.scene.objects import CONTACT_SOLIMP, CONTACT_SOLREF, add_object
-from lemma.scene.palette import FLOOR, TABLE, TABLE_EDGE
+from lemma.scene.objects import (
+    CONTACT_SOLIMP,
+    CONTACT_SOLREF,
+    OBJECT_FRICTION,
+    add_object,
+)
+from lemma.scene.palette import FLOOR, HORIZON, SKY, TABLE, TABLE_EDGE
 from lemma.scene.spec import SceneSpec
 
 TIME_STEP_S = 0.005
@@ -19,6 +24,7 @@ TABLE_HALF_X_M = 1.55
 TABLE_HALF_Y_M = 1.10
 _TABLE_THICKNESS_M = 0.04
 _FLOOR_Z_M = -0.75
+_SKY_PX = 64
 
 ACTUATIONS = ("position", "velocity", "torque")
 """How the arm's motors are driven: servo on position or on velocity, or open loop."""
@@ -69,34 +75,39 @@ def _set_options(world: mujoco.MjSpec) -> None:
     # Friction harder than the normal constraint: what is held does not creep.
     option.impratio = 300
     visual = world.visual
-    visual.global_.offwidth = 1280
-    visual.global_.offheight = 960
     visual.map.znear = 0.05
     visual.map.zfar = 4.0
-    visual.quality.shadowsize = 2048
-    visual.quality.offsamples = 4
-    visual.headlight.ambient = [0.35, 0.35, 0.35]
-    visual.headlight.diffuse = [0.25, 0.25, 0.25]
-    visual.headlight.specular = [0.05, 0.05, 0.05]
+    # Half the width of the region with shadows: the table, sharper than by default.
+    visual.map.shadowclip = 0.65
+    # No light moves with the eye, so that all cameras see the same colours.
+    visual.headlight.ambient = [0.40, 0.40, 0.41]
+    visual.headlight.diffuse = [0.0, 0.0, 0.0]
+    visual.headlight.specular = [0.0, 0.0, 0.0]
+    visual.rgba.haze = HORIZON
 
 
 def _add_room(world: mujoco.MjSpec) -> None:
     body = world.worldbody
-    body.add_light(
-        name="sun",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[-1.0, -1.5, 4.0],
-        dir=[0.25, 0.35, -1.0],
-        diffuse=[0.55, 0.55, 0.53],
-        specular=[0.15, 0.15, 0.15],
-        castshadow=True,
+    _add_light(world, "sun", (0.30, 0.40, -1.0), (0.50, 0.49, 0.47), shadow=True)
+    _add_light(world, "fill", (-0.70, 0.55, -0.8), (0.24, 0.25, 0.27), shadow=False)
+    world.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        width=_SKY_PX,
+        height=_SKY_PX * 6,
+        rgb1=SKY[:3],
+        rgb2=HORIZON[:3],
     )
+    for name in ("floor", "table"):
+        world.add_material(name=name, specular=0.0, shininess=0.0)
     body.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         pos=[0, 0, _FLOOR_Z_M],
-        size=[8, 8, 0.1],
+        size=[0, 0, 0.1],
         rgba=FLOOR,
+        material="floor",
         contype=0,
         conaffinity=0,
     )
@@ -106,6 +117,7 @@ def _add_room(world: mujoco.MjSpec) -> None:
         pos=[0, 0, -_TABLE_THICKNESS_M / 2],
         size=[TABLE_HALF_X_M, TABLE_HALF_Y_M, _TABLE_THICKNESS_M / 2],
         rgba=TABLE,
+        material="table",
         friction=[0.8, 0.01, 0.0002],
         solref=CONTACT_SOLREF,
         solimp=CONTACT_SOLIMP,
@@ -125,6 +137,27 @@ def _add_room(world: mujoco.MjSpec) -> None:
             contype=0,
             conaffinity=0,
         )
+
+
+def _add_light(
+    world: mujoco.MjSpec,
+    name: str,
+    direction: tuple[float, float, float],
+    colour: tuple[float, float, float],
+    *,
+    shadow: bool,
+) -> None:
+    """Add a lamp so far away that its light is the same everywhere."""
+    world.worldbody.add_light(
+        name=name,
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        # Where the shadow map is looked at from; the table is in the middle of it.
+        pos=[-4.0 * component for component in direction],
+        dir=direction,
+        diffuse=colour,
+        specular=[0.5 * component for component in colour],
+        castshadow=shadow,
+    )
 
 
 def _set_actuation(

@@ -91,4 +91,3 @@ def _arm_order(arm: str) -> tuple[int, str]:
     """Order arm types by size: the number in their name."""
     digits = "".join(c for c in arm if c.isdigit())
     return (int(digits or 0), arm)
-

@@ -129,9 +129,7 @@ def find_drag(
     return None
 
 
-def _gripper(
-    primitive: Primitive, cube: Pose2, bearing: float, gap_m: float
-) -> Pose2:
+def _gripper(primitive: Primitive, cube: Pose2, bearing: float, gap_m: float) -> Pose2:
     """Return the gripper pose that has the cube in contact, or ``gap_m`` before it."""
     u, v = _CONTACT[primitive]
     u += _DIRECTION[primitive] * gap_m
