@@ -78,7 +78,7 @@ def _set_options(world: mujoco.MjSpec) -> None:
     visual.map.znear = 0.05
     visual.map.zfar = 4.0
     # Half the width of the region with shadows: the table, sharper than by default.
-    visual.map.shadowclip = 0.65
+    visual.map.shadowclip = 0.8
     # No light moves with the eye, so that all cameras see the same colours.
     visual.headlight.ambient = [0.40, 0.40, 0.41]
     visual.headlight.diffuse = [0.0, 0.0, 0.0]
@@ -88,8 +88,8 @@ def _set_options(world: mujoco.MjSpec) -> None:
 
 def _add_room(world: mujoco.MjSpec) -> None:
     body = world.worldbody
-    _add_light(world, "sun", (0.30, 0.40, -1.0), (0.50, 0.49, 0.47), shadow=True)
-    _add_light(world, "fill", (-0.70, 0.55, -0.8), (0.24, 0.25, 0.27), shadow=False)
+    _add_light(world, "sun", (0.15, 0.50, -1.0), (0.50, 0.49, 0.47), shadow=True)
+    _add_light(world, "fill", (-0.65, -0.20, -0.8), (0.24, 0.25, 0.27), shadow=False)
     world.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,

@@ -1,0 +1,53 @@
+"""The `lemma` command: one verb per file, and one way of reporting errors."""
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+
+import tyro
+
+from lemma.cli.terminal import complain
+from lemma.core.errors import LemmaError
+
+VERBS = ("tasks", "demo")
+"""Each is a function of the same name in a module of the same name in this package."""
+
+_DESCRIPTION = (
+    "LEMMA Bench: two robot arms, a table, and instructions that neither arm can "
+    "follow alone.\n\n'lemma VERB --help' says more about each verb."
+)
+BAD_INPUT = 2
+"""Exit code for what the user can put right; argument errors use it as well."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and leave with its exit code.
+
+    Args:
+        arguments: Words after `lemma`; those of this process if None.
+
+    Raises:
+        SystemExit: Always.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    # What one verb needs takes a second to import, so the others do without.
+    asked = words[0] if words[:1] and words[0] in VERBS else None
+    verbs = (asked,) if asked else VERBS
+    functions: dict[str, Callable[..., int]] = {
+        verb: getattr(import_module(f"lemma.cli.{verb}"), verb) for verb in verbs
+    }
+    try:
+        code = tyro.extras.subcommand_cli_from_dict(
+            functions, prog="lemma", description=_DESCRIPTION, args=words
+        )
+    except LemmaError as error:
+        complain(str(error))
+        code = BAD_INPUT
+    except KeyboardInterrupt:
+        complain("Interrupted.")
+        code = 130
+    except BrokenPipeError:
+        # Whoever read our output has seen enough; closing it must not fail as well.
+        sys.stderr.close()
+        code = 0
+    raise SystemExit(code)

@@ -1,0 +1,59 @@
+"""`lemma tasks`: the suite as a table."""
+
+from typing import Any
+
+from rich.table import Table
+
+from lemma.cli.terminal import JsonFlag, output, print_json
+from lemma.scene.spec import STICK
+from lemma.tasks.suite import SUITE, load_instance
+from lemma.tasks.task import TASKS
+
+
+def tasks(as_json: JsonFlag = False) -> int:
+    """List the eight tasks of the suite.
+
+    Args:
+        as_json: Print a JSON list instead of a table.
+    """
+    records = [describe(name) for name in SUITE]
+    if as_json:
+        print_json(records)
+        return 0
+    table = Table(title="The suite", title_justify="left", show_lines=True)
+    table.add_column("task", style="bold", no_wrap=True)
+    for heading in ("sub-tasks", "objects", "distractors"):
+        table.add_column(heading, justify="right")
+    table.add_column("stick")
+    table.add_column("what happens, and the high-level instruction", ratio=1)
+    for record in records:
+        low, high = record["objects"]
+        few, many = record["distractors"]
+        table.add_row(
+            f"{record['task']}\n[dim]{record['gym_id']}[/dim]",
+            str(record["subtasks"]),
+            f"{low}-{high}",
+            f"{few}-{many}",
+            "used" if record["stick"] else "–",
+            f"{record['summary']}\n[italic]{record['high_level']}[/italic]",
+        )
+    output().print(table)
+    return 0
+
+
+def describe(name: str) -> dict[str, Any]:
+    """Return what is known of a task, ready for JSON."""
+    task = TASKS[name]
+    # How many objects a goal needs is the same in every instance of a task.
+    example = load_instance(name, "test", 0)
+    needed = len(example.scene.objects) - len(example.distractors)
+    return {
+        "task": name,
+        "gym_id": task.gym_id,
+        "subtasks": task.subtasks,
+        "objects": [needed + extra for extra in task.distractors],
+        "distractors": list(task.distractors),
+        "stick": STICK in example.scene.object_names,
+        "summary": task.summary,
+        "high_level": task.language.high_level[0].text,
+    }

@@ -1,0 +1,90 @@
+"""Where to look from, so that everything that matters is in the picture."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lemma.core.poses import FloatArray
+from lemma.scene.cameras import FreeCamera
+from lemma.scene.scene import Scene
+
+_CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+
+def overview(
+    points: ArrayLike,
+    aspect: float,
+    *,
+    azimuth_deg: float = 82.0,
+    elevation_deg: float = -34.0,
+    fovy_deg: float = 30.0,
+    margin: float = 0.04,
+) -> FreeCamera:
+    """Return the nearest camera from a given side that has all points in its picture.
+
+    Args:
+        points: World positions, shape (N, 3) [m]: :func:`outline` of a scene.
+        aspect: Width of the picture over its height.
+        azimuth_deg: Direction of view; 90 has the first robot on the left.
+        elevation_deg: Direction of view against the horizontal.
+        fovy_deg: Vertical field of view.
+        margin: Part of the picture left free on each side.
+    """
+    direction = FreeCamera(
+        azimuth_deg=azimuth_deg, elevation_deg=elevation_deg, fovy_deg=fovy_deg
+    )
+    return fit(points, aspect, direction, margin)
+
+
+def outline(scene: Scene) -> FloatArray:
+    """Return the corners of the boxes around all robots and objects, (N, 3) [m].
+
+    Args:
+        scene: The scene, with derived poses up to date (``refresh``).
+    """
+    model, data = scene.model, scene.data
+    ours = np.flatnonzero(model.geom_bodyid > 0)
+    middle, half = model.geom_aabb[ours, None, :3], model.geom_aabb[ours, None, 3:]
+    corners = middle + half * _CORNERS
+    rotations = data.geom_xmat[ours].reshape(-1, 3, 3)
+    placed = np.einsum("gij,gcj->gci", rotations, corners)
+    return (placed + data.geom_xpos[ours, None]).reshape(-1, 3)
+
+
+def fit(
+    points: ArrayLike, aspect: float, direction: FreeCamera, margin: float
+) -> FreeCamera:
+    """Move a camera, without turning it, as near as all points stay in the picture.
+
+    In the camera's own axes a point (r, d, f) is inside the picture of a camera at
+    (R, D, F) if |r - R| <= a (f - F) and |d - D| <= b (f - F), with the slopes a and b
+    of the picture's edges. That is linear, so that the largest F follows directly.
+
+    Args:
+        points: World positions, shape (N, 3) [m].
+        aspect: Width of the picture over its height.
+        direction: Angles and field of view; its position is ignored.
+        margin: Part of the picture left free on each side.
+    """
+    pose = direction.camera(100, 100).world_from_camera.matrix()
+    axes = pose[:3, :3]
+    right, down, forward = (np.asarray(points, dtype=np.float64) @ axes).T
+    slope = math.tan(math.radians(direction.fovy_deg) / 2) * (1.0 - 2.0 * margin)
+    position = np.empty(3)
+    depths = []
+    for axis, (across, edge) in enumerate(((right, slope * aspect), (down, slope))):
+        high = float(np.max(across - edge * forward))
+        low = float(np.max(-across - edge * forward))
+        position[axis] = (high - low) / 2
+        depths.append(-(high + low) / (2 * edge))
+    position[2] = min(depths)
+    distance = float(np.mean(forward) - position[2])
+    lookat = axes @ (position + np.array([0.0, 0.0, distance]))
+    return FreeCamera(
+        lookat=(float(lookat[0]), float(lookat[1]), float(lookat[2])),
+        distance=distance,
+        azimuth_deg=direction.azimuth_deg,
+        elevation_deg=direction.elevation_deg,
+        fovy_deg=direction.fovy_deg,
+    )
