@@ -1,3 +1,67 @@
-"""LEMMA Bench: language-conditioned multi-robot manipulation on MuJoCo."""
+"""LEMMA Bench: language-conditioned multi-robot manipulation on MuJoCo.
+
+Importing this registers the tasks with Gymnasium and loads nothing heavy: the names
+below are imported when they are first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from lemma.registration import make, parallel_env, register_environments
+
+if TYPE_CHECKING:
+    from lemma.env.episode import Episode
+    from lemma.expert.expert import Expert, solve
+    from lemma.expert.policy import ExpertPolicy
+    from lemma.tasks.instance import Instance
+    from lemma.tasks.language import LanguageBank
+    from lemma.tasks.suite import SUITE, load_instance
+    from lemma.tasks.task import TASKS, Task
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "SUITE",
+    "TASKS",
+    "Episode",
+    "Expert",
+    "ExpertPolicy",
+    "Instance",
+    "LanguageBank",
+    "Task",
+    "__version__",
+    "load_instance",
+    "make",
+    "parallel_env",
+    "solve",
+]
+
+_HOMES = {
+    "Episode": "lemma.env.episode",
+    "Expert": "lemma.expert.expert",
+    "ExpertPolicy": "lemma.expert.policy",
+    "Instance": "lemma.tasks.instance",
+    "LanguageBank": "lemma.tasks.language",
+    "SUITE": "lemma.tasks.suite",
+    "TASKS": "lemma.tasks.suite",
+    "Task": "lemma.tasks.task",
+    "load_instance": "lemma.tasks.suite",
+    "solve": "lemma.expert.expert",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """List the public names, those not imported yet too."""
+    return sorted({*globals(), *__all__})
+
+
+register_environments()

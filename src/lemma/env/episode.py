@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from lemma.core.errors import ResetNeededError
-from lemma.env.simulation import HORIZON_S, Simulation
+from lemma.core.errors import InvalidConfigError, ResetNeededError
+from lemma.env.simulation import HORIZON_S, Simulation, SimulationSnapshot
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.scene.compose import TIME_STEP_S
 from lemma.tasks.instance import Instance
@@ -19,6 +19,16 @@ class ExecutedSubTask:
     result: SkillResult
     start_s: float
     """Simulated time at which it began [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeSnapshot:
+    """An episode between two sub-tasks or control steps; plain data, can be pickled."""
+
+    instance: Instance
+    simulation: SimulationSnapshot
+    executed: tuple[ExecutedSubTask, ...]
+    stopped: bool
 
 
 class Episode:
@@ -106,6 +116,30 @@ class Episode:
         """End the episode."""
         self.stopped = True
         return SkillResult(Outcome.STOPPED, "The policy said stop.", 0.0)
+
+    def snapshot(self) -> EpisodeSnapshot:
+        """Return all that the rest of the episode depends on."""
+        return EpisodeSnapshot(
+            self.instance,
+            self.simulation.snapshot(),
+            tuple(self.executed),
+            self.stopped,
+        )
+
+    def restore(self, snapshot: EpisodeSnapshot) -> None:
+        """Go back to a snapshot of an episode of the same instance.
+
+        Raises:
+            InvalidConfigError: It was taken of another instance.
+        """
+        if snapshot.instance != self.instance:
+            raise InvalidConfigError(
+                f"The snapshot was taken of {snapshot.instance.key}, but this is an "
+                f"episode of {self.instance.key}. Begin an episode of that instance."
+            )
+        self.simulation.restore(snapshot.simulation)
+        self.executed = list(snapshot.executed)
+        self.stopped = snapshot.stopped
 
     def info(self) -> dict[str, Any]:
         """Return the figures that every step and reset reports."""

@@ -11,8 +11,10 @@ import mujoco
 import numpy as np
 
 from lemma.core.errors import UnknownNameError
+from lemma.core.poses import FloatArray
 from lemma.motion.arm import ArmMotion
 from lemma.motion.outcome import Outcome, SkillResult
+from lemma.motion.rmpflow import Goal
 from lemma.motion.skills import Skill, SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.compose import TIME_STEP_S
@@ -39,6 +41,28 @@ class RobotClock:
     def idle_s(self, elapsed_s: float) -> float:
         """Return the time spent waiting so far [s]."""
         return max(0.0, elapsed_s - self.busy_s)
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSnapshot:
+    """What an arm's motion depends on, beside the physics."""
+
+    reference: FloatArray
+    """Joint angles and velocities that the servos follow, (2, 6) [rad, rad/s]."""
+    goal: Goal
+    opening_m: float
+    """Commanded opening of the gripper [m]."""
+    busy_s: float
+    """See :class:`RobotClock` [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationSnapshot:
+    """A simulation between two sub-tasks or control steps."""
+
+    physics: FloatArray
+    """The full integration state."""
+    arms: dict[str, ArmSnapshot]
 
 
 class Simulation:
@@ -75,18 +99,25 @@ class Simulation:
         """Simulated time since the first state [s]."""
         return self.scene.time_s
 
-    def tick(self, active: tuple[str, ...] = ()) -> None:
+    def tick(
+        self,
+        active: tuple[str, ...] = (),
+        drive: Callable[[], None] | None = None,
+    ) -> None:
         """Advance by one servo tick.
 
         Args:
             active: Robots whose reference moves under RMPflow; the servos of the others
                 keep what they were last told.
+            drive: Called before every physics step, to command servos otherwise.
         """
         moving = [self.arms[name] for name in active]
         model, data = self.scene.model, self.scene.data
         for _ in range(STEPS_PER_TICK):
             for arm in moving:
                 arm.step()
+            if drive is not None:
+                drive()
             mujoco.mj_step(model, data)
         for observer in self.observers:
             observer()
@@ -132,6 +163,27 @@ class Simulation:
         """Let time pass without moving any arm."""
         for _ in range(max(0, int(np.ceil(seconds / TICK_S)))):
             self.tick()
+
+    def snapshot(self) -> SimulationSnapshot:
+        """Return all that the future depends on; not while a sub-task is executed."""
+        arms = {
+            name: ArmSnapshot(
+                arm.state.copy(), arm.goal, arm.opening_m, self.clocks[name].busy_s
+            )
+            for name, arm in self.arms.items()
+        }
+        return SimulationSnapshot(self.scene.snapshot(), arms)
+
+    def restore(self, snapshot: SimulationSnapshot) -> None:
+        """Go back to a snapshot; what follows is equal to the bit."""
+        self.scene.restore(snapshot.physics)
+        # The contacts too, which tell what is held.
+        mujoco.mj_fwdPosition(self.scene.model, self.scene.data)
+        for name, saved in snapshot.arms.items():
+            arm = self.arms[name]
+            arm.state[:] = saved.reference
+            arm.goal, arm.opening_m = saved.goal, saved.opening_m
+            self.clocks[name].busy_s = saved.busy_s
 
     def held(self) -> dict[str, str]:
         """Return what each gripper holds: robot name to entity name.

@@ -1,0 +1,123 @@
+"""The control level: commands to the motors, 20 times a second."""
+
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from lemma.env.config import EnvConfig
+from lemma.env.control import CONTROLS, Controller
+from lemma.env.episode import Episode
+from lemma.env.gym_env import LemmaEnv, StepResult
+from lemma.env.simulation import TICK_S
+
+SETTLE_S = 0.5
+"""Success ends the episode when it has lasted so long."""
+
+_MOVING_RAD_S = 0.02
+_MOVING_M_S = 0.002
+
+
+class ControlEnv(LemmaEnv):
+    """All robots are commanded at once: one row of numbers for each.
+
+    ``action_layout`` names rows and columns. Values out of bounds are an error; values
+    that only a stronger arm could follow are not, the arm then does what it can.
+
+    The episode is terminated when the goal has held for half a second with nothing in
+    any gripper, and truncated at T_max. A robot is busy, for ``info["idle_s"]``, while
+    a joint turns faster than 0.02 rad/s or a finger moves faster than 2 mm/s.
+    """
+
+    def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
+        """Define the spaces; nothing is simulated before the first reset.
+
+        Args:
+            config: The options.
+            render_mode: ``"rgb_array"`` for :meth:`render`, or None.
+
+        Raises:
+            UnknownNameError: No such control mode or render mode.
+        """
+        super().__init__(config, render_mode)
+        self.mode = CONTROLS[config.control]
+        self.actuation = self.mode.actuation
+        self.metadata["render_fps"] = config.control_hz
+        self.action_layout = self.mode.layout(self.robot_names)
+        self.action_space = self.action_layout.box()
+        self._max_episode_steps = round(config.horizon_s * config.control_hz)
+        self._controllers: dict[str, Controller] = {}
+        self._settled_s = 0.0
+
+    def _begin(self, episode: Episode) -> None:
+        super()._begin(episode)
+        arms = episode.simulation.arms
+        self._controllers = {
+            name: self.mode.controller(
+                arm, tuple(other for other in arms.values() if other is not arm)
+            )
+            for name, arm in arms.items()
+        }
+        self._settled_s = 0.0
+
+    def _is_done(self) -> bool:
+        return self.episode.is_over or self._settled_s >= SETTLE_S
+
+    def step(self, action: ArrayLike) -> StepResult:
+        """Command the motors for one control step.
+
+        Args:
+            action: One row for each robot; see ``action_layout``.
+
+        Returns:
+            Observation, reward, terminated, truncated and info.
+
+        Raises:
+            InvalidActionError: The action is not in the space. Nothing has moved then.
+            ResetNeededError: The episode is over.
+        """
+        reward, terminated, truncated = self.advance(action)
+        return self.observe(), reward, terminated, truncated, self.info()
+
+    def advance(self, action: ArrayLike) -> tuple[float, bool, bool]:
+        """Step without looking: return reward, terminated and truncated."""
+        episode = self._running()
+        rows = self.action_layout.check(action)
+        for controller, row in zip(self._controllers.values(), rows, strict=True):
+            controller.check(row)
+        for controller, row in zip(self._controllers.values(), rows, strict=True):
+            controller.command(row)
+        for _ in range(self.config.ticks_per_step):
+            self._tick()
+        success = episode.is_success
+        self._settled_s = (
+            self._settled_s + 1.0 / self.config.control_hz if success else 0.0
+        )
+        terminated = self._settled_s >= SETTLE_S - 0.5 * TICK_S
+        truncated = episode.out_of_time and not terminated
+        return float(success and (terminated or truncated)), terminated, truncated
+
+    def _tick(self) -> None:
+        simulation = self.episode.simulation
+        for controller in self._controllers.values():
+            controller.tick()
+        simulation.tick(drive=self._drive)
+        for name, clock in simulation.clocks.items():
+            if self._is_moving(name):
+                clock.busy_s += TICK_S
+
+    def _drive(self) -> None:
+        for controller in self._controllers.values():
+            controller.drive()
+
+    def _is_moving(self, name: str) -> bool:
+        scene = self.episode.simulation.scene
+        robot = scene.robot(name)
+        rates = scene.data.qvel[robot.dof.start : robot.dof.stop + 2].tolist()
+        turning = any(abs(rate) > _MOVING_RAD_S for rate in rates[:6])
+        return turning or any(abs(rate) > _MOVING_M_S for rate in rates[6:])
+
+    def _remember(self) -> dict[str, Any]:
+        return {"settled_s": self._settled_s}
+
+    def _recall(self, memory: dict[str, Any]) -> None:
+        self._settled_s = memory["settled_s"]

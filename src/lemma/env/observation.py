@@ -1,0 +1,264 @@
+"""What is observed: joints and the instruction, and cameras or the truth on request."""
+
+import string
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import FloatArray, Pose, wrap
+from lemma.core.registry import Registry
+from lemma.env.episode import Episode
+from lemma.env.spaces import ENTITIES
+from lemma.env.topdown import MapImage, TopDownMap
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.robots.reach import reach_of
+from lemma.robots.ur import ARMS
+from lemma.scene.rendering import CameraImage, Renderer
+from lemma.scene.scene import Scene
+
+Observation = dict[str, Any]
+
+MAX_INSTRUCTION_LENGTH = 200
+_CHARACTERS = string.ascii_letters + string.digits + string.punctuation + " "
+_JOINT_SLACK_RAD = 0.1
+_JOINT_SPEED_RAD_S = 10.0
+_FINGER_SPEED_M_S = 1.0
+_ROOM_M = 10.0
+_LARGEST_DEPTH_M = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What an observation holds beside joints and instruction."""
+
+    rgb: bool = False
+    """``pixels``: for each robot's camera, (height, width, 3)."""
+    depth: bool = False
+    """``depth``: for each robot's camera, (height, width) [m]; 0 where nothing is."""
+    topdown: bool = False
+    """``map``: what all cameras see, from above; see :mod:`lemma.env.topdown`."""
+    truth: bool = False
+    """Poses of objects and robots, and the goal: not for a fair comparison."""
+
+    @property
+    def renders(self) -> bool:
+        """Whether OpenGL is needed."""
+        return self.rgb or self.depth or self.topdown
+
+
+OBSERVATIONS: Registry[Contents] = Registry("observation")
+"""The modes of observation, by name."""
+OBSERVATIONS.add("state", Contents())
+OBSERVATIONS.add("rgb", Contents(rgb=True))
+OBSERVATIONS.add("rgbd", Contents(rgb=True, depth=True))
+OBSERVATIONS.add("map", Contents(topdown=True))
+OBSERVATIONS.add("privileged", Contents(truth=True))
+
+
+class Observer:
+    """Makes observations of some of the robots of a team.
+
+    ``agent_pos`` holds, for each robot, six joint angles [rad] and the opening of the
+    gripper [m]; ``agent_vel`` their rates; ``tcp_pose`` the position [m] and unit
+    quaternion (wxyz, w >= 0) of the tool centre point in the world.
+    """
+
+    def __init__(
+        self, mode: str, robots: tuple[int, ...], size: tuple[int, int]
+    ) -> None:
+        """Define the space; OpenGL is started by the first picture.
+
+        Args:
+            mode: A name in :data:`OBSERVATIONS`.
+            robots: Numbers of the robots that are observed, and whose cameras are used.
+            size: Width and height of camera images [px].
+        """
+        self.contents = OBSERVATIONS[mode]
+        self.raster = TopDownMap()
+        self._robots = robots
+        self._size = size
+        self._renderer: Renderer | None = None
+        if min(size) < 1:
+            raise InvalidConfigError(
+                f"Images of {size[0]} x {size[1]} pixels cannot be rendered. Both "
+                "sides must be at least 1."
+            )
+        self._names = tuple(f"robot_{i}" for i in robots)
+        self.space = spaces.Dict(self._proprioception())
+        for name, space in self._vision().items():
+            self.space[name] = space
+        if self.contents.truth:
+            for name, space in self._truth().items():
+                self.space[name] = space
+
+    def _proprioception(self) -> dict[str, spaces.Space[Any]]:
+        count = len(self._robots)
+        turn = np.max([ARMS[name].joint_range for name in ARMS], axis=0)
+        joints = [*(turn + _JOINT_SLACK_RAD), FINGER_OPENING_M]
+        rates = [_JOINT_SPEED_RAD_S] * 6 + [_FINGER_SPEED_M_S]
+        low = np.array([-joint for joint in joints[:6]] + [0.0])
+        pose = [_ROOM_M] * 3 + [1.0] * 4
+        return {
+            "agent_pos": _box(np.tile(low, count), np.tile(joints, count)),
+            "agent_vel": _box(-np.tile(rates, count), np.tile(rates, count)),
+            "tcp_pose": _box(-np.tile(pose, count), np.tile(pose, count)),
+            "instruction": spaces.Text(MAX_INSTRUCTION_LENGTH, charset=_CHARACTERS),
+        }
+
+    def _vision(self) -> dict[str, spaces.Space[Any]]:
+        width, height = self._size
+        found: dict[str, spaces.Space[Any]] = {}
+        if self.contents.rgb:
+            image = spaces.Box(0, 255, (height, width, 3), np.uint8)
+            found["pixels"] = spaces.Dict(dict.fromkeys(self._names, image))
+        if self.contents.depth:
+            depth = spaces.Box(0.0, _LARGEST_DEPTH_M, (height, width), np.float32)
+            found["depth"] = spaces.Dict(dict.fromkeys(self._names, depth))
+        if self.contents.topdown:
+            shape = (self.raster.rows, self.raster.columns)
+            low, high = self.raster.floor_m, self.raster.ceiling_m
+            found["map"] = spaces.Dict(
+                {
+                    "rgb": spaces.Box(0, 255, (*shape, 3), np.uint8),
+                    "height_m": spaces.Box(low, high, shape, np.float32),
+                    "coverage": spaces.MultiBinary(list(shape)),
+                }
+            )
+        return found
+
+    def _truth(self) -> dict[str, spaces.Space[Any]]:
+        pose = np.tile([_ROOM_M] * 3 + [1.0] * 4, (len(ENTITIES), 1))
+        base = np.tile([_ROOM_M, _ROOM_M, np.pi, _ROOM_M], (len(self._robots), 1))
+        return {
+            "objects": _box(-pose, pose),
+            "present": spaces.MultiBinary(len(ENTITIES)),
+            "robots": _box(-base, base),
+            "goal": spaces.MultiBinary([len(ENTITIES), len(ENTITIES)]),
+        }
+
+    def observe(self, episode: Episode, kind: str) -> Observation:
+        """Look at an episode.
+
+        Args:
+            episode: The episode.
+            kind: Which of its instructions is given.
+
+        Raises:
+            RenderingError: Pictures are asked for, and OpenGL does not work here.
+        """
+        simulation = episode.simulation
+        scene = simulation.scene
+        names = [scene.spec.robot_names[i] for i in self._robots]
+        positions, rates, poses = [], [], []
+        for name in names:
+            position, rate = _joints(scene, name)
+            positions += position
+            rates += rate
+            tcp = Pose.from_matrix(simulation.arms[name].tcp_pose())
+            poses += [*tcp.position, *tcp.quaternion]
+        found: Observation = {
+            "agent_pos": self._fit("agent_pos", positions),
+            "agent_vel": self._fit("agent_vel", rates),
+            "tcp_pose": self._fit("tcp_pose", poses),
+            "instruction": episode.instance.instructions[kind],
+        }
+        if self.contents.renders:
+            found.update(self._see(scene))
+        if self.contents.truth:
+            found.update(self._know(episode))
+        return found
+
+    def images(self, scene: Scene) -> dict[str, CameraImage]:
+        """Render the camera of each observed robot: color, depth and calibration."""
+        if self._renderer is None:
+            self._renderer = Renderer(*self._size)
+        scene.refresh()
+        return {
+            name: self._renderer.rgbd(scene.model, scene.data, f"{name}/camera")
+            for name in self._names
+        }
+
+    def close(self) -> None:
+        """Free what rendering uses."""
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def _see(self, scene: Scene) -> Observation:
+        images = self.images(scene)
+        found: Observation = {}
+        if self.contents.rgb:
+            found["pixels"] = {name: image.rgb for name, image in images.items()}
+        if self.contents.depth:
+            found["depth"] = {name: image.depth_m for name, image in images.items()}
+        if self.contents.topdown:
+            fused: MapImage = self.raster.fuse(list(images.values()))
+            found["map"] = {
+                "rgb": fused.rgb,
+                "height_m": fused.height_m,
+                "coverage": fused.coverage.astype(np.int8),
+            }
+        return found
+
+    def _know(self, episode: Episode) -> Observation:
+        scene = episode.simulation.scene
+        objects = np.zeros((len(ENTITIES), 7))
+        present = np.zeros(len(ENTITIES), np.int8)
+        goal = np.zeros((len(ENTITIES), len(ENTITIES)), np.int8)
+        for name, pose in object_poses(scene).items():
+            objects[ENTITIES.index(name)] = pose
+            present[ENTITIES.index(name)] = 1
+        for top, bottom in episode.instance.goal.pairs:
+            goal[ENTITIES.index(top), ENTITIES.index(bottom)] = 1
+        robots = [scene.spec.robots[i] for i in self._robots]
+        bases = [
+            [r.base.x, r.base.y, wrap(r.base.yaw), reach_of(r.arm).travel_m]
+            for r in robots
+        ]
+        return {
+            "objects": self._fit("objects", objects),
+            "present": present,
+            "robots": self._fit("robots", bases),
+            "goal": goal,
+        }
+
+    def _fit(self, name: str, values: Any) -> NDArray[np.float32]:
+        """Return values in the precision of their space, clipped to its bounds."""
+        space = self.space[name]
+        assert isinstance(space, spaces.Box)
+        array = np.asarray(values, np.float32)
+        clipped: NDArray[np.float32] = np.clip(array, space.low, space.high)
+        return clipped
+
+
+def object_poses(scene: Scene) -> dict[str, FloatArray]:
+    """Return the true pose of every object: position [m] and quaternion wxyz, (7,)."""
+    found = {}
+    for name in scene.spec.object_names:
+        pose = scene.pose(name)
+        found[name] = np.array([*pose.position, *pose.quaternion])
+    return found
+
+
+def _joints(scene: Scene, name: str) -> tuple[list[float], list[float]]:
+    """Return six joint angles and the opening of a robot, and their rates."""
+    robot = scene.robot(name)
+    data = scene.data
+    fingers = [
+        int(scene.model.joint(f"{name}/finger_{side}").dofadr[0])
+        for side in ("left", "right")
+    ]
+    rate = sum(float(data.qvel[finger]) for finger in fingers)
+    return (
+        [*data.qpos[robot.qpos].tolist(), scene.opening_m(robot)],
+        [*data.qvel[robot.dof].tolist(), rate],
+    )
+
+
+def _box(low: Any, high: Any) -> spaces.Box:
+    return spaces.Box(
+        np.asarray(low, np.float32), np.asarray(high, np.float32), dtype=np.float32
+    )

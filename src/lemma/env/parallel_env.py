@@ -1,0 +1,133 @@
+"""The control level for PettingZoo: one agent per robot."""
+
+from typing import Any
+
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from lemma.core.errors import InvalidActionError
+from lemma.env.control_env import ControlEnv
+from lemma.env.observation import Observation, Observer
+from lemma.env.spaces import Action
+from lemma.scene.rendering import RgbImage
+
+_OPTIONS = ("split", "index", "instance")
+
+ParallelStep = tuple[
+    dict[str, Observation],
+    dict[str, float],
+    dict[str, bool],
+    dict[str, bool],
+    dict[str, dict[str, Any]],
+]
+
+
+class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
+    """Each agent is one robot: its joints, its camera, its motors; one shared reward.
+
+    Everything else is as in :class:`~lemma.env.control_env.ControlEnv`, which does the
+    work.
+    """
+
+    def __init__(self, inner: ControlEnv) -> None:
+        """Split an environment among its robots.
+
+        Args:
+            inner: The environment that all agents share.
+        """
+        self.inner = inner
+        self.metadata = {**inner.metadata, "name": f"lemma/{inner.task}"}
+        self.render_mode = inner.render_mode
+        self.possible_agents = list(inner.robot_names)
+        self.agents: list[str] = []
+        config = inner.config
+        size = (config.width, config.height)
+        self._observers = {
+            name: Observer(config.observation, (i,), size)
+            for i, name in enumerate(self.possible_agents)
+        }
+        self._action_spaces = {
+            name: inner.action_layout.row_box() for name in self.possible_agents
+        }
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """Return what an agent observes."""
+        return self._observers[agent].space
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """Return what an agent commands; ``inner.action_layout`` names the numbers."""
+        return self._action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Set the table for a new episode.
+
+        Args:
+            seed: Seeds the draws of instances.
+            options: As for :class:`~lemma.env.gym_env.LemmaEnv`; others are ignored.
+
+        Returns:
+            Observations and infos by agent.
+        """
+        known = {k: v for k, v in (options or {}).items() if k in _OPTIONS}
+        self.inner.set_table(seed, known)
+        self.agents = list(self.possible_agents)
+        return self._observe(), self._infos()
+
+    def step(self, actions: Action) -> ParallelStep:
+        """Command all motors for one control step.
+
+        Args:
+            actions: One row of numbers for each agent.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos by agent.
+
+        Raises:
+            InvalidActionError: An agent is missing or unknown, or its action is not in
+                its space. Nothing has moved then.
+            ResetNeededError: The episode is over.
+        """
+        if set(actions) != set(self.possible_agents):
+            raise InvalidActionError(
+                f"There are actions for {sorted(actions)}. Valid: one for each of "
+                f"{', '.join(self.possible_agents)}."
+            )
+        agents = self.possible_agents
+        reward, terminated, truncated = self.inner.advance(
+            [actions[agent] for agent in agents]
+        )
+        if terminated or truncated:
+            self.agents = []
+        return (
+            self._observe(),
+            dict.fromkeys(agents, reward),
+            dict.fromkeys(agents, terminated),
+            dict.fromkeys(agents, truncated),
+            self._infos(),
+        )
+
+    def _observe(self) -> dict[str, Observation]:
+        kind = self.inner.config.instruction
+        return {
+            agent: observer.observe(self.inner.episode, kind)
+            for agent, observer in self._observers.items()
+        }
+
+    def _infos(self) -> dict[str, dict[str, Any]]:
+        return {agent: self.inner.info() for agent in self.possible_agents}
+
+    def state_hash(self) -> str:
+        """Return the SHA-256 of the full integration state of the physics."""
+        return self.inner.state_hash()
+
+    def render(self) -> RgbImage | None:
+        """Return a picture for people; None without a render mode."""
+        return self.inner.render()
+
+    def close(self) -> None:
+        """Free what rendering uses."""
+        for observer in self._observers.values():
+            observer.close()
+        self.inner.close()

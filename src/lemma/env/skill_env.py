@@ -1,0 +1,119 @@
+"""The skill level: one grounded sub-task per step."""
+
+from typing import Any
+
+from lemma.env.config import EnvConfig
+from lemma.env.episode import Episode
+from lemma.env.gym_env import LemmaEnv, StepResult
+from lemma.env.spaces import Action, decode_skill, encode_skill, skill_space
+from lemma.motion.outcome import Outcome, SkillResult
+from lemma.tasks.subtask import GroundedSubTask
+
+LEAST_STEP_S = 1.0
+"""Simulated time that a step takes at least, so that every episode ends."""
+
+
+class SubTaskEnv(LemmaEnv):
+    """What skill level and plan level share: a step is a sub-task, carried out.
+
+    The episode is terminated by ``stop``, and success is judged then; it is truncated
+    at T_max. ``info["outcome"]`` and ``info["explanation"]`` say how the sub-task went.
+    What cannot be done is no error: the world stays valid, and a second passes.
+    """
+
+    def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
+        """Define the spaces; nothing is simulated before the first reset.
+
+        Args:
+            config: The options.
+            render_mode: ``"rgb_array"`` for :meth:`render`, or None.
+
+        Raises:
+            UnknownNameError: No such render mode.
+        """
+        super().__init__(config, render_mode)
+        self.metadata["render_fps"] = 1
+        self._max_episode_steps = round(config.horizon_s / LEAST_STEP_S)
+        self.last_result: SkillResult | None = None
+        """How the last sub-task went; None before the first."""
+
+    def _begin(self, episode: Episode) -> None:
+        super()._begin(episode)
+        self.last_result = None
+
+    def _execute(self, action: Action) -> SkillResult:
+        """Do what an action says, or say why not."""
+        raise NotImplementedError
+
+    def step(self, action: Action) -> StepResult:
+        """Carry out one sub-task.
+
+        Args:
+            action: The sub-task; ``encode`` makes one.
+
+        Returns:
+            Observation, reward, terminated, truncated and info.
+
+        Raises:
+            InvalidActionError: The action is not in the space.
+            ResetNeededError: The episode is over.
+        """
+        episode = self._running()
+        start = episode.elapsed_s
+        self.last_result = self._execute(action)
+        if not episode.is_over:
+            left = min(start + LEAST_STEP_S, episode.horizon_s) - episode.elapsed_s
+            episode.simulation.rest(left)
+        info = self.info()
+        reward = float(episode.is_over and info["is_success"])
+        truncated = episode.out_of_time and not episode.stopped
+        return self.observe(), reward, episode.stopped, truncated, info
+
+    def info(self) -> dict[str, Any]:
+        """Return what every step and reset reports."""
+        found = super().info()
+        result = self.last_result
+        found["outcome"] = None if result is None else str(result.outcome)
+        found["explanation"] = "" if result is None else result.explanation
+        if found["failure"] == "goal_not_reached" and result is not None:
+            refused = result.outcome in (Outcome.INVALID, Outcome.UNREACHABLE)
+            found["failure"] = str(result.outcome) if refused else found["failure"]
+        return found
+
+    def _remember(self) -> dict[str, Any]:
+        return {"last_result": self.last_result}
+
+    def _recall(self, memory: dict[str, Any]) -> None:
+        self.last_result = memory["last_result"]
+
+
+class SkillEnv(SubTaskEnv):
+    """An action is who does what from which pose to which: no names of objects."""
+
+    def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
+        """Define the spaces; nothing is simulated before the first reset.
+
+        Args:
+            config: The options.
+            render_mode: ``"rgb_array"`` for :meth:`render`, or None.
+        """
+        super().__init__(config, render_mode)
+        self.action_space = skill_space(len(self.robot_names))
+
+    def encode(self, subtask: GroundedSubTask | None) -> dict[str, Any]:
+        """Return the action for a grounded sub-task, or ``stop`` for None."""
+        return encode_skill(subtask)
+
+    def decode(self, action: Action) -> GroundedSubTask | None:
+        """Return the grounded sub-task that an action means, None for ``stop``.
+
+        Raises:
+            InvalidActionError: The action is not in the space.
+        """
+        return decode_skill(action, len(self.robot_names))
+
+    def _execute(self, action: Action) -> SkillResult:
+        subtask = self.decode(action)
+        if subtask is None:
+            return self.episode.stop()
+        return self.episode.execute(subtask)

@@ -1,0 +1,63 @@
+"""The expert as a policy: observation in, action out, like any learned one."""
+
+from typing import Any
+
+import gymnasium
+
+from lemma.core.errors import InvalidConfigError
+from lemma.env.episode import Episode
+from lemma.env.skill_env import SkillEnv
+from lemma.expert.expert import Expert
+from lemma.expert.plan_env import PlanEnv
+
+
+class ExpertPolicy:
+    """Solves what it is put before. It does not look at observations: it knows.
+
+    Example:
+        >>> expert = ExpertPolicy(env)
+        >>> observation, info = env.reset(seed=0)
+        >>> while not done:
+        ...     action = expert.act(observation)
+        ...     observation, reward, done, truncated, info = env.step(action)
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        """Watch an environment.
+
+        Args:
+            env: At skill or plan level, with or without wrappers.
+
+        Raises:
+            InvalidConfigError: It is of another level.
+        """
+        inner = env.unwrapped
+        if not isinstance(inner, SkillEnv | PlanEnv):
+            raise InvalidConfigError(
+                f"The expert decides on sub-tasks, but {type(inner).__name__} takes "
+                'other actions. Make the environment with level="skill" or "plan".'
+            )
+        self._env = inner
+        self._episode: Episode | None = None
+        self._expert: Expert | None = None
+
+    def act(self, observation: Any = None) -> dict[str, Any]:
+        """Return the next action.
+
+        Args:
+            observation: Ignored.
+
+        Raises:
+            ResetNeededError: The environment has not been reset yet.
+        """
+        del observation
+        episode = self._env.episode
+        if self._expert is None or self._episode is not episode:
+            self._expert = Expert(episode.simulation.scene, episode.instance.goal)
+            self._episode = episode
+        elif self._env.last_result is not None:
+            self._expert.notice(self._env.last_result)
+        subtask, grounded = self._expert.act()
+        if isinstance(self._env, PlanEnv):
+            return self._env.encode(subtask)
+        return self._env.encode(grounded)

@@ -1,0 +1,92 @@
+"""Where environments are made, and made known to Gymnasium.
+
+Importing this module is cheap: what simulates is imported when an environment is made.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lemma.env.gym_env import LemmaEnv
+    from lemma.env.parallel_env import LemmaParallelEnv
+
+TASK_IDS = {
+    "pass": "lemma/Pass-v0",
+    "pass2": "lemma/Pass2-v0",
+    "stack": "lemma/Stack-v0",
+    "stack2": "lemma/Stack2-v0",
+    "poke": "lemma/Poke-v0",
+    "poke_stack": "lemma/PokeStack-v0",
+    "hook": "lemma/Hook-v0",
+    "hook_stack": "lemma/HookStack-v0",
+}
+"""Gymnasium's names of the eight tasks; spelled out to import nothing."""
+
+LEVELS = {
+    "control": "lemma.env.control_env:ControlEnv",
+    "skill": "lemma.env.skill_env:SkillEnv",
+    "plan": "lemma.expert.plan_env:PlanEnv",
+}
+"""The environment of each level of action."""
+
+
+def register_environments() -> None:
+    """Make the tasks known to Gymnasium: ``import lemma`` does it."""
+    registration = import_module("gymnasium.envs.registration")
+    for task, name in TASK_IDS.items():
+        if name not in registration.registry:
+            registration.register(
+                id=name,
+                entry_point="lemma.registration:make",
+                kwargs={"task": task},
+            )
+
+
+def make(
+    task: str, *, level: str = "control", render_mode: str | None = None, **options: Any
+) -> "LemmaEnv":
+    """Make an environment, without Gymnasium's wrappers.
+
+    Args:
+        task: Name of a task, ``"poke_stack"``, or its Gymnasium id; also of a task of
+            your own.
+        level: ``"control"`` for commands to motors, ``"skill"`` for grounded sub-tasks,
+            ``"plan"`` for symbolic ones.
+        render_mode: ``"rgb_array"`` to render, or None.
+        **options: Fields of :class:`lemma.env.config.EnvConfig`.
+
+    Raises:
+        UnknownNameError: No such task, level, option, or value of an option.
+        InvalidConfigError: An option has an impossible value.
+    """
+    if level not in LEVELS:
+        errors = import_module("lemma.core.errors")
+        raise errors.UnknownNameError("level", level, LEVELS)
+    by_id = {name: task_name for task_name, name in TASK_IDS.items()}
+    config = import_module("lemma.env.config").EnvConfig.from_options(
+        {"task": by_id.get(task, task), **options}
+    )
+    module, _, name = LEVELS[level].partition(":")
+    env: LemmaEnv = getattr(import_module(module), name)(config, render_mode)
+    return env
+
+
+def parallel_env(
+    task: str, *, render_mode: str | None = None, **options: Any
+) -> "LemmaParallelEnv":
+    """Make a PettingZoo environment: one agent per robot, at control level.
+
+    Args:
+        task: As for :func:`make`.
+        render_mode: ``"rgb_array"`` to render, or None.
+        **options: Fields of :class:`lemma.env.config.EnvConfig`.
+
+    Raises:
+        UnknownNameError: No such task, option, or value of an option.
+        InvalidConfigError: An option has an impossible value.
+    """
+    inner = make(task, level="control", render_mode=render_mode, **options)
+    env: LemmaParallelEnv = import_module("lemma.env.parallel_env").LemmaParallelEnv(
+        inner
+    )
+    return env
