@@ -11,6 +11,7 @@ from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.expert.places import Places
 from lemma.expert.situation import TABLE, Situation
+from lemma.robots.envelope import sweep_radius_m
 from lemma.robots.reach import reach_of
 from lemma.scene.objects import PAD_RADIUS_M
 from lemma.scene.spec import SHARED, STICK, RobotPlacement, SceneSpec
@@ -31,14 +32,16 @@ _FINGER_RADIUS_M = 0.014
 _ENOUGH_M = 0.008
 _CUBE_DISC_M = 0.036
 _CUBE_FOOTPRINT_M = 0.028
-_BASE_DISC_M = 0.13
 
 _HANDLING_S = 5.5
 """What every sub-task takes, wherever it happens: descend, grasp, lift, lower."""
 _SWING_RAD_S = 1.6
 _RADIAL_M_S = 0.6
-_DRAG_M_S = 0.25
+_DRAG_M_S = 0.2
 _GOOD_MARGIN_M = 0.10
+
+
+_DragKey = tuple[str, str, bool, Pose2, tuple[Disc, ...]]
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class OracleGrounder:
         """
         self._robots = dict(zip(spec.robot_names, spec.robots, strict=True))
         self._places = Places(spec.robots)
-        self._drags: dict[tuple[str, ...], Drag | None] = {}
+        self._drags: dict[_DragKey, Drag | None] = {}
 
     @property
     def robots(self) -> dict[str, RobotPlacement]:
@@ -210,8 +213,7 @@ class OracleGrounder:
         for name in receivers:
             placed = self._robots[name]
             reach = reach_of(placed.arm)
-            key = (subtask.robot, name, str(hooking), cube, str(obstacles))
-            key = (*key, str(now.poses[cube]))
+            key = (subtask.robot, name, hooking, now.poses[cube], obstacles)
             if key not in self._drags:
                 self._drags[key] = find_drag(
                     Primitive.HOOK if hooking else Primitive.POKE,
@@ -255,7 +257,9 @@ class OracleGrounder:
 
     def _discs(self, now: Situation, but: str) -> tuple[Disc, ...]:
         """Return the bases and every object but one and the stick, as discs."""
-        found = [(r.base.x, r.base.y, _BASE_DISC_M) for r in self._robots.values()]
+        found = [
+            (r.base.x, r.base.y, sweep_radius_m(r.arm)) for r in self._robots.values()
+        ]
         for name, pose in now.poses.items():
             if name not in (but, STICK):
                 radius = PAD_RADIUS_M if name.endswith("_pad") else _CUBE_DISC_M

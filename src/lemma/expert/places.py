@@ -8,7 +8,13 @@ from lemma.robots.reach import reach_of
 from lemma.scene.compose import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.scene.objects import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
 from lemma.scene.spec import RobotPlacement
-from lemma.tasks.tool_use import Disc, stick_gap, stick_in_grasp
+from lemma.tasks.tool_use import (
+    LARGEST_HEADING_RAD,
+    Disc,
+    heading_from,
+    stick_gap,
+    stick_in_grasp,
+)
 
 _GRID_M = 0.02
 _MARGIN_M = 0.03
@@ -18,11 +24,11 @@ _CLEARANCE_M = 0.065
 _GOOD_CLEARANCE_M = 0.12
 _STICK_CLEARANCE_M = STICK_SECTION_M / 2 + 0.02
 _STICK_GRID = 3
-_STICK_YAWS = 16
+_STICK_YAWS = 24
 _EDGE_M = 0.05
 
 Spot = tuple[float, float, float]
-"""x, y, and the smallest margin of any robot there [m]."""
+"""x, y, and the smallest margin of any robot there, where more is no better [m]."""
 
 
 class Places:
@@ -31,14 +37,15 @@ class Places:
     def __init__(self, robots: tuple[RobotPlacement, ...]) -> None:
         """Find the shared region of a team."""
         self._spots = _shared_spots(robots)
+        self._bases = tuple(robot.base for robot in robots)
+        self._stick_places: dict[tuple[Disc, ...], Pose2 | None] = {}
 
     def free_spot(self, obstacles: tuple[Disc, ...]) -> Pose2 | None:
         """Return the best place for a cube: well inside reach, clear of the rest."""
         best, best_score = None, -math.inf
         for x, y, margin in self._spots:
-            score = min(margin, _GOOD_MARGIN_M)
-            if score + _GOOD_CLEARANCE_M <= best_score:
-                continue
+            if margin + _GOOD_CLEARANCE_M <= best_score:
+                break
             clearance = _GOOD_CLEARANCE_M
             for ox, oy, radius in obstacles:
                 gap = math.hypot(ox - x, oy - y) - radius
@@ -47,23 +54,34 @@ class Places:
                     if clearance < _CLEARANCE_M:
                         break
             else:
-                if score + clearance > best_score:
-                    best, best_score = Pose2(x, y), score + clearance
+                if margin + clearance > best_score:
+                    best, best_score = Pose2(x, y), margin + clearance
         return best
 
     def free_stick(self, obstacles: tuple[Disc, ...]) -> Pose2 | None:
         """Return the best gripper pose to lay the stick down for somebody else."""
-        best, best_score = None, -math.inf
-        for x, y, margin in self._spots[::_STICK_GRID]:
-            score = min(margin, _GOOD_MARGIN_M)
-            if score <= best_score:
-                continue
-            for k in range(_STICK_YAWS):
-                grip = Pose2(x, y, math.tau * k / _STICK_YAWS)
-                if _stick_is_free(grip, obstacles):
-                    best, best_score = grip, score
-                    break
-        return best
+        if obstacles not in self._stick_places:
+            self._stick_places[obstacles] = next(
+                (
+                    grip
+                    for x, y, _ in self._spots[::_STICK_GRID]
+                    for grip in self._stick_poses(x, y)
+                    if _stick_is_free(grip, obstacles)
+                ),
+                None,
+            )
+        return self._stick_places[obstacles]
+
+    def _stick_poses(self, x: float, y: float) -> list[Pose2]:
+        """Return gripper poses at a place that suit every robot, best first."""
+
+        def worst(grip: Pose2) -> float:
+            stick = stick_in_grasp(grip)
+            return max(heading_from(base, stick) for base in self._bases)
+
+        poses = [Pose2(x, y, math.tau * k / _STICK_YAWS) for k in range(_STICK_YAWS)]
+        able = [pose for pose in poses if worst(pose) <= LARGEST_HEADING_RAD]
+        return sorted(able, key=worst)
 
 
 def _stick_is_free(grip: Pose2, obstacles: tuple[Disc, ...]) -> bool:
@@ -99,5 +117,6 @@ def _shared_spots(robots: tuple[RobotPlacement, ...]) -> tuple[Spot, ...]:
                 if margin < _MARGIN_M:
                     break
             else:
-                spots.append((x, y, margin))
-    return tuple(spots)
+                spots.append((x, y, min(margin, _GOOD_MARGIN_M)))
+    # Best first, and among equals the most central.
+    return tuple(sorted(spots, key=lambda s: (-s[2], s[0] ** 2 + s[1] ** 2)))

@@ -75,7 +75,11 @@ class VelocityCapLeaf(NamedTuple):
 
 
 class CollisionLeaf(NamedTuple):
-    """Keeps a point of the arm away from an obstacle."""
+    """Keeps a point of the arm away from an obstacle.
+
+    The metric is that of NVIDIA's Franka. With the UR10's, 500, an arm that brakes no
+    harder than its motors can runs up to 2 cm into what it meets at full speed.
+    """
 
     gain: float = 1000.0
     gain_length_m: float = 0.01
@@ -83,7 +87,7 @@ class CollisionLeaf(NamedTuple):
     damping_length_m: float = 0.04
     damping_epsilon: float = 0.01
     velocity_gate: float = 0.01
-    metric: float = 500.0
+    metric: float = 10000.0
     metric_length_m: float = 0.02
     metric_epsilon: float = 0.001
 

@@ -61,9 +61,9 @@ def integrate(  # noqa: PLR0913 - all that the motion depends on
 ) -> None:
     """Advance the joint reference ``state``, (2, 6), by ``substeps`` of ``step_s``.
 
-    Semi-implicit Euler; velocities are clipped to the motors' limits as a last resort,
-    where the velocity leaf has not already done it. The other arguments are those of
-    :func:`accelerate`.
+    Semi-implicit Euler. Where the leaves have not already seen to it, velocities are
+    clipped to the motors' limits, and to what can be braked before a joint's end. The
+    other arguments are those of :func:`accelerate`.
     """
     root.load(arm, goal, parameters)
     _integrate(root.record, root.spheres, state, obstacles, step_s, substeps)
@@ -83,8 +83,13 @@ def _integrate(
     for _ in range(substeps):
         _accelerate(root, spheres, state, obstacles, acceleration)
         for i in range(6):
-            limit = root.velocity_limits[i] * root.leaves.velocity_cap.limit_fraction
             rate = state[1, i] + acceleration[i] * step_s
+            end = root.upper[i] if rate > 0 else root.lower[i]
+            brakeable = 2.0 * root.leaves.max_acceleration * abs(end - state[0, i])
+            limit = min(
+                root.velocity_limits[i] * root.leaves.velocity_cap.limit_fraction,
+                math.sqrt(brakeable),
+            )
             state[1, i] = min(limit, max(-limit, rate))
             state[0, i] += state[1, i] * step_s
             if state[0, i] < root.lower[i] or state[0, i] > root.upper[i]:

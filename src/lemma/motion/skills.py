@@ -33,12 +33,12 @@ STICK_GRASP_HEIGHT_M = 0.018
 """The fingertips end 6 mm above the table, so they never touch it."""
 DRAG_HEIGHT_M = 0.022
 """While it pushes or pulls, the stick hovers 4 mm above the table."""
-DRAG_SPEED_M_S = 0.25
+DRAG_SPEED_M_S = 0.2
 _VERTICAL_M_S = 0.5
 _TOUCHDOWN_M = 0.03
 _TOUCHDOWN_M_S = 0.12
 _MEETING_M = 0.05
-_MEETING_M_S = 0.12
+_MEETING_M_S = 0.1
 """The stick meets the cube slowly: a knock would send it ahead."""
 RETREAT_M = 0.13
 """How far the gripper rises before the arm swings away."""

@@ -79,6 +79,16 @@ def envelope_of(arm_name: str) -> Envelope:
     )
 
 
+def sweep_radius_m(arm_name: str) -> float:
+    """Return how far from its base an arm's shoulder sweeps just above the table [m].
+
+    The housings of the shoulder turn with the base, lower than a cube with a hand on it;
+    nothing may stand inside this circle.
+    """
+    arm = ARMS[arm_name]
+    return arm.shoulder_offset + 2.0 * arm.shoulder_radius
+
+
 @njit(cache=True)
 def place_capsules(
     all_frames: FloatArray, links: FloatArray, capsules: FloatArray, out: FloatArray

@@ -118,7 +118,7 @@ def _add_room(world: mujoco.MjSpec) -> None:
         size=[TABLE_HALF_X_M, TABLE_HALF_Y_M, _TABLE_THICKNESS_M / 2],
         rgba=TABLE,
         material="table",
-        friction=[0.8, 0.01, 0.0002],
+        friction=OBJECT_FRICTION,
         solref=CONTACT_SOLREF,
         solimp=CONTACT_SOLIMP,
         condim=4,
@@ -155,7 +155,8 @@ def _add_light(
         pos=[-4.0 * component for component in direction],
         dir=direction,
         diffuse=colour,
-        specular=[0.5 * component for component in colour],
+        # Little: what shines looks different to every camera.
+        specular=[0.25 * component if shadow else 0.0 for component in colour],
         castshadow=shadow,
     )
 

@@ -24,8 +24,8 @@ STICK_DENSITY = 180.0
 # Two time steps are the shortest time constant without bouncing.
 CONTACT_SOLREF = (0.01, 1.0)
 CONTACT_SOLIMP = (0.98, 0.999, 0.0005, 0.5, 2.0)
-OBJECT_FRICTION = (0.3, 0.01, 0.0002)
-"""Sliding, torsional [m] and rolling [m] friction: lacquered wood. With more, a cube that
+OBJECT_FRICTION = (0.25, 0.01, 0.0002)
+"""Sliding, torsional [m] and rolling [m] friction: waxed wood. With more, a cube that
 is pushed along stutters and hops."""
 
 

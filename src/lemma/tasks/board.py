@@ -12,6 +12,7 @@ import numpy as np
 
 from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
+from lemma.robots.envelope import sweep_radius_m
 from lemma.robots.reach import Reach, reach_of
 from lemma.scene.compose import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.scene.layout import camera_sees
@@ -19,7 +20,14 @@ from lemma.scene.objects import HANDLE_LENGTH_M, HOOK_LENGTH_M, PAD_RADIUS_M
 from lemma.scene.palette import OBJECT_COLOURS
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.tasks.subtask import Primitive
-from lemma.tasks.tool_use import Disc, find_drag, grasp_on_stick, stick_gap
+from lemma.tasks.tool_use import (
+    LARGEST_HEADING_RAD,
+    Disc,
+    find_drag,
+    grasp_on_stick,
+    heading_from,
+    stick_gap,
+)
 
 INSIDE_M = 0.03
 """How far inside its reach a robot's objects are, at least."""
@@ -30,7 +38,7 @@ _TRIES = 400
 _EDGE_M = 0.10
 _FACING_RAD = math.radians(65.0)
 """Objects lie in front of their robot: at its sides the waiting arm hides them."""
-_FROM_BASE_M = 0.13
+_BESIDE_BASE_M = 0.06
 _SPACING_M = {
     ("cube", "cube"): 0.125,
     ("cube", "pad"): 0.15,
@@ -88,12 +96,16 @@ class Board:
         """Whether another cube or pad of a new colour can be put."""
         return bool(self._free[kind])
 
-    def stick(self, zone: Zone) -> str:
-        """Put the stick where its grasp lies in a zone; return its name."""
+    def stick(self, robot: int) -> str:
+        """Put the stick where one robot alone can pick it up and swing it out."""
+        only = self.only(robot)
+        base = self.robots[robot].base
         for _ in range(_TRIES):
             pose = self._draw()
+            if heading_from(base, pose) > LARGEST_HEADING_RAD:
+                continue
             grasp = grasp_on_stick(pose)
-            if zone(grasp) and self._faces(grasp) and self._stick_fits(pose):
+            if only(grasp) and self._faces(grasp) and self._stick_fits(pose):
                 placed = ObjectPlacement("stick", "yellow", pose)
                 self.objects.append(placed)
                 return placed.name
@@ -192,7 +204,7 @@ class Board:
         return found
 
     def _bases(self) -> list[Disc]:
-        return [(r.base.x, r.base.y, _FROM_BASE_M) for r in self.robots]
+        return [(r.base.x, r.base.y, sweep_radius_m(r.arm)) for r in self.robots]
 
     def reaches(self, robot: int, pose: Pose2) -> bool:
         """Whether a position is surely in a robot's reach."""
@@ -234,7 +246,7 @@ class Board:
 
     def _fits(self, kind: str, pose: Pose2) -> bool:
         for robot in self.robots:
-            if robot.base.distance(pose) < _FROM_BASE_M + 0.12:
+            if robot.base.distance(pose) < sweep_radius_m(robot.arm) + _BESIDE_BASE_M:
                 return False
         for placed in self.objects:
             if placed.kind == "stick":
@@ -254,7 +266,8 @@ class Board:
             if not (inside_x and abs(end.y) < TABLE_HALF_Y_M - 0.05):
                 return False
         for robot in self.robots:
-            if stick_gap(pose, robot.base.x, robot.base.y) < _FROM_BASE_M + 0.08:
+            gap = stick_gap(pose, robot.base.x, robot.base.y)
+            if gap < sweep_radius_m(robot.arm) + _BESIDE_BASE_M:
                 return False
         return all(
             stick_gap(pose, placed.pose.x, placed.pose.y)

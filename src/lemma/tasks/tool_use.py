@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from lemma.core.poses import Pose2
+from lemma.core.poses import Pose2, wrap
 from lemma.robots.reach import reach_of
 from lemma.scene.objects import (
     CUBE_EDGE_M,
@@ -21,6 +21,8 @@ from lemma.tasks.subtask import Primitive
 
 GRASP_FROM_END_M = 0.05
 """Where the handle is grasped, from its free end: the stick then reaches farthest."""
+LARGEST_HEADING_RAD = math.radians(100.0)
+"""How far a stick that a robot shall pick up may point away from straight outward."""
 PREPARE_GAP_M = 0.02
 """Between the stick and the cube before the drag: a cube turned by 45 degrees fits."""
 
@@ -74,6 +76,16 @@ class Drag:
 def grasp_on_stick(stick: Pose2) -> Pose2:
     """Return the gripper pose that grasps a stick lying at a pose."""
     return stick @ Pose2(GRASP_FROM_END_M, 0.0)
+
+
+def heading_from(base: Pose2, stick: Pose2) -> float:
+    """Return the angle in [0, pi] between a stick and the ray from a base to its grasp.
+
+    A robot that lifts a stick which points back at its base hits its own arm with it.
+    """
+    grasp = grasp_on_stick(stick)
+    outward = math.atan2(grasp.y - base.y, grasp.x - base.x)
+    return abs(wrap(stick.yaw - outward))
 
 
 def stick_in_grasp(gripper: Pose2) -> Pose2:

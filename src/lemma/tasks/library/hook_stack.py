@@ -12,7 +12,7 @@ def arrange(board: Board) -> Goal:
     first, second = board.order[:2]
     top = board.cube(board.tool_only(Primitive.HOOK, first, second))
     bottom = board.cube(board.tool_only(Primitive.HOOK, second, first))
-    board.stick(board.only(first))
+    board.stick(first)
     return Goal((On(top, bottom),))
 
 

@@ -12,7 +12,7 @@ def arrange(board: Board) -> Goal:
     first, second = board.order[:2]
     cube = board.cube(board.tool_only(Primitive.POKE, first, second))
     pad = board.pad(board.only(second))
-    board.stick(board.only(first))
+    board.stick(first)
     return Goal((On(cube, pad),))
 
 

@@ -12,7 +12,7 @@ def arrange(board: Board) -> Goal:
     first, second = board.order[:2]
     top = board.cube(board.tool_only(Primitive.POKE, first, second))
     bottom = board.cube(board.tool_only(Primitive.POKE, first, second))
-    board.stick(board.only(first))
+    board.stick(first)
     return Goal((On(top, bottom),))
 
 

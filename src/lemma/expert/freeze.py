@@ -1,0 +1,126 @@
+"""Frozen instance lists: sampled, planned, solved, written down.
+
+An instance enters a list only if the expert has solved it, by a plan of the length that
+its task promises. What was refused is counted: it is the honest measure of the sampler
+and of the expert.
+"""
+
+import gzip
+import hashlib
+import json
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+from lemma.core.errors import SamplingError
+from lemma.env.episode import Episode
+from lemma.expert.expert import Expert, solve
+from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.sampling import sample
+from lemma.tasks.suite import SUITE, task_named
+
+_ATTEMPTS = 20
+MANIFEST = "manifest.json"
+_CHUNK = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """One accepted instance and what it took."""
+
+    instance: Instance
+    rejected: int
+    """Tables that violated the task's zones."""
+    refused: int
+    """Sampled instances that the expert did not solve."""
+    elapsed_s: float
+    """Simulated time of the expert [s]."""
+
+
+def accept(task: str, split: str, index: int) -> Accepted:
+    """Sample an instance until the expert solves it.
+
+    Raises:
+        SamplingError: The expert refused too many.
+    """
+    record = task_named(task)
+    rejected = 0
+    for attempt in range(_ATTEMPTS):
+        drawn = sample(record, split, index, attempt=attempt)
+        rejected += drawn.rejected
+        episode = Episode(drawn.instance)
+        expert = Expert(episode.simulation.scene, drawn.instance.goal)
+        steps = list(solve(episode, expert))
+        as_promised = len(steps) == record.subtasks and all(s.result.ok for s in steps)
+        if as_promised and episode.is_success:
+            return Accepted(drawn.instance, rejected, attempt, episode.elapsed_s)
+    raise SamplingError(
+        f"The expert solved none of {_ATTEMPTS} instances of {task}/{split}/{index}. "
+        "Loosen the task's zones, or look at why it fails: lemma bench --expert."
+    )
+
+
+def accept_all(task: str, split: str, workers: int) -> Iterator[Accepted]:
+    """Yield the instances of a list in order, working in several processes."""
+    job = partial(accept, task, split)
+    indices = range(SPLITS[split])
+    if workers <= 1:
+        yield from map(job, indices)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(job, indices, chunksize=_CHUNK)
+
+
+def write_list(instances: list[Instance], path: Path) -> str:
+    """Write a list, the same bytes for the same instances; return its SHA-256.
+
+    The hash is that of the uncompressed lines.
+    """
+    lines = [
+        json.dumps(instance.to_dict(), sort_keys=True, separators=(",", ":"))
+        for instance in instances
+    ]
+    text = ("\n".join(lines) + "\n").encode()
+    # No time stamp and no file name in the header, so that the bytes repeat.
+    path.write_bytes(gzip.compress(text, compresslevel=9, mtime=0))
+    return hashlib.sha256(text).hexdigest()
+
+
+def freeze(folder: Path, splits: tuple[str, ...], workers: int) -> Iterator[str]:
+    """Write the lists of all tasks of some splits, and their manifest.
+
+    Args:
+        folder: Where the lists go, ``src/lemma/tasks/frozen``.
+        splits: Names of splits.
+        workers: Processes.
+
+    Yields:
+        One line of figures per list.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    manifest_path = folder / MANIFEST
+    manifest = json.loads(manifest_path.read_text()) if manifest_path.exists() else {}
+    for split in splits:
+        for task in SUITE:
+            found = list(accept_all(task, split, workers))
+            name = f"{task}-{split}"
+            digest = write_list(
+                [a.instance for a in found], folder / f"{name}.jsonl.gz"
+            )
+            rejected = sum(a.rejected for a in found)
+            refused = sum(a.refused for a in found)
+            manifest[name] = {
+                "sha256": digest,
+                "instances": len(found),
+                "rejected_by_sampler": rejected,
+                "refused_by_expert": refused,
+            }
+            manifest_path.write_text(json.dumps(manifest, indent=1, sort_keys=True))
+            mean = sum(a.elapsed_s for a in found) / len(found)
+            yield (
+                f"{name}: {len(found)} instances, {rejected} tables rejected, "
+                f"{refused} refused by the expert, mean {mean:.1f} s"
+            )
