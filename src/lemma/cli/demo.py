@@ -4,13 +4,18 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from lemma.cli.illustrate import illustrate_all
+from lemma.cli.page import write_page
 from lemma.cli.recording import RecordedStep, Recording, record, warm_up
 from lemma.cli.selection import select_instance
 from lemma.cli.terminal import Flag, JsonFlag, messages, output, print_json
+from lemma.cli.video import VideoStyle
+from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE
 
 _OUT = Path("out/demo")
@@ -51,29 +56,57 @@ def demo(
     console = messages() if as_json else output()
     with console.status("Preparing (the first run compiles, for half a minute) ..."):
         warm_up(instances[0])
-    recordings = []
-    for instance in instances:
-        _announce(console, instance.task, instance.instructions["high_level"])
-        recordings.append(record(instance, on_step=lambda s: _report(console, s)))
+    if no_video:
+        recordings = [_solve(console, instance, None) for instance in instances]
+        page = None
+    else:
+        page = out / "index.html"
+        recordings = _solve_and_film(console, instances, page)
     console.print()
     console.print(summary(recordings))
+    if page:
+        console.print(f"Videos and a page to look at them: {page}", soft_wrap=True)
     if as_json:
         print_json([recording.to_dict() for recording in recordings])
     return 0 if all(recording.success for recording in recordings) else 1
 
 
-def _announce(console: Console, task: str, instruction: str) -> None:
-    line = Text.assemble((f"\n{task}", "bold"), "  ", (f"“{instruction}”", "italic"))
+def _solve_and_film(
+    console: Console, instances: list[Instance], page: Path
+) -> list[Recording]:
+    """Solve all instances, then render; at once, it would spoil the times."""
+    style = VideoStyle()
+    recordings = [_solve(console, instance, style.frame_s) for instance in instances]
+    console.print(f"\nRendering {len(recordings)} videos in {page.parent} ...")
+    illustrations = illustrate_all(
+        recordings,
+        page.parent,
+        style,
+        on_video=lambda path: console.print(f"  {path.name}"),
+    )
+    write_page(page, recordings, illustrations, style.speed)
+    return recordings
+
+
+def _solve(console: Console, instance: Instance, frame_s: float | None) -> Recording:
+    """Let the expert solve an instance, reporting what it does."""
+    instruction = instance.instructions["high_level"]
+    line = Text.assemble(
+        (f"\n{instance.task}", "bold"), "  ", (f"“{instruction}”", "italic")
+    )
     console.print(line)
+    return record(
+        instance, frame_s=frame_s, on_step=lambda step: _report(console, step)
+    )
 
 
 def _report(console: Console, step: RecordedStep) -> None:
     subtask = step.subtask
     what = f"{subtask.pick} → {subtask.place}"
     line = Text("  ")
-    line.append(f"{step.robot:<16}", style="cyan")
-    line.append(f"{subtask.primitive:<8}{what:<26}")
-    line.append(f"{step.outcome:<10}", style="green" if step.ok else "bold red")
+    line.append(f"{step.robot:<17}", style="cyan")
+    line.append(f"{subtask.primitive:<8}{what:<25}")
+    line.append(f" {step.outcome:<10}", style="green" if step.ok else "bold red")
     line.append(f"{step.duration_s:6.1f} s")
     if not step.ok:
         line.append(f"  {step.explanation}", style="red")
@@ -82,13 +115,13 @@ def _report(console: Console, step: RecordedStep) -> None:
 
 def summary(recordings: list[Recording]) -> Table:
     """Return the table at the end: how every task went."""
-    table = Table()
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("task", style="bold", no_wrap=True)
-    table.add_column("instruction", ratio=1)
+    table.add_column("instruction", min_width=16)
     table.add_column("team", no_wrap=True)
-    for heading in ("sub-tasks", "simulated", "real", "speed"):
+    for heading in ("steps", "sim s", "wall s", "× real"):
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("success", no_wrap=True)
+    table.add_column("success")
     for done in recordings:
         answer = "yes" if done.success else f"no: {done.failure}"
         table.add_row(
@@ -96,9 +129,9 @@ def summary(recordings: list[Recording]) -> Table:
             done.instance.instructions["high_level"],
             done.instance.team,
             str(len(done.steps)),
-            f"{done.elapsed_s:.1f} s",
-            f"{done.wall_s:.2f} s",
-            f"{done.realtime_factor:.0f}×",
+            f"{done.elapsed_s:.1f}",
+            f"{done.wall_s:.2f}",
+            f"{done.realtime_factor:.0f}",
             Text(answer, style="green" if done.success else "bold red"),
         )
     return table

@@ -9,7 +9,7 @@ import tyro
 from lemma.cli.terminal import complain
 from lemma.core.errors import LemmaError
 
-VERBS = ("tasks", "demo")
+VERBS = ("tasks", "demo", "show")
 """Each is a function of the same name in a module of the same name in this package."""
 
 _DESCRIPTION = (
