@@ -1,9 +1,7 @@
 """`lemma demo`: the expert at work, one instance per task."""
 
 from pathlib import Path
-from typing import Annotated
 
-import tyro
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
@@ -12,8 +10,15 @@ from rich.text import Text
 from lemma.cli.illustrate import illustrate_all
 from lemma.cli.page import write_page
 from lemma.cli.recording import RecordedStep, Recording, record, warm_up
-from lemma.cli.selection import select_instance
-from lemma.cli.terminal import Flag, JsonFlag, messages, output, print_json
+from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
+from lemma.cli.terminal import (
+    Flag,
+    JsonFlag,
+    TaskNames,
+    messages,
+    output,
+    print_json,
+)
 from lemma.cli.video import VideoStyle
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE
@@ -22,37 +27,26 @@ _OUT = Path("out/demo")
 
 
 def demo(
-    tasks: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[TASK ...]")
-    ] = (),
-    split: str | None = None,
-    index: int | None = None,
-    seed: int | None = None,
-    robots: str | None = None,
+    tasks: TaskNames = (),
+    which: SelectionOptions = DEFAULT,
     out: Path = _OUT,
     no_video: Flag = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Let the expert solve one instance of each task; write videos and a page.
 
-    Ends with exit code 1 if the expert failed at any task.
-
     Args:
         tasks: Tasks to solve; all eight if none is named.
-        split: Frozen list to take the instance from: train, val or test (default).
-        index: Number of the instance in its split; 0 by default.
-        seed: Sample a new instance with this seed, instead of a frozen one.
-        robots: Sample a new instance with these arm types, such as ur5,ur10.
+        which: Which instance.
         out: Folder for the videos and for index.html.
         no_video: Solve only; write nothing.
-        as_json: Print one JSON document on the output; progress goes to the error
-            stream.
+        as_json: Print a JSON list on the output, and the progress elsewhere.
+
+    Returns:
+        Exit code: 1 if the expert failed at any task.
     """
     names = tuple(dict.fromkeys(tasks)) or SUITE
-    instances = [
-        select_instance(name, split=split, index=index, seed=seed, robots=robots)
-        for name in names
-    ]
+    instances = [select_instance(name, which) for name in names]
     console = messages() if as_json else output()
     with console.status("Preparing (the first run compiles, for half a minute) ..."):
         warm_up(instances[0])

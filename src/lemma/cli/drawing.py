@@ -121,13 +121,9 @@ class Canvas:
 
     def disc(self, centre: Point, radius: float, colour: Colour) -> None:
         """Fill a circle."""
-        self._draw.circle(
-            self._scaled([centre])[0], radius * self._factor, fill=colour
-        )
+        self._draw.circle(self._scaled([centre])[0], radius * self._factor, fill=colour)
 
-    def box(
-        self, corners: Box, colour: Colour, radius: float = 0.0
-    ) -> None:
+    def box(self, corners: Box, colour: Colour, radius: float = 0.0) -> None:
         """Fill a rectangle with round corners."""
         (x0, y0), (x1, y1) = self._scaled(list(corners))
         self._draw.rounded_rectangle(

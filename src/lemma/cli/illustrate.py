@@ -6,6 +6,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
+from lemma.cli.machine import usable_cores
 from lemma.cli.overhead import annotated_map
 from lemma.cli.page import Illustration, jpeg
 from lemma.cli.recording import Recording
@@ -31,11 +32,10 @@ def illustrate_all(
         on_video: Told of every video as soon as it is there.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
     # The longest first, so that no core waits for it at the end.
     order = sorted(recordings, key=lambda recording: -recording.elapsed_s)
     with ProcessPoolExecutor(
-        max(1, min(cores, len(order))),
+        max(1, min(usable_cores(), len(order))),
         # OpenGL does not survive a fork.
         mp_context=get_context("spawn"),
         initializer=_draw_in_one_thread,

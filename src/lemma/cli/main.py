@@ -9,7 +9,7 @@ import tyro
 from lemma.cli.terminal import complain
 from lemma.core.errors import LemmaError
 
-VERBS = ("tasks", "demo", "show")
+VERBS = ("tasks", "demo", "show", "doctor", "bench")
 """Each is a function of the same name in a module of the same name in this package."""
 
 _DESCRIPTION = (
@@ -33,15 +33,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # What one verb needs takes a second to import, so the others do without.
     asked = words[0] if words[:1] and words[0] in VERBS else None
     verbs = (asked,) if asked else VERBS
-    functions: dict[str, Callable[..., int]] = {
-        verb: getattr(import_module(f"lemma.cli.{verb}"), verb) for verb in verbs
-    }
     try:
+        functions: dict[str, Callable[..., int]] = {
+            verb: getattr(import_module(f"lemma.cli.{verb}"), verb) for verb in verbs
+        }
         code = tyro.extras.subcommand_cli_from_dict(
             functions, prog="lemma", description=_DESCRIPTION, args=words
         )
     except LemmaError as error:
         complain(str(error))
+        code = BAD_INPUT
+    except ImportError as error:
+        complain(
+            f"{error}. The installation is incomplete; repair it with: "
+            "python -m pip install --force-reinstall lemma-bench"
+        )
         code = BAD_INPUT
     except KeyboardInterrupt:
         complain("Interrupted.")

@@ -84,8 +84,11 @@ def _shade(
     fused: MapImage, instance: Instance, raster: TopDownMap
 ) -> NDArray[np.uint8]:
     """Tint the region that all robots reach; pale where no camera sees anything."""
-    x = (np.arange(raster.columns) + 0.5 - raster.columns / 2) * raster.cell_m
-    y = (raster.rows / 2 - 0.5 - np.arange(raster.rows)) * raster.cell_m
+    x, y = np.empty(raster.columns), np.empty(raster.rows)
+    for column in range(raster.columns):
+        x[column], _ = raster.world_from_pixel(0, column)
+    for row in range(raster.rows):
+        _, y[row] = raster.world_from_pixel(row, 0)
     shared = np.ones((raster.rows, raster.columns), np.bool_)
     for placed in instance.scene.robots:
         shared &= reach_map(placed.arm, placed.base, x, y) > 0.0

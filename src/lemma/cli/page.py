@@ -124,9 +124,7 @@ def _card(recording: Recording, illustration: Illustration, speed: int) -> str:
         video=_data_uri("video/mp4", illustration.video.read_bytes()),
         map=_data_uri("image/jpeg", illustration.map),
         speed=speed,
-        lanes="".join(
-            _lane(recording, name) for name in instance.scene.robot_names
-        ),
+        lanes="".join(_lane(recording, name) for name in instance.scene.robot_names),
         steps="".join(_item(step) for step in recording.steps),
     )
 

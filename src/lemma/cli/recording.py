@@ -160,5 +160,3 @@ def warm_up(instance: Instance) -> float:
     started = time.perf_counter()
     record(instance, horizon_s=2.0)
     return time.perf_counter() - started
-
-

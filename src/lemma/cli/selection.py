@@ -1,53 +1,75 @@
 """Which instance a verb works on: frozen by split and index, or sampled by seed."""
 
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from lemma.cli.terminal import Number, Team, Word
 from lemma.core.errors import InvalidConfigError
 from lemma.robots.ur import ARMS
 from lemma.tasks.instance import Instance
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, load_instance, task_named
 
-DEFAULT_SPLIT = "test"
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Which instance of the task."""
+
+    split: Word = None
+    """Frozen list to take it from: train, val or test (default)."""
+    index: Number = None
+    """Number in that list; 0 by default."""
+    seed: Number = None
+    """Sample a new instance with this seed, instead of a frozen one."""
+    robots: Team = None
+    """Sample a new instance with these arms from left to right, as in ur5,ur10."""
 
 
-def select_instance(
-    task: str,
-    *,
-    split: str | None = None,
-    index: int | None = None,
-    seed: int | None = None,
-    robots: str | None = None,
-) -> Instance:
+DEFAULT = Selection()
+"""The first frozen test instance."""
+
+SelectionOptions = Annotated[Selection, tyro.conf.arg(name="")]
+"""The fields of a selection as options of a verb."""
+
+
+def select_instance(task: str, wish: Selection) -> Instance:
     """Return the instance that a user asked for.
 
     Args:
         task: Name of the task.
-        split: Split of the frozen list, ``"test"`` if None.
-        index: Number in the split, 0 if None.
-        seed: Sample a new instance with this seed instead.
-        robots: Arm types from left to right, ``"ur5,ur10"``; samples as well.
+        wish: Which one.
 
     Raises:
         UnknownNameError: No such task, split or arm type.
         InvalidConfigError: The index is out of range, or the wishes contradict.
     """
     task_named(task)
-    if seed is None and robots is None:
-        return load_instance(task, split or DEFAULT_SPLIT, index or 0)
-    if split not in (None, FREE_SPLIT) or (seed is not None and index is not None):
+    frozen = wish.seed is None and wish.robots is None
+    if frozen:
+        return load_instance(task, wish.split or "test", wish.index or 0)
+    if wish.index is not None or wish.split not in (None, FREE_SPLIT):
         raise InvalidConfigError(
-            "Frozen instances (--split, --index) have their robots and need no seed. "
-            "Leave those out, or leave out --seed and --robots, which sample anew."
+            "--split and --index name a frozen instance, --seed and --robots sample "
+            "a new one. Use either the first two or the last two."
         )
-    number = (index or 0) if seed is None else seed
-    if number < 0:
-        raise InvalidConfigError(f"A seed is 0 or more, not {number}.")
-    if robots is None:
-        return load_instance(task, FREE_SPLIT, number)
-    team = _team(robots)
-    return sample(task_named(task), FREE_SPLIT, number, team=team).instance
+    seed = wish.seed or 0
+    if seed < 0:
+        raise InvalidConfigError(f"A seed is 0 or more, not {seed}.")
+    if wish.robots is None:
+        return load_instance(task, FREE_SPLIT, seed)
+    team = parse_team(wish.robots)
+    return sample(task_named(task), FREE_SPLIT, seed, team=team).instance
 
 
-def _team(robots: str) -> tuple[str, str]:
+def parse_team(robots: str) -> tuple[str, str]:
+    """Return the arm types of a team that a user typed, such as ``"ur5,ur10"``.
+
+    Raises:
+        UnknownNameError: No such arm type.
+        InvalidConfigError: Not two of them.
+    """
     names = [name.strip() for name in robots.split(",")]
     for name in names:
         ARMS[name]

@@ -77,9 +77,7 @@ def instance_sheet(instance: Instance) -> Image.Image:
         x = _EDGE_PX + i * (width + _GAP_PX)
         size = (width, round(width * picture.height / picture.width))
         notes.append(((x, y + _TITLE_PX - 10), title))
-        sheet.paste(
-            picture.resize(size, Image.Resampling.LANCZOS), (x, y + _TITLE_PX)
-        )
+        sheet.paste(picture.resize(size, Image.Resampling.LANCZOS), (x, y + _TITLE_PX))
     return _write(sheet, instance, notes)
 
 

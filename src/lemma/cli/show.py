@@ -1,37 +1,26 @@
 """`lemma show`: pictures of an instance."""
 
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from lemma.cli.selection import select_instance
+from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
 from lemma.cli.sheet import instance_sheet
-from lemma.cli.terminal import messages, output
+from lemma.cli.terminal import File, TaskName, messages, output
 from lemma.tasks.template import KINDS
 
 
 def show(
-    task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")],
-    split: str | None = None,
-    index: int | None = None,
-    seed: int | None = None,
-    robots: str | None = None,
-    out: Path | None = None,
+    task: TaskName,
+    which: SelectionOptions = DEFAULT,
+    out: File = None,
 ) -> int:
     """Draw an instance: cameras, depth, map, reach, goal and instructions, in one PNG.
 
     Args:
         task: Name of the task.
-        split: Frozen list to take the instance from: train, val or test (default).
-        index: Number of the instance in its split; 0 by default.
-        seed: Sample a new instance with this seed, instead of a frozen one.
-        robots: Sample a new instance with these arm types, such as ur5,ur10.
+        which: Which instance.
         out: The PNG file; out/show/TASK-SPLIT-INDEX.png by default.
     """
-    instance = select_instance(
-        task, split=split, index=index, seed=seed, robots=robots
-    )
+    instance = select_instance(task, which)
     name = f"{instance.task}-{instance.split}-{instance.index}.png"
     path = out or Path("out", "show", name)
     with messages().status("Drawing ..."):

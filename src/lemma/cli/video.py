@@ -66,7 +66,7 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
         style: Size and pace.
 
     Returns:
-        The last picture.
+        The last frame.
 
     Raises:
         RenderingError: OpenGL does not work here.
@@ -95,12 +95,12 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
             frame.paste(_caption(recording, time_s, style, ended), (0, style.height_px))
             copies = round(style.last_s * style.frames_per_s) if ended else 1
             for _ in range(copies):
-                image = av.VideoFrame.from_image(frame)
+                image = av.VideoFrame.from_ndarray(np.asarray(frame), format="rgb24")
                 for packet in stream.encode(image):
                     container.mux(packet)
         for packet in stream.encode():
             container.mux(packet)
-    return frame.crop((0, 0, style.width_px, style.height_px))
+    return frame
 
 
 def _size(style: VideoStyle) -> tuple[int, int]:

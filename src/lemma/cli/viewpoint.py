@@ -48,8 +48,9 @@ def outline(scene: Scene) -> FloatArray:
     middle, half = model.geom_aabb[ours, None, :3], model.geom_aabb[ours, None, 3:]
     corners = middle + half * _CORNERS
     rotations = data.geom_xmat[ours].reshape(-1, 3, 3)
-    placed = np.einsum("gij,gcj->gci", rotations, corners)
-    return (placed + data.geom_xpos[ours, None]).reshape(-1, 3)
+    placed: FloatArray = np.einsum("gij,gcj->gci", rotations, corners)
+    placed += data.geom_xpos[ours, None]
+    return placed.reshape(-1, 3)
 
 
 def fit(

@@ -1,0 +1,133 @@
+"""`lemma bench`: the benchmark's own figures, measured here."""
+
+from typing import Any
+
+from rich.progress import track
+from rich.table import Table
+
+from lemma.cli.machine import describe_machine, usable_cores
+from lemma.cli.measure import (
+    ExpertFigures,
+    Speed,
+    expert_figures,
+    measure_speed,
+    rounded,
+    run_trials,
+)
+from lemma.cli.terminal import (
+    Flag,
+    JsonFlag,
+    Number,
+    TaskNames,
+    messages,
+    output,
+    print_json,
+)
+from lemma.core.errors import InvalidConfigError
+from lemma.tasks.instance import SPLITS
+from lemma.tasks.suite import SUITE, load_instance, task_named
+
+_SPLIT = "test"
+_SPEED_EPISODES = 3
+_TARGETS = {
+    "realtime_factor": ("simulated seconds per second, one core", "{:.0f}", "≥ 60"),
+    "camera_fps": ("camera pictures per second, RGB and depth", "{:.0f}", "≥ 50"),
+    "map_ms": ("top-down map of two cameras", "{:.1f} ms", "< 5 ms"),
+    "reset_state_ms": ("reset to the first state", "{:.1f} ms", "< 20 ms"),
+    "reset_images_ms": ("reset to the first pictures", "{:.1f} ms", "< 80 ms"),
+    "peak_mb": ("memory of one environment, with cameras", "{:.0f} MB", "< 400 MB"),
+}
+"""Of every figure: what it is, how to print it, and what it should be."""
+
+
+def bench(
+    tasks: TaskNames = (),
+    expert: Flag = False,
+    episodes: int = SPLITS[_SPLIT],
+    workers: Number = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Measure speed, memory and, if asked to, the expert's success.
+
+    Args:
+        tasks: Tasks to measure with; all eight if none is named.
+        expert: Measure the expert's success as well, which takes minutes.
+        episodes: Frozen instances per task, and as many fresh ones, for the expert.
+        workers: Processes for the expert; one per core by default.
+        as_json: Print one JSON object on the output, and the progress elsewhere.
+    """
+    names = tuple(dict.fromkeys(tasks)) or SUITE
+    for name in names:
+        task_named(name)
+    if not 1 <= episodes <= SPLITS[_SPLIT] or (workers is not None and workers < 1):
+        raise InvalidConfigError(
+            f"--episodes goes from 1 to {SPLITS[_SPLIT]}, the length of the frozen "
+            f"list, and --workers from 1 up; not {episodes} and {workers}."
+        )
+    each = min(episodes, _SPEED_EPISODES)
+    instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
+    machine = describe_machine()
+    with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
+        speed = measure_speed(instances)
+    figures: dict[str, ExpertFigures] = {}
+    if expert:
+        trials = track(
+            run_trials(names, episodes, workers or usable_cores()),
+            "The expert at work",
+            total=2 * episodes * len(names),
+            console=messages(),
+        )
+        figures = expert_figures(trials)
+    if as_json:
+        print_json(report(machine, speed, figures))
+    else:
+        _print(machine, speed, figures, f"first {each} of split {_SPLIT!r} per task")
+    return 0
+
+
+def report(
+    machine: dict[str, Any], speed: Speed, figures: dict[str, ExpertFigures]
+) -> dict[str, Any]:
+    """Return the one object that ``--json`` prints."""
+    return {
+        "machine": machine,
+        "speed": rounded(speed),
+        "expert": {task: rounded(found) for task, found in figures.items()},
+    }
+
+
+def _print(
+    machine: dict[str, Any],
+    speed: Speed,
+    figures: dict[str, ExpertFigures],
+    episodes: str,
+) -> None:
+    console = output()
+    console.print(", ".join(f"{key} {value}" for key, value in machine.items()))
+    table = Table(title=f"Speed ({episodes})", title_justify="left")
+    table.add_column("figure")
+    table.add_column("measured", justify="right", style="bold")
+    table.add_column("target", justify="right")
+    for name, (words, form, target) in _TARGETS.items():
+        table.add_row(words, form.format(getattr(speed, name)), target)
+    console.print(table)
+    if not figures:
+        return
+    table = Table(title="The expert", title_justify="left")
+    table.add_column("task", style="bold")
+    for heading in (
+        *("episodes", "solved", "solved, fresh"),
+        *("mean sim s", "longest", "rejected"),
+    ):
+        table.add_column(heading, justify="right")
+    for task, found in figures.items():
+        table.add_row(
+            task,
+            str(found.episodes),
+            f"{found.success_rate:.1%}",
+            f"{found.raw_success_rate:.1%}",
+            f"{found.mean_sim_s:.1f}",
+            f"{found.max_sim_s:.1f}",
+            f"{found.rejection_rate:.1%}",
+        )
+    console.print(table)

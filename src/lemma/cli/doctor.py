@@ -1,0 +1,59 @@
+"""`lemma doctor`: is everything there, and does it work?"""
+
+from dataclasses import asdict
+
+from rich.table import Table
+from rich.text import Text
+
+from lemma.cli.checks import Check, run_checks
+from lemma.cli.machine import describe_machine
+from lemma.cli.terminal import JsonFlag, messages, output, print_json
+
+
+def doctor(as_json: JsonFlag = False) -> int:
+    """Check versions, rendering, physics and the expert; say what is missing.
+
+    Args:
+        as_json: Print one JSON object instead of a table.
+    """
+    with messages().status("Checking (the first run compiles, for half a minute) ..."):
+        checks = run_checks()
+        machine = describe_machine()
+    healthy = all(check.ok for check in checks if check.essential)
+    if as_json:
+        print_json(
+            {
+                "ok": healthy,
+                "machine": machine,
+                "checks": [asdict(check) for check in checks],
+            }
+        )
+    else:
+        _print(checks, machine, healthy)
+    return 0 if healthy else 1
+
+
+def _print(checks: list[Check], machine: dict[str, object], healthy: bool) -> None:
+    console = output()
+    console.print(
+        f"{machine['system']}, {machine['processor']}, {machine['cores']} cores, "
+        f"{machine['memory_gb']} GB"
+    )
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for check in checks:
+        if check.ok:
+            mark = Text("ok", style="green")
+        elif check.essential:
+            mark = Text("FAILED", style="bold red")
+        else:
+            mark = Text("note", style="yellow")
+        # Text, because paths and messages may look like markup.
+        found = Text(check.found)
+        if not check.ok:
+            found.append(f"\n{check.advice}", style="bold")
+        table.add_row(mark, check.name, found)
+    console.print(table)
+    if healthy:
+        console.print("Everything that is needed works.", style="green")
+    else:
+        console.print("Something that is needed does not work.", style="bold red")
