@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from lemma.cli.terminal import JsonFlag, output, print_json
@@ -20,12 +21,12 @@ def tasks(as_json: JsonFlag = False) -> int:
     if as_json:
         print_json(records)
         return 0
-    table = Table(title="The suite", title_justify="left", show_lines=True)
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 1, 0))
     table.add_column("task", style="bold", no_wrap=True)
-    for heading in ("sub-tasks", "objects", "distractors"):
+    for heading in ("sub-\ntasks", "objects", "distractors"):
         table.add_column(heading, justify="right")
     table.add_column("stick")
-    table.add_column("what happens, and the high-level instruction", ratio=1)
+    table.add_column("what happens, and how it is asked for", ratio=1)
     for record in records:
         low, high = record["objects"]
         few, many = record["distractors"]
@@ -35,7 +36,7 @@ def tasks(as_json: JsonFlag = False) -> int:
             f"{low}-{high}",
             f"{few}-{many}",
             "used" if record["stick"] else "–",
-            f"{record['summary']}\n[italic]{record['high_level']}[/italic]",
+            f"{record['summary']}\n[italic dim]{record['high_level']}[/italic dim]",
         )
     output().print(table)
     return 0
