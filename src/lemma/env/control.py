@@ -2,25 +2,31 @@
 
 Whatever is asked for, a motor stays inside the limits of its robot. References move at
 no more than 95% of a joint's velocity limit and with a bounded acceleration, servos are
-never told to catch up faster than that, and raw torques give way to braking as a joint
-comes near its limit: a real robot would stop for protection instead.
+never told to catch up faster than that, and torques that would make a joint too fast
+within a physics step are replaced by those that make it just as fast as it may be. The
+same holds for what would ram an arm into something, see :mod:`lemma.env.guard`. A real
+robot would stop for protection instead.
 """
 
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from numba import njit
 
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import FloatArray, matrix_from_quaternion
 from lemma.core.registry import Registry
+from lemma.env.guard import Guard
 from lemma.env.spaces import Layout
 from lemma.motion.arm import ArmMotion
+from lemma.motion.rmpflow import solve
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur import ARMS, JOINTS
 from lemma.scene.compose import TABLE_HALF_X_M, TABLE_HALF_Y_M, TIME_STEP_S
+from lemma.scene.scene import Scene
 
 SPEED_FRACTION = 0.95
 """Of a joint's velocity limit: what references keep to."""
@@ -31,7 +37,6 @@ CEILING_M = 1.5
 
 _ARM_RANGE_M = 0.15
 """From where on an arm feels the others, as in skills."""
-_BRAKE_REGION_RAD_S = 0.4
 _LEAST_NORM = 1e-3
 
 
@@ -48,9 +53,9 @@ class Controller(ABC):
         self.arm = arm
         self.others = others
         spec = arm.robot.arm
-        self.speed_limits = np.array(spec.velocity_limits)
-        self.speeds = SPEED_FRACTION * self.speed_limits
+        self.speeds = SPEED_FRACTION * np.array(spec.velocity_limits)
         self.range = np.array(spec.joint_range)
+        self.guard = Guard(arm, others)
 
     def check(self, row: FloatArray) -> None:  # noqa: B027 - bounds are mostly enough
         """Raise what is wrong with a row of an action; changes nothing.
@@ -63,8 +68,9 @@ class Controller(ABC):
     def command(self, row: FloatArray) -> None:
         """Take note of a row of an action; the last number is the gripper's opening."""
 
-    def tick(self) -> None:  # noqa: B027 - most modes have nothing to do
+    def tick(self) -> None:
         """Look around, once per servo tick."""
+        self.guard.look()
 
     @abstractmethod
     def drive(self) -> None:
@@ -93,7 +99,8 @@ class PoseController(Controller):
         self.arm.opening_m = float(row[7])
 
     def tick(self) -> None:
-        """Keep clear of where the other arms are now."""
+        """Look around, and let RMPflow know where the other arms are."""
+        super().tick()
         rows = [np.zeros((0, 8))]
         for other in self.others:
             capsules = other.capsules()
@@ -102,7 +109,13 @@ class PoseController(Controller):
 
     def drive(self) -> None:
         """Advance the reference."""
+        before = self.arm.state[0].copy()
         self.arm.step()
+        rates = (self.arm.state[0] - before) / TIME_STEP_S
+        if self.guard.restrain(before, rates, self.speeds):
+            self.arm.state[0] = before + TIME_STEP_S * rates
+            self.arm.state[1] = rates
+            self.arm.command()
         _temper(self.arm, self.speeds)
 
 
@@ -121,7 +134,10 @@ class PositionController(Controller):
 
     def drive(self) -> None:
         """Advance the reference."""
-        approach(self.arm.state, self._target, self.speeds)
+        state = self.arm.state
+        approach(state, self._target, self.speeds)
+        self.guard.restrain(state[0], state[1], self.speeds)
+        advance(state, self.range)
         self.arm.command()
         _temper(self.arm, self.speeds)
 
@@ -144,6 +160,7 @@ class VelocityController(Controller):
         data, robot = self.arm.scene.data, self.arm.robot
         self.arm.state[0] = data.qpos[robot.qpos]
         accelerate(self.arm.state, self._wanted, self.speeds, self.range)
+        self.guard.restrain(self.arm.state[0], self.arm.state[1], self.speeds)
         data.ctrl[robot.ctrl] = self.arm.state[1]
         data.ctrl[robot.gripper_ctrl] = self.arm.opening_m
 
@@ -167,10 +184,31 @@ class TorqueController(Controller):
         data, robot = self.arm.scene.data, self.arm.robot
         self.arm.state[0] = data.qpos[robot.qpos]
         self.arm.state[1] = data.qvel[robot.dof]
-        allowed = np.empty(6)
-        brake(self.arm.state, self._wanted, self.speeds, self._efforts, allowed)
-        data.ctrl[robot.ctrl] = allowed
+        scene, span = self.arm.scene, robot.dof
+        full = np.empty((scene.model.nv, scene.model.nv))
+        mujoco.mj_fullM(scene.model, data, full)
+        inertia = np.ascontiguousarray(full[span, span])
+        bias = data.qfrc_bias[span] - data.qfrc_passive[span]
+        rates = np.empty(6)
+        predict(inertia, bias, self._wanted, self.arm.state[1], rates)
+        bounded = bound(self.arm.state[0], rates, self.speeds, self.range)
+        guarded = self.guard.restrain(self.arm.state[0], rates, self.speeds)
+        torques = self._wanted.copy()
+        if bounded or guarded:
+            steer(inertia, bias, rates - self.arm.state[1], self._efforts, torques)
+        data.ctrl[robot.ctrl] = torques
         data.ctrl[robot.gripper_ctrl] = self.arm.opening_m
+
+
+def update_dynamics(scene: Scene) -> None:
+    """Compute inertias and bias forces of the present state, for the torque mode."""
+    model, data = scene.model, scene.data
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_makeM(model, data)
+    mujoco.mj_comVel(model, data)
+    mujoco.mj_passive(model, data)
+    mujoco.mj_rne(model, data, 0, data.qfrc_bias)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,9 +317,9 @@ def saturate(control: FloatArray, q: FloatArray, span: FloatArray) -> None:
 
 @njit(cache=True)
 def approach(state: FloatArray, target: FloatArray, speeds: FloatArray) -> None:
-    """Advance a reference, (2, 6), by one physics step towards joint angles.
+    """Advance the speeds of a reference, (2, 6), by one physics step.
 
-    The speed is the largest from which each joint can still stop at its target.
+    They become the largest from which each joint can still stop at its target.
     """
     h, a = TIME_STEP_S, ACCELERATION_RAD_S2
     for i in range(6):
@@ -292,7 +330,16 @@ def approach(state: FloatArray, target: FloatArray, speeds: FloatArray) -> None:
         wanted = speed if error > 0.0 else -speed
         change = min(a * h, max(-a * h, wanted - state[1, i]))
         state[1, i] += change
-        state[0, i] += state[1, i] * h
+
+
+@njit(cache=True)
+def advance(state: FloatArray, limits: FloatArray) -> None:
+    """Advance the angles of a reference, (2, 6), by one physics step."""
+    for i in range(6):
+        state[0, i] += state[1, i] * TIME_STEP_S
+        if abs(state[0, i]) > limits[i]:
+            state[0, i] = min(limits[i], max(-limits[i], state[0, i]))
+            state[1, i] = 0.0
 
 
 @njit(cache=True)
@@ -303,31 +350,74 @@ def accelerate(
 
     A joint slows down so that it stops before the end of its range.
     """
-    h, a = TIME_STEP_S, ACCELERATION_RAD_S2
+    most = ACCELERATION_RAD_S2 * TIME_STEP_S
+    goal = wanted.copy()
+    bound(state[0], goal, speeds, limits)
     for i in range(6):
-        up = min(speeds[i], math.sqrt(2.0 * a * max(0.0, limits[i] - state[0, i])))
-        down = min(speeds[i], math.sqrt(2.0 * a * max(0.0, limits[i] + state[0, i])))
-        goal = min(up, max(-down, wanted[i]))
-        state[1, i] += min(a * h, max(-a * h, goal - state[1, i]))
+        state[1, i] += min(most, max(-most, goal[i] - state[1, i]))
 
 
 @njit(cache=True)
-def brake(
-    state: FloatArray,
-    wanted: FloatArray,
-    speeds: FloatArray,
+def bound(
+    q: FloatArray, rates: FloatArray, speeds: FloatArray, limits: FloatArray
+) -> bool:
+    """Bound joint speeds, (6,), in place; return whether that was needed.
+
+    A joint slows down so that it stops before the end of its range.
+    """
+    changed = False
+    for i in range(6):
+        span = 2.0 * ACCELERATION_RAD_S2
+        up = min(speeds[i], math.sqrt(span * max(0.0, limits[i] - q[i])))
+        down = min(speeds[i], math.sqrt(span * max(0.0, limits[i] + q[i])))
+        if not -down <= rates[i] <= up:
+            rates[i] = min(up, max(-down, rates[i]))
+            changed = True
+    return changed
+
+
+@njit(cache=True)
+def predict(
+    inertia: FloatArray,
+    bias: FloatArray,
+    torques: FloatArray,
+    rates: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write the joint speeds, (6,), that torques lead to in a physics step to ``out``.
+
+    Args:
+        inertia: (6, 6) [kg m2].
+        bias: What it takes not to accelerate, (6,) [N m].
+        torques: (6,) [N m].
+        rates: Joint speeds now, (6,) [rad/s].
+        out: Written.
+    """
+    solve(inertia.copy(), torques - bias, out)
+    for i in range(6):
+        out[i] = rates[i] + TIME_STEP_S * out[i]
+
+
+@njit(cache=True)
+def steer(
+    inertia: FloatArray,
+    bias: FloatArray,
+    change: FloatArray,
     efforts: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Write the torques, (6,), that the speeds of the joints allow to ``out``.
+    """Write the torques, (6,), that change the joint speeds within a physics step.
 
-    Up to its speed a joint gets what is asked for, if the motor has it. Within a small
-    region around its speed what drives it on gives way to full braking.
+    Where a motor is too weak, all joints change less, in proportion.
     """
+    scale = 1.0
     for i in range(6):
-        rate = state[1, i]
-        sign = 1.0 if rate > 0.0 else -1.0
-        room = (speeds[i] - abs(rate)) / _BRAKE_REGION_RAD_S
-        most = efforts[i] * min(1.0, max(-1.0, room))
-        torque = min(efforts[i], max(-efforts[i], wanted[i]))
-        out[i] = sign * min(sign * torque, most)
+        out[i] = 0.0
+        for j in range(6):
+            out[i] += inertia[i, j] * change[j] / TIME_STEP_S
+    for i in range(6):
+        room = efforts[i] - bias[i] if out[i] > 0.0 else efforts[i] + bias[i]
+        if abs(out[i]) * scale > room:
+            scale = max(0.0, room) / abs(out[i])
+    for i in range(6):
+        out[i] = min(efforts[i], max(-efforts[i], bias[i] + scale * out[i]))

@@ -5,7 +5,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from lemma.env.config import EnvConfig
-from lemma.env.control import CONTROLS, Controller
+from lemma.env.control import CONTROLS, Controller, update_dynamics
 from lemma.env.episode import Episode
 from lemma.env.gym_env import LemmaEnv, StepResult
 from lemma.env.simulation import TICK_S
@@ -106,6 +106,8 @@ class ControlEnv(LemmaEnv):
                 clock.busy_s += TICK_S
 
     def _drive(self) -> None:
+        if self.actuation == "torque":
+            update_dynamics(self.episode.simulation.scene)
         for controller in self._controllers.values():
             controller.drive()
 

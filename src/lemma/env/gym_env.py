@@ -7,6 +7,7 @@ of the goal holds.
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import gymnasium
@@ -28,7 +29,7 @@ from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, load_instance, task_named
 
 OVERVIEW = FreeCamera(
-    lookat=(0.0, 0.0, 0.05), distance=3.9, azimuth_deg=90.0, elevation_deg=-38.0
+    lookat=(0.0, -0.05, 0.1), distance=3.6, azimuth_deg=90.0, elevation_deg=-36.0
 )
 """What :meth:`LemmaEnv.render` looks through."""
 RENDER_SIZE = (960, 540)
@@ -47,6 +48,12 @@ class EnvSnapshot:
     episode: EpisodeSnapshot
     level: dict[str, Any]
     """What the level remembers besides."""
+
+
+@lru_cache(maxsize=256)
+def _sampled(task: str, index: int, team: tuple[str, str] | None) -> Instance:
+    """Sample a free instance; some take seconds, so the last ones are kept."""
+    return sample(task_named(task), FREE_SPLIT, index, team=team).instance
 
 
 class LemmaEnv(gymnasium.Env[Observation, Any]):
@@ -172,10 +179,9 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
             )
         robots = self.config.robots
         if split == FREE_SPLIT and robots is not None:
-            first, second = robots
-            return sample(
-                task_named(self.task), split, int(index), team=(first, second)
-            ).instance
+            return _sampled(self.task, int(index), (robots[0], robots[1]))
+        if split == FREE_SPLIT:
+            return _sampled(self.task, int(index), None)
         return load_instance(self.task, split, int(index))
 
     def _has_team(self, instance: Instance) -> bool:

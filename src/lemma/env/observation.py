@@ -1,6 +1,5 @@
 """What is observed: joints and the instruction, and cameras or the truth on request."""
 
-import string
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +22,6 @@ from lemma.scene.scene import Scene
 Observation = dict[str, Any]
 
 MAX_INSTRUCTION_LENGTH = 200
-_CHARACTERS = string.ascii_letters + string.digits + string.punctuation + " "
 _JOINT_SLACK_RAD = 0.1
 _JOINT_SPEED_RAD_S = 10.0
 _FINGER_SPEED_M_S = 1.0
@@ -64,7 +62,8 @@ class Observer:
 
     ``agent_pos`` holds, for each robot, six joint angles [rad] and the opening of the
     gripper [m]; ``agent_vel`` their rates; ``tcp_pose`` the position [m] and unit
-    quaternion (wxyz, w >= 0) of the tool centre point in the world.
+    quaternion (wxyz, w >= 0) of the tool centre point in the world; ``instruction`` the
+    instruction as ASCII codes, see :func:`read_text`.
     """
 
     def __init__(
@@ -106,7 +105,7 @@ class Observer:
             "agent_pos": _box(np.tile(low, count), np.tile(joints, count)),
             "agent_vel": _box(-np.tile(rates, count), np.tile(rates, count)),
             "tcp_pose": _box(-np.tile(pose, count), np.tile(pose, count)),
-            "instruction": spaces.Text(MAX_INSTRUCTION_LENGTH, charset=_CHARACTERS),
+            "instruction": spaces.Box(0, 127, (MAX_INSTRUCTION_LENGTH,), np.uint8),
         }
 
     def _vision(self) -> dict[str, spaces.Space[Any]]:
@@ -164,7 +163,7 @@ class Observer:
             "agent_pos": self._fit("agent_pos", positions),
             "agent_vel": self._fit("agent_vel", rates),
             "tcp_pose": self._fit("tcp_pose", poses),
-            "instruction": episode.instance.instructions[kind],
+            "instruction": write_text(episode.instance.instructions[kind]),
         }
         if self.contents.renders:
             found.update(self._see(scene))
@@ -232,6 +231,22 @@ class Observer:
         array = np.asarray(values, np.float32)
         clipped: NDArray[np.float32] = np.clip(array, space.low, space.high)
         return clipped
+
+
+def write_text(text: str) -> NDArray[np.uint8]:
+    """Return a text as ASCII codes, padded with zeros.
+
+    Gymnasium's own space of texts does not survive vector environments that share
+    memory: their observations stay what they were.
+    """
+    codes = np.zeros(MAX_INSTRUCTION_LENGTH, np.uint8)
+    codes[: len(text)] = np.frombuffer(text.encode("ascii"), np.uint8)
+    return codes
+
+
+def read_text(codes: NDArray[np.uint8]) -> str:
+    """Return the text that :func:`write_text` wrote."""
+    return bytes(codes[codes > 0]).decode("ascii")
 
 
 def object_poses(scene: Scene) -> dict[str, FloatArray]:
