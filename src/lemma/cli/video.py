@@ -5,18 +5,15 @@ from pathlib import Path
 
 import av
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image
 
-from lemma.cli.drawing import BAD, GOOD, Colour, fitting_size, font
-from lemma.cli.recording import RecordedStep, Recording
+from lemma.cli.caption import caption
+from lemma.cli.recording import Recording
 from lemma.cli.viewpoint import outline, overview
 from lemma.scene.canvas import Tessellation
 from lemma.scene.rendering import QUALITIES, Quality, Renderer
 from lemma.scene.scene import Scene
 
-_BAR_INK: Colour = (246, 247, 249)
-_BAR_FAINT: Colour = (160, 170, 182)
-_BAR: Colour = (24, 28, 34)
 _VIEWED_FRAMES = 40
 """Frames that the viewpoint is fitted to; the arms move little in between."""
 
@@ -92,7 +89,9 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
             picture = renderer.rgb(scene.model, scene.data, camera)
             ended = number == len(recording.frames) - 1
             frame.paste(Image.fromarray(picture), (0, 0))
-            frame.paste(_caption(recording, time_s, style, ended), (0, style.height_px))
+            note = f"{style.speed}x speed"
+            strip = caption(recording, time_s, _caption_size(style), note, ended=ended)
+            frame.paste(strip, (0, style.height_px))
             copies = round(style.last_s * style.frames_per_s) if ended else 1
             for _ in range(copies):
                 image = av.VideoFrame.from_ndarray(np.asarray(frame), format="rgb24")
@@ -107,43 +106,5 @@ def _size(style: VideoStyle) -> tuple[int, int]:
     return style.width_px, style.height_px + style.caption_px
 
 
-def _caption(
-    recording: Recording, time_s: float, style: VideoStyle, ended: bool
-) -> Image.Image:
-    """Draw the strip below the picture: instruction, running sub-task, time."""
-    width, height = style.width_px, style.caption_px
-    strip = Image.new("RGB", (width, height), _BAR[:3])
-    draw = ImageDraw.Draw(strip)
-    edge = round(0.22 * height)
-    instruction = f"“{recording.instance.instructions['high_level']}”"
-    size = fitting_size(instruction, 0.28 * height, width - 2 * edge)
-    at = (edge, 0.31 * height)
-    draw.text(at, instruction, fill=_BAR_INK[:3], font=font(size), anchor="lm")
-    small = font(0.21 * height)
-    clock = f"{time_s:.1f} s   {style.speed}x speed"
-    low = 0.72 * height
-    draw.text((width - edge, low), clock, fill=_BAR_FAINT[:3], font=small, anchor="rm")
-    text, ink = _status(recording, time_s, ended)
-    draw.text((edge, low), text, fill=ink[:3], font=small, anchor="lm")
-    share = min(1.0, time_s / recording.elapsed_s)
-    draw.rectangle((0, height - 4, share * width, height), fill=GOOD[:3])
-    return strip
-
-
-def _status(recording: Recording, time_s: float, ended: bool) -> tuple[str, Colour]:
-    """Return what happens at a time, in words, and the colour to say it in."""
-    if ended and recording.success:
-        return "Solved.", GOOD
-    if ended:
-        return f"Not solved: {recording.failure}.", BAD
-    number, step = _running(recording, time_s)
-    return f"{number}/{len(recording.steps)}   {step.words}", _BAR_FAINT
-
-
-def _running(recording: Recording, time_s: float) -> tuple[int, RecordedStep]:
-    """Return the sub-task that runs at a time, and its number from 1."""
-    found = 0
-    for i, step in enumerate(recording.steps):
-        if step.start_s <= time_s:
-            found = i
-    return found + 1, recording.steps[found]
+def _caption_size(style: VideoStyle) -> tuple[int, int]:
+    return style.width_px, style.caption_px
