@@ -1,1 +1,1 @@
-
+"""The oracle: symbolic planning, exact allocation, geometric grounding."""

@@ -6,6 +6,7 @@ the planner's utility is made of.
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose2
@@ -219,7 +220,7 @@ class OracleGrounder:
                     Primitive.HOOK if hooking else Primitive.POKE,
                     self._robots[subtask.robot],
                     now.poses[cube],
-                    lambda x, y, r=reach, b=placed.base: r.margin(b, x, y),
+                    partial(reach.margin, placed.base),
                     obstacles,
                 )
             if self._drags[key] is not None:

@@ -85,7 +85,7 @@ def _support(name: str, poses: dict[str, Pose2], heights: dict[str, float]) -> s
         ]
         return max(below, key=lambda other: heights[other], default=TABLE)
     for other in poses:
-        if other.endswith("_pad"):
-            if poses[other].distance(poses[name]) < PAD_RADIUS_M - 0.01:
-                return other
+        near = poses[other].distance(poses[name]) < PAD_RADIUS_M - 0.01
+        if other.endswith("_pad") and near:
+            return other
     return TABLE

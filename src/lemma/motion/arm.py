@@ -29,8 +29,8 @@ _BRANCH_COST = 100.0
 def park_joints(arm_name: str) -> tuple[float, ...]:
     """Return where an arm waits: folded, beside its base, out of its camera's view.
 
-    The gripper points down at the robot's left, a little behind it; from there a turn of
-    the base brings the whole arm over the table on the same branch of its kinematics.
+    The gripper points down at the robot's left, a little behind it; from there a turn
+    of the base takes the whole arm over the table on the same branch of its kinematics.
     """
     radius = 0.42 * reach_of(arm_name).travel_m
     pose = top_down(
@@ -104,7 +104,7 @@ class ArmMotion:
         self.park = np.array(park_joints(robot.arm.name))
         self._park_branch = _branch(robot.arm.name, self.park)
         self.goal = self._resting_goal()
-        self._obstacles = np.zeros((0, 8))
+        self.obstacles = np.zeros((0, 8))
         self.sync()
 
     def _resting_goal(self) -> Goal:
@@ -121,7 +121,7 @@ class ArmMotion:
 
     def set_obstacles(self, obstacles: FloatArray) -> None:
         """Set what to keep clear of: capsules and range, (n, 8) [m]."""
-        self._obstacles = np.ascontiguousarray(obstacles)
+        self.obstacles = np.ascontiguousarray(obstacles)
 
     def attach(self, spheres: FloatArray) -> None:
         """Move as if spheres were fixed to the flange: what the gripper holds.
@@ -142,8 +142,8 @@ class ArmMotion:
     def solve_posture(self, pose: FloatArray) -> FloatArray | None:
         """Return the joint angles nearest to the reference that reach a gripper pose.
 
-        The arm keeps the branch in which it waits, where it can: changing the elbow, the
-        shoulder or the wrist on the way sweeps the arm through objects and itself.
+        The arm keeps the branch in which it waits, where it can: changing the elbow,
+        the shoulder or the wrist on the way sweeps it through objects and itself.
 
         Args:
             pose: World from gripper at the tool centre point, (4, 4).
@@ -185,7 +185,7 @@ class ArmMotion:
             self.goal,
             self.leaves,
             self.state,
-            self._obstacles,
+            self.obstacles,
             SUBSTEP_S,
             _SUBSTEPS,
         )
@@ -208,7 +208,7 @@ class ArmMotion:
     def _tcp(self, q: FloatArray) -> FloatArray:
         placed = np.empty((7, 4, 4))
         frames(self.robot.arm.dh, self.robot.world_from_base, q, placed)
-        pose = placed[6].copy()
+        pose: FloatArray = placed[6]
         pose[:3, 3] += TCP_OFFSET_M * pose[:3, 2]
         return pose
 

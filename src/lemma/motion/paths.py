@@ -1,6 +1,7 @@
-"""The fallback when RMPflow stalls: straight lines in joint space, collision-checked."""
+"""The fallback when RMPflow stalls: checked straight lines in joint space."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from lemma.robots.envelope import (
 from lemma.robots.reach import gripper_ik
 
 _CLEARANCE_M = 0.01
+_SLACK_M = 1e-4
 _SPEED_FRACTION = 0.4
 """Of each joint's velocity limit: a line in joint space may sweep far in the world."""
 _TICK_S = 0.01
@@ -45,7 +47,7 @@ def joint_path(
     for via in ((), (arm.park,)):
         for goal in goals:
             corners = [start, *via, goal]
-            legs = list(zip(corners, corners[1:], strict=False))
+            legs = list(pairwise(corners))
             if all(_is_free(arm, a, b, obstacles) for a, b in legs):
                 return np.concatenate([_time(arm, a, b) for a, b in legs])
     return None
@@ -54,16 +56,29 @@ def joint_path(
 def _is_free(
     arm: ArmMotion, start: FloatArray, end: FloatArray, obstacles: FloatArray
 ) -> bool:
-    """Whether the arm keeps clear all along a line; where it starts is forgiven."""
+    """Whether the arm keeps clear all along a line.
+
+    An arm that stalls near something starts out too close to it; that is forgiven as
+    long as it does not come closer.
+    """
     span = float(np.abs(end - start).max())
     steps = max(2, math.ceil(span / _CHECK_RAD))
+    before = min(_CLEARANCE_M, _clearance(arm, start, obstacles))
     for i in range(1, steps + 1):
-        capsules = arm.capsules(start + (i / steps) * (end - start))
-        if self_clearance(capsules) < 0.0 or table_clearance(capsules) < _CLEARANCE_M:
+        now = _clearance(arm, start + (i / steps) * (end - start), obstacles)
+        if now < before - _SLACK_M:
             return False
-        if len(obstacles) and obstacle_clearance(capsules, obstacles) < _CLEARANCE_M:
-            return False
+        before = min(_CLEARANCE_M, max(before, now))
     return True
+
+
+def _clearance(arm: ArmMotion, q: FloatArray, obstacles: FloatArray) -> float:
+    """Return how far an arm is from itself, the table and the obstacles [m]."""
+    capsules = arm.capsules(q)
+    least = min(self_clearance(capsules) + _CLEARANCE_M, table_clearance(capsules))
+    if len(obstacles):
+        least = min(least, obstacle_clearance(capsules, obstacles))
+    return least
 
 
 def _time(arm: ArmMotion, start: FloatArray, end: FloatArray) -> FloatArray:

@@ -1,1 +1,1 @@
-
+"""Arms and gripper: numbers, bodies, kinematics and reach."""

@@ -82,8 +82,8 @@ def envelope_of(arm_name: str) -> Envelope:
 def sweep_radius_m(arm_name: str) -> float:
     """Return how far from its base an arm's shoulder sweeps just above the table [m].
 
-    The housings of the shoulder turn with the base, lower than a cube with a hand on it;
-    nothing may stand inside this circle.
+    The housings of the shoulder turn with the base, lower than a cube with a hand on
+    it; nothing may stand inside this circle.
     """
     arm = ARMS[arm_name]
     return arm.shoulder_offset + 2.0 * arm.shoulder_radius

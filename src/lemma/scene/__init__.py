@@ -1,1 +1,1 @@
-
+"""What lies on the table, how it is compiled, and who sees it."""

@@ -116,7 +116,7 @@ def _free_body(
     return body
 
 
-def _add_box(  # noqa: PLR0913 - one geom is six facts
+def _add_box(
     body: mujoco.MjsBody,
     name: str,
     position: tuple[float, float, float],

@@ -138,9 +138,9 @@ class Board:
         """Where nobody reaches, and the stick helps in exactly one way.
 
         Args:
-            primitive: ``HOOK``: ``robot`` can drag the cube into its own reach, and there
-                is no other way. ``POKE``: it can push it into its partner's reach, and
-                not drag it into its own.
+            primitive: ``HOOK``: ``robot`` can drag the cube into its own reach, and
+                there is no other way. ``POKE``: it can push it into its partner's
+                reach, and not drag it into its own.
             robot: Who uses the stick.
             partner: The other robot.
         """
@@ -219,8 +219,8 @@ class Board:
     def _put(self, kind: str, zone: Zone) -> str:
         if not self._free[kind]:
             raise SamplingError(
-                f"A task asks for more than {len(OBJECT_COLOURS)} {kind}s; there is one "
-                "of each colour. Ask for fewer."
+                f"A task asks for more than {len(OBJECT_COLOURS)} {kind}s; there is "
+                "one of each colour. Ask for fewer."
             )
         for _ in range(_TRIES):
             pose = self._draw()

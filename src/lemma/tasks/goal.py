@@ -24,20 +24,21 @@ class On:
         """Check that the kinds can be stacked."""
         if not self.top.endswith("_cube") or self.top == self.bottom:
             raise InvalidConfigError(
-                f"On({self.top!r}, {self.bottom!r}): the top must be a cube that is not "
-                "the bottom itself."
+                f"On({self.top!r}, {self.bottom!r}): the top must be a cube that is "
+                "not the bottom itself."
             )
         if not self.bottom.endswith(("_cube", "_pad")):
             raise InvalidConfigError(
-                f"On({self.top!r}, {self.bottom!r}): the bottom must be a cube or a pad."
+                f"On({self.top!r}, {self.bottom!r}): the bottom must be a cube or a "
+                "pad."
             )
 
     def holds(self, scene: Scene) -> bool:
         """Whether it is true now, with the top at rest.
 
-        A cube is on a pad when its centre is at least 1 cm inside the pad's edge, and on
-        a cube when its centre is above the lower cube's top face; its height must say
-        that nothing else carries it.
+        A cube is on a pad when its centre is at least 1 cm inside the pad's edge, and
+        on a cube when its centre is above the lower cube's top face; its height must
+        say that nothing else carries it.
         """
         top, bottom = scene.pose(self.top).position, scene.pose(self.bottom).position
         on_pad = self.bottom.endswith("_pad")

@@ -32,7 +32,7 @@ class SubTask:
     """Who: ``"robot_0"``; empty for ``stop``."""
     primitive: Primitive
     pick: str = ""
-    """Entity to grasp. For ``prehook``, ``hook``, ``prepoke`` and ``poke``: the stick."""
+    """Entity to grasp; the stick for all primitives but ``move``."""
     place: str = ""
     """Entity to put it on, ``"shared"``, or the cube that the stick acts on."""
 

@@ -50,8 +50,8 @@ _BEARINGS_RAD = tuple(
     math.radians(d) for d in (0, 8, -8, 16, -16, 24, -24, 32, -32, 42, -42, 54, -54)
 )
 MAX_DRAG_M = 0.26
-"""A longer drag may lose the cube. It also keeps the tasks apart: what is pushed over to
-the other robot is too far away to be dragged back."""
+"""A longer drag may lose the cube. It also keeps the tasks apart: what is pushed over
+to the other robot is too far away to be dragged back."""
 _LENGTHS_M = tuple(round(0.10 + 0.02 * i, 2) for i in range(9))
 
 Disc = tuple[float, float, float]

@@ -20,7 +20,7 @@ TASKS.add(
     "hook",
     Task(
         name="hook",
-        summary="One robot hooks the cube and hands it over, the other puts it on its pad.",
+        summary="One robot hooks the cube and hands it over, the other has its pad.",
         subtasks=4,
         distractors=(0, 2),
         arrange=arrange,

@@ -20,7 +20,7 @@ TASKS.add(
     "hook_stack",
     Task(
         name="hook_stack",
-        summary="Each robot hooks a cube with the one stick, which is passed; then they stack.",
+        summary="Each robot hooks a cube with the one stick; then they stack them.",
         subtasks=7,
         distractors=(0, 3),
         arrange=arrange,

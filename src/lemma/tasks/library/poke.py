@@ -20,7 +20,7 @@ TASKS.add(
     "poke",
     Task(
         name="poke",
-        summary="One robot pushes the cube over with the stick, the other puts it on its pad.",
+        summary="One robot pokes the cube over, the other puts it on its pad.",
         subtasks=3,
         distractors=(0, 3),
         arrange=arrange,

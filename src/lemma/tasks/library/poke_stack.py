@@ -20,7 +20,7 @@ TASKS.add(
     "poke_stack",
     Task(
         name="poke_stack",
-        summary="One robot pushes two cubes over with the stick, the other stacks them.",
+        summary="One robot pokes two cubes over, the other stacks them.",
         subtasks=5,
         distractors=(0, 2),
         arrange=arrange,

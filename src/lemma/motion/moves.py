@@ -1,0 +1,261 @@
+"""Elementary motions of one arm: to a waypoint, along a line, grasp, release, park.
+
+Each is a generator that hands control back once a servo tick, and raises
+:class:`SkillFailure` where it cannot go on.
+"""
+
+import math
+from collections.abc import Generator
+
+import numpy as np
+
+from lemma.core.poses import FloatArray, wrap
+from lemma.motion.arm import ArmMotion
+from lemma.motion.outcome import Outcome, SkillFailure
+from lemma.motion.paths import joint_path
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.robots.kinematics import top_down
+from lemma.robots.reach import TRAVEL_HEIGHT_M
+
+Motion = Generator[None, None, None]
+Stand = tuple[float, float, float, float]
+"""Where a gripper that points down stands: x, y, z [m] and yaw [rad]."""
+
+RETREAT_M = 0.13
+"""How far the gripper rises before the arm swings away."""
+FLY_BY_M = 0.03
+"""How near a waypoint is near enough when the arm does not stop there."""
+
+_VERTICAL_M_S = 0.5
+_TOUCHDOWN_M = 0.03
+_TOUCHDOWN_M_S = 0.12
+_FLY_BY_RAD = 0.15
+_ARRIVED_M = 0.002
+_ARRIVED_RAD = 0.02
+_PARKED_RAD = 0.05
+_TOUCHED_M = 0.010
+_TOUCHED_S = 0.15
+_SWING_RAD = 0.6
+_SWUNG_RAD = 0.25
+_TIMEOUT_S = 7.0
+_STALL_S = 1.0
+_STALL_PROGRESS_M = 0.001
+_TRACKING_LIMIT_RAD = 0.12
+_GRASP_LEAST_M = 0.015
+"""Narrower than this the fingers hold nothing that exists here."""
+_FINGERS_STILL_M = 2e-5
+_FINGERS_STILL_S = 0.05
+_SETTLE_S = 0.15
+_TICK_S = 0.01
+_TICKS = round(_TIMEOUT_S / _TICK_S)
+
+
+class Moves:
+    """What one arm can be told to do next."""
+
+    def __init__(self, arm: ArmMotion) -> None:
+        """Keep the arm."""
+        self.arm = arm
+        self.scene = arm.scene
+
+    def check_reach(self, stand: Stand, what: str) -> None:
+        """Fail where the arm cannot stand; ``what`` says what for."""
+        if self.arm.solve_posture(top_down(*stand)) is None:
+            raise SkillFailure(
+                Outcome.UNREACHABLE,
+                f"{self.arm.robot.name} ({self.arm.robot.arm.name}) cannot reach the "
+                f"{what} position ({stand[0]:.3f}, {stand[1]:.3f}) at height "
+                f"{stand[2]:.2f} m.",
+            )
+
+    def grasp(self, over: Stand, low: Stand) -> Motion:
+        """Come from above, go straight down and close the fingers."""
+        self.arm.opening_m = FINGER_OPENING_M
+        yield from self.to(over, fly_by=True)
+        yield from self.lower(low)
+        self.arm.opening_m = 0.0
+        yield from self.wait_for_fingers()
+        if self.scene.opening_m(self.arm.robot) < _GRASP_LEAST_M:
+            raise SkillFailure(Outcome.MISSED_GRASP, "The fingers closed on nothing.")
+
+    def release(self, stand: Stand) -> Motion:
+        """Open the fingers and rise."""
+        self.arm.opening_m = FINGER_OPENING_M
+        yield from self.wait_for_fingers()
+        yield from self.rise(stand, stand[2] + RETREAT_M)
+
+    def wait_for_fingers(self) -> Motion:
+        """Wait until the fingers stand still, at most a second."""
+        last = self.scene.opening_m(self.arm.robot)
+        still = 0.0
+        for _ in range(100):
+            yield
+            now = self.scene.opening_m(self.arm.robot)
+            still = still + _TICK_S if abs(now - last) < _FINGERS_STILL_M else 0.0
+            last = now
+            if still >= _FINGERS_STILL_S:
+                break
+
+    def check_held(self) -> None:
+        """Fail where the fingers have nothing between them."""
+        if self.scene.opening_m(self.arm.robot) < _GRASP_LEAST_M:
+            raise SkillFailure(Outcome.DROPPED, "What was held slipped away.")
+
+    def to(
+        self, stand: Stand, *, fly_by: bool = False, contact: bool = False
+    ) -> Motion:
+        """Go to a waypoint (x, y, z, yaw) with the gripper pointing down.
+
+        Args:
+            stand: The waypoint.
+            fly_by: Near is enough: the arm does not slow down.
+            contact: What is held is put down: that it touches the support a little
+                early ends the motion well.
+        """
+        x, y, z, _ = stand
+        pose = top_down(*stand)
+        posture = self.arm.solve_posture(pose)
+        if posture is None:
+            raise SkillFailure(
+                Outcome.UNREACHABLE,
+                f"{self.arm.robot.name} cannot reach ({x:.3f}, {y:.3f}, {z:.3f}).",
+            )
+        if fly_by and abs(posture[0] - self.arm.state[0, 0]) > _SWING_RAD:
+            yield from self.swing(posture)
+        self.arm.aim(pose, posture)
+        limit = (FLY_BY_M, _FLY_BY_RAD) if fly_by else (_ARRIVED_M, _ARRIVED_RAD)
+        best, since = math.inf, 0.0
+        for _ in range(_TICKS):
+            distance, angle = _error(self.arm.tcp_pose(), pose)
+            if distance < limit[0] and angle < limit[1]:
+                return
+            self.check_tracking()
+            error = distance + 0.1 * angle
+            since = 0.0 if error < best - _STALL_PROGRESS_M else since + _TICK_S
+            best = min(best, error)
+            if contact and since > _TOUCHED_S and distance < _TOUCHED_M:
+                return
+            if since > _STALL_S:
+                yield from self.fall_back(pose)
+                return
+            yield
+        raise SkillFailure(Outcome.TIMEOUT, "A waypoint was not reached in time.")
+
+    def swing(self, posture: FloatArray) -> Motion:
+        """Turn the base towards a far waypoint first.
+
+        A straight line of the tool may pass over the arm's own base, where the arm
+        would have to fold; one in joint space keeps the gripper pointing down.
+        """
+        self.arm.follow_posture(posture)
+        for _ in range(_TICKS):
+            if float(np.abs(posture - self.arm.state[0]).max()) < _SWUNG_RAD:
+                return
+            self.check_tracking()
+            yield
+        raise SkillFailure(Outcome.TIMEOUT, "The arm could not swing in time.")
+
+    def along(self, start: Stand, end: Stand, speed_m_s: float) -> Motion:
+        """Lead the target along a straight line; the tool follows closely behind.
+
+        Left to itself RMPflow reaches a waypoint on whatever curve suits the joints.
+        Where objects stand close, or a cube is being pushed, the way matters too.
+        """
+        length = math.dist(start[:3], end[:3])
+        ticks = max(1, round(length / speed_m_s / _TICK_S))
+        turn = wrap(end[3] - start[3])
+        posture = self.arm.solve_posture(top_down(*end))
+        for i in range(1, ticks + 1):
+            t = i / ticks
+            x, y, z = (a + t * (b - a) for a, b in zip(start[:3], end[:3], strict=True))
+            self.arm.aim(top_down(x, y, z, start[3] + t * turn), posture)
+            self.check_tracking()
+            yield
+
+    def lower(self, stand: Stand, *, contact: bool = False) -> Motion:
+        """Go straight down to a waypoint and arrive there."""
+        height = float(self.arm.reference_pose()[2, 3])
+        above = _at_height(stand, max(height, stand[2]))
+        if contact:
+            # What is put down fast sinks in or bounces.
+            gently = _at_height(stand, min(above[2], stand[2] + _TOUCHDOWN_M))
+            yield from self.along(above, gently, _VERTICAL_M_S)
+            above = gently
+        speed = _TOUCHDOWN_M_S if contact else _VERTICAL_M_S
+        yield from self.along(above, stand, speed)
+        yield from self.to(stand, contact=contact)
+
+    def rise(self, stand: Stand, height_m: float) -> Motion:
+        """Go straight up from a waypoint, without stopping at the end."""
+        above = _at_height(stand, height_m)
+        yield from self.along(stand, above, _VERTICAL_M_S)
+
+    def fall_back(self, pose: FloatArray) -> Motion:
+        """Leave RMPflow: a collision-checked joint path from inverse kinematics."""
+        path = joint_path(self.arm, pose, self.arm.obstacles)
+        if path is None:
+            raise SkillFailure(
+                Outcome.COLLISION,
+                f"{self.arm.robot.name} is blocked on its way to "
+                f"({pose[0, 3]:.3f}, {pose[1, 3]:.3f}, {pose[2, 3]:.3f}).",
+            )
+        yield from self.follow(path)
+
+    def follow(self, path: FloatArray) -> Motion:
+        """Lead the reference along joint configurations, (n, 6), one per tick."""
+        for i in range(len(path)):
+            self.arm.state[0] = path[i]
+            self.arm.state[1] = 0.0
+            self.arm.hold()
+            self.check_tracking()
+            yield
+        for _ in range(round(_SETTLE_S / _TICK_S)):
+            yield
+
+    def check_tracking(self) -> None:
+        """Fail where the arm is not where its servos should have it."""
+        lag = self.scene.data.qpos[self.arm.robot.qpos] - self.arm.state[0]
+        # A servo follows within its lag; more means that something holds the arm.
+        expected = self.arm.robot.arm.lag_s * np.abs(self.arm.state[1])
+        if bool((np.abs(lag) > _TRACKING_LIMIT_RAD + expected).any()):
+            raise SkillFailure(
+                Outcome.COLLISION, f"{self.arm.robot.name} was stopped by something."
+            )
+
+    def give_up(self) -> Motion:
+        """Open the gripper where the arm is and rise, so that parking is safe."""
+        self.arm.sync()
+        self.arm.hold()
+        self.arm.opening_m = FINGER_OPENING_M
+        yield from self.wait_for_fingers()
+        pose = self.arm.tcp_pose()
+        pose[2, 3] = max(pose[2, 3], TRAVEL_HEIGHT_M)
+        self.arm.aim(pose)
+        for _ in range(100):
+            if abs(self.arm.tcp_pose()[2, 3] - pose[2, 3]) < FLY_BY_M:
+                break
+            yield
+
+    def park(self) -> Motion:
+        """Go to where the arm waits."""
+        self.arm.opening_m = FINGER_OPENING_M
+        park = self.arm.park
+        self.arm.follow_posture(park)
+        for _ in range(_TICKS):
+            q = self.scene.data.qpos[self.arm.robot.qpos]
+            if float(np.abs(q - park).max()) < _PARKED_RAD:
+                break
+            yield
+        self.arm.follow_posture(park)
+
+
+def _at_height(stand: Stand, z: float) -> Stand:
+    return (stand[0], stand[1], z, stand[3])
+
+
+def _error(pose: FloatArray, goal: FloatArray) -> tuple[float, float]:
+    """Return distance [m] and largest angle between axes [rad] of two poses."""
+    dx, dy, dz = (float(pose[i, 3] - goal[i, 3]) for i in range(3))
+    trace = sum(float(pose[i, j] * goal[i, j]) for i in range(3) for j in range(3))
+    cosine = min(1.0, max(-1.0, 0.5 * (trace - 1.0)))
+    return math.sqrt(dx * dx + dy * dy + dz * dz), math.acos(cosine)
