@@ -97,6 +97,7 @@ class ArmMotion:
             sphere_links=envelope.sphere_links,
             spheres=envelope.spheres,
             sphere_meets_table=envelope.sphere_meets_table,
+            base_radius_m=robot.arm.shoulder_radius,
         )
         self._root: Root = make_root()
         self.state: FloatArray = np.zeros((2, 6))

@@ -10,6 +10,9 @@ from lemma.motion import leaves
 
 TABLE_RANGE_M = 0.10
 """Distance from which on the table is ignored."""
+OWN_BASE_RANGE_M = 0.06
+"""Distance from which on the arm's own base is ignored."""
+_FIRST_WRIST_LINK = 4
 
 
 @njit(cache=True)
@@ -35,10 +38,27 @@ def add_collision_leaves(
         if spheres[s, 5] > 0.0 and z - radius < TABLE_RANGE_M:
             up = (0.0, 0.0, 1.0)
             _add_one(root, qd, link, centre, up, z - radius, TABLE_RANGE_M)
+        if link >= _FIRST_WRIST_LINK and root.base_radius_m > 0.0:
+            gap, away = _base_distance(root, centre)
+            if gap - radius < OWN_BASE_RANGE_M:
+                _add_one(root, qd, link, centre, away, gap - radius, OWN_BASE_RANGE_M)
         for o in range(obstacles.shape[0]):
             gap, away = capsule_distance(obstacles[o], centre)
             if gap - radius < obstacles[o, 7]:
                 _add_one(root, qd, link, centre, away, gap - radius, obstacles[o, 7])
+
+
+@njit(cache=True)
+def _base_distance(
+    root: np.record, point: tuple[float, float, float]
+) -> tuple[float, tuple[float, float, float]]:
+    """Return how far a point is from the arm's own base [m], and the way from it."""
+    column = np.empty(7)
+    for i in range(3):
+        column[i] = root.frames[0, i, 3]
+        column[3 + i] = root.frames[1, i, 3]
+    column[6] = root.base_radius_m
+    return capsule_distance(column, point)
 
 
 @njit(cache=True)

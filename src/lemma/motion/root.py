@@ -29,6 +29,8 @@ class ArmModel(NamedTuple):
     """Centre in that frame and radius, (n, 4) [m]."""
     sphere_meets_table: FloatArray
     """1 where the table is an obstacle for the sphere, (n,)."""
+    base_radius_m: float = 0.0
+    """Radius of the arm's own base, which wrist and gripper keep clear of [m]."""
 
 
 class Goal(NamedTuple):
@@ -84,6 +86,7 @@ _RECORD = np.dtype(
         ("dh", np.float64, 6),
         ("world_from_base", np.float64, (4, 4)),
         ("tcp_offset_m", np.float64),
+        ("base_radius_m", np.float64),
         ("lower", np.float64, 6),
         ("upper", np.float64, 6),
         ("velocity_limits", np.float64, 6),
@@ -128,6 +131,7 @@ class Root:
             for name in ("dh", "world_from_base", "lower", "upper", "velocity_limits"):
                 row[name] = getattr(arm, name)
             row["tcp_offset_m"] = arm.tcp_offset_m
+            row["base_radius_m"] = arm.base_radius_m
             self.spheres = np.column_stack(
                 [arm.spheres, arm.sphere_links, arm.sphere_meets_table]
             )
