@@ -43,7 +43,7 @@ def caption(
     room = width - 3 * edge - small.getlength(clock)
     small = font(fitting_size(text, 0.21 * height, room))
     draw.text((edge, low), text, fill=ink[:3], font=small, anchor="lm")
-    share = min(1.0, time_s / recording.elapsed_s)
+    share = time_s / max(recording.elapsed_s, time_s, 1e-9)
     bar = max(2, height // 18)
     draw.rectangle((0, height - bar, share * width, height), fill=GOOD[:3])
     return strip

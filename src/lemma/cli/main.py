@@ -56,4 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # Whoever read our output has seen enough; closing it must not fail as well.
         sys.stderr.close()
         code = 0
+    except OSError as error:
+        # A folder that cannot be written to, a file where a folder should be.
+        complain(str(error))
+        code = BAD_INPUT
     raise SystemExit(code)

@@ -1,0 +1,65 @@
+import json
+
+import pytest
+
+from lemma.cli.main import main
+from lemma.cli.measure import Trial, expert_figures, peak_memory_mb, run_trials
+
+SPEED = {
+    *("realtime_factor", "camera_fps", "map_ms"),
+    *("reset_state_ms", "reset_images_ms", "peak_mb"),
+}
+EXPERT = {
+    *("episodes", "success_rate", "raw_success_rate"),
+    *("mean_sim_s", "max_sim_s", "rejection_rate"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.render
+def test_bench_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "bench stack --expert --episodes 1 --workers 1 --json"
+    with pytest.raises(SystemExit) as end:
+        main(words.split())
+    assert end.value.code == 0
+    report = json.loads(capsys.readouterr().out)
+    assert set(report) == {"machine", "speed", "expert"}
+    assert set(report["speed"]) == SPEED
+    assert all(value > 0 for value in report["speed"].values())
+    assert report["speed"]["peak_mb"] > 50
+    assert set(report["expert"]) == {"stack"}
+    assert set(report["expert"]["stack"]) == EXPERT
+    assert report["expert"]["stack"]["episodes"] == 1
+    assert report["machine"]["cores"] >= 1
+
+
+def test_figures_keep_frozen_and_fresh_apart() -> None:
+    trials = [
+        Trial("stack", False, True, 10.0, 0),
+        Trial("stack", False, True, 20.0, 0),
+        Trial("stack", True, True, 99.0, 0),
+        Trial("stack", True, False, 99.0, 3),
+    ]
+    figures = expert_figures(trials)["stack"]
+    assert figures.episodes == 2
+    assert figures.success_rate == 1.0
+    assert figures.raw_success_rate == 0.5
+    assert figures.mean_sim_s == 15.0
+    assert figures.max_sim_s == 20.0
+    # Five tables were set for two fresh instances, and three were refused.
+    assert figures.rejection_rate == pytest.approx(3 / 5)
+
+
+@pytest.mark.slow
+def test_trials_are_the_same_in_several_processes() -> None:
+    alone = list(run_trials(["pass"], 2, workers=1))
+    assert list(run_trials(["pass"], 2, workers=2)) == alone
+    assert [trial.fresh for trial in alone] == [False, False, True, True]
+
+
+def test_peak_memory_grows_with_what_is_kept() -> None:
+    before = peak_memory_mb()
+    kept = bytearray(60_000_000)
+    kept[::4096] = b"x" * len(kept[::4096])
+    assert peak_memory_mb() >= before
+    assert peak_memory_mb() > 60

@@ -1,0 +1,149 @@
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from lemma.cli.caption import caption
+from lemma.cli.main import main
+from lemma.cli.page import Illustration, jpeg, write_page
+from lemma.cli.recording import Recording, record
+from lemma.cli.video import VideoStyle
+from lemma.tasks.suite import load_instance
+
+
+def run(*words: object) -> int | str | None:
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    return end.value.code
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return record(load_instance("stack", "test", 0), frame_s=0.5)
+
+
+def test_recording_says_what_was_done(recording: Recording) -> None:
+    assert recording.success
+    assert recording.failure is None
+    assert [step.subtask.primitive for step in recording.steps] == ["move", "move"]
+    first, second = recording.steps
+    assert second.start_s == pytest.approx(first.start_s + first.duration_s)
+    assert recording.elapsed_s == pytest.approx(second.start_s + second.duration_s)
+    assert first.words.endswith("to the shared space")
+    assert re.fullmatch(r"(left |right )?(red|white) UR(5|10)", first.robot)
+
+
+def test_recording_has_frames_at_equal_times(recording: Recording) -> None:
+    times = [time_s for time_s, _ in recording.frames]
+    assert times == pytest.approx([0.5 * i for i in range(len(times))], abs=0.006)
+    assert recording.elapsed_s - times[-1] < 0.51
+
+
+def test_recording_without_frames() -> None:
+    assert record(load_instance("stack", "test", 0), horizon_s=0.5).frames == ()
+
+
+def test_out_of_time_is_a_failure() -> None:
+    done = record(load_instance("stack", "test", 0), horizon_s=2.0)
+    assert not done.success
+    assert done.failure == "out_of_time"
+    assert done.to_dict()["subtasks"][0]["outcome"] == "out_of_time"
+
+
+def test_caption_follows_the_episode(recording: Recording) -> None:
+    size = (704, 72)
+    first, second = (
+        np.asarray(caption(recording, step.start_s + 0.1, size))
+        for step in recording.steps
+    )
+    end = np.asarray(caption(recording, recording.elapsed_s, size, ended=True))
+    assert first.shape == (72, 704, 3)
+    assert (first != second).any()
+    assert (second != end).any()
+    # The bar at the bottom is as long as the part that is over.
+    for strip, share in ((first, 0.1 / recording.elapsed_s), (end, 1.0)):
+        bar = (strip[-1] == strip[-1, 0]).all(axis=-1).mean()
+        assert bar == pytest.approx(share, abs=0.01)
+
+
+def test_caption_of_an_episode_in_which_nothing_was_done(recording: Recording) -> None:
+    idle = replace(recording, steps=(), elapsed_s=0.0, success=False)
+    assert caption(idle, 0.0, (704, 72), ended=True).size == (704, 72)
+
+
+def test_page_shows_failures(recording: Recording, tmp_path: Path) -> None:
+    (tmp_path / "stack.mp4").write_bytes(b"video")
+    picture = jpeg(Image.new("RGB", (8, 8)))
+    failed = replace(recording, success=False, failure="<dropped>")
+    page = tmp_path / "index.html"
+    seen = Illustration(tmp_path / "stack.mp4", picture, picture)
+    write_page(page, [recording, failed], [seen, seen], speed=3)
+    text = page.read_text()
+    assert "solved 1 of 2 instances" in text
+    assert text.count("failed: &lt;dropped&gt;") == 2
+    assert "<dropped>" not in text
+    assert "data:video/mp4;base64,dmlkZW8=" in text
+
+
+def test_demo_without_video(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("demo", "stack", "--robots", "ur10,ur5", "--no-video", "--json") == 0
+    captured = capsys.readouterr()
+    (result,) = json.loads(captured.out)
+    assert result["team"] == "ur5+ur10"
+    assert result["success"] is True
+    assert len(result["subtasks"]) == 2
+    said = [float(s) for s in re.findall(r"success +([\d.]+) s\n", captured.err)]
+    durations = [subtask["duration_s"] for subtask in result["subtasks"]]
+    assert said == pytest.approx(durations, abs=0.051)
+    for subtask in result["subtasks"]:
+        assert subtask["outcome"] == "success"
+        assert f"{subtask['pick']} → {subtask['place']}" in captured.err
+
+
+def test_demo_fails_if_the_expert_does(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("lemma.expert.expert.find_plan", lambda *_, **__: None)
+    assert run("demo", "stack", "--no-video", "--json") == 1
+    (result,) = json.loads(capsys.readouterr().out)
+    assert result["success"] is False
+    assert result["failure"] == "goal_not_reached"
+    assert result["subtasks"] == []
+
+
+@pytest.mark.slow
+@pytest.mark.render
+def test_demo_with_video(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("demo", "stack", "--seed", 0, "--out", tmp_path) == 0
+    assert str(tmp_path / "index.html") in capsys.readouterr().out
+    style = VideoStyle()
+    with av.open(str(tmp_path / "stack.mp4")) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.codec_context.pix_fmt == "yuv420p"
+        assert stream.average_rate == style.frames_per_s
+        frames = [
+            frame.to_ndarray(format="rgb24") for frame in container.decode(stream)
+        ]
+    done = record(load_instance("stack", "free", 0))
+    expected = done.elapsed_s / style.frame_s + style.last_s * style.frames_per_s
+    assert abs(len(frames) - expected) <= 3
+    height = style.height_px + style.caption_px
+    assert frames[0].shape == (height, style.width_px, 3)
+    # Something moves in the picture, and the caption changes below it.
+    change = abs(frames[0].astype(int) - frames[len(frames) // 2])
+    assert change[: style.height_px].max() > 100
+    assert change[style.height_px :].max() > 100
+    page = (tmp_path / "index.html").read_text()
+    assert len(page) < 3_000_000
+    assert done.instance.instructions["high_level"] in page
+    assert not re.search(r"https?://", page)
+    sources = re.findall(r'(?:src|href|poster)="([^"]{0,20})', page)
+    assert len(sources) >= 5
+    assert all(source.startswith(("data:", "#")) for source in sources)
+    assert not re.search(r"\$[a-z]", page)

@@ -1,0 +1,65 @@
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+from lemma.cli import checks
+from lemma.cli.main import main
+from lemma.core.errors import RenderingError
+
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+DEPENDENCIES = [Requirement(text) for text in PROJECT["project"]["dependencies"]]
+
+
+def run(*words: str) -> int | str | None:
+    with pytest.raises(SystemExit) as end:
+        main(list(words))
+    return end.value.code
+
+
+@pytest.mark.render
+def test_doctor_is_content_here(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("doctor", "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["ok"] is True
+    names = [check["name"] for check in report["checks"]]
+    assert len(set(names)) == len(names)
+    assert {"python", "mujoco", "rendering", "physics and expert"} <= set(names)
+    assert [c["name"] for c in report["checks"] if c["essential"] and not c["ok"]] == []
+
+
+def test_doctor_says_what_is_wrong(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def nothing_renders() -> None:
+        raise RenderingError("No OpenGL here. Install [libegl1].")
+
+    monkeypatch.setattr(checks, "choose_backend", nothing_renders)
+    assert run("doctor") == 1
+    text = capsys.readouterr().out
+    assert "FAILED" in text
+    assert "Install [libegl1]" in text
+
+
+def test_what_is_not_essential_does_not_fail(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = [
+        checks.Check("python", True, "3.11"),
+        checks.Check("encoder", False, "missing", "install it", essential=False),
+    ]
+    monkeypatch.setattr("lemma.cli.doctor.run_checks", lambda: found)
+    assert run("doctor") == 0
+    assert "install it" in capsys.readouterr().out
+
+
+def test_versions_are_those_of_the_project() -> None:
+    needed = {requirement.name for requirement in DEPENDENCIES}
+    assert needed == {"mujoco", *checks.PACKAGES}
+    engine = next(r for r in DEPENDENCIES if r.name == "mujoco")
+    assert engine.specifier.contains(f"{checks.ENGINE}.0")
+    pythons = PROJECT["project"]["requires-python"]
+    (low, end) = (".".join(map(str, version)) for version in checks.PYTHONS)
+    assert pythons == f">={low},<{end}"

@@ -1,0 +1,37 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lemma.cli.main import main
+from lemma.cli.sheet import SHEET_HEIGHT_PX, SHEET_WIDTH_PX, depth_picture
+
+
+@pytest.mark.render
+def test_show_writes_one_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "new" / "hook.png"
+    with pytest.raises(SystemExit) as end:
+        main(["show", "hook", "--index", "3", "--out", str(path)])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    assert str(path) in text
+    assert "high_level" in text
+    with Image.open(path) as picture:
+        assert picture.format == "PNG"
+        assert picture.size == (SHEET_WIDTH_PX, SHEET_HEIGHT_PX)
+        pixels = np.asarray(picture).reshape(-1, 3)
+    # Cameras, depth and map bring many colours; a blank sheet would have few.
+    assert len(np.unique(pixels, axis=0)) > 2000
+
+
+def test_near_is_bright_and_nothing_is_black() -> None:
+    depth = np.full((48, 64), 2.0, np.float32)
+    depth[:24] = 1.0
+    depth[:, :8] = 0.0
+    picture = np.asarray(depth_picture(depth, 1.0, 2.0)).astype(int)
+    near, far = picture[10, 40].sum(), picture[36, 40].sum()
+    assert near > 2 * far > 0
+    assert picture[10, 2].sum() == 0

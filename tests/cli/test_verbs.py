@@ -1,0 +1,109 @@
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from lemma.cli import main as command
+from lemma.cli.main import VERBS, main
+from lemma.tasks.suite import SUITE
+
+
+def run(*words: object) -> int | str | None:
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    return end.value.code
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_says_what_a_verb_does(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(verb, "--help") == 0
+    text = capsys.readouterr().out
+    assert f"usage: lemma {verb}" in text
+    sentence = re.search(r"^[A-Z][^\n]+\.$", text, re.MULTILINE)
+    assert sentence is not None
+    assert "None" not in text
+
+
+def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--help") == 0
+    text = capsys.readouterr().out
+    assert all(f"• {verb}" in text for verb in VERBS)
+
+
+def test_tasks_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("tasks", "--json") == 0
+    records = json.loads(capsys.readouterr().out)
+    assert [record["task"] for record in records] == list(SUITE)
+    by_name = {record["task"]: record for record in records}
+    assert by_name["hook_stack"]["stick"] is True
+    assert by_name["hook_stack"]["subtasks"] == 7
+    assert by_name["pass"]["stick"] is False
+    for record in records:
+        few, many = record["distractors"]
+        assert record["objects"][1] - record["objects"][0] == many - few
+        assert record["gym_id"].startswith("lemma/")
+        assert "{" in record["high_level"]
+
+
+def test_tasks_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("tasks") == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in SUITE)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["demo", "stak"], "Did you mean 'stack'?"),
+        (["show", "stak"], "Valid: pass, pass2"),
+        (["bench", "stak"], "Unknown task 'stak'"),
+        (["show", "stack", "--index", "60"], "0 to 59"),
+        (["show", "stack", "--index", "-1"], "out of range"),
+        (["show", "stack", "--split", "tset"], "Did you mean 'test'?"),
+        (["demo", "stack", "--robots", "ur5,ur1"], "Valid: ur5, ur10"),
+        (["demo", "stack", "--robots", "ur5"], "a team has two"),
+        (["demo", "stack", "--seed", "-3"], "0 or more"),
+        (["demo", "stack", "--seed", "3", "--index", "3"], "either"),
+        (["bench", "stack", "--episodes", "0"], "from 1 to 60"),
+        (["bench", "stack", "--workers", "0"], "--workers from 1"),
+    ],
+)
+def test_bad_input_is_explained(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert message in captured.err
+    assert "Traceback" not in captured.err
+    assert captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "words", [["swim"], ["show"], ["show", "stack", "--index", "three"]]
+)
+def test_arguments_that_cannot_be_parsed(words: list[str]) -> None:
+    assert run(*words) == 2
+
+
+def test_a_file_where_a_folder_should_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "taken").write_text("")
+    out = tmp_path / "taken" / "demo"
+    assert run("demo", "stack", "--seed", 0, "--out", out) == 2
+    assert "taken" in capsys.readouterr().err
+
+
+def test_an_incomplete_installation_is_explained(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(name: str) -> None:
+        raise ModuleNotFoundError("No module named 'numba'", name="numba")
+
+    monkeypatch.setattr(command, "import_module", fail)
+    assert run("tasks") == 2
+    assert "pip install" in capsys.readouterr().err
