@@ -41,7 +41,7 @@ class VideoStyle:
     """Height of the caption [px]."""
     frames_per_s: int = 25
     """Frames per second of the video."""
-    speed: int = 3
+    speed: int = 4
     """Simulated seconds per second of the video; the caption says it."""
     last_s: float = 1.2
     """How long the last picture stays [s]."""
