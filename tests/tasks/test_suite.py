@@ -1,0 +1,279 @@
+"""The frozen lists: complete, unspoilt, reproducible, and as varied as promised."""
+
+import gzip
+import hashlib
+import json
+from collections import Counter
+from functools import cache
+from importlib.resources import files
+
+import pytest
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.seeding import stream
+from lemma.scene.palette import OBJECT_COLOURS
+from lemma.scene.spec import ROBOT_COLOURS, STICK
+from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.language import KINDS, parse, words
+from lemma.tasks.sampling import TEAMS, sample
+from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance, task_named
+from lemma.tasks.task import TASKS
+
+FROZEN = files("lemma.tasks") / "frozen"
+LISTS = [(task, split) for task in SUITE for split in SPLITS]
+TEAM_TYPES = {"ur5+ur5", "ur5+ur10", "ur10+ur10"}
+TOOL_TASKS = ("poke", "poke_stack", "hook", "hook_stack")
+# What the goal and the tool need, and the most objects that the paper names.
+OBJECTS = {
+    "pass": (2, 6),
+    "pass2": (4, 8),
+    "stack": (2, 5),
+    "stack2": (4, 6),
+    "poke": (3, 6),
+    "poke_stack": (3, 5),
+    "hook": (3, 5),
+    "hook_stack": (3, 6),
+}
+
+
+@cache
+def text(task: str, split: str) -> bytes:
+    return gzip.decompress((FROZEN / f"{task}-{split}.jsonl.gz").read_bytes())
+
+
+@cache
+def instances(task: str, split: str) -> tuple[Instance, ...]:
+    lines = text(task, split).decode().splitlines()
+    return tuple(Instance.from_dict(json.loads(line)) for line in lines)
+
+
+def manifest() -> dict[str, dict[str, int | str]]:
+    entries: dict[str, dict[str, int | str]] = json.loads(
+        (FROZEN / "manifest.json").read_text()
+    )
+    return entries
+
+
+# --- The suite ---------------------------------------------------------------------
+
+
+def test_the_eight_tasks_are_registered_first_and_in_order() -> None:
+    assert len(SUITE) == 8
+    assert tuple(TASKS)[:8] == SUITE
+    for name in SUITE:
+        assert task_named(name).name == name
+        assert task_named(name) is TASKS[name]
+
+
+@pytest.mark.parametrize(
+    ("task", "subtasks"),
+    list(zip(SUITE, (2, 4, 2, 4, 3, 5, 4, 7), strict=True)),
+)
+def test_sub_tasks_are_those_of_the_paper(task: str, subtasks: int) -> None:
+    assert task_named(task).subtasks == subtasks
+
+
+def test_gymnasium_names() -> None:
+    assert task_named("poke_stack").gym_id == "lemma/PokeStack-v0"
+    assert task_named("stack2").gym_id == "lemma/Stack2-v0"
+    assert len({task_named(task).gym_id for task in SUITE}) == 8
+
+
+def test_an_unknown_task_is_answered() -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'stack'"):
+        task_named("stak")
+    with pytest.raises(UnknownNameError, match="Valid: pass, pass2, stack"):
+        load_instance("juggle", "test", 0)
+
+
+def test_an_unknown_split_is_answered() -> None:
+    with pytest.raises(UnknownNameError, match="Valid: train, val, test, free"):
+        load_instance("stack", "tests", 0)
+
+
+@pytest.mark.parametrize("index", [-1, 60, 1000])
+def test_an_index_out_of_range_is_answered(index: int) -> None:
+    with pytest.raises(InvalidConfigError, match="60 instances per task, 0 to 59"):
+        load_instance("stack", "test", index)
+
+
+# --- The lists ---------------------------------------------------------------------
+
+
+def test_splits_are_those_of_the_paper() -> None:
+    assert SPLITS == {"train": 700, "val": 40, "test": 60}
+    assert set(manifest()) == {f"{task}-{split}" for task, split in LISTS}
+
+
+@pytest.mark.parametrize(("task", "split"), LISTS)
+def test_a_list_is_the_one_that_the_manifest_names(task: str, split: str) -> None:
+    entry = manifest()[f"{task}-{split}"]
+    assert hashlib.sha256(text(task, split)).hexdigest() == entry["sha256"]
+    assert entry["instances"] == SPLITS[split]
+    assert int(entry["rejected_by_sampler"]) >= 0
+    # At least 97 % of what is sampled, the expert solves.
+    refused = int(entry["refused_by_expert"])
+    assert refused <= 0.03 * (SPLITS[split] + refused)
+
+
+@pytest.mark.parametrize(("task", "split"), LISTS)
+def test_every_line_is_an_instance(task: str, split: str) -> None:
+    found = instances(task, split)
+    assert len(found) == SPLITS[split]
+    lines = text(task, split).decode().splitlines()
+    for index, (line, instance) in enumerate(zip(lines, found, strict=True)):
+        assert instance.key == f"v1/{task}/{split}/{index}"
+        assert instance.to_dict() == json.loads(line)
+        assert Instance.from_dict(instance.to_dict()) == instance
+        assert instance.sha256() == hashlib.sha256(line.encode()).hexdigest()
+    assert found[-1] == load_instance(task, split, len(found) - 1)
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_no_two_instances_are_the_same_table(task: str) -> None:
+    scenes = [i.scene for split in SPLITS for i in instances(task, split)]
+    assert len(set(scenes)) == len(scenes) == sum(SPLITS.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", SUITE)
+def test_sampling_again_gives_the_frozen_instances(task: str) -> None:
+    """Five of each task; an earlier attempt may have been refused by the expert."""
+    record = task_named(task)
+    rng = stream("test", "resample", task)
+    for _ in range(5):
+        split = tuple(SPLITS)[int(rng.integers(len(SPLITS)))]
+        frozen = instances(task, split)[int(rng.integers(SPLITS[split]))]
+        attempts = (
+            sample(record, split, frozen.index, attempt=k).instance for k in range(3)
+        )
+        assert frozen in attempts
+
+
+def test_a_refused_draw_is_followed_by_the_next() -> None:
+    """Of the same team, so that what is hard for it does not make it rarer."""
+    record = task_named("hook")
+    first = (
+        (frozen, sample(record, "train", frozen.index).instance)
+        for frozen in instances("hook", "train")
+    )
+    frozen, refused = next((f, r) for f, r in first if f != r)
+    assert sample(record, "train", frozen.index, attempt=1).instance == frozen
+    arms = [[robot.arm for robot in i.scene.robots] for i in (frozen, refused)]
+    assert arms[0] == arms[1]
+    assert len(frozen.distractors) == len(refused.distractors)
+
+
+# --- What the test split contains --------------------------------------------------
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_every_team_robot_colour_and_number_of_distractors_occurs(task: str) -> None:
+    found = instances(task, "test")
+    assert {instance.team for instance in found} == TEAM_TYPES
+    pairs = {tuple(r.arm for r in i.scene.robots) for i in found}
+    assert pairs == {pair for team in TEAMS for pair in (team, team[::-1])}
+    for which in (0, 1):
+        colours = {instance.scene.robots[which].colour for instance in found}
+        assert colours == set(ROBOT_COLOURS)
+    counts = {len(instance.distractors) for instance in found}
+    assert counts >= {0, 1}
+    assert max(counts) >= 2
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_objects_are_as_many_and_of_the_kinds_that_the_task_says(task: str) -> None:
+    least, most = OBJECTS[task]
+    counts = set()
+    for instance in instances(task, "test"):
+        names = instance.scene.object_names
+        counts.add(len(names))
+        assert (STICK in names) == (task in TOOL_TASKS)
+        needed = {*instance.goal.entities, *([STICK] if STICK in names else [])}
+        assert needed.isdisjoint(instance.distractors)
+        assert needed.union(instance.distractors) == set(names)
+        assert len(set(names)) == len(names)
+    assert (min(counts), max(counts)) == (least, most)
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_goals_are_of_the_form_of_the_task(task: str) -> None:
+    bottoms = "pad" if task in ("pass", "pass2", "poke", "hook") else "cube"
+    for instance in instances(task, "test"):
+        pairs = instance.goal.pairs
+        assert len(pairs) == (2 if task.endswith("2") else 1)
+        assert all(bottom.endswith(f"_{bottoms}") for _, bottom in pairs)
+        assert len(instance.goal.entities) == 2 * len(pairs)
+
+
+@pytest.mark.parametrize(("task", "split"), LISTS)
+def test_instructions_ask_for_the_goal_and_name_no_distractor(
+    task: str, split: str
+) -> None:
+    for instance in instances(task, split)[:: 1 if split == "test" else 7]:
+        assert set(instance.instructions) == set(KINDS)
+        for sentence in instance.instructions.values():
+            assert parse(sentence) == frozenset(instance.goal.pairs)
+            said = f" {' '.join(words(sentence))} "
+            for name in instance.distractors:
+                assert f" {name.replace('_', ' ')} " not in said
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_one_instruction_may_mean_different_roles(task: str) -> None:
+    """Who must do what cannot be told from the words: either robot may begin."""
+    roles: dict[str, set[bool]] = {}
+    for instance in instances(task, "train"):
+        first = instance.goal.entities[0]
+        left = instance.scene.placement(first).pose.x < 0.0
+        roles.setdefault(instance.instructions["high_level"], set()).add(left)
+    assert any(len(sides) == 2 for sides in roles.values())
+
+
+# --- Balance, over the 700 of the training split -----------------------------------
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_colours_are_balanced(task: str) -> None:
+    counts: Counter[tuple[str, str]] = Counter()
+    for instance in instances(task, "train"):
+        for name in instance.goal.entities:
+            colour, kind = name.rsplit("_", 1)
+            counts[colour, kind] += 1
+    for kind in {kind for _, kind in counts}:
+        each = [counts[colour, kind] for colour in OBJECT_COLOURS]
+        # Five standard deviations of a fair draw at most.
+        fair = sum(each) / len(each)
+        assert max(abs(count - fair) for count in each) < 5.0 * fair**0.5
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_teams_and_their_order_are_balanced(task: str) -> None:
+    found = instances(task, "train")
+    teams = Counter(instance.team for instance in found)
+    fair = len(found) / 3
+    assert max(abs(teams[team] - fair) for team in TEAM_TYPES) < 5.0 * fair**0.5
+    mixed = Counter(i.scene.robots[0].arm for i in found if i.team == "ur5+ur10")
+    assert max(abs(n - fair / 2) for n in mixed.values()) < 5.0 * (fair / 2) ** 0.5
+    for which in (0, 1):
+        colours = Counter(i.scene.robots[which].colour for i in found)
+        assert abs(colours["red"] - colours["white"]) < 5.0 * len(found) ** 0.5
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_either_robot_begins_equally_often(task: str) -> None:
+    found = instances(task, "train")
+    left = sum(i.scene.placement(i.goal.entities[0]).pose.x < 0.0 for i in found)
+    assert abs(2 * left - len(found)) < 5.0 * len(found) ** 0.5
+
+
+# --- The free split ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_a_free_instance_does_not_depend_on_what_was_sampled_before(task: str) -> None:
+    seeds = (3, 0)
+    first = [load_instance(task, FREE_SPLIT, seed) for seed in seeds]
+    assert load_instance(task, FREE_SPLIT, 3) == first[0]
+    assert first[0].scene != first[1].scene
+    assert [i.key for i in first] == [f"v1/{task}/free/{seed}" for seed in seeds]
