@@ -1,0 +1,274 @@
+"""Sampled tables: nothing overlaps, all is seen, reach has one answer."""
+
+import math
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+
+from lemma.core.errors import SamplingError
+from lemma.core.poses import Pose2
+from lemma.robots.envelope import sweep_radius_m
+from lemma.robots.reach import GRASP_HEIGHT_M, TRAVEL_HEIGHT_M, can_hold, reach_of
+from lemma.scene.cameras import Camera, CameraIntrinsics
+from lemma.scene.compose import TABLE_HALF_X_M, TABLE_HALF_Y_M
+from lemma.scene.layout import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX, camera_mount
+from lemma.scene.objects import (
+    CUBE_EDGE_M,
+    HANDLE_LENGTH_M,
+    HOOK_LENGTH_M,
+    PAD_RADIUS_M,
+    STICK_SECTION_M,
+)
+from lemma.scene.spec import STICK, ObjectPlacement
+from lemma.tasks.board import Board, PlacementError
+from lemma.tasks.goal import Goal
+from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.sampling import TEAMS, sample
+from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.tasks.task import Task
+from lemma.tasks.tool_use import grasp_on_stick
+
+TEST = range(SPLITS["test"])
+Box = tuple[Pose2, float, float]
+"""Centre and half sizes of a rectangle on the table."""
+
+
+def of_test_split(task: str) -> list[Instance]:
+    return [load_instance(task, "test", index) for index in TEST]
+
+
+# --- Nothing overlaps --------------------------------------------------------------
+
+
+def boxes(placed: ObjectPlacement) -> list[Box]:
+    """What a cube or the stick covers."""
+    half = STICK_SECTION_M / 2
+    if placed.kind == "cube":
+        return [(placed.pose, CUBE_EDGE_M / 2, CUBE_EDGE_M / 2)]
+    hook_u, hook_v = HANDLE_LENGTH_M - half, HOOK_LENGTH_M / 2 - half
+    return [
+        (placed.pose @ Pose2(HANDLE_LENGTH_M / 2, 0.0), HANDLE_LENGTH_M / 2, half),
+        (placed.pose @ Pose2(hook_u, hook_v), half, HOOK_LENGTH_M / 2),
+    ]
+
+
+def outline(placed: ObjectPlacement) -> list[tuple[float, float]]:
+    """Points on an object's rim, a few millimetres apart."""
+    if placed.kind == "pad":
+        turns = (math.tau * k / 64 for k in range(64))
+        rim = (
+            Pose2(PAD_RADIUS_M * math.cos(a), PAD_RADIUS_M * math.sin(a)) for a in turns
+        )
+        return [(placed.pose @ point).xy for point in rim]
+    points = []
+    for centre, half_u, half_v in boxes(placed):
+        for u in np.linspace(-half_u, half_u, 41):
+            points += [(centre @ Pose2(float(u), s * half_v)).xy for s in (-1, 1)]
+        for v in np.linspace(-half_v, half_v, 41):
+            points += [(centre @ Pose2(s * half_u, float(v))).xy for s in (-1, 1)]
+    return points
+
+
+def gap(a: ObjectPlacement, b: ObjectPlacement) -> float:
+    """The least distance between two rims [m]; they are never one in the other."""
+    first, second = np.array(outline(a)), np.array(outline(b))
+    between = first[:, None] - second[None]
+    return float(np.hypot(between[..., 0], between[..., 1]).min())
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_nothing_overlaps(task: str) -> None:
+    for instance in of_test_split(task):
+        for a, b in combinations(instance.scene.objects, 2):
+            assert a.pose.distance(b.pose) > 0.05 or STICK in (a.name, b.name)
+            # Fingers, 16 mm thick, fit between a cube and what is next to it.
+            assert gap(a, b) > (0.015 if "cube" in (a.kind, b.kind) else 0.005)
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_everything_lies_on_the_table_and_clear_of_the_robots(task: str) -> None:
+    for instance in of_test_split(task):
+        for placed in instance.scene.objects:
+            rim = outline(placed)
+            assert max(abs(x) for x, _ in rim) < TABLE_HALF_X_M
+            assert max(abs(y) for _, y in rim) < TABLE_HALF_Y_M
+            for robot in instance.scene.robots:
+                near = min(math.dist(point, robot.base.xy) for point in rim)
+                assert near > sweep_radius_m(robot.arm)
+
+
+# --- Everything is seen ------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_some_camera_sees_every_object(task: str) -> None:
+    for instance in of_test_split(task):
+        cameras = []
+        for robot in instance.scene.robots:
+            mount, fovy = camera_mount(robot)
+            lens = CameraIntrinsics.from_fovy(fovy, CAMERA_WIDTH_PX, CAMERA_HEIGHT_PX)
+            cameras.append(Camera("camera", mount, lens))
+        for placed in instance.scene.objects:
+            # Of the stick, where it is grasped.
+            is_stick = placed.name == STICK
+            at = grasp_on_stick(placed.pose) if is_stick else placed.pose
+            pixels = [camera.project([[at.x, at.y, 0.0]])[0][0] for camera in cameras]
+            assert any(
+                0 <= u < CAMERA_WIDTH_PX and 0 <= v < CAMERA_HEIGHT_PX
+                for u, v in pixels
+            ), f"{instance.key} {placed.name}"
+
+
+# --- Who reaches what has one answer -----------------------------------------------
+
+
+def handle(instance: Instance, name: str) -> Pose2:
+    """Where an object is grasped."""
+    pose = instance.scene.placement(name).pose
+    return grasp_on_stick(pose) if name == STICK else pose
+
+
+def able(instance: Instance, name: str) -> list[int]:
+    """Which robots reach an object; fails where that is ambiguous."""
+    at = handle(instance, name)
+    found = []
+    for which, robot in enumerate(instance.scene.robots):
+        reach = reach_of(robot.arm)
+        if reach.margin(robot.base, at.x, at.y) >= 0.03:
+            found.append(which)
+        else:
+            excess = reach.excess(robot.base, at.x, at.y)
+            assert excess >= 0.025, f"{instance.key}: {name} is at an edge of reach"
+    return found
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_reach_is_unambiguous(task: str) -> None:
+    for instance in of_test_split(task):
+        for name in instance.scene.object_names:
+            able(instance, name)
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_kinematics_agree_about_who_reaches_what(task: str) -> None:
+    """The ring that stands for reach is what inverse kinematics says, in 80 cases."""
+    for instance in of_test_split(task)[:10]:
+        for name in instance.goal.entities:
+            x, y = handle(instance, name).xy
+            for which, robot in enumerate(instance.scene.robots):
+                low = can_hold(robot.arm, robot.base, x, y, GRASP_HEIGHT_M)
+                high = can_hold(robot.arm, robot.base, x, y, TRAVEL_HEIGHT_M)
+                assert (low and high) == (which in able(instance, name))
+                assert low == high
+
+
+@pytest.mark.parametrize("task", ["pass", "stack"])
+def test_two_robots_are_needed_for_what_each_alone_reaches(task: str) -> None:
+    for instance in of_test_split(task):
+        (top, bottom), *_ = instance.goal.pairs
+        owners = [able(instance, name) for name in (top, bottom)]
+        assert sorted(owners) == [[0], [1]]
+
+
+@pytest.mark.parametrize("task", ["pass2", "stack2"])
+def test_both_directions_occur(task: str) -> None:
+    for instance in of_test_split(task):
+        tops = [able(instance, top) for top, _ in instance.goal.pairs]
+        bottoms = [able(instance, bottom) for _, bottom in instance.goal.pairs]
+        assert sorted(tops) == sorted(bottoms) == [[0], [1]]
+        assert tops == bottoms[::-1]
+
+
+@pytest.mark.parametrize("task", ["poke", "poke_stack", "hook", "hook_stack"])
+def test_nobody_reaches_the_cubes_of_tool_tasks(task: str) -> None:
+    for instance in of_test_split(task):
+        for name in instance.goal.entities:
+            if name.endswith("_cube"):
+                assert able(instance, name) == []
+            else:
+                assert len(able(instance, name)) == 1
+        assert len(able(instance, STICK)) == 1
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_robots_face_each_other_and_share_a_region_or_leave_a_gap(task: str) -> None:
+    shared = set()
+    for instance in of_test_split(task):
+        left, right = instance.scene.robots
+        assert left.base.x < 0.0 < right.base.x
+        assert abs(left.base.y - right.base.y) <= 0.1001
+        assert abs(left.base.yaw) <= 0.1001
+        assert abs(right.base.yaw - math.pi) <= 0.1001
+        reaches = [reach_of(robot.arm) for robot in (left, right)]
+        apart = right.base.x - left.base.x
+        width = sum(reach.travel_m for reach in reaches) - apart
+        shared.add(width > 0.0)
+        if width > 0.0:
+            assert 0.20 <= width <= 0.40
+        else:
+            # Apart even where they only touch the table.
+            assert apart > sum(reach.grasp_m for reach in reaches) + 0.05
+    # Only a poke bridges a gap.
+    assert shared == {True} or task in ("poke", "poke_stack")
+
+
+# --- The sampler -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", ["pass2", "stack", "hook"])
+def test_a_draw_is_a_function_of_its_key(task: str) -> None:
+    record = task_named(task)
+    first = sample(record, "free", 5)
+    for other in (
+        sample(record, "free", 6),
+        sample(record, "train", 5),
+        sample(record, "free", 5, attempt=1),
+    ):
+        assert other.instance.scene != first.instance.scene
+    assert sample(record, "free", 5) == first
+
+
+@pytest.mark.parametrize("team", [pair for t in TEAMS for pair in (t, t[::-1])])
+def test_a_team_can_be_asked_for(team: tuple[str, str]) -> None:
+    instance = sample(task_named("hook"), "free", 2, team=team).instance
+    assert tuple(robot.arm for robot in instance.scene.robots) == team
+
+
+def test_a_task_that_no_table_satisfies_says_so() -> None:
+    def arrange(board: Board) -> Goal:
+        raise PlacementError("cube")
+
+    impossible = Task(
+        name="impossible",
+        summary="",
+        subtasks=2,
+        distractors=(0, 0),
+        arrange=arrange,
+        language=task_named("stack").language,
+    )
+    with pytest.raises(SamplingError) as caught:
+        sample(impossible, "free", 0, team=("ur5", "ur10"))
+    message = str(caught.value)
+    assert "'impossible'" in message
+    assert "ur5+ur10" in message
+    assert "Loosen" in message
+
+
+def test_poses_are_written_without_loss() -> None:
+    """Rounded to 0.1 mm when drawn, so that lists are short and exact."""
+    for instance in of_test_split("hook_stack"):
+        for placed in instance.scene.objects:
+            assert placed.pose == placed.pose.rounded()
+        for robot in instance.scene.robots:
+            assert robot.base == robot.base.rounded()
+
+
+def test_objects_are_listed_in_no_telling_order() -> None:
+    """The place in the list does not give away what the goal needs."""
+    places = [
+        instance.scene.object_names.index(instance.goal.entities[0])
+        for instance in of_test_split("pass2")
+    ]
+    assert len(set(places)) > 4
+    assert any(a > b for a, b in pairwise(places))
