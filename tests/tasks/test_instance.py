@@ -1,0 +1,122 @@
+"""Instances are plain data: they survive JSON, and their key and hash name them."""
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.poses import Pose2
+from lemma.scene.palette import OBJECT_COLOURS
+from lemma.scene.spec import ROBOT_COLOURS, ObjectPlacement, RobotPlacement, SceneSpec
+from lemma.tasks.goal import Goal
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
+
+COLOURS = tuple(OBJECT_COLOURS)
+poses = st.builds(
+    Pose2, st.floats(-1.5, 1.5), st.floats(-1.1, 1.1), st.floats(-math.pi, math.pi)
+)
+robots = st.builds(
+    RobotPlacement,
+    st.sampled_from(["ur5", "ur10"]),
+    st.sampled_from(ROBOT_COLOURS),
+    poses,
+)
+
+
+@st.composite
+def instances(draw: st.DrawFn) -> Instance:
+    cubes = draw(st.lists(st.sampled_from(COLOURS), min_size=2, unique=True))
+    pads = draw(st.lists(st.sampled_from(COLOURS), unique=True))
+    objects = [ObjectPlacement("cube", colour, draw(poses)) for colour in cubes]
+    objects += [ObjectPlacement("pad", colour, draw(poses)) for colour in pads]
+    if draw(st.booleans()):
+        objects.append(ObjectPlacement("stick", "yellow", draw(poses)))
+    return Instance(
+        task=draw(st.sampled_from(["stack", "hook"])),
+        split=draw(st.sampled_from([*SPLITS, "free"])),
+        index=draw(st.integers(0, 10**9)),
+        scene=SceneSpec((draw(robots), draw(robots)), tuple(objects)),
+        goal=Goal.from_pairs(((f"{cubes[0]}_cube", f"{cubes[1]}_cube"),)),
+        instructions={"high_level": draw(st.text()), "human": draw(st.text())},
+        distractors=tuple(placed.name for placed in objects[2:]),
+    )
+
+
+@given(instances())
+def test_an_instance_survives_json(instance: Instance) -> None:
+    text = json.dumps(instance.to_dict())
+    back = Instance.from_dict(json.loads(text))
+    assert back == instance
+    assert back.to_dict() == instance.to_dict()
+    assert back.sha256() == instance.sha256()
+
+
+@given(instances())
+def test_the_key_says_what_the_instance_is(instance: Instance) -> None:
+    version, task, split, index = instance.key.split("/")
+    assert version == BENCHMARK_VERSION == instance.to_dict()["version"]
+    assert (task, split, int(index)) == (instance.task, instance.split, instance.index)
+
+
+@given(instances())
+def test_any_change_changes_the_hash(instance: Instance) -> None:
+    first, second = instance.scene.robots
+    moved = Pose2(first.base.x, first.base.y, first.base.yaw + 1e-4)
+    scene = replace(instance.scene, robots=(replace(first, base=moved), second))
+    changed: list[dict[str, Any]] = [
+        {"index": instance.index + 1},
+        {"split": "other"},
+        {"scene": scene},
+        {"instructions": {**instance.instructions, "human": "x" * 99}},
+        {"goal": Goal.from_pairs(tuple(pair[::-1] for pair in instance.goal.pairs))},
+    ]
+    hashes = {replace(instance, **change).sha256() for change in changed}
+    assert len(hashes | {instance.sha256()}) == 6
+
+
+@pytest.mark.parametrize(
+    ("arms", "team"),
+    [
+        (("ur5", "ur5"), "ur5+ur5"),
+        (("ur5", "ur10"), "ur5+ur10"),
+        (("ur10", "ur5"), "ur5+ur10"),
+        (("ur10", "ur10"), "ur10+ur10"),
+    ],
+)
+def test_a_team_is_named_from_small_to_large(arms: tuple[str, str], team: str) -> None:
+    left, right = (
+        RobotPlacement(arm, "red", Pose2(x, 0.0))
+        for arm, x in zip(arms, (-1.0, 1.0), strict=True)
+    )
+    scene = SceneSpec((left, right), ())
+    goal = Goal.from_pairs((("red_cube", "blue_cube"),))
+    assert Instance("stack", "free", 0, scene, goal, {}, ()).team == team
+
+
+@pytest.mark.parametrize(
+    ("pair", "what"),
+    [
+        (("red_pad", "blue_pad"), "top must be a cube"),
+        (("stick", "blue_pad"), "top must be a cube"),
+        (("red_cube", "red_cube"), "not the bottom itself"),
+        (("red_cube", "stick"), "bottom must be a cube or a pad"),
+        (("red_cube", "shared"), "bottom must be a cube or a pad"),
+    ],
+)
+def test_what_cannot_be_stacked_is_no_goal(pair: tuple[str, str], what: str) -> None:
+    with pytest.raises(InvalidConfigError, match=what):
+        Goal.from_pairs((pair,))
+
+
+def test_a_spoilt_line_is_refused() -> None:
+    scene = SceneSpec((), (ObjectPlacement("cube", "red", Pose2(0.0, 0.0)),))
+    goal = Goal.from_pairs((("red_cube", "blue_cube"),))
+    data = Instance("stack", "free", 0, scene, goal, {}, ()).to_dict()
+    data["objects"][0][1] = "purple"
+    with pytest.raises(UnknownNameError, match="object colour 'purple'"):
+        Instance.from_dict(data)
