@@ -1,0 +1,193 @@
+"""Directives that fill the pages with what the code says, so that they cannot drift.
+
+``task-facts`` shows one instance of a task: who reaches what, the plan and the
+instructions. ``arms`` lists the arms and their reach. ``constants`` makes a table of
+lines ``what | constant | unit | why``, ``engine-options`` one of ``name | why``.
+"""
+
+import math
+import sys
+from collections.abc import Iterator
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import mujoco
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from lemma.cli.recording import record, robot_titles
+from lemma.cli.tasks import describe
+from lemma.robots.envelope import sweep_radius_m
+from lemma.robots.reach import reach_of
+from lemma.robots.ur import ARMS
+from lemma.scene.compose import compile_model
+from lemma.scene.spec import STICK
+from lemma.tasks.instance import Instance
+from lemma.tasks.subtask import Primitive
+from lemma.tasks.suite import load_instance
+from lemma.tasks.template import KINDS
+from lemma.tasks.tool_use import find_drag
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+from make_pictures import MOMENTS
+
+
+class Generated(SphinxDirective):
+    """A directive whose body is Markdown that code writes."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return what the Markdown becomes."""
+        container = nodes.container()
+        lines = StringList(list(self.lines()), source=self.get_location())
+        self.state.nested_parse(lines, self.content_offset, container)
+        return container.children
+
+    def lines(self) -> Iterator[str]:
+        """Return the Markdown."""
+        raise NotImplementedError
+
+
+class TaskFacts(Generated):
+    """``{task-facts} hook``: the instance whose picture the page shows."""
+
+    required_arguments = 1
+
+    def lines(self) -> Iterator[str]:
+        """Return figures, reach, plan and instructions."""
+        task = self.arguments[0]
+        moment = MOMENTS[f"task_{task}"]
+        facts = describe(task)
+        yield (
+            f"`{facts['gym_id']}`, {facts['subtasks']} sub-tasks, "
+            f"{_span(facts['objects'])} objects, of which "
+            f"{_span(facts['distractors'])} are distractors."
+        )
+        yield ""
+        instance = load_instance(moment.task, "test", moment.index)
+        recording = record(instance)
+        titles = robot_titles(instance)
+        if not recording.success:
+            raise self.error(f"The expert fails at {instance.key}.")
+        yield f"The picture shows `{instance.key}`. At its start:"
+        yield ""
+        yield "| | " + " | ".join(titles) + " |"
+        yield "|---" * (len(titles) + 1) + "|"
+        for name in instance.scene.object_names:
+            extra = " (distractor)" if name in instance.distractors else ""
+            cells = [_reach(instance, robot, name) for robot in range(len(titles))]
+            yield f"| `{name}`{extra} | " + " | ".join(cells) + " |"
+        yield ""
+        goal = " and ".join(f"`On({a}, {b})`" for a, b in instance.goal.pairs)
+        yield f"The goal is {goal}. The expert's plan:"
+        yield ""
+        for number, step in enumerate(recording.steps, 1):
+            yield f"{number}. {step.words}"
+        yield ""
+        yield f"It takes {recording.elapsed_s:.1f} simulated seconds. The instructions:"
+        yield ""
+        yield "| kind | instruction |"
+        yield "|---|---|"
+        for kind in KINDS:
+            yield f"| `{kind}` | {instance.instructions[kind]} |"
+
+
+def _span(limits: list[int]) -> str:
+    return f"{limits[0]} to {limits[1]}"
+
+
+def _reach(instance: Instance, robot: int, name: str) -> str:
+    """Return how a robot gets at an object: itself, with the stick, or not at all."""
+    scene = instance.scene
+    placed, pose = scene.robots[robot], scene.placement(name).pose
+    if reach_of(placed.arm).margin(placed.base, pose.x, pose.y) > 0.0:
+        return "reaches it"
+    if STICK not in scene.object_names or not name.endswith("_cube"):
+        return "–"
+    bases = [(r.base.x, r.base.y, sweep_radius_m(r.arm)) for r in scene.robots]
+    ways = []
+    for primitive, receiver in ((Primitive.HOOK, robot), (Primitive.POKE, 1 - robot)):
+        other = scene.robots[receiver]
+        wanted = partial(reach_of(other.arm).margin, other.base)
+        if find_drag(primitive, placed, pose, wanted, bases) is not None:
+            ways.append(f"can {primitive} it")
+    return " or ".join(ways) or "–"
+
+
+class Constants(Generated):
+    """A table of constants: ``what | constant | unit | why`` on each line."""
+
+    has_content = True
+
+    def lines(self) -> Iterator[str]:
+        """Return the table."""
+        yield "| what | value | constant | why |"
+        yield "|---|---|---|---|"
+        for line in self.content:
+            what, path, unit, why = (part.strip() for part in line.split("|"))
+            name = path.rpartition(".")[2]
+            yield f"| {what} | {_value(path, unit)} | `{name}` | {why} |"
+
+
+class Arms(Generated):
+    """A table of every arm in the registry: reach, payload and limits."""
+
+    def lines(self) -> Iterator[str]:
+        """Return the table."""
+        yield "| arm | nearest | carries up to | touches up to | payload |"
+        yield "|---|---|---|---|---|"
+        for name in ARMS:
+            reach = reach_of(name)
+            yield (
+                f"| `{name}` | {reach.inner_m:.3f} m | {reach.travel_m:.3f} m "
+                f"| {reach.grasp_m:.3f} m | {ARMS[name].payload_kg:g} kg |"
+            )
+
+
+class EngineOptions(Generated):
+    """A table of MuJoCo's options: ``name | why`` on each line."""
+
+    has_content = True
+
+    def lines(self) -> Iterator[str]:
+        """Return the table, read off a compiled scene."""
+        options = compile_model(load_instance("stack", "test", 0).scene).opt
+        yield "| option | value | why |"
+        yield "|---|---|---|"
+        for line in self.content:
+            name, why = (part.strip() for part in line.split("|"))
+            value = getattr(options, name)
+            if name in _NAMED_OPTIONS:
+                value = _NAMED_OPTIONS[name](value).name.split("_", 1)[1].capitalize()
+            else:
+                value = f"{value:g}"
+            yield f"| `{name}` | {value} | {why} |"
+
+
+_NAMED_OPTIONS = {
+    "integrator": mujoco.mjtIntegrator,
+    "cone": mujoco.mjtCone,
+    "solver": mujoco.mjtSolver,
+}
+
+
+def _value(path: str, unit: str) -> str:
+    """Return the value of a constant, ``package.module.NAME``, in a unit."""
+    module, _, name = path.rpartition(".")
+    value: Any = getattr(import_module(module), name)
+    values = value if isinstance(value, tuple) else (value,)
+    factor = {"mm": 1e3, "ms": 1e3, "°": math.degrees(1.0)}.get(unit, 1.0)
+    text = ", ".join(f"{factor * number:g}" for number in values)
+    return f"{text} {unit}".strip().replace(" °", "°")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Add the directives."""
+    app.add_directive("task-facts", TaskFacts)
+    app.add_directive("arms", Arms)
+    app.add_directive("constants", Constants)
+    app.add_directive("engine-options", EngineOptions)
+    return {"parallel_read_safe": True}
