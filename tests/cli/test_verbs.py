@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from lemma import __version__
 from lemma.cli import main as command
 from lemma.cli.main import VERBS, main
 from lemma.tasks.suite import SUITE
@@ -27,10 +28,18 @@ def test_help_says_what_a_verb_does(
     assert "None" not in text
 
 
-def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("--help") == 0
+@pytest.mark.parametrize("words", [["--help"], []])
+def test_help_lists_every_verb(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*words) == 0
     text = capsys.readouterr().out
     assert all(f"• {verb}" in text for verb in VERBS)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"lemma {__version__}\n"
 
 
 def test_tasks_as_json(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,8 @@ from importlib import import_module
 
 import tyro
 
-from lemma.cli.terminal import complain
+from lemma import __version__
+from lemma.cli.terminal import complain, output
 from lemma.core.errors import LemmaError
 
 VERBS = ("tasks", "demo", "show", "doctor", "bench")
@@ -30,6 +31,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         SystemExit: Always.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
+    if words == ["--version"]:
+        output().print(f"lemma {__version__}")
+        raise SystemExit(0)
+    words = words or ["--help"]
     # What one verb needs takes a second to import, so the others do without.
     asked = words[0] if words[:1] and words[0] in VERBS else None
     verbs = (asked,) if asked else VERBS
