@@ -48,3 +48,7 @@ class RenderingError(LemmaError, RuntimeError):
 
 class ResetNeededError(LemmaError, RuntimeError):
     """``step`` was called before ``reset``, or after the episode had ended."""
+
+
+class DatasetError(LemmaError, RuntimeError):
+    """A dataset that cannot be read, written or trusted."""

@@ -1,0 +1,72 @@
+"""Do again what a recipe says, and compare every state to the bit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lemma.core.errors import DatasetError
+from lemma.core.poses import Pose2
+from lemma.dataset.files import versions
+from lemma.dataset.schema import EpisodeRecord, SubTaskRecord
+from lemma.env.episode import Episode
+from lemma.tasks.instance import BENCHMARK_VERSION, Instance
+from lemma.tasks.subtask import GroundedSubTask, Primitive
+
+_BINDING = ("format", "benchmark", "mujoco")
+"""Versions that must be the same, or states cannot be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """How a replay went."""
+
+    key: str
+    drift_at: int | None
+    """First keyframe whose state differs; None where all are equal."""
+    worst: float
+    """Largest difference of any number of that state."""
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether every state was reproduced to the bit."""
+        return self.drift_at is None
+
+
+def check_versions(about: dict[str, str]) -> None:
+    """Check that this installation can reproduce a recipe.
+
+    Raises:
+        DatasetError: It was written with another engine or for another benchmark.
+    """
+    here = versions(BENCHMARK_VERSION)
+    for name in _BINDING:
+        if about.get(name) != here[name]:
+            raise DatasetError(
+                f"This recipe was written with {name} {about.get(name)}, and here is "
+                f"{here[name]}: states cannot be reproduced. Install that version, or "
+                "generate the recipe again."
+            )
+
+
+def replay(record: EpisodeRecord) -> Replay:
+    """Execute a record's sub-tasks again and compare with its states."""
+    episode = Episode(Instance.from_dict(record.instance_data()))
+    scene = episode.simulation.scene
+    for keyframe, expected in enumerate(record.keyframe_sha256):
+        if keyframe > 0:
+            episode.execute(grounded(record.subtasks[keyframe - 1]))
+        if scene.state_hash() != expected:
+            difference = scene.snapshot() - record.state(keyframe)
+            worst = float(np.abs(difference).max(initial=0.0))
+            return Replay(record.key, keyframe, worst)
+    return Replay(record.key, None, 0.0)
+
+
+def grounded(row: SubTaskRecord) -> GroundedSubTask:
+    """Return what a recorded sub-task executed."""
+    return GroundedSubTask(
+        row.robot,
+        Primitive(row.primitive),
+        Pose2(*row.pick_pose),
+        Pose2(*row.place_pose),
+    )
