@@ -20,7 +20,8 @@ CHECKED := src tests examples scripts docs
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup setup-dev demo bench test lint types layers docs tests format clean
+.PHONY: help setup setup-dev demo bench test lint types layers docs tests kernels \
+	format clean
 
 help: ## Say what the targets do.
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -51,8 +52,13 @@ layers: setup-dev ## Which module may import which.
 docs: setup-dev ## The documentation, in out/docs.
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs $(OUT)/docs
 
-tests: setup-dev ## The tests alone.
+tests: setup-dev kernels ## The tests alone.
 	$(BIN)/pytest -n $(JOBS)
+
+# Numba keeps a compiled kernel until its own file changes, also where it has inlined one
+# of another file: edited kernels are tested only if all are compiled anew.
+kernels:
+	@find src -name '*.nb[ic]' -delete
 
 format: setup-dev ## Format the code and fix what can be fixed.
 	$(BIN)/ruff format $(CHECKED)
