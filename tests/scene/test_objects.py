@@ -1,0 +1,93 @@
+"""Cubes, pads and the stick: their sizes, masses and frames as MuJoCo has them."""
+
+import math
+
+import mujoco
+import pytest
+
+from lemma.core.poses import Pose2
+from lemma.scene.objects import (
+    CUBE_EDGE_M,
+    CUBE_MASS_KG,
+    HANDLE_LENGTH_M,
+    HOOK_LENGTH_M,
+    PAD_RADIUS_M,
+    PAD_THICKNESS_M,
+    STICK_SECTION_M,
+    add_object,
+    height_m,
+    resting_quaternion,
+)
+from lemma.scene.palette import OBJECT_COLOURS, STICK
+from lemma.scene.spec import ObjectPlacement
+
+POSE = Pose2(0.3, -0.2, 0.7)
+
+
+def compiled(kind: str, colour: str = "pink") -> tuple[mujoco.MjModel, mujoco.MjData]:
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    add_object(spec, ObjectPlacement(kind, colour, POSE))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def test_sizes_are_those_of_the_design() -> None:
+    assert CUBE_EDGE_M == 0.05
+    assert PAD_RADIUS_M == 0.06
+    assert (HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M) == (0.5, 0.15, 0.03)
+    assert [height_m(kind) for kind in ("cube", "pad", "stick")] == [0.05, 0.004, 0.03]
+
+
+@pytest.mark.parametrize("colour", OBJECT_COLOURS)
+def test_a_cube(colour: str) -> None:
+    model, data = compiled("cube", colour)
+    name = f"{colour}_cube"
+    assert model.geom(name).size.tolist() == [0.025] * 3
+    assert model.geom(name).rgba == pytest.approx(OBJECT_COLOURS[colour])
+    assert model.body(name).mass[0] == pytest.approx(CUBE_MASS_KG)
+    assert model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_FREE
+    assert data.body(name).xpos.tolist() == [0.3, -0.2, 0.025]
+    # A solid block: m a^2 / 6 about every axis.
+    inertia = CUBE_MASS_KG * CUBE_EDGE_M**2 / 6
+    assert model.body(name).inertia == pytest.approx([inertia] * 3)
+
+
+def test_a_pad_is_fixed_to_the_table() -> None:
+    model, data = compiled("pad")
+    assert model.nv == 0
+    assert model.geom("pink_pad").type[0] == mujoco.mjtGeom.mjGEOM_CYLINDER
+    assert model.geom("pink_pad").size[:2].tolist() == [PAD_RADIUS_M, 0.002]
+    assert data.body("pink_pad").xpos.tolist() == [0.3, -0.2, 0.0]
+    # Its underside lies on the table.
+    assert data.geom("pink_pad").xpos[2] == pytest.approx(PAD_THICKNESS_M / 2)
+
+
+def test_the_stick_starts_at_the_free_end_of_its_handle() -> None:
+    model, data = compiled("stick", "yellow")
+    half = STICK_SECTION_M / 2
+    assert data.body("stick").xpos.tolist() == [0.3, -0.2, half]
+    for geom, low, high in (
+        ("stick/handle", (0.0, -half), (0.5, half)),
+        ("stick/hook", (0.47, half), (0.5, 0.135)),
+    ):
+        centre = POSE @ Pose2(0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]))
+        assert data.geom(geom).xpos == pytest.approx([centre.x, centre.y, half])
+        size = model.geom(geom).size
+        assert 2 * size[0] == pytest.approx(high[0] - low[0])
+        assert 2 * size[1] == pytest.approx(high[1] - low[1])
+        assert 2 * size[2] == pytest.approx(STICK_SECTION_M)
+        assert model.geom(geom).rgba == pytest.approx(STICK)
+    # From the handle's far side to the tip of the hook it measures 150 mm.
+    assert 0.135 + half == pytest.approx(HOOK_LENGTH_M)
+    # Light enough for the smaller arm to hold at its end.
+    assert 0.05 < model.body("stick").mass[0] < 0.2
+
+
+@pytest.mark.parametrize("yaw", [-3.0, 0.0, 0.4, 2.0])
+def test_a_resting_quaternion_turns_about_the_vertical(yaw: float) -> None:
+    w, x, y, z = resting_quaternion(yaw)
+    assert (x, y) == (0.0, 0.0)
+    assert math.atan2(2 * w * z, 1 - 2 * z * z) == pytest.approx(yaw)

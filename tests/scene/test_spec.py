@@ -1,0 +1,82 @@
+"""What a scene may consist of, and what is said of one that may not be."""
+
+import json
+import math
+
+import pytest
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.poses import Pose2
+from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
+from lemma.tasks.suite import SUITE, load_instance
+
+HERE = Pose2(0.1, 0.2, 0.3)
+
+
+def test_entities_are_named_by_colour_and_kind() -> None:
+    assert ObjectPlacement("cube", "red", HERE).name == "red_cube"
+    assert ObjectPlacement("pad", "white", HERE).name == "white_pad"
+    assert ObjectPlacement("stick", "yellow", HERE).name == "stick"
+
+
+def test_an_unknown_colour_is_answered() -> None:
+    with pytest.raises(UnknownNameError) as caught:
+        ObjectPlacement("cube", "rad", HERE)
+    assert str(caught.value) == (
+        "Unknown object colour 'rad'. Did you mean 'red'? "
+        "Valid: pink, red, white, blue, green."
+    )
+
+
+def test_an_unknown_kind_is_answered() -> None:
+    with pytest.raises(UnknownNameError, match=r"object kind 'ball'.*cube, pad, stick"):
+        ObjectPlacement("ball", "red", HERE)
+
+
+def test_an_unknown_arm_is_answered() -> None:
+    with pytest.raises(UnknownNameError, match=r"arm 'ur50'.*Did you mean 'ur5'"):
+        RobotPlacement("ur50", "red", HERE)
+
+
+def test_an_unknown_robot_colour_is_answered() -> None:
+    with pytest.raises(UnknownNameError, match=r"robot colour 'blue'.*red, white"):
+        RobotPlacement("ur5", "blue", HERE)
+
+
+@pytest.mark.parametrize(
+    ("kind", "colour", "name"),
+    [("cube", "red", "red_cube"), ("stick", "yellow", "stick")],
+)
+def test_one_name_is_one_object(kind: str, colour: str, name: str) -> None:
+    twice = tuple(ObjectPlacement(kind, colour, Pose2(x, 0.0)) for x in (0.0, 0.5))
+    with pytest.raises(InvalidConfigError) as caught:
+        SceneSpec((), twice)
+    assert f"named twice in one scene: {name}." in str(caught.value)
+    assert "choose another colour" in str(caught.value)
+
+
+def test_a_cube_and_a_pad_may_share_a_colour() -> None:
+    spec = SceneSpec(
+        (), tuple(ObjectPlacement(kind, "red", HERE) for kind in ("cube", "pad"))
+    )
+    assert spec.object_names == ("red_cube", "red_pad")
+    assert spec.placement("red_pad").kind == "pad"
+
+
+def test_what_is_not_there_is_answered() -> None:
+    spec = SceneSpec((), (ObjectPlacement("cube", "red", HERE),))
+    with pytest.raises(UnknownNameError, match=r"'red_cub'.*mean 'red_cube'"):
+        spec.placement("red_cub")
+
+
+def test_robots_are_counted_from_the_first() -> None:
+    robots = tuple(
+        RobotPlacement("ur5", "red", Pose2(x, 0.0, math.pi)) for x in (0.0, 1.0, 2.0)
+    )
+    assert SceneSpec(robots, ()).robot_names == ("robot_0", "robot_1", "robot_2")
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_a_scene_survives_json(task: str) -> None:
+    spec = load_instance(task, "val", 7).scene
+    assert SceneSpec.from_dict(json.loads(json.dumps(spec.to_dict()))) == spec
