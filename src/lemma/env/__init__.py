@@ -1,1 +1,1 @@
-"""Scenes in motion: the step loop, episodes, and their Gymnasium and PettingZoo faces."""
+"""Scenes in motion: the step loop, episodes, Gymnasium and PettingZoo."""

@@ -1,30 +1,18 @@
 """Keeps an arm that is commanded joint by joint from running into things.
 
-Velocity dampers (Faverjon and Tournassoud, 1987): the nearer two links come, the slower
-they may approach, so that they can always still stop. What remains of a command is the
-nearest motion that obeys; sliding along the table stays possible. Without this a hand
-that is rammed into the table throws the wrist's joints far beyond their limits.
+A hand that is rammed into the table throws the wrist's joints far beyond their limits.
+:mod:`lemma.env.dampers` says how that is prevented.
 
 Covered are the table, the arm itself and the other arms. Objects are there to be
-touched by hands, but not to be hit from above at speed, nor by the rest of an arm.
+touched by hands, but not at speed, and not by the rest of an arm.
 """
 
-import math
-
 import numpy as np
-from numba import njit
 
 from lemma.core.poses import FloatArray
+from lemma.env.dampers import closest_points, restrain
 from lemma.motion.arm import ArmMotion
-from lemma.robots.envelope import envelope_of, place_capsules
-from lemma.robots.gripper import (
-    FINGER_OPENING_M,
-    FINGER_THICKNESS_M,
-    FINGER_WIDTH_M,
-    FINGERTIP_BEYOND_TCP_M,
-    PALM_BEYOND_FLANGE_M,
-    TCP_OFFSET_M,
-)
+from lemma.robots.envelope import envelope_of
 from lemma.robots.kinematics import frames
 from lemma.scene.objects import (
     CUBE_EDGE_M,
@@ -35,54 +23,10 @@ from lemma.scene.objects import (
 from lemma.scene.scene import Scene
 from lemma.scene.spec import STICK
 
-CLEARANCE_M = 0.003
-"""Distance that is kept; fingertips grasp a stick 6 mm above the table."""
-DECELERATION_M_S2 = 3.0
-"""How hard an approach can be braked by any arm in any posture."""
-
-_RANGE_M = 0.8
-_SLACK_M_S = 0.005
-_SWEEPS = 12
-_MOST_ROWS = 256
-# Capsules of one arm that may meet: outer links against inner ones. Their links lie
-# far enough apart never to touch in every posture.
-_SELF_PAIRS = np.array(
-    [
-        (outer, inner)
-        for outer, inners in (
-            (4, (0,)),
-            (5, (0, 1)),
-            (6, (0, 1, 2)),
-            (7, (0, 1, 2, 4)),
-            (8, (0, 1, 2, 4)),
-            (9, (0, 1, 2, 4)),
-        )
-        for inner in inners
-    ]
-)
-_FIRST_ABOVE_TABLE = 2
-_LAST_ABOVE_TABLE = 7
-_FIRST_OF_HAND = 7
-# Corners of the fingers, wide open, and of the palm, in the frame of the flange [m].
-_CORNERS = np.array(
-    [
-        (x * side, y * across, z)
-        for x, y, z in (
-            (
-                FINGER_WIDTH_M / 2,
-                FINGER_OPENING_M / 2 + FINGER_THICKNESS_M,
-                TCP_OFFSET_M + FINGERTIP_BEYOND_TCP_M,
-            ),
-            (0.030, 0.056, PALM_BEYOND_FLANGE_M),
-        )
-        for side in (-1.0, 1.0)
-        for across in (-1.0, 1.0)
-    ]
-)
-_TOUCH_M_S = 0.15
-"""How fast a hand may come down on an object."""
-_IN_HAND_M = 0.10
-"""What is nearer to the tool centre point than this is being handled."""
+# What is held is nearer to the tool centre point than the one, and the fingers are as
+# far apart as it is wide, give or take the other.
+_HELD_M = 0.03
+_GRIPPED_M = 0.006
 
 
 class Guard:
@@ -101,6 +45,7 @@ class Guard:
         self._capsules = np.column_stack([envelope.capsules, envelope.capsule_links])
         self._obstacles = np.zeros((0, 7))
         self._objects = np.zeros((0, 8))
+        self._held = np.zeros((0, 8))
         self._placed = np.empty((7, 4, 4))
 
     def look(self) -> None:
@@ -108,9 +53,22 @@ class Guard:
         self._obstacles = np.concatenate(
             [np.zeros((0, 7)), *(other.capsules() for other in self._others)]
         )
-        scene = self._arm.scene
-        boxes = [box for name in scene.movable_names for box in _boxes(scene, name)]
-        self._objects = np.array(boxes).reshape(-1, 8)
+        scene, tcp = self._arm.scene, self._arm.tcp_pose()[:3, 3]
+        opening = scene.opening_m(self._arm.robot)
+        point = np.array([*tcp, *tcp, 0.0])
+        objects: list[FloatArray] = []
+        held: list[FloatArray] = []
+        for name in scene.movable_names:
+            boxes = _boxes(scene, name)
+            away = min(
+                closest_points(point, box, np.empty(3), np.empty(3)) + box[6]
+                for box in boxes
+            )
+            width = STICK_SECTION_M if name == STICK else CUBE_EDGE_M
+            gripped = abs(opening - width) < _GRIPPED_M
+            (held if gripped and away < _HELD_M else objects).extend(boxes)
+        self._objects = np.array(objects).reshape(-1, 8)
+        self._held = np.array(held).reshape(-1, 8)
 
     def restrain(self, q: FloatArray, rates: FloatArray, limits: FloatArray) -> bool:
         """Change joint speeds as little as it takes to keep clear.
@@ -131,266 +89,27 @@ class Guard:
                 self._capsules,
                 self._obstacles,
                 self._objects,
+                self._held,
                 rates,
                 limits,
             )
         )
 
 
-def _boxes(scene: Scene, name: str) -> list[list[float]]:
+def _boxes(scene: Scene, name: str) -> list[FloatArray]:
     """Return an object as capsules, each with the height of its top, (8,) [m]."""
     pose = scene.pose(name)
     x, y, z = pose.position
     if name != STICK:
         # The sphere around a cube is wider than its footprint, whatever its heading.
-        return [[x, y, z, x, y, z, 0.87 * CUBE_EDGE_M, z + 0.5 * CUBE_EDGE_M]]
+        around = (0.87 * CUBE_EDGE_M, z + 0.5 * CUBE_EDGE_M)
+        return [np.array([x, y, z, x, y, z, *around])]
     matrix = pose.matrix()
     end = [float(matrix[i, 3] + HANDLE_LENGTH_M * matrix[i, 0]) for i in range(3)]
     tip = [float(end[i] + HOOK_LENGTH_M * matrix[i, 1]) for i in range(3)]
     radius = 0.8 * STICK_SECTION_M
     top = max(z, end[2]) + 0.5 * STICK_SECTION_M
-    return [[x, y, z, *end, radius, top], [*end, *tip, radius, top]]
-
-
-@njit(cache=True)
-def restrain(
-    placed: FloatArray,
-    capsules: FloatArray,
-    obstacles: FloatArray,
-    objects: FloatArray,
-    rates: FloatArray,
-    limits: FloatArray,
-) -> bool:
-    """Change joint speeds as little as it takes to keep clear, in place.
-
-    Args:
-        placed: World from link frames, (7, 4, 4).
-        capsules: Of the arm, in link frames, and their links, (n, 8) [m].
-        obstacles: Other arms: capsules in the world, (m, 7) [m].
-        objects: The same for objects, and the height of their tops, (k, 8) [m].
-        rates: Joint speeds, (6,) [rad/s].
-        limits: Largest joint speeds, (6,) [rad/s].
-
-    Returns:
-        Whether anything had to be changed.
-    """
-    world = np.empty((capsules.shape[0], 7))
-    place_capsules(placed, capsules[:, 7], capsules[:, :7], world)
-    rows = np.empty((_MOST_ROWS, 7))
-    count = _add_table_rows(placed, capsules, world, objects, rows)
-    near, far = np.empty(3), np.empty(3)
-    for k in range(_SELF_PAIRS.shape[0]):
-        i, j = _SELF_PAIRS[k, 0], _SELF_PAIRS[k, 1]
-        gap = closest_points(world[i], world[j], near, far)
-        links = (int(capsules[j, 7]), int(capsules[i, 7]))
-        count = _add_row(placed, links, near, far, gap, rows, count)
-    for i in range(1, world.shape[0]):
-        for j in range(obstacles.shape[0]):
-            # Both may move: each may use half of the distance.
-            gap = 0.5 * closest_points(world[i], obstacles[j], near, far)
-            links = (0, int(capsules[i, 7]))
-            count = _add_row(placed, links, near, far, gap, rows, count)
-    count = _add_object_rows(placed, capsules, world, objects, rows, count)
-    return _project(rows[:count], rates, limits)
-
-
-@njit(cache=True)
-def _add_table_rows(
-    placed: FloatArray,
-    capsules: FloatArray,
-    world: FloatArray,
-    objects: FloatArray,
-    rows: FloatArray,
-) -> int:
-    count = 0
-    near, far = np.empty(3), np.empty(3)
-    for i in range(_FIRST_ABOVE_TABLE, _LAST_ABOVE_TABLE + 1):
-        for end in range(2):
-            near[:] = world[i, 3 * end : 3 * end + 3]
-            far[:] = near
-            far[2] = near[2] - 1.0
-            links = (0, int(capsules[i, 7]))
-            gap = near[2] - world[i, 6]
-            count = _add_row(placed, links, near, far, gap, rows, count)
-    flange = placed[6]
-    for k in range(_CORNERS.shape[0]):
-        for i in range(3):
-            near[i] = flange[i, 3]
-            for j in range(3):
-                near[i] += flange[i, j] * _CORNERS[k, j]
-        far[:] = near
-        far[2] = near[2] - 1.0
-        count = _add_row(placed, (0, 6), near, far, near[2], rows, count)
-        for m in range(objects.shape[0]):
-            top = near[2] - objects[m, 7]
-            if top > 0.0 and _is_above(objects[m], near):
-                before = count
-                count = _add_row(placed, (0, 6), near, far, top, rows, count)
-                if count > before:
-                    rows[before, 6] = max(rows[before, 6], _TOUCH_M_S)
-    return count
-
-
-@njit(cache=True)
-def _is_above(box: FloatArray, point: FloatArray) -> bool:
-    """Whether a point lies above or below a capsule, seen from above."""
-    dx, dy = box[3] - box[0], box[4] - box[1]
-    x, y = point[0] - box[0], point[1] - box[1]
-    length = dx * dx + dy * dy
-    t = 0.0
-    if length > 1e-12:
-        t = min(1.0, max(0.0, (x * dx + y * dy) / length))
-    x, y = x - t * dx, y - t * dy
-    return x * x + y * y < box[6] * box[6]
-
-
-@njit(cache=True)
-def _add_object_rows(
-    placed: FloatArray,
-    capsules: FloatArray,
-    world: FloatArray,
-    objects: FloatArray,
-    rows: FloatArray,
-    count: int,
-) -> int:
-    """Keep what is not the hand clear of objects that are not in it."""
-    near, far = np.empty(3), np.empty(3)
-    tcp = np.zeros(7)
-    for i in range(3):
-        tcp[i] = placed[6, i, 3] + TCP_OFFSET_M * placed[6, i, 2]
-        tcp[3 + i] = tcp[i]
-    for m in range(objects.shape[0]):
-        if closest_points(tcp, objects[m], near, far) + objects[m, 6] < _IN_HAND_M:
-            continue
-        for i in range(_FIRST_ABOVE_TABLE, _FIRST_OF_HAND):
-            gap = closest_points(world[i], objects[m], near, far)
-            links = (0, int(capsules[i, 7]))
-            count = _add_row(placed, links, near, far, gap, rows, count)
-    return count
-
-
-@njit(cache=True)
-def _add_row(
-    placed: FloatArray,
-    links: tuple[int, int],
-    near: FloatArray,
-    far: FloatArray,
-    gap: float,
-    rows: FloatArray,
-    count: int,
-) -> int:
-    """Add how joints bring a point of the arm nearer to another, and how fast they may.
-
-    Args:
-        placed: World from link frames.
-        links: Joints between these two links change the distance.
-        near: Point of the arm [m].
-        far: The point that it approaches [m].
-        gap: Distance of the surfaces [m].
-        rows: (n, 7): approach per joint speed [m], largest approach [m/s].
-        count: Rows so far.
-
-    Returns:
-        Rows now.
-    """
-    if gap > _RANGE_M or count >= rows.shape[0]:
-        return count
-    dx, dy, dz = far[0] - near[0], far[1] - near[1], far[2] - near[2]
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    if length < 1e-9:
-        return count
-    dx, dy, dz = dx / length, dy / length, dz / length
-    for j in range(6):
-        rows[count, j] = 0.0
-        if links[0] <= j < links[1]:
-            f = placed[j]
-            x, y, z = near[0] - f[0, 3], near[1] - f[1, 3], near[2] - f[2, 3]
-            rows[count, j] = (
-                dx * (f[1, 2] * z - f[2, 2] * y)
-                + dy * (f[2, 2] * x - f[0, 2] * z)
-                + dz * (f[0, 2] * y - f[1, 2] * x)
-            )
-    room = max(0.0, gap - CLEARANCE_M)
-    rows[count, 6] = math.sqrt(2.0 * DECELERATION_M_S2 * room)
-    return count + 1
-
-
-@njit(cache=True)
-def _project(rows: FloatArray, rates: FloatArray, limits: FloatArray) -> bool:
-    """Project joint speeds onto what every row allows; return whether they changed."""
-    changed = False
-    for _ in range(_SWEEPS):
-        clean = True
-        for r in range(rows.shape[0]):
-            approach, norm = 0.0, 0.0
-            for j in range(6):
-                approach += rows[r, j] * rates[j]
-                norm += rows[r, j] * rows[r, j]
-            if approach > rows[r, 6] and norm > 1e-12:
-                changed, clean = True, False
-                step = (approach - rows[r, 6]) / norm
-                for j in range(6):
-                    rates[j] -= step * rows[r, j]
-        if clean:
-            break
-    if not changed:
-        return False
-    scale = 1.0
-    for j in range(6):
-        if abs(rates[j]) * scale > limits[j]:
-            scale = limits[j] / abs(rates[j])
-    for r in range(rows.shape[0]):
-        approach = 0.0
-        for j in range(6):
-            approach += rows[r, j] * rates[j]
-        most = rows[r, 6] + _SLACK_M_S
-        if approach * scale > most:
-            scale = most / approach
-    for j in range(6):
-        rates[j] *= scale
-    return True
-
-
-@njit(cache=True)
-def closest_points(
-    a: FloatArray, b: FloatArray, on_a: FloatArray, on_b: FloatArray
-) -> float:
-    """Write the closest points of the axes of two capsules; return their surfaces' gap.
-
-    Ericson, *Real-Time Collision Detection*, section 5.1.9.
-
-    Args:
-        a: Ends and radius, (7,) [m].
-        b: The same.
-        on_a: Written, (3,) [m].
-        on_b: Written, (3,) [m].
-    """
-    aa = bb = ab = ar = br = 0.0
-    for i in range(3):
-        da, db, r = a[3 + i] - a[i], b[3 + i] - b[i], a[i] - b[i]
-        aa += da * da
-        bb += db * db
-        ab += da * db
-        ar += da * r
-        br += db * r
-    s = t = 0.0
-    if aa > 1e-12 and bb > 1e-12:
-        denominator = aa * bb - ab * ab
-        # Between parallel segments any s will do.
-        if denominator > 1e-12 * aa * bb:
-            s = min(1.0, max(0.0, (ab * br - ar * bb) / denominator))
-        t = (ab * s + br) / bb
-        if t < 0.0:
-            t, s = 0.0, min(1.0, max(0.0, -ar / aa))
-        elif t > 1.0:
-            t, s = 1.0, min(1.0, max(0.0, (ab - ar) / aa))
-    elif bb > 1e-12:
-        t = min(1.0, max(0.0, br / bb))
-    elif aa > 1e-12:
-        s = min(1.0, max(0.0, -ar / aa))
-    distance = 0.0
-    for i in range(3):
-        on_a[i] = a[i] + s * (a[3 + i] - a[i])
-        on_b[i] = b[i] + t * (b[3 + i] - b[i])
-        distance += (on_a[i] - on_b[i]) ** 2
-    return math.sqrt(distance) - a[6] - b[6]
+    return [
+        np.array([x, y, z, *end, radius, top]),
+        np.array([*end, *tip, radius, top]),
+    ]

@@ -178,10 +178,9 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
                 f"index={index!r} is no number of an instance. It must be a whole one."
             )
         robots = self.config.robots
-        if split == FREE_SPLIT and robots is not None:
-            return _sampled(self.task, int(index), (robots[0], robots[1]))
         if split == FREE_SPLIT:
-            return _sampled(self.task, int(index), None)
+            team = None if robots is None else (robots[0], robots[1])
+            return _sampled(self.task, int(index), team)
         return load_instance(self.task, split, int(index))
 
     def _has_team(self, instance: Instance) -> bool:

@@ -1,0 +1,261 @@
+"""Control modes: they do what they are told, and never more than a robot can."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lemma
+from lemma.core.poses import FloatArray, Pose
+from lemma.env.control_env import ControlEnv
+from lemma.robots.kinematics import top_down
+from lemma.robots.reach import reach_of
+from lemma.scene.objects import CUBE_EDGE_M
+from lemma.scene.scene import Scene
+
+CONTROLS = ("ee_pose", "joint_position", "joint_velocity", "joint_torque")
+
+
+def control_env(control: str, task: str = "stack", **options: Any) -> ControlEnv:
+    env = lemma.make(task, control=control, **{"split": "test", "index": 0, **options})
+    assert isinstance(env, ControlEnv)
+    return env
+
+
+def scene_of(env: ControlEnv) -> Scene:
+    return env.episode.simulation.scene
+
+
+def resting(env: ControlEnv) -> FloatArray:
+    """Return an action that keeps every arm where it waits."""
+    rows = []
+    for arm in env.episode.simulation.arms.values():
+        still = {
+            "joint_position": arm.park.tolist(),
+            "joint_velocity": [0.0] * 6,
+            "joint_torque": [0.0] * 6,
+        }
+        rows.append([*still.get(env.config.control, pose_row(arm.tcp_pose())), 0.1])
+    return np.array(rows)
+
+
+def pose_row(matrix: FloatArray) -> list[float]:
+    pose = Pose.from_matrix(matrix)
+    return [*pose.position, *pose.quaternion]
+
+
+def watch(env: ControlEnv) -> list[FloatArray]:
+    """Record, before every physics step, speeds and efforts over their limits."""
+    scene, drive, records = scene_of(env), env._drive, []
+
+    def look() -> None:
+        drive()
+        for robot in scene.robots:
+            speeds = np.abs(scene.data.qvel[robot.dof]) / robot.arm.velocity_limits
+            efforts = scene.data.actuator_force[robot.ctrl] / robot.arm.effort_limits
+            records.append(np.array([speeds.max(), np.abs(efforts).max()]))
+
+    env._drive = look  # type: ignore[method-assign]
+    return records
+
+
+def wild_actions(env: ControlEnv, seed: int, steps: int) -> list[FloatArray]:
+    """Return random and extreme actions, each kept up for a while."""
+    rng = np.random.default_rng(seed)
+    low, high = env.action_layout.box().low, env.action_layout.box().high
+    actions: list[FloatArray] = []
+    while len(actions) < steps:
+        action = rng.uniform(low, high)
+        if rng.random() < 0.5:
+            action = np.where(rng.random(low.shape) < 0.5, low, high)
+        actions += [action] * int(rng.choice([1, 3, 12]))
+    return actions[:steps]
+
+
+@pytest.mark.parametrize("index", range(3))
+@pytest.mark.parametrize("control", CONTROLS)
+def test_no_command_exceeds_what_the_robots_can(control: str, index: int) -> None:
+    env = control_env(control, "hook_stack", index=index)
+    env.reset()
+    records = watch(env)
+    for action in wild_actions(env, index, 120):
+        env.step(action)
+    speed, effort = np.max(records, axis=0)
+    assert speed <= 1.0
+    assert effort <= 1.0 + 1e-9
+    # They were really driven hard.
+    assert speed > 0.8
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_wild_actions_do_not_ram_the_table(control: str) -> None:
+    env = control_env(control)
+    env.reset()
+    scene = scene_of(env)
+    deepest = 0.0
+    for action in wild_actions(env, 7, 100):
+        env.step(action)
+        for contact in scene.data.contact[: scene.data.ncon]:
+            names = [scene.model.geom(geom).name for geom in contact.geom]
+            if "table" in names and any("robot" in name for name in names):
+                deepest = min(deepest, float(contact.dist))
+    assert deepest > -0.002
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_resting_arms_stay(control: str) -> None:
+    env = control_env(control)
+    first, _ = env.reset()
+    action = resting(env)
+    for _ in range(40):
+        observation, *_, info = env.step(action)
+    moved = np.abs(observation["agent_pos"] - first["agent_pos"]).max()
+    assert moved < (0.02 if control == "ee_pose" else 1e-3)
+    if control != "ee_pose":
+        assert info["idle_s"] == pytest.approx({"robot_0": 2.0, "robot_1": 2.0})
+
+
+def test_only_who_moves_is_busy() -> None:
+    env = control_env("joint_velocity")
+    env.reset()
+    action = resting(env)
+    action[1, 0] = 0.5
+    for _ in range(20):
+        *_, info = env.step(action)
+    assert info["elapsed_s"] == pytest.approx(1.0)
+    assert info["idle_s"]["robot_0"] == pytest.approx(1.0)
+    assert info["idle_s"]["robot_1"] < 0.05
+
+
+def test_joint_positions_are_reached_and_held() -> None:
+    env = control_env("joint_position")
+    env.reset()
+    action = resting(env)
+    action[:, :6] += [0.6, -0.2, 0.3, -0.4, 0.5, 1.0]
+    action[:, 6] = 0.03
+    for _ in range(40):
+        observation, *_ = env.step(action)
+    assert np.abs(observation["agent_pos"] - action.reshape(-1)).max() < 2e-3
+    assert np.abs(observation["agent_vel"]).max() < 1e-2
+
+
+def test_joint_speeds_are_reached() -> None:
+    env = control_env("joint_velocity")
+    env.reset()
+    action = resting(env)
+    wanted = [0.5, -0.2, 0.2, 0.3, -0.6, 1.0]
+    action[:, :6] = wanted
+    for _ in range(10):
+        observation, *_ = env.step(action)
+    rates = observation["agent_vel"].reshape(2, 7)[:, :6]
+    assert np.abs(rates - wanted).max() < 0.02
+
+
+def test_joints_stop_at_the_end_of_their_range() -> None:
+    env = control_env("joint_velocity")
+    env.reset()
+    action = resting(env)
+    action[:, 5] = 3.0
+    for _ in range(80):
+        observation, *_ = env.step(action)
+    last = observation["agent_pos"].reshape(2, 7)[:, 5]
+    assert np.all((last > math.tau - 0.05) & (last <= math.tau + 1e-3))
+
+
+def test_torque_accelerates_by_the_inertia() -> None:
+    env = control_env("joint_torque", control_hz=100)
+    env.reset()
+    action = resting(env)
+    action[0, 5] = 5.0
+    observation, *_ = env.step(action)
+    arm = scene_of(env).robots[0].arm
+    rate = float(observation["agent_vel"][5])
+    # The last joint turns little more than its own rotor.
+    assert rate == pytest.approx(0.01 * 5.0 / arm.armature[5], rel=0.05)
+
+
+def test_poses_are_reached_with_any_length_of_quaternion() -> None:
+    env = control_env("ee_pose")
+    env.reset()
+    action = resting(env)
+    targets = []
+    for i, robot in enumerate(scene_of(env).robots):
+        reach = reach_of(robot.arm.name).travel_m
+        base = robot.placement.base
+        x = base.x + 0.6 * reach * math.cos(base.yaw)
+        y = base.y + 0.6 * reach * math.sin(base.yaw)
+        targets.append(top_down(x, y, 0.25, base.yaw + 0.5))
+        action[i, :7] = pose_row(targets[-1])
+        action[i, 3:7] *= 0.3
+    for _ in range(80):
+        env.step(action)
+    for arm, target in zip(env.episode.simulation.arms.values(), targets, strict=True):
+        assert np.abs(arm.tcp_pose() - target).max() < 5e-3
+
+
+def test_a_cube_can_be_picked_up_with_poses() -> None:
+    env = control_env("ee_pose", "pass")
+    _, info = env.reset()
+    scene = scene_of(env)
+    (goal,) = env.instance.goal.pairs
+    cube = scene.pose2(goal[0])
+    i, robot = next(
+        (i, robot)
+        for i, robot in enumerate(scene.robots)
+        if reach_of(robot.arm.name).margin(robot.placement.base, cube.x, cube.y) > 0.0
+    )
+    action = resting(env)
+    # Over the cube, down, close, up again.
+    for z, opening, steps in (
+        (0.20, 0.1, 70),
+        (CUBE_EDGE_M / 2, 0.1, 50),
+        (CUBE_EDGE_M / 2, 0.0, 15),
+        (0.25, 0.0, 40),
+    ):
+        action[i, :7] = pose_row(top_down(cube.x, cube.y, z, cube.yaw))
+        action[i, 7] = opening
+        for _ in range(steps):
+            *_, info = env.step(action)
+    assert env.episode.simulation.held() == {robot.name: goal[0]}
+    assert info["state"][goal[0]][2] > 0.2
+
+
+def test_success_ends_the_episode_when_it_has_lasted() -> None:
+    env = control_env("joint_position")
+    env.reset()
+    scene = scene_of(env)
+    (goal,) = env.instance.goal.pairs
+    below = scene.pose(goal[1])
+    x, y, z = below.position
+    scene.set_pose(goal[0], Pose((x, y, z + CUBE_EDGE_M), below.quaternion))
+    action = resting(env)
+    rewards, ends = [], []
+    while not any(ends):
+        _, reward, terminated, truncated, info = env.step(action)
+        rewards.append(reward)
+        ends.append(terminated)
+        assert not truncated
+    assert rewards == [0.0] * (len(rewards) - 1) + [1.0]
+    assert 10 <= len(rewards) <= 14
+    assert info["is_success"]
+    assert info["progress"] == 1.0
+
+
+@pytest.mark.parametrize("hz", [10, 20, 50, 100])
+def test_control_rate_is_the_one_asked_for(hz: int) -> None:
+    env = control_env("joint_velocity", control_hz=hz)
+    env.reset()
+    for _ in range(3):
+        *_, info = env.step(resting(env))
+    assert info["elapsed_s"] == pytest.approx(3.0 / hz)
+    assert env.metadata["render_fps"] == hz
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_layout_names_every_number(control: str) -> None:
+    env = control_env(control)
+    layout = env.action_layout
+    assert layout.rows == ("robot_0", "robot_1")
+    assert layout.columns[-1] == "opening"
+    assert env.action_space.shape == layout.shape == (2, len(layout.columns))

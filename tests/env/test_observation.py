@@ -1,0 +1,157 @@
+"""What is observed is what is there."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+import lemma
+from lemma.core.poses import matrix_from_quaternion
+from lemma.env.observation import OBSERVATIONS, read_text, write_text
+from lemma.env.spaces import ENTITIES
+from lemma.scene.objects import CUBE_EDGE_M
+
+
+def observe(observation: str, **options: Any) -> tuple[dict[str, Any], Any]:
+    env = lemma.make("hook", split="test", index=5, observation=observation, **options)
+    found, _ = env.reset()
+    assert found in env.observation_space
+    return found, env
+
+
+def test_joints_are_those_of_the_physics() -> None:
+    found, env = observe("state", control="joint_velocity")
+    scene = env.episode.simulation.scene
+    rates = np.array([[0.3, 0.1, -0.2, 0.2, 0.4, -0.5, 0.0]] * 2)
+    for _ in range(8):
+        found, *_ = env.step(rates)
+    for i, robot in enumerate(scene.robots):
+        joints = found["agent_pos"][7 * i : 7 * i + 7]
+        assert np.allclose(joints[:6], scene.data.qpos[robot.qpos], atol=1e-6)
+        assert joints[6] == pytest.approx(scene.opening_m(robot), abs=1e-6)
+        speeds = found["agent_vel"][7 * i : 7 * i + 7]
+        assert np.allclose(speeds[:6], scene.data.qvel[robot.dof], atol=1e-6)
+        # The gripper closes.
+        assert speeds[6] < -0.05
+
+
+def test_tool_pose_is_that_of_the_site() -> None:
+    found, env = observe("state")
+    scene = env.episode.simulation.scene
+    scene.refresh()
+    for i, robot in enumerate(scene.robots):
+        site = scene.data.site(f"{robot.name}/tcp")
+        pose = found["tcp_pose"][7 * i : 7 * i + 7]
+        assert np.allclose(pose[:3], site.xpos, atol=1e-6)
+        rotation = matrix_from_quaternion(pose[3:].astype(float))
+        assert np.allclose(rotation, site.xmat.reshape(3, 3), atol=1e-5)
+        assert pose[3] >= 0.0
+
+
+@pytest.mark.parametrize("kind", ["high_level", "human", "unseen"])
+def test_instruction_can_be_read(kind: str) -> None:
+    found, env = observe("state", instruction=kind)
+    assert read_text(found["instruction"]) == env.instance.instructions[kind]
+
+
+def test_text_survives() -> None:
+    for text in ("", "a", "Put the red cube, please!", "x" * 200):
+        assert read_text(write_text(text)) == text
+
+
+def test_truth_is_complete() -> None:
+    found, env = observe("privileged")
+    instance = env.instance
+    names = {ENTITIES[i] for i in np.flatnonzero(found["present"])}
+    assert names == set(instance.scene.object_names)
+    for name, pose in env.info()["state"].items():
+        assert np.allclose(found["objects"][ENTITIES.index(name)], pose, atol=1e-6)
+    absent = found["objects"][found["present"] == 0]
+    assert not absent.any()
+    pairs = {(ENTITIES[a], ENTITIES[b]) for a, b in np.argwhere(found["goal"])}
+    assert pairs == set(instance.goal.pairs)
+    assert found["robots"].shape == (2, 4)
+    assert found["robots"][0, 0] < 0.0 < found["robots"][1, 0]
+
+
+def test_images_are_only_where_asked_for() -> None:
+    keys = {
+        name: set(observe(name)[0])
+        for name, contents in ((n, OBSERVATIONS[n]) for n in OBSERVATIONS)
+        if not contents.renders
+    }
+    joints = {"agent_pos", "agent_vel", "tcp_pose", "instruction"}
+    truth = {"objects", "present", "robots", "goal"}
+    assert keys == {"state": joints, "privileged": joints | truth}
+
+
+@pytest.mark.render
+def test_cameras_are_calibrated() -> None:
+    found, env = observe("rgbd", width=320, height=240)
+    assert set(found["pixels"]) == set(found["depth"]) == {"robot_0", "robot_1"}
+    assert found["pixels"]["robot_0"].shape == (240, 320, 3)
+    assert found["pixels"]["robot_0"].dtype == np.uint8
+    assert found["depth"]["robot_0"].dtype == np.float32
+    seen = 0
+    for name, camera in env.cameras().items():
+        points = camera.unproject(found["depth"][name])
+        for entity, pose in env.info()["state"].items():
+            if not entity.endswith("_cube"):
+                continue
+            top = pose[:3] + [0.0, 0.0, CUBE_EDGE_M / 2]
+            (pixel,), (depth,) = camera.project([top])
+            column, row = np.rint(pixel).astype(int)
+            inside = 0 <= column < 320 and 0 <= row < 240
+            if inside and abs(found["depth"][name][row, column] - depth) < 0.02:
+                seen += 1
+                assert np.linalg.norm(points[row, column] - top) < 0.02
+    assert seen > 0
+
+
+@pytest.mark.render
+def test_map_is_that_of_the_table() -> None:
+    found, env = observe("map")
+    picture = found["map"]
+    space = env.observation_space["map"]
+    assert isinstance(space, spaces.Dict)
+    assert picture["rgb"].shape == (288, 416, 3)
+    assert picture["coverage"].mean() > 0.5
+    heights = []
+    raster = env._observer.raster
+    for entity, pose in env.info()["state"].items():
+        cell = raster.pixel_from_world((pose[0], pose[1]))
+        assert cell is not None
+        if entity.endswith("_cube"):
+            heights.append(float(picture["height_m"][cell]))
+    assert np.median(heights) == pytest.approx(CUBE_EDGE_M, abs=0.005)
+
+
+@pytest.mark.render
+def test_observing_leaves_the_physics_alone() -> None:
+    hashes = set()
+    for observation in ("state", "rgbd"):
+        env = lemma.make(
+            "hook",
+            split="test",
+            index=5,
+            observation=observation,
+            width=64,
+            height=48,
+            render_mode="rgb_array",
+        )
+        env.reset()
+        env.action_space.seed(0)
+        for _ in range(6):
+            env.step(env.action_space.sample())
+            if observation == "rgbd":
+                env.render()
+        hashes.add(env.state_hash())
+    assert len(hashes) == 1
+
+
+def test_render_without_a_mode_warns() -> None:
+    env = lemma.make("stack", split="test", index=0)
+    env.reset()
+    with pytest.warns(UserWarning, match='render_mode="rgb_array"'):
+        assert env.render() is None

@@ -1,0 +1,105 @@
+"""The PettingZoo face: one agent per robot."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from pettingzoo.test import parallel_api_test
+
+import lemma
+from lemma.core.errors import InvalidActionError, ResetNeededError
+from lemma.env.parallel_env import LemmaParallelEnv
+from lemma.registration import TASK_IDS
+
+
+def parallel(task: str = "stack", **options: Any) -> LemmaParallelEnv:
+    return lemma.parallel_env(task, **{"split": "test", "index": 0, **options})
+
+
+def sample(env: LemmaParallelEnv) -> dict[str, Any]:
+    return {agent: env.action_space(agent).sample() for agent in env.agents}
+
+
+@pytest.mark.parametrize("task", list(TASK_IDS))
+def test_pettingzoo_finds_no_fault(task: str) -> None:
+    parallel_api_test(parallel(task, horizon_s=2.0), num_cycles=60)
+
+
+@pytest.mark.parametrize(
+    "control", ["joint_position", "joint_velocity", "joint_torque"]
+)
+def test_pettingzoo_finds_no_fault_in_any_mode(control: str) -> None:
+    parallel_api_test(parallel(control=control, horizon_s=1.0), num_cycles=25)
+
+
+def test_agents_together_are_the_central_environment() -> None:
+    agents, central = parallel(), lemma.make("stack", split="test", index=0)
+    observations, _ = agents.reset(seed=0)
+    whole, _ = central.reset(seed=0)
+    for agent in agents.possible_agents:
+        agents.action_space(agent).seed(3)
+    for _ in range(8):
+        actions = sample(agents)
+        observations, *_ = agents.step(actions)
+        whole, *_ = central.step(np.array([actions[a] for a in agents.agents]))
+    assert agents.state_hash() == central.state_hash()
+    for key in ("agent_pos", "agent_vel", "tcp_pose"):
+        parts = [observations[agent][key] for agent in agents.agents]
+        assert (np.concatenate(parts) == whole[key]).all()
+    assert all(o in agents.observation_space(a) for a, o in observations.items())
+
+
+@pytest.mark.render
+def test_each_agent_sees_through_its_own_camera() -> None:
+    env = parallel("pass", observation="rgb", width=64, height=48)
+    observations, _ = env.reset()
+    assert {a: set(o["pixels"]) for a, o in observations.items()} == {
+        "robot_0": {"robot_0"},
+        "robot_1": {"robot_1"},
+    }
+    env.close()
+
+
+def test_reward_is_shared_and_the_end_common() -> None:
+    env = parallel(horizon_s=0.5)
+    env.reset()
+    for _ in range(10):
+        _, rewards, terminations, truncations, infos = env.step(sample(env))
+    assert set(truncations.values()) == {True}
+    assert set(terminations.values()) == {False}
+    assert len(set(rewards.values())) == 1
+    assert infos["robot_0"]["is_success"] is infos["robot_1"]["is_success"] is False
+    assert env.agents == []
+    with pytest.raises(ResetNeededError):
+        env.step({a: env.action_space(a).sample() for a in env.possible_agents})
+
+
+@pytest.mark.parametrize("names", [(), ("robot_0",), ("robot_0", "robot_2")])
+def test_missing_agent_is_an_error(names: tuple[str, ...]) -> None:
+    env = parallel()
+    env.reset()
+    action = env.action_space("robot_0").sample()
+    with pytest.raises(InvalidActionError, match="robot_0, robot_1"):
+        env.step(dict.fromkeys(names, action))
+    env.step(sample(env))
+
+
+def test_bad_row_is_an_error_of_its_robot() -> None:
+    env = parallel()
+    env.reset()
+    before = env.state_hash()
+    actions = sample(env)
+    actions["robot_1"] = np.full(8, np.nan)
+    with pytest.raises(InvalidActionError, match="of robot_1 is nan"):
+        env.step(actions)
+    assert env.state_hash() == before
+
+
+def test_agents_are_silent() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = parallel()
+        env.reset(seed=1)
+        env.step(sample(env))
+        env.close()

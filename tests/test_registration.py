@@ -1,0 +1,69 @@
+"""Public names, and how Gymnasium comes to know the tasks."""
+
+import subprocess
+import sys
+
+import gymnasium
+import pytest
+
+import lemma
+from lemma.registration import LEVELS, TASK_IDS
+
+
+def run(code: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_import_loads_nothing_heavy() -> None:
+    heavy = run(
+        "import sys, lemma\n"
+        "print({'mujoco', 'numba', 'scipy', 'torch', 'pettingzoo'} & set(sys.modules))"
+    )
+    assert heavy == "set()\n"
+
+
+def test_names_are_those_of_the_tasks() -> None:
+    assert list(TASK_IDS) == list(lemma.SUITE)
+    assert {name: lemma.TASKS[name].gym_id for name in TASK_IDS} == TASK_IDS
+
+
+@pytest.mark.parametrize("name", TASK_IDS.values())
+def test_import_registers(name: str) -> None:
+    spec = gymnasium.spec(name)
+    assert spec.entry_point == "lemma.registration:make"
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import lemma, gymnasium; gymnasium.make('lemma/Hook-v0')",
+        "import gymnasium, lemma; gymnasium.make('lemma/Hook-v0')",
+        "import gymnasium; gymnasium.make('lemma:lemma/Hook-v0')",
+    ],
+)
+def test_any_order_of_imports_will_do(code: str) -> None:
+    run(code)
+
+
+@pytest.mark.parametrize("level", list(LEVELS))
+def test_make_takes_names_and_ids(level: str) -> None:
+    by_name = lemma.make("poke_stack", level=level)
+    by_id = lemma.make("lemma/PokeStack-v0", level=level)
+    assert type(by_name) is type(by_id)
+    assert by_name.config == by_id.config
+    assert by_name.config.split == "train"
+
+
+def test_public_names_are_listed_and_resolve() -> None:
+    assert set(lemma.__all__) <= set(dir(lemma))
+    for name in lemma.__all__:
+        assert getattr(lemma, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'Robot'"):
+        lemma.Robot  # noqa: B018
