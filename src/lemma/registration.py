@@ -4,11 +4,14 @@ Importing this module is cheap: what simulates is imported when an environment i
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 if TYPE_CHECKING:
+    from lemma.env.control_env import ControlEnv
     from lemma.env.gym_env import LemmaEnv
     from lemma.env.parallel_env import LemmaParallelEnv
+    from lemma.env.skill_env import SkillEnv
+    from lemma.expert.plan_env import PlanEnv
 
 TASK_IDS = {
     "pass": "lemma/Pass-v0",
@@ -42,6 +45,30 @@ def register_environments() -> None:
             )
 
 
+@overload
+def make(
+    task: str,
+    *,
+    level: Literal["control"] = "control",
+    render_mode: str | None = None,
+    **options: Any,
+) -> "ControlEnv": ...
+@overload
+def make(
+    task: str,
+    *,
+    level: Literal["skill"],
+    render_mode: str | None = None,
+    **options: Any,
+) -> "SkillEnv": ...
+@overload
+def make(
+    task: str, *, level: Literal["plan"], render_mode: str | None = None, **options: Any
+) -> "PlanEnv": ...
+@overload
+def make(
+    task: str, *, level: str, render_mode: str | None = None, **options: Any
+) -> "LemmaEnv": ...
 def make(
     task: str, *, level: str = "control", render_mode: str | None = None, **options: Any
 ) -> "LemmaEnv":

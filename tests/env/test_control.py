@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import lemma
+from lemma.core.errors import ResetNeededError
 from lemma.core.poses import FloatArray, Pose
 from lemma.env.control_env import ControlEnv
 from lemma.robots.kinematics import top_down
@@ -230,7 +231,8 @@ def test_success_ends_the_episode_when_it_has_lasted() -> None:
     x, y, z = below.position
     scene.set_pose(goal[0], Pose((x, y, z + CUBE_EDGE_M), below.quaternion))
     action = resting(env)
-    rewards, ends = [], []
+    rewards: list[float] = []
+    ends: list[bool] = []
     while not any(ends):
         _, reward, terminated, truncated, info = env.step(action)
         rewards.append(reward)
@@ -240,6 +242,8 @@ def test_success_ends_the_episode_when_it_has_lasted() -> None:
     assert 10 <= len(rewards) <= 14
     assert info["is_success"]
     assert info["progress"] == 1.0
+    with pytest.raises(ResetNeededError):
+        env.step(action)
 
 
 @pytest.mark.parametrize("hz", [10, 20, 50, 100])

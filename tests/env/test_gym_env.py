@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import SyncVectorEnv
 
 import lemma
 from lemma.core.errors import (
@@ -156,7 +157,8 @@ def test_vector_of_four_is_four_singles() -> None:
     envs = gymnasium.make_vec(
         "lemma/Stack-v0", num_envs=4, vectorization_mode="sync", split="test"
     )
-    observations, _ = envs.reset(seed=[0, 1, 2, 3])
+    assert isinstance(envs, SyncVectorEnv)
+    observations, _ = envs.reset(seed=0)
     envs.action_space.seed(0)
     actions = [envs.action_space.sample() for _ in range(10)]
     for action in actions:
@@ -184,7 +186,7 @@ def test_vector_of_processes_renders() -> None:
         width=64,
         height=48,
     )
-    observations, infos = envs.reset(seed=[0, 1])
+    observations, infos = envs.reset(seed=0)
     single = make("poke", observation="rgb", width=64, height=48)
     for i in range(2):
         first, info = single.reset(seed=i)
@@ -244,7 +246,7 @@ def test_control_level_is_truncated_in_time() -> None:
     env = make(horizon_s=1.0, control="joint_velocity")
     env.reset(seed=0)
     assert env.get_wrapper_attr("_max_episode_steps") == 20
-    rest = np.zeros(env.action_space.shape, np.float32)
+    rest = np.zeros((2, 7), np.float32)
     steps = [env.step(rest) for _ in range(20)]
     assert [step[3] for step in steps] == [False] * 19 + [True]
     with pytest.raises(ResetNeededError):

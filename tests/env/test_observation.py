@@ -99,7 +99,7 @@ def test_cameras_are_calibrated() -> None:
         for entity, pose in env.info()["state"].items():
             if not entity.endswith("_cube"):
                 continue
-            top = pose[:3] + [0.0, 0.0, CUBE_EDGE_M / 2]
+            top = pose[:3] + np.array([0.0, 0.0, CUBE_EDGE_M / 2])
             (pixel,), (depth,) = camera.project([top])
             column, row = np.rint(pixel).astype(int)
             inside = 0 <= column < 320 and 0 <= row < 240

@@ -60,7 +60,11 @@ class ControlEnv(LemmaEnv):
         self._settled_s = 0.0
 
     def _is_done(self) -> bool:
-        return self.episode.is_over or self._settled_s >= SETTLE_S
+        return self.episode.is_over or self._has_settled
+
+    @property
+    def _has_settled(self) -> bool:
+        return self._settled_s >= SETTLE_S - 0.5 * TICK_S
 
     def step(self, action: ArrayLike) -> StepResult:
         """Command the motors for one control step.
@@ -92,7 +96,7 @@ class ControlEnv(LemmaEnv):
         self._settled_s = (
             self._settled_s + 1.0 / self.config.control_hz if success else 0.0
         )
-        terminated = self._settled_s >= SETTLE_S - 0.5 * TICK_S
+        terminated = self._has_settled
         truncated = episode.out_of_time and not terminated
         return float(success and (terminated or truncated)), terminated, truncated
 

@@ -1,0 +1,56 @@
+"""Every example runs, silently apart from what it prints, and does what it says."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+CASES = {
+    "00_first_scene.py": "depth from",
+    "01_gymnasium.py": "four at once: (4, 14)",
+    "02_expert.py": "success",
+    "03_write_a_task.py": "success",
+}
+
+
+def run(name: str, *arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", str(EXAMPLES / name), *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr == ""
+    return done.stdout
+
+
+def test_every_example_is_run_here() -> None:
+    assert {path.name for path in EXAMPLES.glob("*.py")} == set(CASES)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.render if name[:2] == "00" else ())
+        for name in CASES
+    ],
+)
+def test_example_runs(name: str) -> None:
+    assert CASES[name] in run(name)
+
+
+@pytest.mark.render
+def test_first_scene_writes_a_picture(tmp_path: Path) -> None:
+    picture = tmp_path / "scene.png"
+    run("00_first_scene.py", str(picture))
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("seed", ["1", "2", "3"])
+def test_expert_solves_the_ninth_task(seed: str) -> None:
+    assert "success" in run("03_write_a_task.py", seed)
