@@ -5,19 +5,24 @@ need only say which jobs are done.
 """
 
 import os
+import resource
+import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
+from pathlib import Path
 from typing import Any, Protocol
 
-from lemma.core.errors import DatasetError
+from lemma.core.errors import DatasetError, InvalidConfigError
 
 Job = tuple[Any, ...]
 """Arguments of one call."""
 
-_MOST_BREAKS = 50
+_MOST_BREAKS = 5
 _AHEAD = 2
 
 
@@ -41,11 +46,17 @@ class Serial:
 class Processes:
     """Runs jobs in several processes of this machine.
 
-    A process that dies takes one job along, which is run again.
+    A process that dies takes along what its fellows were doing; that is done again.
     """
 
     def __init__(self, workers: int) -> None:
-        """Set the number of processes."""
+        """Set the number of processes.
+
+        Raises:
+            InvalidConfigError: Fewer than one.
+        """
+        if workers < 1:
+            raise InvalidConfigError(f"Workers are 1 or more, not {workers}.")
         self._workers = workers
 
     def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
@@ -54,46 +65,67 @@ class Processes:
         Raises:
             DatasetError: Processes keep dying.
         """
-        left = list(jobs)
-        for _ in range(_MOST_BREAKS):
-            broken = False
-            for job, result in self._once(function, tuple(left)):
-                if job is None:
-                    broken = True
-                    break
-                left.remove(job)
-                yield result
-            if not broken:
-                return
-        raise DatasetError(
-            f"{_MOST_BREAKS} worker processes died. If the system ends them for lack "
-            "of memory, use fewer with --workers; each needs about 500 MB."
-        )
+        left = dict(enumerate(jobs))
+        breaks = 0
+        while left:
+            before = len(left)
+            try:
+                for number, result in self._once(function, dict(left)):
+                    del left[number]
+                    yield result
+            except BrokenProcessPool as error:
+                # As long as something is done in between, it is worth going on.
+                breaks = 0 if len(left) < before else breaks + 1
+                if breaks == _MOST_BREAKS:
+                    raise DatasetError(
+                        f"Worker processes died {_MOST_BREAKS} times before any of "
+                        "them finished an episode. If the system ends them for lack "
+                        "of memory, use fewer with --workers; each needs 500 MB."
+                    ) from error
 
     def _once(
-        self, function: Callable[..., Any], jobs: Sequence[Job]
-    ) -> Iterator[tuple[Job | None, Any]]:
-        """Yield jobs and results until all are done, or None when the pool broke."""
-        waiting = iter(jobs)
-        running: dict[Future[Any], Job] = {}
-        with ProcessPoolExecutor(
-            self._workers, mp_context=get_context("spawn"), initializer=_die_with_parent
-        ) as pool:
-            try:
-                while True:
-                    for job in waiting:
-                        running[pool.submit(function, *job)] = job
-                        if len(running) >= _AHEAD * self._workers:
-                            break
-                    if not running:
-                        return
-                    done, _ = wait(running, return_when=FIRST_COMPLETED)
-                    for future in done:
-                        yield running.pop(future), future.result()
-            except BrokenProcessPool:
-                yield None, None
-            finally:
-                pool.shutdown(wait=False, cancel_futures=True)
+        self, function: Callable[..., Any], jobs: dict[int, Job]
+    ) -> Iterator[tuple[int, Any]]:
+        """Yield numbers of jobs and results until all are done.
+
+        Raises:
+            BrokenProcessPool: A process died.
+        """
+        waiting = iter(jobs.items())
+        running: dict[Future[Any], int] = {}
+        pool = ProcessPoolExecutor(
+            min(self._workers, len(jobs)),
+            mp_context=get_context("spawn"),
+            initializer=_die_with_parent,
+        )
+        try:
+            while True:
+                while len(running) < _AHEAD * self._workers and (
+                    following := next(waiting, None)
+                ):
+                    number, job = following
+                    with _interrupts_held():
+                        running[pool.submit(function, *job)] = number
+                if not running:
+                    return
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield running.pop(future), future.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back, here for a moment and in processes started now for good.
+
+    The terminal sends it to all of them, and each would die with a traceback.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _die_with_parent() -> None:
@@ -106,6 +138,18 @@ def _die_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this process ever held [MB]."""
+    try:
+        # Unlike getrusage, this does not count the process that started this one.
+        status = Path("/proc/self/status").read_text()
+        return int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6
+    except (OSError, IndexError, ValueError):
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        # Bytes on macOS, kilobytes elsewhere.
+        return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 
 
 class Ray:

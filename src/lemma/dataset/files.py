@@ -1,10 +1,12 @@
 """Files that are either whole or not there, and what they say about themselves."""
 
 import errno
+import fcntl
 import hashlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from subprocess import DEVNULL, SubprocessError, check_output
@@ -18,8 +20,13 @@ from lemma.core.errors import DatasetError
 from lemma.dataset.schema import FORMAT_VERSION, SCHEMA
 
 METADATA_KEY = b"lemma"
+MANIFEST = "manifest.json"
+"""What a recipe's folder says of its files."""
+REVISION_VARIABLE = "LEMMA_REVISION"
+"""Environment variable that says the git revision where the checkout has no .git."""
 ROW_GROUP = 20
 """Episodes that are read together: what random access costs."""
+_DRAFT = ".draft"
 
 
 def versions(benchmark: str) -> dict[str, str]:
@@ -34,19 +41,32 @@ def versions(benchmark: str) -> dict[str, str]:
         "lemma": __version__,
         "mujoco": version("mujoco"),
         "numpy": version("numpy"),
+        "numba": version("numba"),
         "revision": _revision(),
     }
 
 
 def _revision() -> str:
-    """Return the git revision of the package's checkout, or ``"release"``."""
+    """Return the git revision of the package's checkout, or ``"release"``.
+
+    Another project's repository, around an environment in which this package is
+    installed, is not asked.
+    """
+    told = os.environ.get(REVISION_VARIABLE)
+    if told:
+        return told
+    root = Path(__file__).parents[3]
+    if not (root / "src/lemma").is_dir() or not (root / ".git").exists():
+        return "release"
     try:
-        text = check_output(
-            ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, stderr=DEVNULL
-        )
+        return check_output(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--match="],
+            cwd=root,
+            stderr=DEVNULL,
+            text=True,
+        ).strip()
     except (OSError, SubprocessError):
         return "release"
-    return text.decode().strip()
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
@@ -59,7 +79,7 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     Raises:
         DatasetError: The disk is full, or the folder cannot be written to.
     """
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    draft = path.with_name(f".{path.name}.{os.getpid()}{_DRAFT}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(draft)
@@ -67,8 +87,49 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
             os.fsync(file.fileno())
         draft.replace(path)
     except OSError as error:
-        draft.unlink(missing_ok=True)
         raise DatasetError(_explain(path, error)) from error
+    finally:
+        # Only what went wrong leaves a draft, and then its folder may be gone too.
+        with suppress(OSError):
+            draft.unlink()
+
+
+def clear_drafts(folder: Path) -> None:
+    """Remove what writers left behind that were killed."""
+    for draft in folder.rglob(f".*{_DRAFT}"):
+        with suppress(OSError):
+            draft.unlink()
+
+
+@contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Hold a folder, which is made if it is missing, so that nobody else writes to it.
+
+    The system lets go of it when this process ends, however it ends.
+
+    Raises:
+        DatasetError: Somebody holds it, or it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        held = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise DatasetError(_explain(folder, error)) from error
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(held)
+        raise DatasetError(
+            f"Another process is writing to {folder}. Wait until it has ended, or "
+            "choose another folder."
+        ) from error
+    except OSError:
+        # A network file system without locks: then nobody watches.
+        pass
+    try:
+        yield
+    finally:
+        os.close(held)
 
 
 def _explain(path: Path, error: OSError) -> str:
@@ -86,10 +147,17 @@ def _explain(path: Path, error: OSError) -> str:
 def write_table(path: Path, table: pa.Table, about: dict[str, str]) -> None:
     """Write a table of :data:`SCHEMA` to Parquet, with what it says about itself."""
     metadata = {METADATA_KEY: json.dumps(about, sort_keys=True).encode()}
-    table = table.replace_schema_metadata(metadata)
+    # In one piece, because where pieces begin shows in the bytes.
+    table = table.replace_schema_metadata(metadata).combine_chunks()
 
     def write(draft: Path) -> None:
-        pq.write_table(table, draft, compression="zstd", row_group_size=ROW_GROUP)
+        pq.write_table(
+            table,
+            draft,
+            compression="zstd",
+            row_group_size=ROW_GROUP,
+            write_page_checksum=True,
+        )
 
     write_whole(path, write)
 
@@ -104,12 +172,9 @@ def open_table(path: Path) -> tuple[pq.ParquetFile, dict[str, str]]:
         DatasetError: It is truncated, or not of this format.
     """
     try:
-        file = pq.ParquetFile(path)
+        file = pq.ParquetFile(path, page_checksum_verification=True)
     except (OSError, pa.ArrowException) as error:
-        raise DatasetError(
-            f"{path} cannot be read: {error}. It may have been cut short. Delete it "
-            "and run 'lemma generate' again: it writes what is missing."
-        ) from error
+        raise DatasetError(damaged(path, error)) from error
     found = (file.schema_arrow.metadata or {}).get(METADATA_KEY)
     if found is None or file.schema_arrow.names != SCHEMA.names:
         raise DatasetError(
@@ -124,6 +189,93 @@ def open_table(path: Path) -> tuple[pq.ParquetFile, dict[str, str]]:
             f"({about['lemma']}), or generate it again."
         )
     return file, about
+
+
+def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
+    """Read a Parquet file of a recipe.
+
+    Args:
+        path: The file.
+        columns: Names of columns; all if None.
+
+    Raises:
+        DatasetError: It is damaged, or not of this format.
+    """
+    file, _ = open_table(path)
+    try:
+        return file.read(columns=columns)
+    except (OSError, pa.ArrowException) as error:
+        raise DatasetError(damaged(path, error)) from error
+
+
+def damaged(path: Path, error: Exception) -> str:
+    """Return what to say about a file that cannot be read."""
+    return (
+        f"{path} is damaged: {error}. It may have been cut short. Delete it and run "
+        "'lemma generate' again: it writes what is missing."
+    )
+
+
+def check_same(path: Path, found: dict[str, str], about: dict[str, str]) -> None:
+    """Check that a file says the same about itself as what would be written now.
+
+    Args:
+        path: The file.
+        found: What it says about itself.
+        about: What would be written now.
+
+    Raises:
+        DatasetError: It is of another version.
+    """
+    differing = [k for k in about if k != "revision" and found.get(k) != about[k]]
+    if differing:
+        what = ", ".join(f"{k} {found.get(k)} instead of {about[k]}" for k in differing)
+        raise DatasetError(
+            f"{path} was written by another version: {what}. Its states would not fit "
+            "what is generated now. Choose a new folder, or delete this one."
+        )
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object that belongs to a recipe.
+
+    Raises:
+        DatasetError: It is missing or damaged.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DatasetError(
+            f"{path} cannot be read: {error}. 'lemma generate' writes it; run it again "
+            "to complete the recipe."
+        ) from error
+    if not isinstance(data, dict):
+        raise DatasetError(f"{path} holds no JSON object. Delete it.")
+    return data
+
+
+def check_files(folder: Path) -> None:
+    """Check the files of a recipe against its manifest.
+
+    Raises:
+        DatasetError: One is missing, or not the one that was written, or there is no
+            manifest.
+    """
+    files = read_json(folder / MANIFEST).get("files", {})
+    there = {p.relative_to(folder).as_posix() for p in folder.glob("*/*.parquet")}
+    for name in sorted(there ^ set(files)):
+        what = "is missing" if name in files else f"is not in {MANIFEST}"
+        raise DatasetError(
+            f"{folder / name} {what}. Run 'lemma generate' again: it completes the "
+            "recipe and its manifest."
+        )
+    for name, entry in files.items():
+        if sha256_of(folder / name) != entry["sha256"]:
+            raise DatasetError(
+                f"{folder / name} has another checksum than {MANIFEST} says: it was "
+                "changed or damaged. Fetch it again, or delete it and run 'lemma "
+                "generate': it writes what is missing."
+            )
 
 
 def sha256_of(path: Path) -> str:

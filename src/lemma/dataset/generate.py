@@ -5,31 +5,39 @@ of a file are there, they are put together in order, and the parts go. What a ki
 leaves behind is therefore always a prefix of work, never a wrong file.
 """
 
-import hashlib
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
+from time import perf_counter
 
 import pyarrow as pa
 
-from lemma.core.errors import DatasetError, UnknownNameError
+from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.dataset.card import write_card
-from lemma.dataset.engines import Engine
+from lemma.dataset.digests import content_digest, shorten
+from lemma.dataset.engines import Engine, peak_memory_mb
 from lemma.dataset.files import (
+    MANIFEST,
+    check_same,
+    clear_drafts,
+    only_writer,
     open_table,
+    read_json,
+    read_table,
     sha256_of,
     versions,
     write_json,
     write_table,
 )
 from lemma.dataset.record import record_episode
-from lemma.dataset.schema import SCHEMA, EpisodeRecord, from_table, to_table
+from lemma.dataset.schema import from_table, to_table
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import SUITE, load_instance
 
-MANIFEST = "manifest.json"
 _PARTS = ".parts"
+_ABOUT = "about.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,22 +54,65 @@ class Order:
     """Only the first so many of every list; all if None."""
 
     def __post_init__(self) -> None:
-        """Check the names."""
+        """Check the names and the number."""
         for task in self.tasks:
             if task not in SUITE:
                 raise UnknownNameError("task", task, SUITE)
         for split in self.splits:
             if split not in SPLITS:
                 raise UnknownNameError("split", split, SPLITS)
+        if self.episodes is not None and self.episodes < 1:
+            raise InvalidConfigError(
+                f"Episodes per task and split are 1 or more, not {self.episodes}."
+            )
 
     def count(self, split: str) -> int:
-        """Return how many episodes of a split are wanted."""
-        return SPLITS[split] if self.episodes is None else self.episodes
+        """Return how many episodes of a split are wanted; a list may be shorter."""
+        every = SPLITS[split]
+        return every if self.episodes is None else min(self.episodes, every)
 
     @property
     def total(self) -> int:
         """Return how many episodes there will be."""
         return len(self.tasks) * sum(self.count(split) for split in self.splits)
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a run came to."""
+
+    episodes: int
+    """Episodes of the order; all are there."""
+    made: int
+    """Those that this run made."""
+    seconds: float
+    """Time that this run took [s]."""
+    size_mb: float
+    """Of the files of the order [MB]."""
+    worker_mb: float
+    """Most memory that any worker held [MB]; 0 where none worked."""
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    """One file of an order."""
+
+    task: str
+    split: str
+    path: Path
+    parts: Path
+    there: int
+    """Episodes that the file holds already."""
+    wanted: int
+
+    def part(self, index: int) -> Path:
+        """Return where one episode is until all are there."""
+        return self.parts / f"{index:05d}.parquet"
+
+    def missing(self) -> list[int]:
+        """Return the numbers of episodes that are nowhere yet."""
+        indices = range(self.there, self.wanted)
+        return [index for index in indices if not self.part(index).exists()]
 
 
 def recipe_file(folder: Path, split: str, task: str) -> Path:
@@ -71,54 +122,83 @@ def recipe_file(folder: Path, split: str, task: str) -> Path:
 
 def generate(
     order: Order, engine: Engine, advance: Callable[[int], None] = lambda count: None
-) -> None:
+) -> Summary:
     """Write what is missing of a recipe.
 
     Args:
         order: What is wanted.
         engine: Where to work.
-        advance: Told how many episodes were done since it was last told.
+        advance: Told how many episodes were there at the beginning, and then of every
+            one that is done.
+
+    Returns:
+        What it came to.
 
     Raises:
         DatasetError: Something cannot be written, or what is there is of another
-            version, or the expert failed.
+            version, or somebody else is writing there, or the expert failed.
     """
+    start = perf_counter()
     about = versions(BENCHMARK_VERSION)
-    missing = []
-    for split in order.splits:
-        for task in order.tasks:
-            path = recipe_file(order.out, split, task)
-            if path.exists():
-                _check_same(path, about, order.count(split))
-                advance(order.count(split))
-                continue
-            parts = _parts_of(order.out, split, task)
-            for index in range(order.count(split)):
-                if _part(parts, index).exists():
-                    advance(1)
-                else:
-                    missing.append((task, split, index, str(parts), about))
-    counts: dict[tuple[str, str], int] = {}
-    for task, split, *_ in missing:
-        counts[task, split] = counts.get((task, split), 0) + 1
-    for task, split in engine.run(generate_part, missing):
+    with only_writer(order.out):
+        clear_drafts(order.out)
+        _begin(order.out, about)
+        listed = [
+            _look(order, split, task, about)
+            for split in order.splits
+            for task in order.tasks
+        ]
+        missing = {(file.split, file.task): file.missing() for file in listed}
+        made = sum(len(indices) for indices in missing.values())
+        advance(order.total - made)
+        worker_mb = _work(listed, missing, engine, about, advance)
+        rmtree(order.out / _PARTS, ignore_errors=True)
+        _write_manifest(order.out, about)
+        write_card(order.out, about)
+    size = sum(file.path.stat().st_size for file in listed)
+    seconds = perf_counter() - start
+    return Summary(order.total, made, seconds, size / 1e6, worker_mb)
+
+
+def _work(
+    listed: list[_File],
+    missing: dict[tuple[str, str], list[int]],
+    engine: Engine,
+    about: dict[str, str],
+    advance: Callable[[int], None],
+) -> float:
+    """Make what is missing, put files together as soon as they can be.
+
+    Returns:
+        The most memory that any worker held [MB].
+    """
+    left = Counter({name: len(indices) for name, indices in missing.items()})
+    by_name = {(file.split, file.task): file for file in listed}
+    for name, file in by_name.items():
+        if not left[name]:
+            _put_together(file, about)
+    jobs = [
+        (task, split, index, str(by_name[split, task].parts), about)
+        for (split, task), indices in missing.items()
+        for index in indices
+    ]
+    worker_mb = 0.0
+    for task, split, peak_mb in engine.run(generate_part, jobs):
+        worker_mb = max(worker_mb, peak_mb)
+        left[split, task] -= 1
+        if not left[split, task]:
+            _put_together(by_name[split, task], about)
         advance(1)
-        counts[task, split] -= 1
-        if counts[task, split] == 0:
-            _put_together(order, split, task, about)
-    for split in order.splits:
-        for task in order.tasks:
-            if not recipe_file(order.out, split, task).exists():
-                _put_together(order, split, task, about)
-    rmtree(order.out / _PARTS, ignore_errors=True)
-    _write_manifest(order.out, about)
-    write_card(order.out, about)
+    return worker_mb
 
 
 def generate_part(
     task: str, split: str, index: int, parts: str, about: dict[str, str]
-) -> tuple[str, str]:
-    """Write one episode as a part; return its task and split.
+) -> tuple[str, str, float]:
+    """Write one episode as a part.
+
+    Returns:
+        Its task and split, and the most memory that this process ever held [MB].
 
     Raises:
         DatasetError: The expert failed, so this is not the version that froze the list.
@@ -129,57 +209,58 @@ def generate_part(
             f"The expert failed on {record.key}: {record.failure}. Frozen instances "
             "are solved by the version that froze them; see 'lemma doctor'."
         )
-    write_table(_part(Path(parts), index), to_table([record]), about)
-    return task, split
+    write_table(Path(parts) / f"{index:05d}.parquet", to_table([record]), about)
+    return task, split, peak_memory_mb()
 
 
-def _parts_of(folder: Path, split: str, task: str) -> Path:
-    return folder / _PARTS / f"{split}-{task}"
+def _begin(folder: Path, about: dict[str, str]) -> None:
+    """Check that the parts that are there are of this version, or say that they are."""
+    path = folder / _PARTS / _ABOUT
+    if path.exists():
+        check_same(path, read_json(path), about)
+    else:
+        write_json(path, dict(about))
 
 
-def _part(parts: Path, index: int) -> Path:
-    return parts / f"{index:05d}.parquet"
+def _look(order: Order, split: str, task: str, about: dict[str, str]) -> _File:
+    """Look at what is there of a file.
 
-
-def _check_same(path: Path, about: dict[str, str], count: int) -> None:
+    Raises:
+        DatasetError: It is of another version, or holds more than is wanted.
+    """
+    path = recipe_file(order.out, split, task)
+    parts, wanted = order.out / _PARTS / f"{split}-{task}", order.count(split)
+    if not path.exists():
+        return _File(task, split, path, parts, 0, wanted)
     file, found = open_table(path)
-    differing = [k for k in about if k != "revision" and found.get(k) != about[k]]
-    if differing:
-        what = ", ".join(f"{k} {found.get(k)} instead of {about[k]}" for k in differing)
+    check_same(path, found, about)
+    there = file.metadata.num_rows
+    if there > wanted:
         raise DatasetError(
-            f"{path} was written by another version: {what}. Its states would not fit "
-            "what is generated now. Choose a new folder, or delete this one."
+            f"{path} holds {there} episodes, but {wanted} are wanted. Choose a new "
+            "folder, or delete this file."
         )
-    if file.metadata.num_rows != count:
-        raise DatasetError(
-            f"{path} holds {file.metadata.num_rows} episodes, but {count} are wanted. "
-            "Choose a new folder, or delete this file."
-        )
+    return _File(task, split, path, parts, there, wanted)
 
 
-def _put_together(order: Order, split: str, task: str, about: dict[str, str]) -> None:
-    parts = _parts_of(order.out, split, task)
-    tables = [
-        open_table(_part(parts, index))[0].read() for index in range(order.count(split))
-    ]
-    table = pa.concat_tables(tables).cast(SCHEMA)
-    write_table(recipe_file(order.out, split, task), table, about)
-    rmtree(parts, ignore_errors=True)
-
-
-def content_digest(records: list[EpisodeRecord]) -> str:
-    """Return the SHA-256 of what the records say, whatever file they are in."""
-    digests = "".join(record.digest() for record in records)
-    return hashlib.sha256(digests.encode()).hexdigest()
+def _put_together(file: _File, about: dict[str, str]) -> None:
+    if file.there == file.wanted:
+        return
+    tables = [read_table(file.path)] if file.there else []
+    indices = range(file.there, file.wanted)
+    tables += [read_table(file.part(index)) for index in indices]
+    write_table(file.path, pa.concat_tables(tables), about)
+    rmtree(file.parts, ignore_errors=True)
 
 
 def _write_manifest(folder: Path, about: dict[str, str]) -> None:
     files = {}
     for path in sorted(folder.glob("*/*.parquet")):
-        records = from_table(open_table(path)[0].read())
+        digests = [shorten(r.digest()) for r in from_table(read_table(path))]
         files[path.relative_to(folder).as_posix()] = {
             "sha256": sha256_of(path),
-            "content_sha256": content_digest(records),
-            "episodes": len(records),
+            "content_sha256": content_digest(digests),
+            "episodes": len(digests),
+            "digests": digests,
         }
     write_json(folder / MANIFEST, {"versions": about, "files": files})

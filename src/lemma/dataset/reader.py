@@ -4,12 +4,12 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import overload
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.dataset.files import open_table
+from lemma.dataset.files import damaged, open_table, read_table
 from lemma.dataset.schema import EpisodeRecord, from_table
 
 _KEPT_GROUPS = 8
@@ -28,15 +28,31 @@ class EpisodeHeader:
     distractors: int
 
 
-class Recipe(Sequence[EpisodeRecord]):
-    """The episodes of a recipe, in the order of its files; read when asked for."""
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where an episode is."""
 
-    def __init__(self, folder: Path, places: list[tuple[Path, int]]) -> None:
+    path: Path
+    group: int
+    """Row group of the file."""
+    row: int
+    """Row of that group."""
+    file_row: int
+    """Row of the file."""
+
+
+class Recipe(Sequence[EpisodeRecord]):
+    """The episodes of a recipe, in the order of its files; read when asked for.
+
+    Can be sent to the workers of a data loader: what was read stays behind.
+    """
+
+    def __init__(self, folder: Path, places: list[_Place]) -> None:
         """Keep where the episodes are; use :func:`load` instead.
 
         Args:
             folder: The recipe.
-            places: File and row of every episode.
+            places: Where every episode is.
         """
         self.folder = folder
         self._places = places
@@ -47,51 +63,60 @@ class Recipe(Sequence[EpisodeRecord]):
         """Return the number of episodes."""
         return len(self._places)
 
-    def __getitem__(self, index: int) -> EpisodeRecord:  # type: ignore[override]
-        """Return an episode.
+    @overload
+    def __getitem__(self, index: int) -> EpisodeRecord: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> "Recipe": ...
+
+    def __getitem__(self, index: int | slice) -> "EpisodeRecord | Recipe":
+        """Return an episode, or a part of the recipe.
 
         Raises:
             IndexError: There are not so many.
         """
-        path, row = self._places[index]
-        file, _ = open_table(path)
-        group = 0
-        while row >= file.metadata.row_group(group).num_rows:
-            row -= file.metadata.row_group(group).num_rows
-            group += 1
-        return self._group(path, group, file)[row]
-
-    def _group(
-        self, path: Path, group: int, file: pq.ParquetFile
-    ) -> list[EpisodeRecord]:
-        key = (path, group)
+        if isinstance(index, slice):
+            return Recipe(self.folder, self._places[index])
+        place = self._places[index]
+        key = (place.path, place.group)
         if key not in self._groups:
-            try:
-                self._groups[key] = from_table(file.read_row_group(group))
-            except (OSError, pa.ArrowException) as error:
-                raise DatasetError(
-                    f"{path} is damaged: {error}. Delete it and run 'lemma generate' "
-                    "again: it writes what is missing."
-                ) from error
+            self._groups[key] = read_group(*key)
             if len(self._groups) > _KEPT_GROUPS:
                 self._groups.popitem(last=False)
         self._groups.move_to_end(key)
-        return self._groups[key]
+        return self._groups[key][place.row]
+
+    def __reduce__(self) -> tuple[type["Recipe"], tuple[Path, list[_Place]]]:
+        """Leave behind what was read."""
+        return Recipe, (self.folder, self._places)
+
+    def files(self) -> list[Path]:
+        """Return the files that the episodes are in."""
+        return list(dict.fromkeys(place.path for place in self._places))
+
+    def groups(self) -> list[tuple[Path, int, tuple[int, ...]]]:
+        """Return the row groups that the episodes are in: file, number, rows of it."""
+        rows: dict[tuple[Path, int], list[int]] = {}
+        for place in self._places:
+            rows.setdefault((place.path, place.group), []).append(place.row)
+        return [(*key, tuple(found)) for key, found in rows.items()]
 
     def headers(self) -> Iterator[EpisodeHeader]:
         """Yield what is known of every episode, without reading its states."""
-        for path, row in self._places:
-            if path not in self._headers:
-                table = open_table(path)[0].read(columns=list(_HEADER))
-                self._headers[path] = [EpisodeHeader(**r) for r in table.to_pylist()]
-            yield self._headers[path][row]
+        for place in self._places:
+            if place.path not in self._headers:
+                table = read_table(place.path, list(_HEADER))
+                rows = [EpisodeHeader(**row) for row in table.to_pylist()]
+                self._headers[place.path] = rows
+            yield self._headers[place.path][place.file_row]
 
     def select(self, *, task: str | None = None, split: str | None = None) -> "Recipe":
         """Return the episodes of a task, of a split, or of both."""
         kept = [
             place
             for place in self._places
-            if task in (None, place[0].stem) and split in (None, place[0].parent.name)
+            if task in (None, place.path.stem)
+            and split in (None, place.path.parent.name)
         ]
         return Recipe(self.folder, kept)
 
@@ -130,5 +155,22 @@ def load(folder: str | Path) -> Recipe:
     places = []
     for path in paths:
         file, _ = open_table(path)
-        places += [(path, row) for row in range(file.metadata.num_rows)]
+        count = 0
+        for group in range(file.num_row_groups):
+            rows = file.metadata.row_group(group).num_rows
+            places += [_Place(path, group, row, count + row) for row in range(rows)]
+            count += rows
     return Recipe(folder, places)
+
+
+def read_group(path: Path, group: int) -> list[EpisodeRecord]:
+    """Read the episodes of one row group of a file.
+
+    Raises:
+        DatasetError: It is damaged.
+    """
+    file, _ = open_table(path)
+    try:
+        return from_table(file.read_row_group(group))
+    except (OSError, pa.ArrowException) as error:
+        raise DatasetError(damaged(path, error)) from error

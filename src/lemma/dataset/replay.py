@@ -1,12 +1,17 @@
 """Do again what a recipe says, and compare every state to the bit."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
 
 from lemma.core.errors import DatasetError
 from lemma.core.poses import Pose2
-from lemma.dataset.files import versions
+from lemma.dataset.engines import Engine
+from lemma.dataset.files import check_files, open_table, versions
+from lemma.dataset.reader import Recipe, read_group
 from lemma.dataset.schema import EpisodeRecord, SubTaskRecord
 from lemma.env.episode import Episode
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
@@ -55,11 +60,44 @@ def replay(record: EpisodeRecord) -> Replay:
     for keyframe, expected in enumerate(record.keyframe_sha256):
         if keyframe > 0:
             episode.execute(grounded(record.subtasks[keyframe - 1]))
-        if scene.state_hash() != expected:
+        written = sha256(record.keyframe_state[keyframe]).hexdigest()
+        if not scene.state_hash() == expected == written:
             difference = scene.snapshot() - record.state(keyframe)
             worst = float(np.abs(difference).max(initial=0.0))
             return Replay(record.key, keyframe, worst)
     return Replay(record.key, None, 0.0)
+
+
+def replay_all(
+    recipe: Recipe, engine: Engine, advance: Callable[[int], None] = lambda count: None
+) -> list[Replay]:
+    """Replay the episodes of a recipe.
+
+    Args:
+        recipe: What to replay, or a selection of it.
+        engine: Where to work.
+        advance: Told how many episodes were done since it was last told.
+
+    Returns:
+        The episodes that drift; empty if all is well.
+
+    Raises:
+        DatasetError: A file is damaged, or of another version.
+    """
+    check_files(recipe.folder)
+    for path in recipe.files():
+        check_versions(open_table(path)[1])
+    drifting = []
+    for replays in engine.run(replay_group, recipe.groups()):
+        drifting += [found for found in replays if not found.is_exact]
+        advance(len(replays))
+    return drifting
+
+
+def replay_group(path: Path, group: int, rows: tuple[int, ...]) -> list[Replay]:
+    """Replay some episodes of one row group of a file."""
+    records = read_group(path, group)
+    return [replay(records[row]) for row in rows]
 
 
 def grounded(row: SubTaskRecord) -> GroundedSubTask:

@@ -145,7 +145,10 @@ class EpisodeRecord:
         summary = json.dumps(
             [
                 self.instance,
-                [row.__getstate__() for row in self.subtasks],
+                [
+                    [getattr(row, name) for name in SubTaskRecord.__slots__]
+                    for row in self.subtasks
+                ],
                 self.keyframe_time_s,
                 self.keyframe_sha256,
                 [self.success, self.progress, self.failure],

@@ -1,0 +1,85 @@
+"""Make the whole recipe, prove it by replay, and write down what must come out.
+
+    python scripts/make_recipe.py OUT --workers 16 [--digests FOLDER] [--only STEP]
+
+Steps: generate, replay, digests; all three by default. What was generated is kept, so a
+second run goes on where the first was stopped. Figures go to the output as one JSON
+object, progress to the error stream. Without --digests, the digests are written to
+OUT/digests; those of the package are in src/lemma/dataset/digests.
+"""
+
+import argparse
+import json
+import platform
+import sys
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from lemma.dataset.digests import export
+from lemma.dataset.engines import Processes
+from lemma.dataset.generate import Order, generate
+from lemma.dataset.reader import load
+from lemma.dataset.replay import replay_all
+
+STEPS = ("generate", "replay", "digests")
+
+
+class Progress:
+    """Prints a line now and then."""
+
+    def __init__(self, what: str, total: int) -> None:
+        """Say what is done, and how much of it there is."""
+        self.what, self.total, self.done, self.said = what, total, 0, 0.0
+
+    def __call__(self, count: int) -> None:
+        """Take note of progress."""
+        self.done += count
+        if self.done == self.total or perf_counter() - self.said > 10:
+            self.said = perf_counter()
+            line = f"{self.what}: {self.done} of {self.total}"
+            print(line, file=sys.stderr, flush=True)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Do the steps and return the figures."""
+    order = Order(out=arguments.out, episodes=arguments.episodes)
+    engine = Processes(arguments.workers)
+    steps = (arguments.only,) if arguments.only else STEPS
+    figures: dict[str, Any] = {
+        "machine": platform.processor() or platform.machine(),
+        "libc": " ".join(platform.libc_ver()),
+        "workers": arguments.workers,
+    }
+    if "generate" in steps:
+        made = generate(order, engine, Progress("generate", order.total))
+        figures |= {
+            "episodes": made.episodes,
+            "made": made.made,
+            "seconds": round(made.seconds, 1),
+            "episodes_per_s": round(made.made / made.seconds, 2),
+            "size_mb": round(made.size_mb, 1),
+            "worker_mb": round(made.worker_mb),
+        }
+    if "replay" in steps:
+        start = perf_counter()
+        recipe = load(order.out)
+        drifting = replay_all(recipe, engine, Progress("replay", len(recipe)))
+        figures["replay_seconds"] = round(perf_counter() - start, 1)
+        figures["drifting"] = [found.key for found in drifting]
+    if "digests" in steps:
+        folder = arguments.digests or order.out / "digests"
+        figures["splits"] = export(order.out, folder)["splits"]
+        files = folder.iterdir()
+        figures["digests_kb"] = round(sum(f.stat().st_size for f in files) / 1e3)
+    return figures
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--episodes", type=int, help="the first so many of every list")
+    parser.add_argument("--digests", type=Path)
+    parser.add_argument("--only", choices=STEPS)
+    print(json.dumps(run(parser.parse_args()), indent=1))
