@@ -163,7 +163,7 @@ def _execute(
     keep()
     _check(scene, record, 0)
     simulation.observers.append(observe)
-    for current, row in enumerate(record.subtasks):  # noqa: B007 - observe() reads it
+    for current, row in enumerate(record.subtasks):
         episode.execute(grounded(row))
         _check(scene, record, current + 1)
     current = NO_SUBTASK
