@@ -123,8 +123,9 @@ def textbook_tool_acceleration(
     posture, damping = parameters.posture, parameters.damping
     offset = goal.posture - q
     offset = offset * min(1.0, posture.cap_rad / float(np.linalg.norm(offset)))
+    pull: FloatArray = posture.gain * offset - posture.damping * qd
     metric += (posture.metric + posture.inertia) * np.eye(6)
-    force += posture.metric * (posture.gain * offset - posture.damping * qd)
+    force += posture.metric * pull
     speed = float(np.linalg.norm(qd))
     metric += (damping.metric * speed + damping.inertia) * np.eye(6)
     force -= damping.metric * speed * damping.damping * speed * qd

@@ -271,7 +271,8 @@ def test_an_unknown_colour_names_the_valid_ones() -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_lofts_enclose_their_volume_from_outside(axis: int, sign: int) -> None:
-    direction = tuple(float(sign * (k == axis)) for k in range(3))
+    x, y, z = (float(sign * (k == axis)) for k in range(3))
+    direction = (x, y, z)
     solid = Loft(
         (0.1, 0.2, 0.3),
         direction,
