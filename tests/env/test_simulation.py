@@ -1,0 +1,207 @@
+"""The one step loop: time, clocks, snapshots, and what is held."""
+
+import math
+
+import numpy as np
+import pytest
+
+from lemma.core.poses import Pose, Pose2
+from lemma.env.simulation import STEPS_PER_TICK, TICK_S, Simulation
+from lemma.motion.skills import SkillRunner
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.scene.compose import TIME_STEP_S
+from lemma.tasks.instance import SPLITS
+from lemma.tasks.subtask import GroundedSubTask, Primitive
+from lemma.tasks.suite import SUITE, load_instance
+from recorded_episodes import first_instance, run_expert
+from small_tables import cube, facing, pad, stick
+
+PICK, PLACE = Pose2(-0.1, 0.15, 0.3), Pose2(-0.05, -0.2, 0.3)
+MOVE = GroundedSubTask("robot_0", Primitive.MOVE, PICK, PLACE)
+
+
+@pytest.fixture
+def simulation() -> Simulation:
+    return Simulation(
+        facing("ur5", cube("red", *PICK.xy, PICK.yaw), pad("red", 0, 0.4))
+    )
+
+
+def test_it_begins_at_zero_with_parked_arms_and_open_grippers(
+    simulation: Simulation,
+) -> None:
+    assert simulation.time_s == 0.0
+    assert simulation.held() == {}
+    for arm in simulation.arms.values():
+        joints = simulation.scene.data.qpos[arm.robot.qpos]
+        assert joints == pytest.approx(arm.park, abs=1e-3)
+        opening = simulation.scene.opening_m(arm.robot)
+        assert opening == pytest.approx(FINGER_OPENING_M, abs=1e-4)
+        assert np.abs(simulation.scene.data.qvel[arm.robot.dof]).max() < 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", SUITE)
+def test_no_frozen_instance_begins_in_its_goal(task: str) -> None:
+    """And everything lies still where the instance says, for all 60 of a task."""
+    for index in range(SPLITS["test"]):
+        instance = load_instance(task, "test", index)
+        scene = Simulation(instance.scene).scene
+        assert instance.goal.progress(scene) == 0.0
+        for name in scene.movable_names:
+            assert scene.pose2(name).distance(scene.spec.placement(name).pose) < 1e-4
+            assert scene.speed(name) < 1e-3
+
+
+def test_a_tick_is_two_physics_steps(simulation: Simulation) -> None:
+    ticks: list[float] = []
+    driven: list[float] = []
+    simulation.observers.append(lambda: ticks.append(simulation.time_s))
+    for _ in range(3):
+        simulation.tick(drive=lambda: driven.append(simulation.time_s))
+    assert STEPS_PER_TICK * TIME_STEP_S == TICK_S
+    assert ticks == pytest.approx([0.01, 0.02, 0.03])
+    assert driven == pytest.approx([0.0, 0.005, 0.01, 0.015, 0.02, 0.025])
+
+
+@pytest.mark.parametrize(
+    ("seconds", "expected"), [(0.0, 0.0), (1.0, 1.0), (0.003, 0.01)]
+)
+def test_rest_lets_time_pass(
+    simulation: Simulation, seconds: float, expected: float
+) -> None:
+    simulation.rest(seconds)
+    assert simulation.time_s == pytest.approx(expected)
+    assert simulation.clocks["robot_0"].busy_s == 0.0
+
+
+def test_a_resting_arm_stays_where_it_is(simulation: Simulation) -> None:
+    before = simulation.scene.data.qpos.copy()
+    simulation.rest(20.0)
+    assert np.abs(simulation.scene.data.qpos - before).max() < 1e-3
+
+
+def test_only_the_active_arm_moves(simulation: Simulation) -> None:
+    other = simulation.arms["robot_1"].robot
+    before = simulation.scene.data.qpos[other.qpos].copy()
+    assert simulation.execute(MOVE).ok
+    after = simulation.scene.data.qpos[other.qpos]
+    assert np.abs(after - before).max() < 1e-4
+
+
+def test_clocks_tell_busy_from_idle(simulation: Simulation) -> None:
+    first = simulation.execute(MOVE)
+    simulation.rest(1.0)
+    back = GroundedSubTask("robot_1", Primitive.MOVE, PLACE, PICK)
+    second = simulation.execute(back)
+    clocks, elapsed = simulation.clocks, simulation.time_s
+    assert clocks["robot_0"].busy_s == pytest.approx(first.duration_s)
+    assert clocks["robot_1"].busy_s == pytest.approx(second.duration_s)
+    assert elapsed == pytest.approx(first.duration_s + second.duration_s + 1.0)
+    assert clocks["robot_0"].idle_s(elapsed) == pytest.approx(second.duration_s + 1.0)
+    assert clocks["robot_1"].idle_s(elapsed) == pytest.approx(first.duration_s + 1.0)
+
+
+# --- Held --------------------------------------------------------------------------
+
+
+def test_held_is_what_both_fingers_touch(simulation: Simulation) -> None:
+    seen: list[dict[str, str]] = []
+    heights: list[float] = []
+
+    def look() -> None:
+        seen.append(simulation.held())
+        heights.append(simulation.scene.pose("red_cube").position[2])
+
+    simulation.observers.append(look)
+    simulation.execute(MOVE)
+    assert seen[0] == seen[-1] == {}
+    # Whenever the cube is in the air it is held, by that robot, and nothing else is.
+    for held, height in zip(seen, heights, strict=True):
+        if height > 0.035:
+            assert held == {"robot_0": "red_cube"}
+        assert held in ({}, {"robot_0": "red_cube"})
+    assert sum(height > 0.035 for height in heights) > 50
+
+
+def test_one_finger_is_not_enough(simulation: Simulation) -> None:
+    skill = SkillRunner(simulation.arms).run(MOVE)
+    while simulation.held() == {}:
+        next(skill)
+        simulation.tick(("robot_0",))
+    scene, robot = simulation.scene, simulation.arms["robot_0"].robot
+    # Aside along the closing direction: away from one finger.
+    x, y, z = scene.pose("red_cube").position
+    across = simulation.arms["robot_0"].tcp_pose()[:3, 1]
+    shift = 0.02
+    scene.set_joints(robot, scene.data.qpos[robot.qpos], FINGER_OPENING_M)
+    simulation.arms["robot_0"].opening_m = FINGER_OPENING_M
+    moved = Pose((x + shift * across[0], y + shift * across[1], z))
+    scene.set_pose("red_cube", Pose(moved.position, scene.pose("red_cube").quaternion))
+    simulation.tick()
+    assert simulation.held() == {}
+
+
+# --- Snapshots ---------------------------------------------------------------------
+
+
+def test_a_simulation_goes_back_and_on_again(simulation: Simulation) -> None:
+    simulation.execute(MOVE)
+    kept = simulation.snapshot()
+    before = simulation.scene.state_hash()
+    back = GroundedSubTask("robot_1", Primitive.MOVE, PLACE, PICK)
+    first = simulation.execute(back)
+    after = simulation.scene.state_hash()
+    simulation.restore(kept)
+    assert simulation.scene.state_hash() == before
+    assert simulation.clocks["robot_1"].busy_s == 0.0
+    second = simulation.execute(back)
+    assert simulation.scene.state_hash() == after
+    assert second == first
+
+
+def test_a_snapshot_serves_another_simulation(simulation: Simulation) -> None:
+    simulation.execute(MOVE)
+    kept = simulation.snapshot()
+    other = Simulation(simulation.scene.spec)
+    other.execute(GroundedSubTask("robot_1", Primitive.MOVE, PICK, Pose2(0.1, 0.2)))
+    other.restore(kept)
+    back = GroundedSubTask("robot_0", Primitive.MOVE, PLACE, PICK)
+    assert simulation.execute(back) == other.execute(back)
+    assert simulation.scene.state_hash() == other.scene.state_hash()
+
+
+def test_restoring_tells_what_is_held() -> None:
+    simulation = Simulation(facing("ur10", stick(Pose2(-0.2, -0.2, 0.4))))
+    grip = simulation.scene.pose2("stick") @ Pose2(0.05, 0.0)
+    carry = GroundedSubTask("robot_0", Primitive.MOVE, grip, Pose2(-0.1, 0.2, 0.4))
+    skill = SkillRunner(simulation.arms).run(carry)
+    while simulation.scene.pose("stick").position[2] < 0.2:
+        next(skill)
+        simulation.tick(("robot_0",))
+    kept = simulation.snapshot()
+    skill.close()
+    fresh = Simulation(simulation.scene.spec)
+    assert fresh.held() == {}
+    fresh.restore(kept)
+    assert fresh.held() == simulation.held() == {"robot_0": "stick"}
+
+
+def test_a_whole_episode_from_a_snapshot_of_its_beginning() -> None:
+    instance = first_instance("hook", "ur5+ur10")
+    _, _, steps, hashes = run_expert(instance)
+    simulation = Simulation(instance.scene)
+    kept = simulation.snapshot()
+    simulation.execute(steps[0].grounded)
+    simulation.restore(kept)
+    found = [simulation.scene.state_hash()]
+    for step in steps:
+        simulation.execute(step.grounded)
+        found.append(simulation.scene.state_hash())
+    assert found == hashes
+
+
+def test_time_does_not_drift() -> None:
+    simulation = Simulation(facing("ur5"))
+    simulation.rest(100.0)
+    assert math.isclose(simulation.time_s, 100.0, abs_tol=1e-6)
