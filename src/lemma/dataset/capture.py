@@ -1,0 +1,283 @@
+"""What the cameras see at the keyframes of an episode: the form ``keyframes``.
+
+Nothing is simulated: the recipe holds the state of every keyframe.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.dataset.keyframe_schema import (
+    FORM,
+    KEYFRAMES_VERSION,
+    PARTS,
+    SUFFIX,
+    Header,
+    Raster,
+    Row,
+    decode_depth,
+    describe,
+    encode_depth,
+)
+from lemma.dataset.keyframes import KeyframeFile, write_keyframes
+from lemma.dataset.render import Found
+from lemma.dataset.schema import EpisodeRecord
+from lemma.env.observation import object_poses
+from lemma.env.spaces import ENTITIES
+from lemma.env.topdown import TopDownMap
+from lemma.motion.outcome import Outcome
+from lemma.scene.opengl import choose_backend
+from lemma.scene.rendering import CameraImage, Renderer
+from lemma.scene.scene import Scene
+from lemma.tasks.instance import Instance
+from lemma.tasks.language import sub_instruction
+from lemma.tasks.subtask import Primitive
+
+_MAP = TopDownMap()
+_PER_FILE = ("part", "robots", "digests", "keyframes")
+
+
+@dataclass(frozen=True, slots=True)
+class KeyframeForm:
+    """Images of every keyframe, for policies that plan from one to the next."""
+
+    width: int = 640
+    """Of camera images [px]."""
+    height: int = 480
+    """Of camera images [px]."""
+
+    def __post_init__(self) -> None:
+        """Check the size."""
+        Renderer(self.width, self.height)
+
+    @property
+    def name(self) -> str:
+        """Name of the form."""
+        return FORM
+
+    def paths(self, split: str, name: str) -> tuple[str, ...]:
+        """Return the files of a row group of the recipe, in the order of ``PARTS``."""
+        return tuple(f"{part}/{split}/{name}{SUFFIX}" for part in PARTS)
+
+    def about(self, versions: dict[str, str]) -> dict[str, Any]:
+        """Return what decides the bytes, beside the episodes."""
+        header = asdict(self._header(versions, choose_backend().renderer))
+        return {name: header[name] for name in header if name not in _PER_FILE}
+
+    def _header(self, versions: dict[str, str], renderer: str) -> Header:
+        return Header(
+            form=FORM,
+            part=PARTS[0],
+            version=KEYFRAMES_VERSION,
+            versions=versions,
+            renderer=renderer,
+            robots=2,
+            width=self.width,
+            height=self.height,
+            raster=Raster(_MAP.rows, _MAP.columns, _MAP.cell_m, _MAP.floor_m),
+            entities=ENTITIES,
+        )
+
+    def look(self, path: Path) -> Found:
+        """Return what a file says about itself.
+
+        Raises:
+            DatasetError: It is damaged, or of another form or version.
+        """
+        file = KeyframeFile(path)
+        header = asdict(file.header)
+        return Found(
+            {name: header[name] for name in header if name not in _PER_FILE},
+            file.header.digests,
+            len(file),
+        )
+
+    def write(
+        self,
+        paths: Sequence[Path],
+        records: Sequence[EpisodeRecord],
+        digests: tuple[str, ...],
+        about: dict[str, Any],
+    ) -> None:
+        """Render the keyframes of some episodes.
+
+        Args:
+            paths: Files, in the order of :meth:`paths`.
+            records: The episodes.
+            digests: Their digests in the recipe.
+            about: What :meth:`about` returned.
+
+        Raises:
+            DatasetError: A state is not the one that was recorded.
+            RenderingError: OpenGL does not work here.
+        """
+        base = self._header(about["versions"], about["renderer"])
+        robots = {len(record.instance_data()["robots"]) for record in records}
+        if len(robots) != 1:
+            raise InvalidConfigError(
+                f"Teams of {sorted(robots)} robots do not fit into one file. Put them "
+                "into different tasks."
+            )
+        counts = tuple(record.keyframes for record in records)
+        headers = [
+            replace(
+                base,
+                part=part,
+                robots=max(robots),
+                digests=digests,
+                keyframes=counts,
+            )
+            for part in PARTS
+        ]
+        rows = (row for record in records for row in self.rows(record))
+        write_keyframes(list(zip(paths, headers, strict=True)), rows)
+
+    def rows(self, record: EpisodeRecord) -> Iterator[Row]:
+        """Yield the keyframes of an episode, with all columns.
+
+        Args:
+            record: The episode.
+
+        Raises:
+            DatasetError: A state is not the one that was recorded.
+            RenderingError: OpenGL does not work here.
+        """
+        instance = Instance.from_dict(record.instance_data())
+        scene = Scene(instance.scene)
+        constant = _episode_columns(record, instance)
+        for keyframe in range(record.keyframes):
+            _check_state(record, keyframe)
+            scene.restore(record.state(keyframe))
+            yield {
+                **constant,
+                "keyframe": keyframe,
+                "time_s": record.keyframe_time_s[keyframe],
+                **_label(record, keyframe),
+                **_truth(scene),
+                **see(scene, _renderer(self.width, self.height)),
+            }
+
+    def card(self) -> str:
+        """Return what the folder's README says."""
+        return _CARD.format(columns=describe(), width=self.width, height=self.height)
+
+
+def see(scene: Scene, renderer: Renderer) -> Row:
+    """Return what the cameras of a scene see, and the map of it, as it is stored.
+
+    The map is fused from the depths as they are stored, so that what is read can be
+    fused again, with another raster for example.
+    """
+    images = [
+        renderer.rgbd(scene.model, scene.data, f"{name}/camera")
+        for name in scene.spec.robot_names
+    ]
+    depths = [encode_depth(image.depth_m) for image in images]
+    fused = _MAP.fuse(
+        [
+            CameraImage(image.rgb, decode_depth(depth), image.camera)
+            for image, depth in zip(images, depths, strict=True)
+        ]
+    )
+    raster = Raster(_MAP.rows, _MAP.columns, _MAP.cell_m, _MAP.floor_m)
+    return {
+        "intrinsics": np.array([i.camera.intrinsics.matrix() for i in images]),
+        "world_from_camera": np.array(
+            [image.camera.world_from_camera.matrix() for image in images]
+        ),
+        "rgb": np.array([image.rgb for image in images]),
+        "depth": np.array(depths),
+        "map_rgb": fused.rgb,
+        "map_height": raster.encode_height(fused.height_m, fused.coverage),
+    }
+
+
+@lru_cache(maxsize=1)
+def _renderer(width: int, height: int) -> Renderer:
+    """Return the renderer of this process: starting one takes longer than a picture."""
+    return Renderer(width, height)
+
+
+def _episode_columns(record: EpisodeRecord, instance: Instance) -> Row:
+    robots = instance.scene.robots
+    return {
+        "key": record.key,
+        "task": record.task,
+        "split": record.split,
+        "index": record.index,
+        "keyframes": record.keyframes,
+        "team": record.team,
+        "arms": "+".join(robot.arm for robot in robots),
+        "bases": np.array([[r.base.x, r.base.y, r.base.yaw] for r in robots]),
+        "high_level": record.high_level,
+        "human": record.human,
+        "unseen": record.unseen,
+        "goal": json.dumps(instance.goal.pairs, separators=(",", ":")),
+        "instance": record.instance,
+    }
+
+
+def _label(record: EpisodeRecord, keyframe: int) -> Row:
+    """Return what the expert did next."""
+    if keyframe == len(record.subtasks):
+        nowhere = np.full(3, np.nan)
+        return {
+            **dict.fromkeys(("robot", "pick", "place"), ""),
+            "primitive": str(Primitive.STOP),
+            "sub_instruction": sub_instruction("", str(Primitive.STOP)),
+            "outcome": str(Outcome.STOPPED),
+            "pick_pose": nowhere,
+            "place_pose": nowhere,
+        }
+    row = record.subtasks[keyframe]
+    return {
+        "robot": row.robot,
+        "primitive": row.primitive,
+        "pick": row.pick,
+        "place": row.place,
+        "sub_instruction": row.instruction,
+        "outcome": row.outcome,
+        "pick_pose": row.pick_pose,
+        "place_pose": row.place_pose,
+    }
+
+
+def _truth(scene: Scene) -> Row:
+    objects = np.full((len(ENTITIES), 7), np.nan)
+    for name, pose in object_poses(scene).items():
+        objects[ENTITIES.index(name)] = pose
+    return {
+        "joints": np.array([scene.data.qpos[robot.qpos] for robot in scene.robots]),
+        "opening_m": np.array([scene.opening_m(robot) for robot in scene.robots]),
+        "objects": objects,
+    }
+
+
+def _check_state(record: EpisodeRecord, keyframe: int) -> None:
+    state = record.keyframe_state[keyframe]
+    if hashlib.sha256(state).hexdigest() != record.keyframe_sha256[keyframe]:
+        raise DatasetError(
+            f"The state of keyframe {keyframe} of {record.key} is damaged. Delete its "
+            "file of the recipe and run 'lemma generate' again."
+        )
+
+
+_CARD = """# Rendered keyframes of LEMMA Bench
+
+The scene before each sub-task and at the end of every episode of a recipe, as the
+robots' cameras ({width} x {height} px) see it, and from above. `lemma render --form
+keyframes` made this from the recipe; `manifest.json` holds the checksum of every file.
+
+Files are Arrow IPC, one record batch per keyframe; `maps/` and `cameras/` hold the same
+keyframes in the same order. Train on the sentences `high_level` and `human`, never on
+`unseen`.
+
+{columns}
+"""
