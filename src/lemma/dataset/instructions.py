@@ -1,0 +1,74 @@
+"""Sentences for training, drawn anew in every epoch, with neither MuJoCo nor torch.
+
+A recipe records one sentence of each kind per episode. The bank of a task has more, and
+a model that reads only one per episode learns fewer words than it could.
+"""
+
+from collections.abc import Sequence
+
+from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.seeding import stream
+from lemma.tasks.language import instruct
+from lemma.tasks.template import KINDS, GoalPairs
+
+TRAINING_KINDS = ("high_level", "human")
+"""Kinds of sentences that may be trained on: all but those held out."""
+
+
+def draw_instruction(
+    task: str,
+    goal_pairs: GoalPairs,
+    key: str,
+    *,
+    seed: int = 0,
+    epoch: int = 0,
+    kinds: Sequence[str] = TRAINING_KINDS,
+) -> str:
+    """Draw a sentence that asks for a goal: first its kind, then its template.
+
+    Args:
+        task: Name of the task.
+        goal_pairs: The (top, bottom) entities of the goal.
+        key: What the sentence is for. The same key, seed and epoch give the same
+            sentence, so that all keyframes of an episode agree.
+        seed: Seeds all draws.
+        epoch: A new one gives new sentences.
+        kinds: Kinds to draw from, each as likely.
+
+    Raises:
+        InvalidConfigError: One of the kinds is not for training.
+    """
+    for kind in kinds:
+        if kind not in TRAINING_KINDS:
+            raise InvalidConfigError(
+                f"Sentences of kind {kind!r} are not drawn for training. Valid: "
+                f"{', '.join(TRAINING_KINDS)}."
+            )
+    if not kinds:
+        raise InvalidConfigError(
+            f"No kinds of sentences to draw from. Valid: {', '.join(TRAINING_KINDS)}."
+        )
+    draws = stream("instruction", seed, epoch, key)
+    kind = kinds[int(draws.integers(len(kinds)))]
+    return instruct(task, kind, goal_pairs, draws)
+
+
+def check_recorded(kind: str, splits: Sequence[str]) -> None:
+    """Check that sentences as they were recorded may be used.
+
+    Args:
+        kind: Kind of sentences.
+        splits: Splits that they are read for.
+
+    Raises:
+        UnknownNameError: There is no such kind.
+        DatasetError: They are held out, and the split is for training.
+    """
+    if kind not in KINDS:
+        raise UnknownNameError("kind of instruction", kind, KINDS)
+    if kind not in TRAINING_KINDS and "train" in splits:
+        raise DatasetError(
+            f"Sentences of kind {kind!r} are held out: they are not read with the "
+            "split 'train'. Choose split 'val' or 'test', or kind "
+            f"{' or '.join(map(repr, TRAINING_KINDS))}."
+        )

@@ -1,0 +1,261 @@
+"""Rendered keyframes for training: a map-style data set, and one that is in memory.
+
+Both give NumPy arrays; ``torch.utils.data.DataLoader`` takes them as they are. Neither
+MuJoCo nor torch is needed.
+"""
+
+import json
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from os import getpid
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.errors import UnknownNameError
+from lemma.dataset.instructions import check_recorded, draw_instruction
+from lemma.dataset.keyframe_schema import (
+    Header,
+    Raster,
+    camera_columns,
+    map_columns,
+)
+from lemma.dataset.keyframes import KeyframeFile
+from lemma.dataset.shards import keyframe_shards
+
+Sample = dict[str, Any]
+"""One keyframe: values by the names of columns; tensors as NumPy arrays."""
+
+LABELS = (
+    *("key", "task", "index", "keyframe", "keyframes"),
+    *("robot", "primitive", "pick", "place", "pick_pose", "place_pose"),
+)
+"""Columns that say what a policy should do."""
+POLICY_COLUMNS = (*LABELS, "arms", "bases", "joints", "opening_m", "sub_instruction")
+"""Columns that a policy needs beside its images and the instruction."""
+MAP_COLUMNS = ("map_rgb", "map_height")
+CAMERA_COLUMNS = ("intrinsics", "world_from_camera", "rgb", "depth")
+
+_OPEN_FILES = 400
+_SOURCES = ("recorded", "resampled")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Language:
+    """Which sentence a sample gets as ``instruction``."""
+
+    instructions: str = "recorded"
+    """``"recorded"``: the episode's own. ``"resampled"``: drawn from the templates for
+    training, high-level and human, anew in every epoch."""
+    kind: str = "high_level"
+    """Of recorded ones: ``high_level``, ``human`` or, but for training, ``unseen``."""
+    seed: int = 0
+    """Of resampled ones."""
+
+    def __post_init__(self) -> None:
+        """Check the name."""
+        if self.instructions not in _SOURCES:
+            raise UnknownNameError(
+                "source of instructions", self.instructions, _SOURCES
+            )
+
+
+RECORDED = Language()
+
+
+class KeyframeDataset:
+    """Keyframes of a split: ``len(dataset)`` and ``dataset[i]``, nothing else to do.
+
+    Samples are dictionaries of the columns asked for, ``instruction``, and, with the
+    map's height, ``map_coverage``. Files are opened when they are first needed, in each
+    process for itself.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        split: str = "train",
+        tasks: Sequence[str] = (),
+        columns: Sequence[str] = (*MAP_COLUMNS, *POLICY_COLUMNS),
+        language: Language = RECORDED,
+    ) -> None:
+        """Look at what is there; no keyframe is read.
+
+        Args:
+            folder: What ``lemma render --form keyframes`` made.
+            split: Name of a split.
+            tasks: Names of tasks; all if empty.
+            columns: What samples hold; see ``docs/rendered_format.md``.
+            language: What their instructions are.
+
+        Raises:
+            DatasetError: Files are missing, cut short, or of another version.
+            UnknownNameError: There is no such split, task or column.
+        """
+        if language.instructions == "recorded":
+            check_recorded(language.kind, (split,))
+        self.folder = Path(folder)
+        self.language = language
+        self.epoch = 0
+        self.shards = keyframe_shards(self.folder, split, tasks)
+        self.raster = self.shards[0].header.raster
+        self._ends = list(accumulate(sum(s.header.keyframes) for s in self.shards))
+        self._columns = _by_part(columns, language, self.shards[0].header)
+        self._added = set().union(*self._columns.values()) - set(columns)
+        self._files: dict[tuple[int, str], KeyframeFile] = {}
+        self._process = getpid()
+
+    def __len__(self) -> int:
+        """Return the number of keyframes."""
+        return self._ends[-1]
+
+    def __getitem__(self, index: int) -> Sample:
+        """Return a keyframe.
+
+        Raises:
+            IndexError: There are not so many.
+            DatasetError: Its file is damaged.
+        """
+        index = range(len(self))[index]
+        shard = bisect_right(self._ends, index)
+        row = index - (self._ends[shard - 1] if shard else 0)
+        sample: Sample = {}
+        for part, columns in self._columns.items():
+            if columns:
+                sample.update(self._open(shard, part, columns)[row])
+        sample["instruction"] = self._instruction(sample)
+        if "map_height" in sample:
+            sample["map_coverage"] = sample["map_height"] > 0
+        for name in self._added:
+            del sample[name]
+        return sample
+
+    def set_epoch(self, epoch: int) -> None:
+        """Draw other sentences from now on, where they are resampled.
+
+        Workers of a data loader have copies of this object: call it before they start.
+        Persistent workers never learn of it.
+        """
+        self.epoch = epoch
+
+    def episodes(self) -> list[range]:
+        """Return the indices of every episode's keyframes, in order."""
+        counts = [count for shard in self.shards for count in shard.header.keyframes]
+        ends = list(accumulate(counts))
+        return [range(end - n, end) for end, n in zip(ends, counts, strict=True)]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave open files behind: they belong to a process."""
+        return {**self.__dict__, "_files": {}}
+
+    def _open(self, shard: int, part: str, columns: tuple[str, ...]) -> KeyframeFile:
+        if self._process != getpid():
+            self._files, self._process = {}, getpid()
+        file = self._files.get((shard, part))
+        if file is None:
+            if len(self._files) >= _OPEN_FILES:
+                del self._files[next(iter(self._files))]
+            file = KeyframeFile(self.shards[shard].paths[part], columns)
+            self._files[shard, part] = file
+        return file
+
+    def _instruction(self, sample: Sample) -> str:
+        if self.language.instructions == "recorded":
+            recorded: str = sample[self.language.kind]
+            return recorded
+        return draw_instruction(
+            sample["task"],
+            tuple((top, bottom) for top, bottom in json.loads(sample["goal"])),
+            sample["key"],
+            seed=self.language.seed,
+            epoch=self.epoch,
+        )
+
+
+def _by_part(
+    columns: Sequence[str], language: Language, header: Header
+) -> dict[str, tuple[str, ...]]:
+    """Return which columns to read from which part.
+
+    Raises:
+        UnknownNameError: There is no such column.
+    """
+    maps, cameras = map_columns(header), camera_columns(header)
+    for name in columns:
+        if name not in maps and name not in cameras:
+            raise UnknownNameError("column", name, [*maps, *cameras])
+    needed = (
+        (language.kind,)
+        if language.instructions == "recorded"
+        else ("key", "task", "goal")
+    )
+    wanted = dict.fromkeys((*columns, *needed))
+    return {
+        "maps": tuple(name for name in wanted if name in maps),
+        "cameras": tuple(name for name in wanted if name not in maps),
+    }
+
+
+@dataclass(frozen=True)
+class MapsInMemory:
+    """The maps of all keyframes of a split, with their labels, for the fastest loop.
+
+    0.6 MB per keyframe with maps of the usual size.
+    """
+
+    rgb: NDArray[np.uint8]
+    """Shape (N, rows, columns, 3)."""
+    height: NDArray[np.uint16]
+    """As stored: 1 + height above ``raster.floor_m`` [0.1 mm], 0 where no camera sees;
+    shape (N, rows, columns)."""
+    columns: dict[str, NDArray[Any]]
+    """The other columns, each of length N; texts as objects."""
+    raster: Raster
+
+    def __len__(self) -> int:
+        """Return the number of keyframes."""
+        return len(self.rgb)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all images."""
+        return self.rgb.nbytes + self.height.nbytes
+
+    @cached_property
+    def coverage(self) -> NDArray[np.bool_]:
+        """Where a camera sees, shape (N, rows, columns); computed once."""
+        return self.height > 0
+
+    @classmethod
+    def load(
+        cls,
+        folder: str | Path,
+        split: str = "train",
+        tasks: Sequence[str] = (),
+        columns: Sequence[str] = POLICY_COLUMNS,
+        language: Language = RECORDED,
+    ) -> "MapsInMemory":
+        """Read everything; the arguments are those of :class:`KeyframeDataset`."""
+        dataset = KeyframeDataset(
+            folder, split, tasks, (*MAP_COLUMNS, *columns), language
+        )
+        count, raster = len(dataset), dataset.raster
+        rgb = np.empty((count, raster.rows, raster.columns, 3), np.uint8)
+        height = np.empty((count, raster.rows, raster.columns), np.uint16)
+        rest: dict[str, list[Any]] = {}
+        for index in range(count):
+            sample = dataset[index]
+            rgb[index], height[index] = sample.pop("map_rgb"), sample.pop("map_height")
+            del sample["map_coverage"]
+            for name, value in sample.items():
+                rest.setdefault(name, []).append(value)
+        found = {
+            name: np.array(values, object if isinstance(values[0], str) else None)
+            for name, values in rest.items()
+        }
+        return cls(rgb, height, found, raster)
