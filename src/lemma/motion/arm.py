@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray
 from lemma.motion.leaves import Leaves
 from lemma.motion.rmpflow import ArmModel, Goal, Root, integrate, make_root
@@ -21,7 +22,8 @@ SUBSTEP_S = 0.0025
 _SUBSTEPS = round(TIME_STEP_S / SUBSTEP_S)
 
 _PARK_BEARING_RAD = math.radians(115.0)
-_PARK_HEIGHT_M = 0.42
+_PARK_HEIGHTS_M = (0.42, 0.36, 0.30, 0.24)
+"""The first that an arm can do: a small arm folds lower."""
 _BRANCH_COST = 100.0
 
 
@@ -32,17 +34,24 @@ def park_joints(arm_name: str) -> tuple[float, ...]:
     The gripper points down at the robot's left, a little behind it; from there a turn
     of the base takes the whole arm over the table on the same branch of its kinematics.
     """
-    radius = 0.42 * reach_of(arm_name).travel_m
-    pose = top_down(
-        radius * math.cos(_PARK_BEARING_RAD),
-        radius * math.sin(_PARK_BEARING_RAD),
-        _PARK_HEIGHT_M,
-        _PARK_BEARING_RAD,
+    reach = reach_of(arm_name)
+    radius = max(0.42 * reach.travel_m, reach.inner_m + 0.02)
+    for height in _PARK_HEIGHTS_M:
+        pose = top_down(
+            radius * math.cos(_PARK_BEARING_RAD),
+            radius * math.sin(_PARK_BEARING_RAD),
+            height,
+            _PARK_BEARING_RAD,
+        )
+        solutions = gripper_ik(arm_name, np.eye(4), pose)
+        # The elbow above the line from shoulder to wrist, and the base turned least.
+        elbow_up = [q for q in solutions if _elbow_height(arm_name, q) > 0.0]
+        if elbow_up:
+            return tuple(min(elbow_up, key=lambda q: abs(q[0]) + abs(q[3])).tolist())
+    raise InvalidConfigError(
+        f"Arm {arm_name!r} has no posture to wait in: it cannot hold its gripper down "
+        f"beside its base at any height in {_PARK_HEIGHTS_M} m. Check its numbers."
     )
-    solutions = gripper_ik(arm_name, np.eye(4), pose)
-    # The elbow above the line from shoulder to wrist, and the base turned least.
-    elbow_up = [q for q in solutions if _elbow_height(arm_name, q) > 0.0]
-    return tuple(min(elbow_up, key=lambda q: abs(q[0]) + abs(q[3])).tolist())
 
 
 def _elbow_height(arm_name: str, q: FloatArray) -> float:
