@@ -10,7 +10,11 @@ from lemma import __version__
 from lemma.cli.terminal import complain, output
 from lemma.core.errors import LemmaError
 
-VERBS = ("tasks", "demo", "show", "doctor", "bench")
+VERBS = (
+    *("tasks", "demo", "show", "doctor", "bench"),
+    *("generate", "replay"),
+    *("render", "instructions"),
+)
 """Each is a function of the same name in a module of the same name in this package."""
 
 _DESCRIPTION = (

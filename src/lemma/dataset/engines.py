@@ -29,6 +29,11 @@ _AHEAD = 2
 class Engine(Protocol):
     """Runs jobs."""
 
+    @property
+    def workers(self) -> int:
+        """How many jobs run at a time."""
+        ...
+
     def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
         """Yield what each job returned, in the order in which they end."""
         ...
@@ -36,6 +41,8 @@ class Engine(Protocol):
 
 class Serial:
     """Runs jobs one after another in this process."""
+
+    workers = 1
 
     def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
         """Yield what each job returned."""
@@ -57,7 +64,7 @@ class Processes:
         """
         if workers < 1:
             raise InvalidConfigError(f"Workers are 1 or more, not {workers}.")
-        self._workers = workers
+        self.workers = workers
 
     def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
         """Yield what each job returned, in the order in which they end.
@@ -94,13 +101,13 @@ class Processes:
         waiting = iter(jobs.items())
         running: dict[Future[Any], int] = {}
         pool = ProcessPoolExecutor(
-            min(self._workers, len(jobs)),
+            min(self.workers, len(jobs)),
             mp_context=get_context("spawn"),
             initializer=_die_with_parent,
         )
         try:
             while True:
-                while len(running) < _AHEAD * self._workers and (
+                while len(running) < _AHEAD * self.workers and (
                     following := next(waiting, None)
                 ):
                     number, job = following
@@ -153,16 +160,16 @@ def peak_memory_mb() -> float:
 
 
 class Ray:
-    """Runs jobs on a Ray cluster that shares a file system."""
+    """Runs jobs on a Ray cluster whose machines share a file system."""
 
     def __init__(self, address: str) -> None:
-        """Connect to a cluster.
+        """Connect to a cluster, or use the one that this process is connected to.
 
         Args:
             address: Of the cluster, or ``"auto"``.
 
         Raises:
-            DatasetError: Ray is not installed.
+            DatasetError: Ray is not installed, or there is no such cluster.
         """
         try:
             import ray  # noqa: PLC0415 - an extra, used here alone
@@ -172,21 +179,39 @@ class Ray:
                 "'lemma-bench[scale]'."
             ) from error
         self._ray = ray
-        if not ray.is_initialized():
-            ray.init(address=address, log_to_driver=False)
+        try:
+            if not ray.is_initialized():
+                ray.init(address=address, log_to_driver=False, logging_level="warning")
+        except (ConnectionError, ValueError) as error:
+            raise DatasetError(
+                f"There is no Ray cluster at {address!r}: {str(error).rstrip('.')}. "
+                "Start one with 'ray start --head', or use --engine processes."
+            ) from error
+
+    @property
+    def workers(self) -> int:
+        """Cores of the cluster."""
+        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
     def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
-        """Yield what each job returned, in the order in which they end."""
+        """Yield what each job returned, in the order in which they end.
+
+        Raises:
+            LemmaError: What a job raised.
+        """
         remote = self._ray.remote(max_retries=_MOST_BREAKS)(function)
-        most = _AHEAD * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        most = _AHEAD * self.workers
         waiting = iter(jobs)
         running: list[Any] = []
         while True:
-            for job in waiting:
+            while len(running) < most and (job := next(waiting, None)) is not None:
                 running.append(remote.remote(*job))
-                if len(running) >= most:
-                    break
             if not running:
                 return
             done, running = self._ray.wait(running)
-            yield from self._ray.get(done)
+            try:
+                results = self._ray.get(done)
+            except self._ray.exceptions.RayTaskError as error:
+                # The cause alone: the message of the wrapper is a traceback.
+                raise error.cause from error
+            yield from results

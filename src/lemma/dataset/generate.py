@@ -38,6 +38,8 @@ from lemma.tasks.suite import SUITE, load_instance
 
 _PARTS = ".parts"
 _ABOUT = "about.json"
+_SHOWN = 5
+"""Failures that a message names."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +109,7 @@ class _File:
 
     def part(self, index: int) -> Path:
         """Return where one episode is until all are there."""
-        return self.parts / f"{index:05d}.parquet"
+        return part_file(self.parts, index)
 
     def missing(self) -> list[int]:
         """Return the numbers of episodes that are nowhere yet."""
@@ -178,39 +180,61 @@ def _work(
         if not left[name]:
             _put_together(file, about)
     jobs = [
-        (task, split, index, str(by_name[split, task].parts), about)
+        # Absolute, because workers of a cluster are at home elsewhere.
+        (task, split, index, str(by_name[split, task].parts.absolute()), about)
         for (split, task), indices in missing.items()
         for index in indices
     ]
-    worker_mb = 0.0
-    for task, split, peak_mb in engine.run(generate_part, jobs):
-        worker_mb = max(worker_mb, peak_mb)
-        left[split, task] -= 1
-        if not left[split, task]:
-            _put_together(by_name[split, task], about)
+    worker_mb, failures = 0.0, []
+    for made in engine.run(generate_part, jobs):
+        worker_mb = max(worker_mb, made.worker_mb)
+        if made.failure is not None:
+            failures.append(made.failure)
+            continue
+        left[made.split, made.task] -= 1
+        if not left[made.split, made.task]:
+            _put_together(by_name[made.split, made.task], about)
         advance(1)
+    if failures:
+        raise DatasetError(
+            f"The expert failed on {len(failures)} instances: "
+            f"{'; '.join(sorted(failures)[:_SHOWN])}. Frozen instances are solved by "
+            "the version that froze them; see 'lemma doctor'. The other episodes are "
+            "kept."
+        )
     return worker_mb
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What a worker says of one episode that it made."""
+
+    task: str
+    split: str
+    failure: str | None
+    """Which episode failed, and why; None where it was written."""
+    worker_mb: float
+    """Most memory that the worker ever held [MB]."""
 
 
 def generate_part(
     task: str, split: str, index: int, parts: str, about: dict[str, str]
-) -> tuple[str, str, float]:
-    """Write one episode as a part.
-
-    Returns:
-        Its task and split, and the most memory that this process ever held [MB].
+) -> Made:
+    """Write one episode as a part, if the expert solves it.
 
     Raises:
-        DatasetError: The expert failed, so this is not the version that froze the list.
+        DatasetError: It cannot be written.
     """
     record = record_episode(load_instance(task, split, index))
-    if not record.success:
-        raise DatasetError(
-            f"The expert failed on {record.key}: {record.failure}. Frozen instances "
-            "are solved by the version that froze them; see 'lemma doctor'."
-        )
-    write_table(Path(parts) / f"{index:05d}.parquet", to_table([record]), about)
-    return task, split, peak_memory_mb()
+    failure = None if record.success else f"{record.key} ({record.failure})"
+    if record.success:
+        write_table(part_file(Path(parts), index), to_table([record]), about)
+    return Made(task, split, failure, peak_memory_mb())
+
+
+def part_file(parts: Path, index: int) -> Path:
+    """Return where one episode is until all of its file are there."""
+    return parts / f"{index:05d}.parquet"
 
 
 def _begin(folder: Path, about: dict[str, str]) -> None:
@@ -248,6 +272,11 @@ def _put_together(file: _File, about: dict[str, str]) -> None:
         return
     tables = [read_table(file.path)] if file.there else []
     indices = range(file.there, file.wanted)
+    if gone := [index for index in indices if not file.part(index).exists()]:
+        raise DatasetError(
+            f"{file.part(gone[0])} was made, but is not there. All machines of a "
+            "cluster must see the same folder: choose one on a shared file system."
+        )
     tables += [read_table(file.part(index)) for index in indices]
     write_table(file.path, pa.concat_tables(tables), about)
     rmtree(file.parts, ignore_errors=True)

@@ -88,7 +88,8 @@ def replay_all(
     for path in recipe.files():
         check_versions(open_table(path)[1])
     drifting = []
-    for replays in engine.run(replay_group, recipe.groups()):
+    jobs = [(path.absolute(), *rest) for path, *rest in recipe.groups()]
+    for replays in engine.run(replay_group, jobs):
         drifting += [found for found in replays if not found.is_exact]
         advance(len(replays))
     return drifting

@@ -1,0 +1,117 @@
+"""`lemma replay`: do a recipe again, and compare every state to the bit."""
+
+from dataclasses import asdict
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Any
+
+import tyro
+from rich.table import Table
+
+from lemma.cli.terminal import (
+    Flag,
+    JsonFlag,
+    Number,
+    Word,
+    complain,
+    output,
+    print_json,
+)
+from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.core.errors import InvalidConfigError
+from lemma.dataset.reader import Recipe, load
+from lemma.dataset.replay import Replay, replay_all
+
+INTERRUPTED = 130
+_SHOWN = 20
+
+Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
+"""A recipe."""
+
+
+def replay(
+    data: Folder,
+    task: Word = None,
+    split: Word = None,
+    limit: Number = None,
+    working: WorkerOptions = DEFAULT,
+    validate: Flag = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Execute a recipe again, and say where its states cannot be reproduced.
+
+    Args:
+        data: Folder of the recipe.
+        task: Only the episodes of this task.
+        split: Only the episodes of this split.
+        limit: Only the first so many of those.
+        working: Where to work.
+        validate: Accepted for clarity: every replay validates.
+        as_json: Print one JSON object instead of words.
+    """
+    recipe = choose(load(data), task, split, limit)
+    engine = working.make_engine()
+    start = perf_counter()
+    try:
+        with progress_bar("replay", len(recipe)) as advance:
+            drifting = replay_all(recipe, engine, advance)
+    except KeyboardInterrupt:
+        complain("Interrupted: nothing was changed, and nothing is proven.")
+        return INTERRUPTED
+    seconds = perf_counter() - start
+    if as_json:
+        print_json(_report(len(recipe), drifting, seconds))
+    else:
+        _print(len(recipe), drifting, seconds)
+    return 1 if drifting else 0
+
+
+def choose(
+    recipe: Recipe, task: str | None, split: str | None, limit: int | None
+) -> Recipe:
+    """Return the episodes that a user asked for.
+
+    Raises:
+        InvalidConfigError: There are none.
+    """
+    if limit is not None and limit < 1:
+        raise InvalidConfigError(f"--limit is 1 or more, not {limit}.")
+    chosen = recipe.select(task=task, split=split)[:limit]
+    if not len(chosen):
+        raise InvalidConfigError(
+            f"{recipe.folder} has no episodes of task {task or 'any'} and split "
+            f"{split or 'any'}. 'lemma inspect {recipe.folder}' says what it has."
+        )
+    return chosen
+
+
+def _report(episodes: int, drifting: list[Replay], seconds: float) -> dict[str, Any]:
+    return {
+        "episodes": episodes,
+        "drifting": [asdict(found) for found in drifting],
+        "seconds": round(seconds, 3),
+        "episodes_per_s": round(episodes / seconds, 3),
+    }
+
+
+def _print(episodes: int, drifting: list[Replay], seconds: float) -> None:
+    console = output()
+    if not drifting:
+        console.print(
+            f"All {episodes} episodes are reproduced to the bit ({seconds:.1f} s).",
+            style="green",
+        )
+        return
+    console.print(f"{len(drifting)} of {episodes} episodes drift.", style="bold red")
+    table = Table()
+    for heading in ("episode", "first at keyframe", "largest difference"):
+        table.add_column(heading, justify="left" if heading == "episode" else "right")
+    for found in drifting[:_SHOWN]:
+        table.add_row(found.key, str(found.drift_at), f"{found.worst:.3g}")
+    console.print(table)
+    if len(drifting) > _SHOWN:
+        console.print(f"... and {len(drifting) - _SHOWN} more; --json lists them all.")
+    console.print(
+        "States depend on the engine, the processor family and the C library's "
+        "mathematics. Replay on the kind of machine that wrote the recipe."
+    )
