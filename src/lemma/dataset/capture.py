@@ -5,6 +5,7 @@ Nothing is simulated: the recipe holds the state of every keyframe.
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -27,20 +28,21 @@ from lemma.dataset.keyframe_schema import (
     encode_depth,
 )
 from lemma.dataset.keyframes import KeyframeFile, write_keyframes
+from lemma.dataset.labels import entity_poses, label
 from lemma.dataset.render import Found
 from lemma.dataset.schema import EpisodeRecord
 from lemma.env.observation import object_poses
 from lemma.env.spaces import ENTITIES
 from lemma.env.topdown import TopDownMap
 from lemma.motion.outcome import Outcome
+from lemma.scene.layout import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.opengl import choose_backend
 from lemma.scene.rendering import CameraImage, Renderer
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
-from lemma.tasks.language import sub_instruction
-from lemma.tasks.subtask import Primitive
 
 _MAP = TopDownMap()
+_STOPPED = str(Outcome.STOPPED)
 _PER_FILE = ("part", "robots", "digests", "keyframes")
 
 
@@ -48,9 +50,9 @@ _PER_FILE = ("part", "robots", "digests", "keyframes")
 class KeyframeForm:
     """Images of every keyframe, for policies that plan from one to the next."""
 
-    width: int = 640
+    width: int = CAMERA_WIDTH_PX
     """Of camera images [px]."""
-    height: int = 480
+    height: int = CAMERA_HEIGHT_PX
     """Of camera images [px]."""
 
     def __post_init__(self) -> None:
@@ -159,7 +161,8 @@ class KeyframeForm:
                 **constant,
                 "keyframe": keyframe,
                 "time_s": record.keyframe_time_s[keyframe],
-                **_label(record, keyframe),
+                **label(record, keyframe),
+                **_poses(record, keyframe),
                 **_truth(scene),
                 **see(scene, _renderer(self.width, self.height)),
             }
@@ -224,39 +227,24 @@ def _episode_columns(record: EpisodeRecord, instance: Instance) -> Row:
     }
 
 
-def _label(record: EpisodeRecord, keyframe: int) -> Row:
-    """Return what the expert did next."""
+def _poses(record: EpisodeRecord, keyframe: int) -> Row:
+    """Return the poses of the next sub-task; NaN at the end."""
     if keyframe == len(record.subtasks):
-        nowhere = np.full(3, np.nan)
-        return {
-            **dict.fromkeys(("robot", "pick", "place"), ""),
-            "primitive": str(Primitive.STOP),
-            "sub_instruction": sub_instruction("", str(Primitive.STOP)),
-            "outcome": str(Outcome.STOPPED),
-            "pick_pose": nowhere,
-            "place_pose": nowhere,
-        }
+        nowhere = (math.nan,) * 3
+        return {"pick_pose": nowhere, "place_pose": nowhere, "outcome": _STOPPED}
     row = record.subtasks[keyframe]
     return {
-        "robot": row.robot,
-        "primitive": row.primitive,
-        "pick": row.pick,
-        "place": row.place,
-        "sub_instruction": row.instruction,
-        "outcome": row.outcome,
         "pick_pose": row.pick_pose,
         "place_pose": row.place_pose,
+        "outcome": row.outcome,
     }
 
 
 def _truth(scene: Scene) -> Row:
-    objects = np.full((len(ENTITIES), 7), np.nan)
-    for name, pose in object_poses(scene).items():
-        objects[ENTITIES.index(name)] = pose
     return {
         "joints": np.array([scene.data.qpos[robot.qpos] for robot in scene.robots]),
         "opening_m": np.array([scene.opening_m(robot) for robot in scene.robots]),
-        "objects": objects,
+        "objects": entity_poses(object_poses(scene)),
     }
 
 

@@ -114,7 +114,7 @@ class KeyframeFile:
         try:
             return pa.ipc.open_file(pa.memory_map(str(self.path)), options=options)
         except (OSError, pa.ArrowException) as error:
-            raise DatasetError(_damaged(self.path, error)) from error
+            raise DatasetError(damaged(self.path, error)) from error
 
     @cached_property
     def _decoders(self) -> list[tuple[str, "_Tensor | None"]]:
@@ -141,7 +141,7 @@ class KeyframeFile:
                 for i, (name, tensor) in enumerate(self._decoders)
             }
         except (OSError, pa.ArrowException) as error:
-            raise DatasetError(_damaged(self.path, error)) from error
+            raise DatasetError(damaged(self.path, error)) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,8 @@ class _Tensor:
         return array if array.flags.writeable else array.copy()
 
 
-def _damaged(path: Path, error: Exception) -> str:
+def damaged(path: Path, error: Exception) -> str:
+    """Return what to say about a rendered file that cannot be read."""
     return (
         f"{path} is damaged: {error}. It may have been cut short. Delete it and run "
         "'lemma render' again: it makes what is missing."

@@ -7,7 +7,7 @@ the same bytes, wherever it was interrupted; for images, on machines that draw a
 """
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from pathlib import Path
@@ -30,6 +30,7 @@ from lemma.dataset.files import (
 from lemma.dataset.reader import load, read_group
 from lemma.dataset.replay import check_versions
 from lemma.dataset.schema import EpisodeRecord
+from lemma.dataset.shards import changed, read_manifest
 from lemma.tasks.instance import BENCHMARK_VERSION
 
 CARD = "README.md"
@@ -128,6 +129,10 @@ class RenderOrder:
             and path.parent.name in (self.splits or (path.parent.name,))
         ]
 
+    def episodes(self) -> int:
+        """Return how many episodes are wanted."""
+        return sum(len(rows) for *_, rows in self.groups())
+
 
 @dataclass(frozen=True, slots=True)
 class _Chunk:
@@ -186,14 +191,18 @@ def render(
     chunks = list(_chunks(order, form, groups))
     total = sum(len(chunk.digests) for chunk in chunks)
     with only_writer(order.out):
+        known = _known_files(order.out, form)
         clear_drafts(order.out)
         there = _look(order.out, form, about)
+        sums = _check_sums(order.out, there, known)
         missing = [chunk for chunk in chunks if not _is_there(chunk, there)]
         made = sum(len(chunk.digests) for chunk in missing)
         advance(total - made)
         for episodes in engine.run(render_chunk, [(form, c, about) for c in missing]):
             advance(episodes)
-        rows, size = _write_manifest(order.out, form, about)
+        for path in (path for chunk in missing for path in chunk.paths):
+            sums.pop(path, None)
+        rows, size = _write_manifest(order.out, form, about, sums)
         write_text(order.out / CARD, form.card())
     seconds = perf_counter() - start
     return RenderSummary(total, rows, made, seconds, size / 1e6)
@@ -289,7 +298,37 @@ def _flat(about: dict[str, Any]) -> dict[str, Any]:
     return {**about, **about["versions"], "versions": None}
 
 
-def _write_manifest(folder: Path, form: Form, about: dict[str, Any]) -> tuple[int, int]:
+def _known_files(folder: Path, form: Form) -> dict[str, dict[str, Any]]:
+    """Return what the manifest of an earlier run says of its files, if there is one.
+
+    Raises:
+        DatasetError: The folder holds something else.
+    """
+    if (folder / MANIFEST).exists():
+        return read_manifest(folder, form.name)
+    return {}
+
+
+def _check_sums(
+    folder: Path, there: Iterable[Path], known: dict[str, dict[str, Any]]
+) -> dict[Path, str]:
+    """Return the SHA-256 of files, and check it where the manifest knows them.
+
+    Raises:
+        DatasetError: One was changed since it was written.
+    """
+    sums = {}
+    for path in there:
+        sums[path] = sha256_of(path)
+        entry = known.get(path.relative_to(folder).as_posix())
+        if entry is not None and entry["sha256"] != sums[path]:
+            raise DatasetError(changed(path))
+    return sums
+
+
+def _write_manifest(
+    folder: Path, form: Form, about: dict[str, Any], sums: dict[Path, str]
+) -> tuple[int, int]:
     """Write the checksums of all files; return their rows and bytes."""
     files: dict[str, dict[str, Any]] = {}
     rows = 0
@@ -299,7 +338,7 @@ def _write_manifest(folder: Path, form: Form, about: dict[str, Any]) -> tuple[in
             found = form.look(path)
             rows += found.rows
             files[path.relative_to(folder).as_posix()] = {
-                "sha256": sha256_of(path),
+                "sha256": sums.get(path) or sha256_of(path),
                 "bytes": path.stat().st_size,
                 "episodes": len(found.digests),
                 "rows": found.rows,

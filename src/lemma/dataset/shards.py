@@ -88,7 +88,7 @@ def read_manifest(folder: Path, form: str) -> dict[str, dict[str, Any]]:
     manifest = read_json(folder / MANIFEST)
     if manifest.get("form") != form:
         raise DatasetError(
-            f"{folder} has the form {manifest.get('form')!r}, not {form!r}. Choose "
+            f"{folder} holds {manifest.get('form', 'recipe')!r}, not {form!r}. Choose "
             f"another folder, or make one with 'lemma render --form {form}'."
         )
     files: dict[str, dict[str, Any]] = manifest["files"]
@@ -112,11 +112,16 @@ def verify(folder: Path, form: str = FORM) -> int:
     for name, entry in files.items():
         _check_size(folder / name, entry)
         if sha256_of(folder / name) != entry["sha256"]:
-            raise DatasetError(
-                f"{folder / name} has another checksum than {MANIFEST} says: it was "
-                "changed or damaged. Delete it and run 'lemma render' again."
-            )
+            raise DatasetError(changed(folder / name))
     return len(files)
+
+
+def changed(path: Path) -> str:
+    """Return what to say about a file whose checksum is wrong."""
+    return (
+        f"{path} has another checksum than {MANIFEST} says: it was changed or "
+        "damaged. Delete it and run 'lemma render' again: it makes what is missing."
+    )
 
 
 def _check_size(path: Path, entry: dict[str, Any]) -> None:

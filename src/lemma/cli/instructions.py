@@ -1,0 +1,94 @@
+"""`lemma instructions`: sentences that a task is asked for with."""
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from rich.table import Table
+
+from lemma.cli.terminal import JsonFlag, TaskName, output, print_json
+from lemma.core.errors import InvalidConfigError
+from lemma.core.seeding import stream
+from lemma.dataset.instructions import draw_instruction
+from lemma.expert.expert import Expert
+from lemma.scene.scene import Scene
+from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.language import instruct, robot_phrases, sub_instruction
+from lemma.tasks.suite import load_instance, task_named
+
+Kind = Literal["training", "high_level", "human", "unseen", "sub"]
+
+
+def instructions(
+    task: TaskName,
+    n: int = 20,
+    kind: Kind = "training",
+    seed: int = 0,
+    as_json: JsonFlag = False,
+) -> int:
+    """Draw instructions of a task, as training sees them or of one kind.
+
+    Args:
+        task: Name of the task.
+        n: How many sentences.
+        kind: training draws from high_level and human, which is what resampled
+            instructions are; sub prints sub-instructions, as the expert plans them.
+        seed: Seeds the draws.
+        as_json: Print a JSON list instead of a table.
+    """
+    task_named(task)
+    if n < 1 or seed < 0:
+        raise InvalidConfigError(
+            f"--n goes from 1 up and --seed from 0, not {n} and {seed}."
+        )
+    records = [
+        {"instance": instance.key, "instruction": text}
+        for (instance, text), _ in zip(_draw(task, kind, seed), range(n), strict=False)
+    ]
+    if as_json:
+        print_json(records)
+        return 0
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    for record in records:
+        table.add_row(f"[dim]{record['instance']}[/dim]", record["instruction"])
+    output().print(table)
+    return 0
+
+
+def _draw(task: str, kind: Kind, seed: int) -> Iterator[tuple[Instance, str]]:
+    """Yield instances of the frozen training list, and sentences for them."""
+    draws = stream("instructions", task, seed)
+    for count in range(10**9):
+        instance = load_instance(task, "train", int(draws.integers(SPLITS["train"])))
+        for text in _sentences(instance, kind, seed, count, draws):
+            yield instance, text
+
+
+def _sentences(
+    instance: Instance, kind: Kind, seed: int, count: int, draws: np.random.Generator
+) -> list[str]:
+    pairs = instance.goal.pairs
+    if kind == "sub":
+        return _plan(instance)
+    if kind == "training":
+        return [
+            draw_instruction(instance.task, pairs, instance.key, seed=seed, epoch=count)
+        ]
+    return [instruct(instance.task, kind, pairs, draws)]
+
+
+def _plan(instance: Instance) -> list[str]:
+    """Return what the expert would tell the robots, in order."""
+    names = robot_phrases(tuple(robot.colour for robot in instance.scene.robots))
+    spoken = dict(zip(instance.scene.robot_names, names, strict=True))
+    plan = Expert(Scene(instance.scene), instance.goal).plan()
+    steps = plan.steps if plan is not None else ()
+    return [
+        sub_instruction(
+            spoken[step.subtask.robot],
+            str(step.subtask.primitive),
+            step.subtask.pick,
+            step.subtask.place,
+        )
+        for step in steps
+    ]

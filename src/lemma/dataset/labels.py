@@ -1,0 +1,43 @@
+"""What rendered data say of the sub-task that comes next, and of the objects."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from lemma.core.poses import FloatArray
+from lemma.dataset.schema import EpisodeRecord
+from lemma.env.spaces import ENTITIES
+from lemma.tasks.language import sub_instruction
+from lemma.tasks.subtask import STOP
+
+
+def label(record: EpisodeRecord, subtask: int) -> dict[str, str]:
+    """Return a sub-task of an episode in symbols and in words.
+
+    Args:
+        record: The episode.
+        subtask: Its number; behind the last comes ``stop``, with no names.
+    """
+    if subtask == len(record.subtasks):
+        words = sub_instruction("", str(STOP.primitive))
+        return {**STOP.to_dict(), "sub_instruction": words}
+    row = record.subtasks[subtask]
+    return {
+        "robot": row.robot,
+        "primitive": row.primitive,
+        "pick": row.pick,
+        "place": row.place,
+        "sub_instruction": row.instruction,
+    }
+
+
+def entity_poses(poses: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the poses of all entities, (entities, 7); NaN where one is missing.
+
+    Args:
+        poses: Position [m] and quaternion wxyz by name, (7,) each.
+    """
+    found = np.full((len(ENTITIES), 7), np.nan)
+    for name, pose in poses.items():
+        found[ENTITIES.index(name)] = pose
+    return found
