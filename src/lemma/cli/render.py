@@ -1,0 +1,142 @@
+"""`lemma render`: images, or steps, from a recipe."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from lemma.cli.terminal import JsonFlag, complain, output, print_json
+from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.core.errors import InvalidConfigError
+from lemma.dataset.capture import KeyframeForm
+from lemma.dataset.dense_form import DenseForm
+from lemma.dataset.render import Form, RenderOrder, RenderSummary
+from lemma.dataset.render import render as make
+
+INTERRUPTED = 130
+_ALL = "all"
+
+Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
+"""A recipe."""
+FormName = Literal["keyframes", "dense", "lerobot"]
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What is made of which episodes."""
+
+    tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
+    """Names of tasks, separated by commas."""
+    splits: Annotated[str, tyro.conf.arg(metavar="SPLIT,...", aliases=["--split"])] = (
+        _ALL
+    )
+    """Names of splits, separated by commas."""
+    size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "640x480"
+    """Size of camera images [px]; dense has none."""
+    fps: int = 10
+    """Steps per simulated second; keyframes have none."""
+
+
+EVERYTHING = Look()
+"""All episodes, at the usual size and rate."""
+
+LookOptions = Annotated[Look, tyro.conf.arg(name="")]
+"""The fields as options of a verb."""
+
+
+def render(
+    data: Folder,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    form: FormName = "keyframes",
+    look: LookOptions = EVERYTHING,
+    working: WorkerOptions = DEFAULT,
+    as_json: JsonFlag = False,
+) -> int:
+    """Make images, or steps, from a recipe.
+
+    What is there already is kept, so the same command goes on where it was stopped.
+
+    Args:
+        data: The recipe: what lemma generate wrote.
+        out: Folder of what is made.
+        form: keyframes: images and labels before every sub-task, for planners; dense:
+            states and commands at a rate, without images; lerobot: LeRobotDataset
+            v3.0, with videos.
+        look: What is made of which episodes.
+        working: Where to work.
+        as_json: Print one JSON object instead of words.
+    """
+    order = RenderOrder(
+        recipe=data, out=out, tasks=words(look.tasks), splits=words(look.splits)
+    )
+    chosen = choose_form(form, look)
+    engine = working.make_engine()
+    total, done = order.episodes(), 0
+    try:
+        with progress_bar("render", total) as advance:
+
+            def count(more: int) -> None:
+                nonlocal done
+                done += more
+                advance(more)
+
+            summary = make(order, chosen, engine, count)
+    except KeyboardInterrupt:
+        complain(
+            f"Interrupted with {done} of {total} episodes made. The same command goes "
+            "on from there."
+        )
+        return INTERRUPTED
+    if as_json:
+        print_json({"form": form, **asdict(summary)})
+    else:
+        _print(out, form, summary)
+    return 0
+
+
+def choose_form(name: FormName, look: Look) -> Form:
+    """Return the form that a user asked for.
+
+    Raises:
+        InvalidConfigError: Its size or rate is impossible.
+    """
+    if name == "lerobot":
+        raise InvalidConfigError(
+            "The form lerobot is not there yet. Choose keyframes or dense."
+        )
+    if name == "dense":
+        return DenseForm(look.fps)
+    width, height = parse_size(look.size)
+    return KeyframeForm(width, height)
+
+
+def words(listed: str) -> tuple[str, ...]:
+    """Return names that a user typed, separated by commas; none means all."""
+    if listed == _ALL:
+        return ()
+    return tuple(dict.fromkeys(word.strip() for word in listed.split(",")))
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return width and height of what a user typed, such as ``"640x480"``.
+
+    Raises:
+        InvalidConfigError: It is no size.
+    """
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise InvalidConfigError(
+            f"--size {text} is no size. Write width and height with an x between "
+            "them, in pixels: 640x480."
+        )
+    return int(width), int(height)
+
+
+def _print(out: Path, form: FormName, summary: RenderSummary) -> None:
+    unit = "keyframes" if form == "keyframes" else "steps"
+    output().print(
+        f"{out}: {summary.rows} {unit}, {summary.size_mb:.1f} MB. Of {summary.episodes}"
+        f" episodes, {summary.made} were made by this run ({summary.seconds:.1f} s).",
+        soft_wrap=True,
+    )
