@@ -1,0 +1,299 @@
+"""The expert does what it planned, and plans again when the world did not."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from lemma.core.poses import Pose, Pose2
+from lemma.env.episode import Episode
+from lemma.expert.expert import Expert, solve
+from lemma.expert.grounding import OracleGrounder
+from lemma.expert.planner import find_plan
+from lemma.expert.situation import Situation
+from lemma.motion.outcome import Outcome, SkillResult
+from lemma.robots.reach import reach_of
+from lemma.scene.scene import Scene
+from lemma.scene.spec import STICK
+from lemma.tasks.instance import Instance
+from lemma.tasks.subtask import STOP, Primitive
+from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.tasks.tool_use import stick_gap
+from recorded_episodes import EPISODES, first_instance, recorded
+
+TEAM = "ur5+ur10"
+Disturbance = Callable[[Episode], None]
+
+
+@pytest.mark.parametrize(("task", "team"), EPISODES)
+def test_every_team_solves_every_task_as_planned(task: str, team: str) -> None:
+    episode = recorded(task, team)
+    assert episode.success
+    assert episode.elapsed_s < 100.0
+    assert len(episode.steps) == task_named(task).subtasks
+    assert all(step.result.outcome is Outcome.SUCCESS for step in episode.steps)
+    assert episode.replans == 0
+    scene = Scene(episode.instance.scene)
+    plan = find_plan(
+        Situation.observe(scene),
+        episode.instance.goal,
+        OracleGrounder(episode.instance.scene),
+    )
+    assert plan is not None
+    assert plan.subtasks == tuple(step.subtask for step in episode.steps)
+
+
+def test_hooking_and_stacking_is_quick_enough() -> None:
+    times = [recorded(task, team).elapsed_s for task, team in EPISODES[-3:]]
+    assert EPISODES[-1][0] == "hook_stack"
+    assert sum(times) / len(times) < 70.0
+
+
+# --- Deciding ----------------------------------------------------------------------
+
+
+def start(instance: Instance) -> tuple[Episode, Expert]:
+    episode = Episode(instance)
+    return episode, Expert(episode.simulation.scene, instance.goal)
+
+
+def test_a_reached_goal_is_the_end() -> None:
+    episode, expert = start(first_instance("pass", TEAM))
+    assert list(solve(episode, expert))
+    assert episode.stopped
+    assert expert.act() == (STOP, None)
+
+
+def test_where_nothing_helps_it_stops() -> None:
+    """Both cubes far from everybody, and no stick in the world."""
+    instance = first_instance("stack", TEAM)
+    episode, expert = start(instance)
+    for k, name in enumerate(instance.goal.entities):
+        episode.simulation.scene.set_pose(name, Pose((0.2 * k, 1.0, 0.025)))
+    assert expert.plan() is None
+    assert expert.act() == (STOP, None)
+    assert list(solve(episode, expert)) == []
+    assert episode.stopped
+    assert episode.failure == "goal_not_reached"
+
+
+def test_a_smaller_team_finds_no_plan() -> None:
+    instance = first_instance("stack", TEAM)
+    episode = Episode(instance)
+    for robot in ("robot_0", "robot_1"):
+        expert = Expert(episode.simulation.scene, instance.goal, team=(robot,))
+        assert expert.act() == (STOP, None)
+
+
+def test_a_plan_is_kept_while_the_world_does_as_predicted() -> None:
+    instance = first_instance("hook_stack", TEAM)
+    _, expert = start(instance)
+    plan = expert.plan()
+    assert plan is not None
+    assert expert.replans == -1
+    subtask, grounded = expert.act()
+    assert expert.replans == 0
+    assert subtask == plan.subtasks[0]
+    assert grounded == plan.steps[0].grounded
+
+
+# --- Disturbances ------------------------------------------------------------------
+
+
+def play(instance: Instance, after: int, disturb: Disturbance) -> Expert:
+    """Let the expert work, and somebody else meddle after so many sub-tasks."""
+    episode, expert = start(instance)
+    for count, step in enumerate(solve(episode, expert), 1):
+        assert step.result.ok, step.result.explanation
+        if count == after:
+            disturb(episode)
+    assert episode.stopped
+    assert episode.is_success
+    return expert
+
+
+def free(scene: Scene, name: str, at: Pose2) -> bool:
+    """Whether a cube can be put down somewhere, with room for fingers around it."""
+    for other in scene.spec.object_names:
+        pose = scene.pose2(other)
+        gap = stick_gap(pose, *at.xy) if other == STICK else pose.distance(at)
+        if other != name and gap < (0.08 if other == STICK else 0.13):
+            return False
+    return True
+
+
+def solvable(episode: Episode) -> bool:
+    scene = episode.simulation.scene
+    now = Situation.observe(scene)
+    return find_plan(now, episode.instance.goal, OracleGrounder(scene.spec)) is not None
+
+
+def shove(episode: Episode, name: str, distance_m: float) -> None:
+    """Move a cube in the first direction that leaves the instance solvable."""
+    scene = episode.simulation.scene
+    before = scene.pose(name)
+    here = scene.pose2(name)
+    for k in range(16):
+        angle = math.tau * k / 16
+        there = Pose2(
+            here.x + distance_m * math.cos(angle), here.y + distance_m * math.sin(angle)
+        )
+        if free(scene, name, there):
+            scene.set_pose(name, Pose((there.x, there.y, 0.025)))
+            if solvable(episode):
+                episode.simulation.rest(0.1)
+                return
+            scene.set_pose(name, before)
+    pytest.fail("There is nowhere to shove it.")
+
+
+def carried(task: str, which: int) -> str:
+    """What the expert's sub-task of that number acts on."""
+    subtask = recorded(task, TEAM).steps[which].subtask
+    return subtask.pick if subtask.primitive is Primitive.MOVE else subtask.place
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_a_cube_shoved_by_ten_centimetres_is_found_again(task: str) -> None:
+    name = carried(task, 0)
+    expert = play(first_instance(task, TEAM), 1, lambda e: shove(e, name, 0.1))
+    assert expert.replans >= 1
+
+
+@pytest.mark.parametrize("task", ["pass", "pass2", "stack", "stack2"])
+def test_a_cube_taken_back_is_brought_again(task: str) -> None:
+    """Out of the shared region, to where it was: only its first robot reaches it."""
+    instance = first_instance(task, TEAM)
+    name = carried(task, 0)
+
+    def take_back(episode: Episode) -> None:
+        scene = episode.simulation.scene
+        x, y = scene.spec.placement(name).pose.xy
+        scene.set_pose(name, Pose((x, y, 0.025)))
+
+    expert = play(instance, 1, take_back)
+    assert expert.replans == 1
+
+
+@pytest.mark.parametrize("task", ["stack", "stack2", "poke_stack", "hook_stack"])
+def test_a_tower_tipped_over_is_built_again(task: str) -> None:
+    """The last cube falls off and comes to rest beside the tower."""
+    name = carried(task, -1)
+    count = task_named(task).subtasks
+    expert = play(first_instance(task, TEAM), count, lambda e: shove(e, name, 0.14))
+    assert expert.replans == 1
+
+
+@pytest.mark.parametrize("task", ["pass", "pass2", "poke", "hook"])
+def test_a_cube_pushed_off_its_pad_is_put_back(task: str) -> None:
+    name = carried(task, -1)
+    count = task_named(task).subtasks
+    expert = play(first_instance(task, TEAM), count, lambda e: shove(e, name, 0.15))
+    assert expert.replans == 1
+
+
+@pytest.mark.parametrize("task", ["poke", "poke_stack", "hook", "hook_stack"])
+def test_a_stick_kicked_aside_is_prepared_again(task: str) -> None:
+    def kick(episode: Episode) -> None:
+        scene = episode.simulation.scene
+        pose = scene.pose(STICK)
+        # Sideways, where it meets nothing.
+        x, y = (scene.pose2(STICK) @ Pose2(0.0, -0.04)).xy
+        scene.set_pose(STICK, Pose((x, y, pose.position[2]), pose.quaternion))
+        assert not Situation.observe(scene).is_prepared(
+            recorded(task, TEAM).steps[1].subtask.primitive, carried(task, 1)
+        )
+
+    expert = play(first_instance(task, TEAM), 1, kick)
+    assert expert.replans >= 1
+
+
+@pytest.mark.parametrize("task", ["poke", "hook"])
+def test_a_cube_pushed_out_of_reach_again_is_dragged_again(task: str) -> None:
+    name = carried(task, 1)
+
+    def push_back(episode: Episode) -> None:
+        scene = episode.simulation.scene
+        x, y = scene.spec.placement(name).pose.xy
+        scene.set_pose(name, Pose((x, y, 0.025)))
+        for robot in scene.spec.robots:
+            assert reach_of(robot.arm).excess(robot.base, x, y) > 0.0
+
+    play(first_instance(task, TEAM), 2, push_back)
+
+
+# --- Failures ----------------------------------------------------------------------
+
+
+def snatch_once(episode: Episode, when: Callable[[], bool], put: Pose) -> list[bool]:
+    """Somebody snatches the first cube of the goal and puts it down elsewhere."""
+    name = recorded(episode.instance.task, TEAM).steps[0].subtask.pick
+    done: list[bool] = []
+
+    def look() -> None:
+        if not done and when():
+            done.append(True)
+            episode.simulation.scene.set_pose(name, put)
+
+    episode.simulation.observers.append(look)
+    return done
+
+
+@pytest.mark.parametrize("task", ["pass", "pass2", "stack", "stack2"])
+@pytest.mark.parametrize("outcome", [Outcome.MISSED_GRASP, Outcome.DROPPED])
+def test_after_a_failed_skill_it_tries_again(task: str, outcome: Outcome) -> None:
+    instance = first_instance(task, TEAM)
+    episode, expert = start(instance)
+    first = recorded(task, TEAM).steps[0].subtask
+    scene, arm = episode.simulation.scene, episode.simulation.arms[first.robot]
+    home = scene.pose(first.pick)
+    if outcome is Outcome.MISSED_GRASP:
+        done = snatch_once(episode, lambda: arm.opening_m == 0.0, Pose((0.0, 1.0, 0.1)))
+    else:
+        done = snatch_once(
+            episode, lambda: scene.pose(first.pick).position[2] > 0.15, home
+        )
+    outcomes = []
+    for step in solve(episode, expert):
+        outcomes.append(step.result.outcome)
+        if len(outcomes) == 1:
+            scene.set_pose(first.pick, home)
+            episode.simulation.rest(0.1)
+    assert done
+    assert outcomes[0] is outcome
+    assert outcomes[1:] == [Outcome.SUCCESS] * task_named(task).subtasks
+    assert expert.replans == 1
+    assert episode.is_success
+
+
+@pytest.mark.parametrize("task", ["hook", "poke"])
+def test_after_a_stick_slipped_from_the_hand_it_tries_again(task: str) -> None:
+    instance = first_instance(task, TEAM)
+    episode, expert = start(instance)
+    scene = episode.simulation.scene
+    home = scene.pose(STICK)
+    done: list[bool] = []
+
+    def look() -> None:
+        if not done and scene.pose(STICK).position[2] > 0.2:
+            done.append(True)
+            scene.set_pose(STICK, home)
+
+    episode.simulation.observers.append(look)
+    outcomes = [step.result.outcome for step in solve(episode, expert)]
+    assert outcomes[0] is Outcome.DROPPED
+    assert outcomes[1:] == [Outcome.SUCCESS] * task_named(task).subtasks
+    assert episode.is_success
+
+
+def test_a_failure_is_forgotten_once_the_plan_is_new() -> None:
+    instance = load_instance("stack2", "test", 1)
+    episode, expert = start(instance)
+    first, grounded = expert.act()
+    assert grounded is not None
+    expert.notice(SkillResult(Outcome.TIMEOUT, "It took too long.", 7.0))
+    again, same = expert.act()
+    assert (again, same) == (first, grounded)
+    assert expert.replans == 1
+    assert np.isfinite(episode.elapsed_s)

@@ -1,0 +1,102 @@
+"""Freezing gives the lists that are frozen, byte for byte."""
+
+import gzip
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from lemma.core.errors import SamplingError
+from lemma.env.episode import Episode
+from lemma.expert import freeze as freezer
+from lemma.expert.expert import Expert, Step, solve
+from lemma.expert.freeze import MANIFEST, accept, accept_all, freeze, write_list
+from lemma.tasks.suite import SUITE, load_instance
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_the_expert_accepts_what_is_frozen(task: str) -> None:
+    frozen = load_instance(task, "test", 5)
+    accepted = accept(task, "test", 5)
+    assert accepted.instance == frozen
+    assert accepted.elapsed_s < 100.0
+    assert accepted.rejected >= 0
+    assert accepted.refused >= 0
+
+
+def test_a_refused_draw_is_counted_and_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first = accept("stack", "free", 4)
+    assert first.refused == 0
+    calls: list[Episode] = []
+
+    def refuse_once(episode: Episode, expert: Expert) -> Iterator[Step]:
+        calls.append(episode)
+        return solve(episode, expert) if len(calls) > 1 else iter(())
+
+    monkeypatch.setattr(freezer, "solve", refuse_once)
+    second = accept("stack", "free", 4)
+    assert second.refused == 1
+    assert second.instance.key == first.instance.key
+    assert second.instance.scene != first.instance.scene
+    assert second.instance.team == first.instance.team
+
+
+def test_a_task_that_the_expert_never_solves_is_given_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(freezer, "solve", lambda *args: iter(()))
+    with pytest.raises(
+        SamplingError, match="solved none of 20 instances of pass/free/3"
+    ):
+        accept("pass", "free", 3)
+
+
+def test_the_same_instances_are_the_same_bytes(tmp_path: Path) -> None:
+    instances = [load_instance("hook", "val", index) for index in range(5)]
+    paths = [tmp_path / name for name in ("a.jsonl.gz", "b.jsonl.gz")]
+    digests = {write_list(instances, path) for path in paths}
+    assert len(digests) == 1
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    lines = gzip.decompress(paths[0].read_bytes())
+    assert digests == {hashlib.sha256(lines).hexdigest()}
+    assert [json.loads(line) for line in lines.decode().splitlines()] == [
+        instance.to_dict() for instance in instances
+    ]
+
+
+def test_a_folder_of_lists_has_a_manifest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(freezer, "SPLITS", {"val": 2})
+    monkeypatch.setattr(freezer, "SUITE", ("pass", "stack"))
+    lines = list(freeze(tmp_path / "frozen", ("val",), workers=1))
+    assert [line.split(":")[0] for line in lines] == ["pass-val", "stack-val"]
+    assert "2 instances, 0 tables rejected, 0 refused" in lines[0]
+    manifest = json.loads((tmp_path / "frozen" / MANIFEST).read_text())
+    assert set(manifest) == {"pass-val", "stack-val"}
+    for name, entry in manifest.items():
+        text = gzip.decompress((tmp_path / "frozen" / f"{name}.jsonl.gz").read_bytes())
+        assert entry["sha256"] == hashlib.sha256(text).hexdigest()
+        assert entry["instances"] == 2
+        for index, line in enumerate(text.decode().splitlines()):
+            frozen = load_instance(name.split("-")[0], "val", index)
+            assert json.loads(line) == frozen.to_dict()
+    # A second run, of another split, adds to the manifest.
+    monkeypatch.setattr(freezer, "SPLITS", {"test": 1})
+    list(freeze(tmp_path / "frozen", ("test",), workers=1))
+    manifest = json.loads((tmp_path / "frozen" / MANIFEST).read_text())
+    assert set(manifest) == {"pass-val", "stack-val", "pass-test", "stack-test"}
+
+
+@pytest.mark.slow
+def test_more_workers_freeze_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(freezer, "SPLITS", {"test": 3})
+    alone = list(accept_all("stack", "test", 1))
+    assert [a.instance for a in alone] == [
+        load_instance("stack", "test", index) for index in range(3)
+    ]
+    assert list(accept_all("stack", "test", 2)) == alone
