@@ -2,9 +2,16 @@
 
 import math
 
+import numpy as np
+import pytest
+
 from lemma.core.poses import Pose2
+from lemma.env.simulation import Simulation
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.robots.kinematics import top_down
 from lemma.robots.reach import reach_of
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
+from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 ARM_NAMES = ("ur5", "ur10")
 
@@ -40,3 +47,35 @@ def pad(colour: str, x: float, y: float) -> ObjectPlacement:
 def stick(pose: Pose2) -> ObjectPlacement:
     """Return the stick."""
     return ObjectPlacement("stick", "yellow", pose)
+
+
+def move(pick: Pose2, place: Pose2, robot: str = "robot_0") -> GroundedSubTask:
+    """Return a grounded move."""
+    return GroundedSubTask(robot, Primitive.MOVE, pick, place)
+
+
+def stretch(simulation: Simulation, at: tuple[float, float, float]) -> None:
+    """Let the other robot stand in the way."""
+    arm = simulation.arms["robot_1"]
+    posture = arm.solve_posture(top_down(*at, 0.0))
+    assert posture is not None
+    simulation.scene.set_joints(arm.robot, posture, FINGER_OPENING_M)
+    arm.sync()
+    arm.follow_posture(posture)
+    simulation.rest(0.2)
+
+
+def assert_ready(simulation: Simulation, robot: str = "robot_0") -> None:
+    """The world is valid: every arm parked, grippers open, nothing held or flying."""
+    scene = simulation.scene
+    assert simulation.held() == {}
+    for arm in simulation.arms.values():
+        assert np.abs(scene.data.qpos[arm.robot.qpos] - arm.park).max() < 0.06
+        assert arm.opening_m == FINGER_OPENING_M
+    opening = scene.opening_m(simulation.arms[robot].robot)
+    assert opening == pytest.approx(FINGER_OPENING_M, abs=0.002)
+    assert np.isfinite(scene.snapshot()).all()
+    simulation.rest(0.3)
+    for name in scene.movable_names:
+        assert scene.speed(name) < 0.02
+        assert scene.pose(name).position[2] > 0.01

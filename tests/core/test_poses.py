@@ -83,6 +83,13 @@ def test_wrap_of_half_a_turn_is_the_lower_end() -> None:
     assert wrap(math.pi) == wrap(-math.pi) == -math.pi
 
 
+@pytest.mark.parametrize("turns", [-3, -1, 1, 3])
+@pytest.mark.parametrize("side", [-math.inf, math.inf])
+def test_wrap_stays_in_range_where_rounding_bites(turns: int, side: float) -> None:
+    angle = math.nextafter(turns * math.pi, side)
+    assert -math.pi <= wrap(angle) < math.pi
+
+
 @given(planar)
 def test_rounded_is_near_and_stays_as_it_is(pose: Pose2) -> None:
     rounded = pose.rounded()

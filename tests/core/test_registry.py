@@ -35,7 +35,7 @@ def test_a_name_can_be_taken_once_only(colours: Registry[int]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "meant"), [("blu", "blue"), ("whit", "white"), ("rde", "red")]
+    ("wrong", "meant"), [("blu", "blue"), ("wihte", "white"), ("rde", "red")]
 )
 def test_a_typing_error_is_understood(
     colours: Registry[int], wrong: str, meant: str

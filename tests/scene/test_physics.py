@@ -1,6 +1,5 @@
 """Honest physics: what is held stays held by friction alone, nothing sinks or rams."""
 
-import math
 from collections.abc import Iterator
 from itertools import chain
 
@@ -12,25 +11,13 @@ from lemma.core.poses import FloatArray, Pose, Pose2
 from lemma.env.simulation import Simulation
 from lemma.motion.moves import Moves, Stand
 from lemma.robots.gripper import GRIP_FORCE_N
-from lemma.robots.reach import reach_of
 from lemma.scene.objects import CUBE_EDGE_M
-from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
+from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.tool_use import grasp_on_stick
 from recorded_episodes import EPISODES, first_instance, recorded, run_expert
+from small_tables import facing
 
 MINUTE_S = 60.0
-
-
-def facing(arm: str, *objects: ObjectPlacement) -> SceneSpec:
-    """Two arms of a type, face to face, and a few things."""
-    away = 0.85 * reach_of(arm).travel_m
-    return SceneSpec(
-        (
-            RobotPlacement(arm, "red", Pose2(-away, 0.0, 0.0)),
-            RobotPlacement(arm, "white", Pose2(away, 0.0, math.pi)),
-        ),
-        objects,
-    )
 
 
 def pick_up(simulation: Simulation, robot: str, grip: Pose2, low_m: float) -> None:
