@@ -5,10 +5,10 @@ MuJoCo nor torch is needed.
 """
 
 import json
+import threading
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import accumulate
 from os import getpid
 from pathlib import Path
@@ -21,7 +21,6 @@ from lemma.core.errors import UnknownNameError
 from lemma.dataset.instructions import check_recorded, draw_instruction
 from lemma.dataset.keyframe_schema import (
     Header,
-    Raster,
     camera_columns,
     map_columns,
 )
@@ -30,6 +29,7 @@ from lemma.dataset.shards import keyframe_shards
 
 Sample = dict[str, Any]
 """One keyframe: values by the names of columns; tensors as NumPy arrays."""
+Indices = Sequence[int] | NDArray[np.integer[Any]]
 
 LABELS = (
     *("key", "task", "index", "keyframe", "keyframes"),
@@ -41,7 +41,7 @@ POLICY_COLUMNS = (*LABELS, "arms", "bases", "joints", "opening_m", "sub_instruct
 MAP_COLUMNS = ("map_rgb", "map_height")
 CAMERA_COLUMNS = ("intrinsics", "world_from_camera", "rgb", "depth")
 
-_OPEN_FILES = 400
+_OPEN_FILES = 300
 _SOURCES = ("recorded", "resampled")
 
 
@@ -72,8 +72,8 @@ class KeyframeDataset:
     """Keyframes of a split: ``len(dataset)`` and ``dataset[i]``, nothing else to do.
 
     Samples are dictionaries of the columns asked for, ``instruction``, and, with the
-    map's height, ``map_coverage``. Files are opened when they are first needed, in each
-    process for itself.
+    map's height, ``map_coverage``: whether a camera sees the cell. Files are opened
+    when they are first needed, in each thread for itself.
     """
 
     def __init__(
@@ -102,26 +102,28 @@ class KeyframeDataset:
         self.folder = Path(folder)
         self.language = language
         self.epoch = 0
+        self._drawn: dict[str, str] = {}
         self.shards = keyframe_shards(self.folder, split, tasks)
         self.raster = self.shards[0].header.raster
         self._ends = list(accumulate(sum(s.header.keyframes) for s in self.shards))
         self._columns = _by_part(columns, language, self.shards[0].header)
         self._added = set().union(*self._columns.values()) - set(columns)
-        self._files: dict[tuple[int, str], KeyframeFile] = {}
-        self._process = getpid()
+        self._local = threading.local()
 
     def __len__(self) -> int:
         """Return the number of keyframes."""
         return self._ends[-1]
 
-    def __getitem__(self, index: int) -> Sample:
-        """Return a keyframe.
+    def __getitem__(self, index: int | Indices) -> Sample:
+        """Return a keyframe; for several indices, :meth:`batch` of them.
 
         Raises:
             IndexError: There are not so many.
             DatasetError: Its file is damaged.
         """
-        index = range(len(self))[index]
+        if not isinstance(index, int | np.integer):
+            return self.batch(index)
+        index = range(len(self))[int(index)]
         shard = bisect_right(self._ends, index)
         row = index - (self._ends[shard - 1] if shard else 0)
         sample: Sample = {}
@@ -142,6 +144,32 @@ class KeyframeDataset:
         Persistent workers never learn of it.
         """
         self.epoch = epoch
+        self._drawn = {}
+
+    def batch(self, indices: Indices, out: Sample | None = None) -> Sample:
+        """Return keyframes stacked: arrays with one row for each, lists of texts.
+
+        Faster than stacking samples, which by then have left the processor's cache.
+        ``DataLoader(dataset, batch_size=None, sampler=BatchSampler(...))`` asks for
+        batches in this way.
+
+        Args:
+            indices: Which keyframes; at least one.
+            out: A batch of the same size whose arrays are used again: much of the time
+                goes into new memory.
+        """
+        stacked: Sample = {}
+        for row, index in enumerate(indices):
+            for name, value in self[int(index)].items():
+                if isinstance(value, str):
+                    stacked.setdefault(name, []).append(value)
+                    continue
+                if row == 0:
+                    array = np.asarray(value)
+                    shape = (len(indices), *array.shape)
+                    stacked[name] = out[name] if out else np.empty(shape, array.dtype)
+                stacked[name][row] = value
+        return stacked
 
     def episodes(self) -> list[range]:
         """Return the indices of every episode's keyframes, in order."""
@@ -150,31 +178,42 @@ class KeyframeDataset:
         return [range(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave open files behind: they belong to a process."""
-        return {**self.__dict__, "_files": {}}
+        """Leave behind what is open, which belongs to a thread, and what was drawn."""
+        return {**self.__dict__, "_local": None, "_drawn": {}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Begin with nothing open."""
+        self.__dict__.update(state)
+        self._local = threading.local()
 
     def _open(self, shard: int, part: str, columns: tuple[str, ...]) -> KeyframeFile:
-        if self._process != getpid():
-            self._files, self._process = {}, getpid()
-        file = self._files.get((shard, part))
+        """Return an open file of this thread of this process."""
+        mine = self._local.__dict__
+        if mine.get("process") != getpid():
+            mine["process"], mine["files"] = getpid(), {}
+        files: dict[tuple[int, str], KeyframeFile] = mine["files"]
+        file = files.get((shard, part))
         if file is None:
-            if len(self._files) >= _OPEN_FILES:
-                del self._files[next(iter(self._files))]
+            if len(files) >= _OPEN_FILES:
+                del files[next(iter(files))]
             file = KeyframeFile(self.shards[shard].paths[part], columns)
-            self._files[shard, part] = file
+            files[shard, part] = file
         return file
 
     def _instruction(self, sample: Sample) -> str:
         if self.language.instructions == "recorded":
             recorded: str = sample[self.language.kind]
             return recorded
-        return draw_instruction(
-            sample["task"],
-            tuple((top, bottom) for top, bottom in json.loads(sample["goal"])),
-            sample["key"],
-            seed=self.language.seed,
-            epoch=self.epoch,
-        )
+        key: str = sample["key"]
+        if key not in self._drawn:
+            self._drawn[key] = draw_instruction(
+                sample["task"],
+                tuple((top, bottom) for top, bottom in json.loads(sample["goal"])),
+                key,
+                seed=self.language.seed,
+                epoch=self.epoch,
+            )
+        return self._drawn[key]
 
 
 def _by_part(
@@ -199,63 +238,3 @@ def _by_part(
         "maps": tuple(name for name in wanted if name in maps),
         "cameras": tuple(name for name in wanted if name not in maps),
     }
-
-
-@dataclass(frozen=True)
-class MapsInMemory:
-    """The maps of all keyframes of a split, with their labels, for the fastest loop.
-
-    0.6 MB per keyframe with maps of the usual size.
-    """
-
-    rgb: NDArray[np.uint8]
-    """Shape (N, rows, columns, 3)."""
-    height: NDArray[np.uint16]
-    """As stored: 1 + height above ``raster.floor_m`` [0.1 mm], 0 where no camera sees;
-    shape (N, rows, columns)."""
-    columns: dict[str, NDArray[Any]]
-    """The other columns, each of length N; texts as objects."""
-    raster: Raster
-
-    def __len__(self) -> int:
-        """Return the number of keyframes."""
-        return len(self.rgb)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all images."""
-        return self.rgb.nbytes + self.height.nbytes
-
-    @cached_property
-    def coverage(self) -> NDArray[np.bool_]:
-        """Where a camera sees, shape (N, rows, columns); computed once."""
-        return self.height > 0
-
-    @classmethod
-    def load(
-        cls,
-        folder: str | Path,
-        split: str = "train",
-        tasks: Sequence[str] = (),
-        columns: Sequence[str] = POLICY_COLUMNS,
-        language: Language = RECORDED,
-    ) -> "MapsInMemory":
-        """Read everything; the arguments are those of :class:`KeyframeDataset`."""
-        dataset = KeyframeDataset(
-            folder, split, tasks, (*MAP_COLUMNS, *columns), language
-        )
-        count, raster = len(dataset), dataset.raster
-        rgb = np.empty((count, raster.rows, raster.columns, 3), np.uint8)
-        height = np.empty((count, raster.rows, raster.columns), np.uint16)
-        rest: dict[str, list[Any]] = {}
-        for index in range(count):
-            sample = dataset[index]
-            rgb[index], height[index] = sample.pop("map_rgb"), sample.pop("map_height")
-            del sample["map_coverage"]
-            for name, value in sample.items():
-                rest.setdefault(name, []).append(value)
-        found = {
-            name: np.array(values, object if isinstance(values[0], str) else None)
-            for name, values in rest.items()
-        }
-        return cls(rgb, height, found, raster)

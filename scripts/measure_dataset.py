@@ -1,0 +1,199 @@
+"""Measure what rendered data sets cost: to make, to keep and to read.
+
+    python scripts/measure_dataset.py [--recipe DIR] [--episodes 3] [--seconds 5]
+
+Without --recipe, a small one is generated first: so many episodes of every task.
+Rendering is measured in one process. Reading is measured in batches of 32 shuffled
+samples: in two processes that fill shared memory, in the two threads of the package's
+own loader, and per second of processor time with samples stacked one by one. Files are read before
+they are measured, so that they come from the cache of the disk.
+"""
+
+import argparse
+import json
+import multiprocessing as mp
+import tempfile
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.cli.machine import describe_machine
+from lemma.dataset.capture import KeyframeForm
+from lemma.dataset.dense_form import DenseForm
+from lemma.dataset.engines import Serial
+from lemma.dataset.generate import Order, generate
+from lemma.dataset.keyframe_dataset import (
+    CAMERA_COLUMNS,
+    MAP_COLUMNS,
+    POLICY_COLUMNS,
+    KeyframeDataset,
+    Language,
+)
+from lemma.dataset.keyframe_loading import KeyframeLoader, MapsInMemory
+from lemma.dataset.render import RenderOrder, render
+
+BATCH = 32
+WORKERS = 2
+SLOTS = 2 * WORKERS
+SPLIT = "val"
+
+
+def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
+    """Return all figures."""
+    figures: dict[str, Any] = {"machine": describe_machine()}
+    frames, steps = folder / "keyframes", folder / "dense"
+    # The first pictures compile and start things, which is not counted.
+    (first, *_) = RenderOrder(recipe=recipe, out=frames).groups()
+    warm = RenderOrder(recipe=recipe, out=frames, tasks=(first[0].stem,))
+    before = render(warm, KeyframeForm(), Serial())
+    made = render(RenderOrder(recipe=recipe, out=frames), KeyframeForm(), Serial())
+    counted = made.rows - before.rows
+    figures["keyframes"] = made.rows
+    figures["render_keyframes_per_s_and_core"] = round(counted / made.seconds, 1)
+    for part in ("maps", "cameras"):
+        size = sum(path.stat().st_size for path in (frames / part).rglob("*.arrow"))
+        figures[f"{part}_kb_per_keyframe"] = round(size / made.rows / 1e3, 1)
+    dense = render(RenderOrder(recipe=recipe, out=steps), DenseForm(), Serial())
+    figures["dense_steps_per_s_and_core"] = round(dense.rows / dense.seconds)
+    figures["dense_bytes_per_step"] = round(dense.size_mb * 1e6 / dense.rows)
+    maps = KeyframeDataset(frames, SPLIT, columns=(*MAP_COLUMNS, *POLICY_COLUMNS))
+    drawn = KeyframeDataset(
+        frames,
+        SPLIT,
+        columns=(*MAP_COLUMNS, *POLICY_COLUMNS),
+        language=Language(instructions="resampled"),
+    )
+    cameras = KeyframeDataset(frames, SPLIT, columns=CAMERA_COLUMNS)
+    for name, dataset in (("map", maps), ("resampled", drawn), ("camera", cameras)):
+        rate = read_rate(dataset, seconds)
+        figures[f"{name}_samples_per_s_{WORKERS}_processes"] = round(rate)
+        figures[f"{name}_samples_per_s_{WORKERS}_threads"] = round(
+            loader_rate(dataset, seconds)
+        )
+        figures[f"{name}_samples_per_cpu_s"] = round(cpu_rate(dataset, seconds))
+    start = perf_counter()
+    memory = MapsInMemory.load(frames, SPLIT)
+    figures["load_into_memory_per_s"] = round(len(memory) / (perf_counter() - start))
+    figures["memory_bytes_per_keyframe"] = memory.nbytes // len(memory)
+    figures["memory_samples_per_s"] = round(memory_rate(memory, seconds))
+    return figures
+
+
+def read_rate(dataset: KeyframeDataset, seconds: float) -> float:
+    """Return samples per second of two workers that fill batches in shared memory."""
+    spare = sum(v.nbytes for v in dataset[0].values() if isinstance(v, np.ndarray))
+    shared = SharedMemory(create=True, size=SLOTS * BATCH * spare)
+    context = mp.get_context("spawn")
+    free, full = context.Queue(), context.Queue()
+    workers = [
+        context.Process(
+            target=work, args=(dataset, shared.name, free, full, seed), daemon=True
+        )
+        for seed in range(WORKERS)
+    ]
+    for worker in workers:
+        worker.start()
+    try:
+        for _ in workers:
+            full.get()
+        for slot in range(SLOTS):
+            free.put(slot)
+        start, batches = perf_counter(), 0
+        while perf_counter() - start < seconds:
+            free.put(full.get())
+            batches += 1
+        return batches * BATCH / (perf_counter() - start)
+    finally:
+        for worker in workers:
+            worker.terminate()
+            worker.join()
+        shared.close()
+        shared.unlink()
+
+
+def loader_rate(dataset: KeyframeDataset, seconds: float) -> float:
+    """Return samples per second of the package's own loader."""
+    loader = KeyframeLoader(dataset=dataset, batch_size=BATCH, threads=WORKERS)
+    start, count = perf_counter(), 0
+    while perf_counter() - start < seconds:
+        count += sum(len(batch["instruction"]) for batch in loader)
+    return count / (perf_counter() - start)
+
+
+def cpu_rate(dataset: KeyframeDataset, seconds: float) -> float:
+    """Return samples per second of a processor's time, whatever else it does.
+
+    Samples are stacked one by one in new memory, as torch does by default.
+    """
+    order = np.random.default_rng(0)
+    start, count = process_time(), 0
+    while process_time() - start < seconds:
+        picks = order.integers(len(dataset), size=BATCH)
+        samples = [dataset[int(pick)] for pick in picks]
+        for name in arrays_of(samples[0]):
+            np.stack([sample[name] for sample in samples])
+        count += len(samples)
+    return count / (process_time() - start)
+
+
+def arrays_of(sample: dict[str, Any]) -> list[str]:
+    """Return the names of a sample's arrays."""
+    return [name for name, value in sample.items() if isinstance(value, np.ndarray)]
+
+
+def work(dataset: KeyframeDataset, name: str, free: Any, full: Any, seed: int) -> None:
+    """Fill one batch after the other, for ever."""
+    shared = SharedMemory(name)
+    order = np.random.default_rng(seed)
+    for index in range(len(dataset)):
+        dataset[index]
+    batches = [slot_arrays(dataset, shared, slot) for slot in range(SLOTS)]
+    full.put(-1)
+    while True:
+        slot = free.get()
+        dataset.batch(order.integers(len(dataset), size=BATCH), batches[slot])
+        full.put(slot)
+
+
+def slot_arrays(
+    dataset: KeyframeDataset, shared: SharedMemory, slot: int
+) -> dict[str, Any]:
+    """Return a batch whose images lie in shared memory."""
+    batch = dataset.batch(range(BATCH))
+    offset = slot * (shared.size // SLOTS)
+    for name in arrays_of(dataset[0]):
+        array: NDArray[Any] = np.ndarray(
+            batch[name].shape, batch[name].dtype, shared.buf, offset
+        )
+        batch[name] = array
+        offset += array.nbytes
+    return batch
+
+
+def memory_rate(memory: MapsInMemory, seconds: float) -> float:
+    """Return samples per second of one process that gathers batches."""
+    order = np.random.default_rng(0)
+    start, batches = perf_counter(), 0
+    while perf_counter() - start < seconds:
+        picks = order.integers(len(memory), size=BATCH)
+        _ = memory.rgb[picks], memory.height[picks]
+        batches += 1
+    return batches * BATCH / (perf_counter() - start)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--recipe", type=Path)
+    parser.add_argument("--episodes", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=5.0)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        source = arguments.recipe or Path(scratch) / "recipe"
+        if arguments.recipe is None:
+            order = Order(out=source, splits=(SPLIT,), episodes=arguments.episodes)
+            generate(order, Serial())
+        print(json.dumps(measure(source, Path(scratch), arguments.seconds), indent=1))
