@@ -86,7 +86,9 @@ class Pose:
 
 def wrap(angle: float) -> float:
     """Return the angle [rad] in [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+    wrapped = (angle + math.pi) % (2.0 * math.pi) - math.pi
+    # Just below -pi the remainder rounds up to the whole turn.
+    return wrapped if wrapped < math.pi else -math.pi
 
 
 def matrix_from_quaternion(

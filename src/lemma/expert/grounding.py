@@ -87,9 +87,11 @@ class OracleGrounder:
         Raises:
             UnknownNameError: No such robot.
         """
+        if subtask.primitive is Primitive.STOP:
+            return None
         if subtask.robot not in self._robots:
             raise UnknownNameError("robot", subtask.robot, self._robots)
-        if subtask.primitive is Primitive.STOP or subtask.pick not in now.poses:
+        if subtask.pick not in now.poses:
             return None
         if subtask.primitive is Primitive.MOVE:
             if subtask.pick == STICK:

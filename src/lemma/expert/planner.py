@@ -54,13 +54,18 @@ def utility(step: Grounding, before: Situation, goal: Goal) -> float:
     if subject == STICK and step.subtask.place != SHARED:
         subject = step.subtask.place
     cost = _EFFORT + _PER_SECOND * step.duration_s
-    if step.subtask.primitive is Primitive.MOVE and before.labels[subject] == SHARED:
+    if step.subtask.primitive is Primitive.MOVE and _was_handled(subject, before):
         cost += _AGAIN
     rank = conjunct_of(subject, before, goal)
     cost += _AHEAD * sum(
         not _holds(on, before) for on in goal.conjuncts[:rank] if rank is not None
     )
     return _QUALITY * step.quality - cost
+
+
+def _was_handled(name: str, now: Situation) -> bool:
+    """Whether an object lies where somebody has put it, not pushed or dragged it."""
+    return now.labels[name] == SHARED or now.labels[name].startswith("on ")
 
 
 def conjunct_of(name: str, now: Situation, goal: Goal) -> int | None:

@@ -32,6 +32,7 @@ _TOUCHDOWN_M_S = 0.12
 _FLY_BY_RAD = 0.15
 _ARRIVED_M = 0.002
 _ARRIVED_RAD = 0.02
+_LAID_M = 0.0007
 _PARKED_RAD = 0.05
 _TOUCHED_M = 0.010
 _TOUCHED_S = 0.15
@@ -57,13 +58,14 @@ class Moves:
         """Keep the arm."""
         self.arm = arm
         self.scene = arm.scene
+        self._name = arm.robot.name
 
     def check_reach(self, stand: Stand, what: str) -> None:
         """Fail where the arm cannot stand; ``what`` says what for."""
         if self.arm.solve_posture(top_down(*stand)) is None:
             raise SkillFailure(
                 Outcome.UNREACHABLE,
-                f"{self.arm.robot.name} ({self.arm.robot.arm.name}) cannot reach the "
+                f"{self._name} ({self.arm.robot.arm.name}) cannot reach the "
                 f"{what} position ({stand[0]:.3f}, {stand[1]:.3f}) at height "
                 f"{stand[2]:.2f} m.",
             )
@@ -76,7 +78,9 @@ class Moves:
         self.arm.opening_m = 0.0
         yield from self.wait_for_fingers()
         if self.scene.opening_m(self.arm.robot) < _GRASP_LEAST_M:
-            raise SkillFailure(Outcome.MISSED_GRASP, "The fingers closed on nothing.")
+            raise SkillFailure(
+                Outcome.MISSED_GRASP, f"The fingers of {self._name} closed on nothing."
+            )
 
     def release(self, stand: Stand) -> Motion:
         """Open the fingers and rise."""
@@ -99,7 +103,7 @@ class Moves:
     def check_held(self) -> None:
         """Fail where the fingers have nothing between them."""
         if self.scene.opening_m(self.arm.robot) < _GRASP_LEAST_M:
-            raise SkillFailure(Outcome.DROPPED, "What was held slipped away.")
+            raise SkillFailure(Outcome.DROPPED, f"What {self._name} held slipped away.")
 
     def to(
         self, stand: Stand, *, fly_by: bool = False, contact: bool = False
@@ -109,8 +113,8 @@ class Moves:
         Args:
             stand: The waypoint.
             fly_by: Near is enough: the arm does not slow down.
-            contact: What is held is put down: that it touches the support a little
-                early ends the motion well.
+            contact: What is held is put down: it must be there to the millimetre, and
+                that it touches the support a little early ends the motion well.
         """
         x, y, z, _ = stand
         pose = top_down(*stand)
@@ -118,12 +122,14 @@ class Moves:
         if posture is None:
             raise SkillFailure(
                 Outcome.UNREACHABLE,
-                f"{self.arm.robot.name} cannot reach ({x:.3f}, {y:.3f}, {z:.3f}).",
+                f"{self._name} cannot reach ({x:.3f}, {y:.3f}, {z:.3f}).",
             )
         if fly_by and abs(posture[0] - self.arm.state[0, 0]) > _SWING_RAD:
             yield from self.swing(posture)
         self.arm.aim(pose, posture)
         limit = (FLY_BY_M, _FLY_BY_RAD) if fly_by else (_ARRIVED_M, _ARRIVED_RAD)
+        if contact:
+            limit = (_LAID_M, _ARRIVED_RAD)
         best, since = math.inf, 0.0
         for _ in range(_TICKS):
             distance, angle = _error(self.arm.tcp_pose(), pose)
@@ -139,7 +145,9 @@ class Moves:
                 yield from self.fall_back(pose)
                 return
             yield
-        raise SkillFailure(Outcome.TIMEOUT, "A waypoint was not reached in time.")
+        raise SkillFailure(
+            Outcome.TIMEOUT, f"{self._name} did not reach a waypoint in time."
+        )
 
     def swing(self, posture: FloatArray) -> Motion:
         """Turn the base towards a far waypoint first.
@@ -153,7 +161,9 @@ class Moves:
                 return
             self.check_tracking()
             yield
-        raise SkillFailure(Outcome.TIMEOUT, "The arm could not swing in time.")
+        raise SkillFailure(
+            Outcome.TIMEOUT, f"{self._name} could not swing round in time."
+        )
 
     def along(self, start: Stand, end: Stand, speed_m_s: float) -> Motion:
         """Lead the target along a straight line; the tool follows closely behind.
@@ -196,7 +206,7 @@ class Moves:
         if path is None:
             raise SkillFailure(
                 Outcome.COLLISION,
-                f"{self.arm.robot.name} is blocked on its way to "
+                f"{self._name} is blocked on its way to "
                 f"({pose[0, 3]:.3f}, {pose[1, 3]:.3f}, {pose[2, 3]:.3f}).",
             )
         yield from self.follow(path)
@@ -219,7 +229,7 @@ class Moves:
         expected = self.arm.robot.arm.lag_s * np.abs(self.arm.state[1])
         if bool((np.abs(lag) > _TRACKING_LIMIT_RAD + expected).any()):
             raise SkillFailure(
-                Outcome.COLLISION, f"{self.arm.robot.name} was stopped by something."
+                Outcome.COLLISION, f"{self._name} was stopped by something."
             )
 
     def give_up(self) -> Motion:

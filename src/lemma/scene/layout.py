@@ -8,7 +8,7 @@ from lemma.core.poses import Pose, Pose2, matrix_from_quaternion
 from lemma.robots.reach import reach_of
 from lemma.scene.spec import RobotPlacement
 
-CAMERA_FOVY_RAD = math.radians(60.0)
+CAMERA_FOVY_RAD = math.radians(56.0)
 CAMERA_WIDTH_PX = 640
 CAMERA_HEIGHT_PX = 480
 _IMAGE_MARGIN = 0.94
@@ -28,7 +28,7 @@ def camera_mount(robot: RobotPlacement) -> tuple[Pose, float]:
     reach = reach_of(robot.arm).travel_m
     height = 0.45 + 1.10 * reach
     eye = robot.base @ Pose2(0.05 * reach, 0.0, 0.0)
-    target = robot.base @ Pose2(0.56 * reach, 0.0, 0.0)
+    target = robot.base @ Pose2(0.33 * reach, 0.0, 0.0)
     forward = np.array([target.x - eye.x, target.y - eye.y, -height])
     forward /= np.sqrt((forward**2).sum())
     right = np.array([forward[1], -forward[0], 0.0])

@@ -99,7 +99,7 @@ def _place_team(
 ) -> tuple[RobotPlacement, ...]:
     """Stand two robots face to face, so far apart as the task wants."""
     first, second = (reach_of(arm) for arm in team)
-    if task.gap_probability is not None and rng.random() < task.gap_probability:
+    if task.apart:
         # Apart even at grasp height: a gap that only the stick bridges.
         distance = first.grasp_m + second.grasp_m + rng.uniform(*_GAP_WIDTH_M)
     else:

@@ -26,9 +26,9 @@ class Task:
     """Puts the objects that matter on the board and says what shall become true."""
     language: LanguageBank
     """Its instructions."""
-    gap_probability: float | None = None
-    """None where the robots share a region; else the chance that they do not, but stand
-    so far apart that only the stick bridges the gap."""
+    apart: bool = False
+    """Whether the robots share no region, but stand so far apart that only the stick
+    bridges the gap."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""

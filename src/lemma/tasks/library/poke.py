@@ -25,6 +25,6 @@ TASKS.add(
         distractors=(0, 3),
         arrange=arrange,
         language=bank_for("poke"),
-        gap_probability=0.5,
+        apart=True,
     ),
 )

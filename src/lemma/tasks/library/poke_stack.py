@@ -25,6 +25,6 @@ TASKS.add(
         distractors=(0, 2),
         arrange=arrange,
         language=bank_for("poke_stack"),
-        gap_probability=0.5,
+        apart=True,
     ),
 )
