@@ -5,8 +5,8 @@
 Without --recipe, a small one is generated first: so many episodes of every task.
 Rendering is measured in one process. Reading is measured in batches of 32 shuffled
 samples: in two processes that fill shared memory, in the two threads of the package's
-own loader, and per second of processor time with samples stacked one by one. Files are read before
-they are measured, so that they come from the cache of the disk.
+own loader, and per second of processor time with samples stacked one by one. Files are
+read before they are measured, so that they come from the cache of the disk.
 """
 
 import argparse
