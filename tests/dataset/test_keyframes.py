@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lemma.core.errors import DatasetError, UnknownNameError
+from lemma.dataset.dense_schema import describe as describe_steps
 from lemma.dataset.files import METADATA_KEY
 from lemma.dataset.keyframe_schema import (
     FORM,
@@ -233,3 +234,10 @@ def test_reading_needs_neither_mujoco_nor_torch(tmp_path: Path) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=False
     )
     assert done.stdout == "(6, 10, 3)\n", done.stderr
+
+
+def test_the_documentation_says_what_the_columns_are() -> None:
+    page = Path(__file__).parents[2] / "docs" / "rendered_format.md"
+    text = page.read_text()
+    for table in (describe(), describe_steps()):
+        assert table in text
