@@ -1,6 +1,6 @@
 """Measure what rendered data sets cost: to make, to keep and to read.
 
-    python scripts/measure_dataset.py [--recipe DIR] [--episodes 3] [--seconds 5]
+    python scripts/measure_dataset.py [--recipe DIR] [--episodes 10] [--seconds 5]
 
 Without --recipe, a small one is generated first: so many episodes of every task.
 Rendering is measured in one process. Reading is measured in batches of 32 shuffled
@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 from lemma.cli.machine import describe_machine
 from lemma.dataset.capture import KeyframeForm
 from lemma.dataset.dense_form import DenseForm
-from lemma.dataset.engines import Serial
+from lemma.dataset.engines import Serial, peak_memory_mb
 from lemma.dataset.generate import Order, generate
+from lemma.dataset.instructions import Language
 from lemma.dataset.keyframe_dataset import (
     CAMERA_COLUMNS,
     MAP_COLUMNS,
     POLICY_COLUMNS,
     KeyframeDataset,
-    Language,
 )
 from lemma.dataset.keyframe_loading import KeyframeLoader, MapsInMemory
 from lemma.dataset.render import RenderOrder, render
@@ -54,6 +54,7 @@ def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
     counted = made.rows - before.rows
     figures["keyframes"] = made.rows
     figures["render_keyframes_per_s_and_core"] = round(counted / made.seconds, 1)
+    figures["render_peak_mb"] = round(peak_memory_mb())
     for part in ("maps", "cameras"):
         size = sum(path.stat().st_size for path in (frames / part).rglob("*.arrow"))
         figures[f"{part}_kb_per_keyframe"] = round(size / made.rows / 1e3, 1)
@@ -188,7 +189,7 @@ def memory_rate(memory: MapsInMemory, seconds: float) -> float:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--recipe", type=Path)
-    parser.add_argument("--episodes", type=int, default=3)
+    parser.add_argument("--episodes", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=5.0)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:

@@ -2,6 +2,7 @@
 
 import pickle
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,12 @@ import pytest
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.dataset.files import MANIFEST
+from lemma.dataset.instructions import Language
 from lemma.dataset.keyframe_dataset import (
     CAMERA_COLUMNS,
     MAP_COLUMNS,
     POLICY_COLUMNS,
     KeyframeDataset,
-    Language,
     Sample,
 )
 from lemma.dataset.keyframe_loading import KeyframeLoader, MapsInMemory
@@ -106,6 +107,17 @@ def test_recorded_sentences() -> None:
             assert {found[i]["instruction"] for i in frames} == {expected}
     with pytest.raises(UnknownNameError, match="kind of instruction"):
         dataset(language=Language(kind="poem"))
+
+
+def test_a_recipe_and_its_keyframes_give_the_same_sentences() -> None:
+    for language in (RESAMPLED, Language(kind="human")):
+        found = dataset(columns=("key",), language=language)
+        found.set_epoch(2)
+        for record, frames in zip(recipe(), found.episodes(), strict=True):
+            assert language.choose(record, 2) == found[frames[0]]["instruction"]
+    training = replace(recipe()[0], split="train")
+    with pytest.raises(DatasetError, match="held out"):
+        Language(kind="unseen").choose(training)
 
 
 def test_the_unseen_sentences_are_not_for_training(tmp_path: Path) -> None:

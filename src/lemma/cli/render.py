@@ -1,6 +1,7 @@
 """`lemma render`: images, or steps, from a recipe."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -67,6 +68,8 @@ def render(
         working: Where to work.
         as_json: Print one JSON object instead of words.
     """
+    if form == "lerobot":
+        return export_lerobot(data, out, look)
     order = RenderOrder(
         recipe=data, out=out, tasks=words(look.tasks), splits=words(look.splits)
     )
@@ -95,16 +98,27 @@ def render(
     return 0
 
 
+def export_lerobot(data: Path, out: Path, look: Look) -> int:
+    """Write a LeRobotDataset; what that needs is loaded here alone.
+
+    Raises:
+        InvalidConfigError: A choice that the export does not offer.
+    """
+    if look != replace(EVERYTHING, fps=look.fps):
+        raise InvalidConfigError(
+            "The form lerobot takes the whole recipe at 640x480. Leave out --tasks, "
+            "--splits and --size."
+        )
+    import_module("lemma.dataset.lerobot").export(data, out, look.fps)
+    return 0
+
+
 def choose_form(name: FormName, look: Look) -> Form:
     """Return the form that a user asked for.
 
     Raises:
         InvalidConfigError: Its size or rate is impossible.
     """
-    if name == "lerobot":
-        raise InvalidConfigError(
-            "The form lerobot is not there yet. Choose keyframes or dense."
-        )
     if name == "dense":
         return DenseForm(look.fps)
     width, height = parse_size(look.size)

@@ -5,14 +5,18 @@ a model that reads only one per episode learns fewer words than it could.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.seeding import stream
+from lemma.dataset.schema import EpisodeRecord
 from lemma.tasks.language import instruct
 from lemma.tasks.template import KINDS, GoalPairs
 
 TRAINING_KINDS = ("high_level", "human")
 """Kinds of sentences that may be trained on: all but those held out."""
+
+_SOURCES = ("recorded", "resampled")
 
 
 def draw_instruction(
@@ -72,3 +76,52 @@ def check_recorded(kind: str, splits: Sequence[str]) -> None:
             "split 'train'. Choose split 'val' or 'test', or kind "
             f"{' or '.join(map(repr, TRAINING_KINDS))}."
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Language:
+    """Which sentence an episode is given as its instruction."""
+
+    instructions: str = "recorded"
+    """``"recorded"``: the episode's own. ``"resampled"``: drawn from the templates for
+    training, high-level and human, anew in every epoch."""
+    kind: str = "high_level"
+    """Of recorded ones: ``high_level``, ``human`` or, but for training, ``unseen``."""
+    seed: int = 0
+    """Of resampled ones."""
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        if self.instructions not in _SOURCES:
+            raise UnknownNameError(
+                "source of instructions", self.instructions, _SOURCES
+            )
+        if self.kind not in KINDS:
+            raise UnknownNameError("kind of instruction", self.kind, KINDS)
+
+    def choose(self, record: EpisodeRecord, epoch: int = 0) -> str:
+        """Return the sentence for an episode of a recipe.
+
+        Args:
+            record: The episode.
+            epoch: A new one gives a new sentence, where they are resampled.
+
+        Raises:
+            DatasetError: It is held out, and the episode is for training.
+        """
+        if self.instructions == "recorded":
+            check_recorded(self.kind, (record.split,))
+            recorded: str = getattr(record, self.kind)
+            return recorded
+        goal = record.instance_data()["goal"]
+        return draw_instruction(
+            record.task,
+            tuple((top, bottom) for top, bottom in goal),
+            record.key,
+            seed=self.seed,
+            epoch=epoch,
+        )
+
+
+RECORDED = Language()
+"""The recorded high-level sentence."""

@@ -8,7 +8,6 @@ import json
 import threading
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import accumulate
 from os import getpid
 from pathlib import Path
@@ -18,7 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lemma.core.errors import UnknownNameError
-from lemma.dataset.instructions import check_recorded, draw_instruction
+from lemma.dataset.instructions import (
+    RECORDED,
+    Language,
+    check_recorded,
+    draw_instruction,
+)
 from lemma.dataset.keyframe_schema import (
     Header,
     camera_columns,
@@ -42,30 +46,6 @@ MAP_COLUMNS = ("map_rgb", "map_height")
 CAMERA_COLUMNS = ("intrinsics", "world_from_camera", "rgb", "depth")
 
 _OPEN_FILES = 300
-_SOURCES = ("recorded", "resampled")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Language:
-    """Which sentence a sample gets as ``instruction``."""
-
-    instructions: str = "recorded"
-    """``"recorded"``: the episode's own. ``"resampled"``: drawn from the templates for
-    training, high-level and human, anew in every epoch."""
-    kind: str = "high_level"
-    """Of recorded ones: ``high_level``, ``human`` or, but for training, ``unseen``."""
-    seed: int = 0
-    """Of resampled ones."""
-
-    def __post_init__(self) -> None:
-        """Check the name."""
-        if self.instructions not in _SOURCES:
-            raise UnknownNameError(
-                "source of instructions", self.instructions, _SOURCES
-            )
-
-
-RECORDED = Language()
 
 
 class KeyframeDataset:

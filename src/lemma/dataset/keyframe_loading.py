@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
+from lemma.dataset.instructions import RECORDED, Language
 from lemma.dataset.keyframe_dataset import (
     MAP_COLUMNS,
     POLICY_COLUMNS,
-    RECORDED,
     KeyframeDataset,
-    Language,
     Sample,
 )
 from lemma.dataset.keyframe_schema import Raster
