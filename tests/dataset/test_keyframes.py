@@ -111,7 +111,14 @@ def test_only_columns_that_are_asked_for_are_read(tmp_path: Path) -> None:
         KeyframeFile(path, ("map_heights",))
 
 
-def test_arrays_can_be_changed_and_the_file_stays(tmp_path: Path) -> None:
+@pytest.mark.parametrize("compressed", [True, False])
+def test_arrays_can_be_changed_and_the_file_stays(
+    tmp_path: Path, compressed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not compressed:
+        # As other libraries may write it: then arrays would be the file itself.
+        codecs = dict.fromkeys(PARTS)
+        monkeypatch.setattr("lemma.dataset.keyframes._CODECS", codecs)
     path = write(tmp_path, noise(1))["maps"]
     file = KeyframeFile(path)
     before = path.read_bytes()
