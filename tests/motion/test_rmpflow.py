@@ -121,9 +121,9 @@ def textbook_tool_acceleration(
             - axis.damping * rates[:3, n],
         )
     posture, damping = parameters.posture, parameters.damping
-    offset = goal.posture - q
-    offset = offset * min(1.0, posture.cap_rad / float(np.linalg.norm(offset)))
-    pull: FloatArray = posture.gain * offset - posture.damping * qd
+    away: FloatArray = goal.posture - q
+    cap = min(1.0, posture.cap_rad / float(np.linalg.norm(away)))
+    pull: FloatArray = posture.gain * cap * away - posture.damping * qd
     metric += (posture.metric + posture.inertia) * np.eye(6)
     force += posture.metric * pull
     speed = float(np.linalg.norm(qd))

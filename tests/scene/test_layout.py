@@ -57,7 +57,7 @@ def test_where_the_robot_works_is_in_the_middle_of_the_image(
     arm: str, base: Pose2
 ) -> None:
     robot = RobotPlacement(arm, "red", base)
-    ahead = base @ Pose2(0.56 * reach_of(arm).travel_m, 0.0)
+    ahead = base @ Pose2(0.33 * reach_of(arm).travel_m, 0.0)
     (pixel,), depth = camera(robot).project([[ahead.x, ahead.y, 0.0]])
     middle = ((CAMERA_WIDTH_PX - 1) / 2, (CAMERA_HEIGHT_PX - 1) / 2)
     assert pixel == pytest.approx(middle, abs=1e-6)
