@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from lemma.core.poses import FloatArray
-from lemma.robots.envelope import place_capsules
+from lemma.robots.envelope import SELF_PAIRS, closest_points, place_capsules
 from lemma.robots.gripper import (
     FINGER_OPENING_M,
     FINGER_THICKNESS_M,
@@ -30,22 +30,6 @@ _RANGE_M = 0.8
 _SLACK_M_S = 0.005
 _SWEEPS = 12
 _MOST_ROWS = 256
-# Capsules of one arm that may meet: outer links against inner ones. Their links lie
-# far enough apart never to touch in every posture.
-_SELF_PAIRS = np.array(
-    [
-        (outer, inner)
-        for outer, inners in (
-            (4, (0,)),
-            (5, (0, 1)),
-            (6, (0, 1, 2)),
-            (7, (0, 1, 2, 4)),
-            (8, (0, 1, 2, 4)),
-            (9, (0, 1, 2, 4)),
-        )
-        for inner in inners
-    ]
-)
 _FIRST_ABOVE_TABLE = 2
 _LAST_ABOVE_TABLE = 7
 _FIRST_OF_HAND = 7
@@ -180,8 +164,8 @@ def _add_self_rows(
 ) -> int:
     """Keep the arm clear of itself."""
     near, far = np.empty(3), np.empty(3)
-    for k in range(_SELF_PAIRS.shape[0]):
-        i, j = _SELF_PAIRS[k, 0], _SELF_PAIRS[k, 1]
+    for k in range(SELF_PAIRS.shape[0]):
+        i, j = SELF_PAIRS[k, 0], SELF_PAIRS[k, 1]
         gap = closest_points(world[i], world[j], near, far) - _SELF_MARGIN_M
         links = (int(capsules[j, 7]), int(capsules[i, 7]))
         count = _add_row(placed, links, near, far, gap, rows, count)
@@ -314,49 +298,3 @@ def _project(rows: FloatArray, rates: FloatArray, limits: FloatArray) -> bool:
     for j in range(6):
         rates[j] *= scale
     return True
-
-
-@njit(cache=True)
-def closest_points(
-    a: FloatArray, b: FloatArray, on_a: FloatArray, on_b: FloatArray
-) -> float:
-    """Write the closest points of the axes of two capsules; return their surfaces' gap.
-
-    Ericson, *Real-Time Collision Detection*, section 5.1.9.
-
-    Args:
-        a: Ends and radius, (7,) [m].
-        b: The same.
-        on_a: Written, (3,) [m].
-        on_b: Written, (3,) [m].
-    """
-    aa = bb = ab = ar = br = 0.0
-    for i in range(3):
-        da, db, r = a[3 + i] - a[i], b[3 + i] - b[i], a[i] - b[i]
-        aa += da * da
-        bb += db * db
-        ab += da * db
-        ar += da * r
-        br += db * r
-    s = t = 0.0
-    if aa > 1e-12 and bb > 1e-12:
-        denominator = aa * bb - ab * ab
-        # Between parallel segments any s will do.
-        if denominator > 1e-12 * aa * bb:
-            s = min(1.0, max(0.0, (ab * br - ar * bb) / denominator))
-        t = (ab * s + br) / bb
-        if t < 0.0:
-            t, s = 0.0, min(1.0, max(0.0, -ar / aa))
-        elif t > 1.0:
-            t, s = 1.0, min(1.0, max(0.0, (ab - ar) / aa))
-    elif bb > 1e-12:
-        t = min(1.0, max(0.0, br / bb))
-    elif aa > 1e-12:
-        s = min(1.0, max(0.0, -ar / aa))
-    distance = 0.0
-    for i in range(3):
-        on_a[i] = a[i] + s * (a[3 + i] - a[i])
-        on_b[i] = b[i] + t * (b[3 + i] - b[i])
-        distance += (on_a[i] - on_b[i]) ** 2
-    gap: float = math.sqrt(distance) - a[6] - b[6]
-    return gap

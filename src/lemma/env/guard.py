@@ -10,9 +10,9 @@ touched by hands, but not at speed, and not by the rest of an arm.
 import numpy as np
 
 from lemma.core.poses import FloatArray
-from lemma.env.dampers import closest_points, restrain
+from lemma.env.dampers import restrain
 from lemma.motion.arm import ArmMotion
-from lemma.robots.envelope import envelope_of
+from lemma.robots.envelope import closest_points, envelope_of
 from lemma.robots.kinematics import frames
 from lemma.scene.objects import (
     CUBE_EDGE_M,

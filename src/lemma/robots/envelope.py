@@ -113,47 +113,75 @@ def place_capsules(
 
 
 @njit(cache=True)
-def segment_distance(a: FloatArray, b: FloatArray) -> float:
-    """Return the distance between the axes of two capsules, (6+,) each [m].
+def segment_points(
+    a: FloatArray, b: FloatArray, on_a: FloatArray, on_b: FloatArray
+) -> float:
+    """Write the closest points of two segments; return their distance [m].
 
     Ericson, *Real-Time Collision Detection*, section 5.1.9.
+
+    Args:
+        a: Both ends, (6+,) [m].
+        b: The same.
+        on_a: Written, (3,) [m].
+        on_b: Written, (3,) [m].
     """
-    d1 = np.empty(3)
-    d2 = np.empty(3)
-    r = np.empty(3)
-    aa = ee = f = c = bb = 0.0
+    aa = bb = ab = ar = br = 0.0
     for i in range(3):
-        d1[i] = a[3 + i] - a[i]
-        d2[i] = b[3 + i] - b[i]
-        r[i] = a[i] - b[i]
-        aa += d1[i] * d1[i]
-        ee += d2[i] * d2[i]
-        f += d2[i] * r[i]
-        c += d1[i] * r[i]
-        bb += d1[i] * d2[i]
+        da, db, r = a[3 + i] - a[i], b[3 + i] - b[i], a[i] - b[i]
+        aa += da * da
+        bb += db * db
+        ab += da * db
+        ar += da * r
+        br += db * r
     s = t = 0.0
-    if aa > 1e-12 and ee > 1e-12:
-        denominator = aa * ee - bb * bb
+    if aa > 1e-12 and bb > 1e-12:
+        denominator = aa * bb - ab * ab
         # Between parallel segments any s will do.
-        if denominator > 1e-12 * aa * ee:
-            s = min(1.0, max(0.0, (bb * f - c * ee) / denominator))
-        t = (bb * s + f) / ee
+        if denominator > 1e-12 * aa * bb:
+            s = min(1.0, max(0.0, (ab * br - ar * bb) / denominator))
+        t = (ab * s + br) / bb
         if t < 0.0:
-            t, s = 0.0, min(1.0, max(0.0, -c / aa))
+            t, s = 0.0, min(1.0, max(0.0, -ar / aa))
         elif t > 1.0:
-            t, s = 1.0, min(1.0, max(0.0, (bb - c) / aa))
-    elif ee > 1e-12:
-        t = min(1.0, max(0.0, f / ee))
+            t, s = 1.0, min(1.0, max(0.0, (ab - ar) / aa))
+    elif bb > 1e-12:
+        t = min(1.0, max(0.0, br / bb))
     elif aa > 1e-12:
-        s = min(1.0, max(0.0, -c / aa))
-    gap = 0.0
+        s = min(1.0, max(0.0, -ar / aa))
+    distance = 0.0
     for i in range(3):
-        gap += (r[i] + s * d1[i] - t * d2[i]) ** 2
-    return math.sqrt(gap)
+        on_a[i] = a[i] + s * (a[3 + i] - a[i])
+        on_b[i] = b[i] + t * (b[3 + i] - b[i])
+        distance += (on_a[i] - on_b[i]) ** 2
+    return math.sqrt(distance)
+
+
+@njit(cache=True)
+def segment_distance(a: FloatArray, b: FloatArray) -> float:
+    """Return the distance between two segments, (6+,) each [m]."""
+    distance: float = segment_points(a, b, np.empty(3), np.empty(3))
+    return distance
+
+
+@njit(cache=True)
+def closest_points(
+    a: FloatArray, b: FloatArray, on_a: FloatArray, on_b: FloatArray
+) -> float:
+    """Write the closest points of the axes of two capsules; return their surfaces' gap.
+
+    Args:
+        a: Ends and radius, (7+,) [m].
+        b: The same.
+        on_a: Written, (3,) [m].
+        on_b: Written, (3,) [m].
+    """
+    gap: float = segment_points(a, b, on_a, on_b) - a[6] - b[6]
+    return gap
 
 
 # Capsules of one arm that may come near each other: outer links against the inner ones.
-_SELF_PAIRS = np.array(
+SELF_PAIRS = np.array(
     [
         [outer, inner]
         for outer, inners in (
@@ -177,9 +205,9 @@ def self_clearance(placed: FloatArray) -> float:
         placed: Capsules of one arm in one frame, (n, 7).
     """
     least = np.inf
-    for k in range(_SELF_PAIRS.shape[0]):
-        a = placed[_SELF_PAIRS[k, 0]]
-        b = placed[_SELF_PAIRS[k, 1]]
+    for k in range(SELF_PAIRS.shape[0]):
+        a = placed[SELF_PAIRS[k, 0]]
+        b = placed[SELF_PAIRS[k, 1]]
         least = min(least, segment_distance(a, b) - a[6] - b[6])
     return least
 
