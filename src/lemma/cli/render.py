@@ -1,7 +1,6 @@
 """`lemma render`: images, or steps, from a recipe."""
 
-from dataclasses import asdict, dataclass, replace
-from importlib import import_module
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,7 +19,7 @@ _ALL = "all"
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
 """A recipe."""
-FormName = Literal["keyframes", "dense", "lerobot"]
+FormName = Literal["keyframes", "dense"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +61,11 @@ def render(
         data: The recipe: what lemma generate wrote.
         out: Folder of what is made.
         form: keyframes: images and labels before every sub-task, for planners; dense:
-            states and commands at a rate, without images; lerobot: LeRobotDataset
-            v3.0, with videos.
+            states and commands at a rate, without images.
         look: What is made of which episodes.
         working: Where to work.
         as_json: Print one JSON object instead of words.
     """
-    if form == "lerobot":
-        return export_lerobot(data, out, look)
     order = RenderOrder(
         recipe=data, out=out, tasks=words(look.tasks), splits=words(look.splits)
     )
@@ -95,21 +91,6 @@ def render(
         print_json({"form": form, **asdict(summary)})
     else:
         _print(out, form, summary)
-    return 0
-
-
-def export_lerobot(data: Path, out: Path, look: Look) -> int:
-    """Write a LeRobotDataset; what that needs is loaded here alone.
-
-    Raises:
-        InvalidConfigError: A choice that the export does not offer.
-    """
-    if look != replace(EVERYTHING, fps=look.fps):
-        raise InvalidConfigError(
-            "The form lerobot takes the whole recipe at 640x480. Leave out --tasks, "
-            "--splits and --size."
-        )
-    import_module("lemma.dataset.lerobot").export(data, out, look.fps)
     return 0
 
 
