@@ -12,7 +12,7 @@ from lemma.core.errors import LemmaError
 
 VERBS = (
     *("tasks", "demo", "show", "doctor", "bench"),
-    *("generate", "replay"),
+    *("generate", "replay", "inspect"),
     *("render", "instructions"),
 )
 """Each is a function of the same name in a module of the same name in this package."""

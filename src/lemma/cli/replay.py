@@ -67,7 +67,7 @@ def replay(
 
 
 def choose(
-    recipe: Recipe, task: str | None, split: str | None, limit: int | None
+    recipe: Recipe, task: str | None, split: str | None, limit: int | None = None
 ) -> Recipe:
     """Return the episodes that a user asked for.
 

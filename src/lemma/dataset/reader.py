@@ -4,7 +4,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import overload
+from typing import Any, overload
 
 import pyarrow as pa
 
@@ -109,6 +109,19 @@ class Recipe(Sequence[EpisodeRecord]):
                 rows = [EpisodeHeader(**row) for row in table.to_pylist()]
                 self._headers[place.path] = rows
             yield self._headers[place.path][place.file_row]
+
+    def rows(self, *columns: str) -> Iterator[dict[str, Any]]:
+        """Yield some columns of every episode, without reading the others.
+
+        Args:
+            *columns: Names of columns, see :data:`lemma.dataset.schema.SCHEMA`.
+        """
+        path, rows = None, []
+        for place in self._places:
+            if place.path != path:
+                path = place.path
+                rows = read_table(path, list(columns)).to_pylist()
+            yield rows[place.file_row]
 
     def select(self, *, task: str | None = None, split: str | None = None) -> "Recipe":
         """Return the episodes of a task, of a split, or of both."""
