@@ -128,9 +128,8 @@ def textbook_tool_acceleration(
     force += posture.metric * pull
     speed = float(np.linalg.norm(qd))
     metric += (damping.metric * speed + damping.inertia) * np.eye(6)
-    force -= damping.metric * speed * damping.damping * speed * qd
-    result: FloatArray = np.linalg.solve(metric, force)
-    return result
+    force -= damping.metric * damping.damping * speed**2 * qd
+    return np.asarray(np.linalg.solve(metric, force), dtype=np.float64)
 
 
 @pytest.mark.parametrize("arm", ARM_NAMES)
