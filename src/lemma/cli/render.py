@@ -6,11 +6,13 @@ from typing import Annotated, Literal
 
 import tyro
 
+from lemma.cli.machine import usable_cores
 from lemma.cli.terminal import JsonFlag, complain, output, print_json
-from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.cli.workers import DEFAULT, WorkerOptions, Workers, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.capture import KeyframeForm
 from lemma.dataset.dense_form import DenseForm
+from lemma.dataset.lerobot import export
 from lemma.dataset.render import Form, RenderOrder, RenderSummary
 from lemma.dataset.render import render as make
 
@@ -19,7 +21,7 @@ _ALL = "all"
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
 """A recipe."""
-FormName = Literal["keyframes", "dense"]
+FormName = Literal["keyframes", "dense", "lerobot"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,11 +63,14 @@ def render(
         data: The recipe: what lemma generate wrote.
         out: Folder of what is made.
         form: keyframes: images and labels before every sub-task, for planners; dense:
-            states and commands at a rate, without images.
+            states and commands at a rate, without images; lerobot: LeRobotDataset
+            v3.0, with videos of 640x480.
         look: What is made of which episodes.
         working: Where to work.
         as_json: Print one JSON object instead of words.
     """
+    if form == "lerobot":
+        return _export(data, out, look, working)
     order = RenderOrder(
         recipe=data, out=out, tasks=words(look.tasks), splits=words(look.splits)
     )
@@ -91,6 +96,14 @@ def render(
         print_json({"form": form, **asdict(summary)})
     else:
         _print(out, form, summary)
+    return 0
+
+
+def _export(data: Path, out: Path, look: Look, working: Workers) -> int:
+    """Write a LeRobotDataset, whose images have one size."""
+    processes = usable_cores() if working.workers is None else working.workers
+    export(data, out, look.fps, words(look.tasks), words(look.splits), processes)
+    output().print(f"{out} is a LeRobotDataset v3.0.")
     return 0
 
 
