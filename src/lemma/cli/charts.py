@@ -14,6 +14,7 @@ _NUMBER = 58
 _ROW = 26
 _BAR = 16
 _AXIS = 30
+_BINS = 40
 _PLOT = WIDTH - _LABEL - _NUMBER
 _GOOD_STEPS = (1.0, 2.0, 5.0, 10.0)
 
@@ -107,35 +108,31 @@ def ranges(rows: Sequence[Range], unit: str, title: str) -> str:
     return _svg(shapes, height + _AXIS, title)
 
 
-def histogram(
-    values: Sequence[float], low: float, high: float, unit: str, title: str
-) -> str:
-    """Return how often values occur; those outside are counted at the ends.
+def histogram(values: Sequence[float], unit: str, title: str) -> str:
+    """Return how often values occur.
 
     Args:
-        values: The values.
-        low: Lower end of the axis.
-        high: Upper end of the axis.
+        values: The values, at least one.
         unit: Unit of the values.
         title: What is shown.
     """
-    bins = 40
-    counts = [0] * bins
+    ticks = _ticks(min(values), max(values))
+    low, high = ticks[0], max(ticks[-1], ticks[0] + 1e-9)
+    counts = [0] * _BINS
     for value in values:
-        place = math.floor((value - low) / (high - low) * bins)
-        counts[min(max(place, 0), bins - 1)] += 1
-    height, plot = 150, WIDTH - 24
-    most, width = max(*counts, 1), plot / bins
-    ticks = [t for t in _ticks(low, high) if low <= t <= high]
+        place = int((value - low) / (high - low) * _BINS)
+        counts[min(max(place, 0), _BINS - 1)] += 1
+    edge, height = 28, 150
+    most, width = max(counts), (WIDTH - 2 * edge) / _BINS
     shapes = [
-        _grid(12 + (t - low) / (high - low) * plot, height, f"{t:g} {unit}")
+        _grid(edge + (t - low) / (high - low) * _BINS * width, height, f"{t:g} {unit}")
         for t in ticks
     ]
     for i, count in enumerate(counts):
-        start = low + i * (high - low) / bins
-        words = f"{start:.3g} to {start + (high - low) / bins:.3g} {unit}: {count}"
+        start = low + i * (high - low) / _BINS
+        words = f"{start:.3g} to {start + (high - low) / _BINS:.3g} {unit}: {count}"
         tall = height * count / most
-        shapes.append(_bar(12 + i * width, height - tall, width - 1, tall, words))
+        shapes.append(_bar(edge + i * width, height - tall, width - 1, tall, words))
     return _svg(shapes, height + _AXIS, title)
 
 

@@ -17,7 +17,6 @@ _FILLS = {
         zip(TEAM_NAMES, ("var(--low)", "var(--middle)", "var(--high)"), strict=True)
     ),
 }
-_MARGIN_M = (-0.1, 0.6)
 _HEADINGS = (
     *("episodes", "solved", "sub-tasks", "objects", "distractors"),
     *("seconds", "margin"),
@@ -102,10 +101,9 @@ def _sections(found: Statistics) -> Iterator[str]:
     margins = [margin for fact in found.facts for margin in fact.margins_m]
     yield _section(
         "Reach margin",
-        "How far inside the reach of the robot that acts its gripper closed and "
-        "opened. Where it pushes or drags with the stick it may be led beyond the "
-        "radius at which it could also lift.",
-        histogram(margins, *_MARGIN_M, "m", "Histogram of reach margins"),
+        "How far inside the reach of the robot that acts its gripper closes, and where "
+        "it ends.",
+        histogram(margins, "m", "Histogram of reach margins"),
     )
     yield _rejection_section(found)
 
@@ -161,21 +159,23 @@ def _ends(group: GroupSummary) -> tuple[float, float]:
 
 
 def _rejection_section(found: Statistics) -> str:
-    sampler = [
-        (task, rate.sampler_rate, f"{rate.sampler_rate:.1%}")
-        for task, rate in found.rejections.items()
-    ]
-    expert = [
-        (task, rate.expert_rate, f"{rate.expert_rate:.1%}")
-        for task, rate in found.rejections.items()
-    ]
+    tables = [(task, r.sampler_rate) for task, r in found.rejections.items()]
+    instances = [(task, r.expert_rate) for task, r in found.rejections.items()]
+    refused = (
+        "<p>Sampled instances that the expert did not solve as the task promises.</p>"
+        + _rates(instances, "Instances that the expert did not solve")
+    )
+    if not any(rate for _, rate in instances):
+        refused = "<p>The expert solved every instance that was sampled.</p>"
     return _section(
         "Turned down while the lists were frozen",
         "Tables that the sampler turned down because they violate the task's zones.",
-        bars(sampler, "Tables that the sampler turned down")
-        + "<p>Sampled instances that the expert did not solve as the task promises.</p>"
-        + bars(expert, "Instances that the expert did not solve"),
+        _rates(tables, "Tables that the sampler turned down") + refused,
     )
+
+
+def _rates(rates: list[tuple[str, float]], title: str) -> str:
+    return bars([(task, rate, f"{rate:.1%}") for task, rate in rates], title)
 
 
 def _section(title: str, text: str, content: str) -> str:

@@ -102,7 +102,7 @@ def _print_episode(record: EpisodeRecord) -> None:
 
 def _print(found: Statistics, size_mb: float) -> None:
     console = output()
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     rows = {**found.tasks, ALL: found.total}
     headings = table_cells(found.total)
     for heading in ("task", *headings):

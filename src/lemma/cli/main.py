@@ -12,10 +12,11 @@ from lemma.core.errors import LemmaError
 
 VERBS = (
     *("tasks", "demo", "show", "doctor", "bench"),
-    *("generate", "replay", "inspect"),
+    *("generate", "replay", "inspect", "push-to-hub", "pull"),
     *("render", "instructions"),
 )
-"""Each is a function of the same name in a module of the same name in this package."""
+"""Each is a function of the same name in a module of the same name in this package,
+with underscores for dashes."""
 
 _DESCRIPTION = (
     "LEMMA Bench: two robot arms, a table, and instructions that neither arm can "
@@ -44,7 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     verbs = (asked,) if asked else VERBS
     try:
         functions: dict[str, Callable[..., int]] = {
-            verb: getattr(import_module(f"lemma.cli.{verb}"), verb) for verb in verbs
+            verb: getattr(import_module(f"lemma.cli.{name}"), name)
+            for verb in verbs
+            for name in (verb.replace("-", "_"),)
         }
         code = tyro.extras.subcommand_cli_from_dict(
             functions, prog="lemma", description=_DESCRIPTION, args=words

@@ -254,27 +254,36 @@ def read_json(path: Path) -> dict[str, Any]:
     return data
 
 
-def check_files(folder: Path) -> None:
-    """Check the files of a recipe against its manifest.
+def check_files(folder: Path, *, partial: bool = False) -> None:
+    """Check the files of a dataset against its manifest.
+
+    Args:
+        folder: A recipe, or what was rendered from one.
+        partial: Whether files may be missing.
 
     Raises:
         DatasetError: One is missing, or not the one that was written, or there is no
             manifest.
     """
-    files = read_json(folder / MANIFEST).get("files", {})
-    there = {p.relative_to(folder).as_posix() for p in folder.glob("*/*.parquet")}
-    for name in sorted(there ^ set(files)):
-        what = "is missing" if name in files else f"is not in {MANIFEST}"
-        raise DatasetError(
-            f"{folder / name} {what}. Run 'lemma generate' again: it completes the "
-            "recipe and its manifest."
-        )
-    for name, entry in files.items():
-        if sha256_of(folder / name) != entry["sha256"]:
+    manifest = read_json(folder / MANIFEST)
+    files = manifest.get("files", {})
+    written = "lemma generate" if "form" not in manifest else "lemma render"
+    listed = {name for name in files if (folder / name).exists() or not partial}
+    if "form" not in manifest:
+        found = (path.relative_to(folder) for path in folder.glob("*/*.parquet"))
+        listed.update(path.as_posix() for path in found)
+    for name in sorted(listed):
+        if name not in files or not (folder / name).exists():
+            what = "is missing" if name in files else f"is not in {MANIFEST}"
+            raise DatasetError(
+                f"{folder / name} {what}. Run '{written}' again: it completes the "
+                "folder and its manifest."
+            )
+        if sha256_of(folder / name) != files[name]["sha256"]:
             raise DatasetError(
                 f"{folder / name} has another checksum than {MANIFEST} says: it was "
-                "changed or damaged. Fetch it again, or delete it and run 'lemma "
-                "generate': it writes what is missing."
+                f"changed or damaged. Fetch it again, or delete it and run '{written}' "
+                "again: it writes what is missing."
             )
 
 

@@ -1,0 +1,192 @@
+"""Datasets on the Hugging Face Hub: up, and down again, checked on both sides."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.dataset.files import MANIFEST, check_files
+
+_KIND = "dataset"
+_HIDDEN = [".*", ".*/**", "**/.*"]
+"""What never leaves this machine: drafts, parts, caches."""
+_TRANSPORTS = ("httpx", "httpcore", "requests", "urllib3")
+
+
+def push(folder: Path, repository: str, *, private: bool = False) -> str:
+    """Upload a dataset: a recipe, or what was rendered from one.
+
+    Args:
+        folder: The dataset.
+        repository: ``"owner/name"``; made if there is none.
+        private: Whether others may not see it, if it is made.
+
+    Returns:
+        The address of what was uploaded.
+
+    Raises:
+        DatasetError: The dataset is incomplete or damaged, or the Hub cannot be
+            reached, or does not let us, or its client is not installed.
+    """
+    _check_name(repository)
+    check(folder)
+    client = _client()
+    with _explained(repository):
+        client.create_repo(repository, repo_type=_KIND, private=private, exist_ok=True)
+        done = client.upload_folder(
+            repo_id=repository,
+            folder_path=folder,
+            repo_type=_KIND,
+            ignore_patterns=_HIDDEN,
+            commit_message=f"Upload {folder.resolve().name}",
+        )
+    return str(done.commit_url)
+
+
+def pull(
+    repository: str,
+    out: Path,
+    *,
+    revision: str | None = None,
+    splits: Sequence[str] = (),
+) -> Path:
+    """Download a dataset, and check what came.
+
+    What is there already is not fetched again, so a second call goes on where the first
+    was interrupted.
+
+    Args:
+        repository: ``"owner/name"``.
+        out: Folder for it.
+        revision: Branch, tag or commit; the main branch if None.
+        splits: Only the files of these splits; all if none is named.
+
+    Returns:
+        The folder.
+
+    Raises:
+        DatasetError: It cannot be fetched or is damaged, or the client of the Hub is
+            not installed.
+    """
+    _check_name(repository)
+    client = _client()
+    wanted = [f"{split}/*" for split in splits]
+    with _explained(repository):
+        client.snapshot_download(
+            repository,
+            repo_type=_KIND,
+            revision=revision,
+            local_dir=out,
+            allow_patterns=["*.json", "*.md", *wanted] if splits else None,
+        )
+    check(out, partial=bool(splits))
+    return out
+
+
+def check(folder: Path, *, partial: bool = False) -> None:
+    """Check that a dataset is whole.
+
+    Args:
+        folder: The dataset.
+        partial: Whether files may be missing.
+
+    Raises:
+        DatasetError: It is not.
+    """
+    if (folder / ".parts").exists():
+        raise DatasetError(
+            f"{folder} is not complete: 'lemma generate' was interrupted there. Run it "
+            "again first."
+        )
+    if not folder.is_dir() or not any(_content(folder)):
+        raise DatasetError(
+            f"There is no dataset in {folder}. 'lemma generate' and 'lemma render' "
+            "write some."
+        )
+    # A dataset in the format of others, LeRobot's, has no manifest of ours.
+    if (folder / MANIFEST).exists():
+        check_files(folder, partial=partial)
+
+
+def _content(folder: Path) -> Iterator[Path]:
+    """Yield the files of a dataset: those in its folders."""
+    return (path for path in folder.glob("[!.]*/**/*") if path.is_file())
+
+
+def _check_name(repository: str) -> None:
+    owner, slash, name = repository.partition("/")
+    if not (owner and slash and name) or "/" in name:
+        raise InvalidConfigError(
+            f"{repository!r} names no repository of the Hub. Write owner/name."
+        )
+
+
+def _client() -> Any:
+    try:
+        from huggingface_hub import HfApi  # noqa: PLC0415 - an extra, used here alone
+    except ImportError as error:
+        raise DatasetError(
+            "The client of the Hugging Face Hub is not installed. Install it with: pip "
+            "install 'lemma-bench[hub]'."
+        ) from error
+    return HfApi(library_name="lemma-bench")
+
+
+@contextmanager
+def _explained(repository: str) -> Iterator[None]:
+    """Turn what the client raises into one sentence that says what to do.
+
+    Raises:
+        DatasetError: What went wrong.
+    """
+    try:
+        yield
+    except Exception as error:
+        if (words := _words(error, repository)) is None:
+            raise
+        raise DatasetError(words) from error
+
+
+def _words(error: Exception, repository: str) -> str | None:
+    """Return what to say, or None if it is not about the Hub."""
+    response = getattr(error, "response", None)
+    status = getattr(response, "status_code", None)
+    if status in (401, 403):
+        return (
+            f"The Hub does not let you use {repository} ({status}): it does not exist, "
+            "or your token may not do that. Check the name, and log in with: hf auth "
+            "login"
+        )
+    if status == 404:
+        return (
+            f"The Hub has no dataset {repository}, or not that revision of it. Check "
+            "the name."
+        )
+    if status is not None:
+        return (
+            f"The Hub answered {status} about {repository}: {error}. Try again later."
+        )
+    chain = [error, error.__cause__, error.__context__]
+    if any(_is_transport(link) for link in chain):
+        return (
+            f"The Hub could not be reached ({type(error).__name__}). Check the "
+            "network, the proxy, and HF_ENDPOINT and HF_HUB_OFFLINE if they are set. "
+            "The same command goes on where it was stopped."
+        )
+    return None
+
+
+def _is_transport(error: BaseException | None) -> bool:
+    """Whether an error says that nobody answered."""
+    if isinstance(error, ConnectionError | TimeoutError):
+        return True
+    names = {
+        (kind.__module__.partition(".")[0].rstrip("0123456789"), kind.__name__)
+        for kind in type(error).__mro__
+    }
+    return any(
+        module in _TRANSPORTS
+        or name in ("LocalEntryNotFoundError", "OfflineModeIsEnabled")
+        for module, name in names
+    )
