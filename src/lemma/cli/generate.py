@@ -10,6 +10,7 @@ from rich.table import Table
 from lemma.cli.terminal import JsonFlag, Number, complain, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
+from lemma.dataset.digests import differing
 from lemma.dataset.generate import Order, Summary
 from lemma.dataset.generate import generate as write_recipe
 from lemma.tasks.suite import SUITE
@@ -69,9 +70,10 @@ def generate(
         )
         return INTERRUPTED
     if as_json:
-        print_json(figures(summary, engine.workers))
+        print_json(figures(summary, engine.workers) | {"differing": differing(out)})
     else:
         _print(out, figures(summary, engine.workers))
+        _print_comparison(differing(out))
     return 0
 
 
@@ -95,6 +97,19 @@ def figures(summary: Summary, workers: int) -> dict[str, float]:
     found = {**asdict(summary), "workers": workers, "episodes_per_s": rate}
     found["episodes_per_s_and_worker"] = rate / workers
     return {name: round(value, 3) for name, value in found.items()}
+
+
+def _print_comparison(others: list[str]) -> None:
+    """Say whether the folder holds what the authors' machine made."""
+    if not others:
+        output().print("Every episode equals the published one, to the bit.")
+        return
+    output().print(
+        f"{len(others)} episodes are not what the authors' machine made, such as "
+        f"{others[0]}. They are as good; but this engine, C library or processor "
+        "computes other last bits. See docs/determinism.md.",
+        style="yellow",
+    )
 
 
 _WORDS = {

@@ -63,6 +63,23 @@ def export(folder: Path, out: Path) -> dict[str, Any]:
     return manifest
 
 
+def differing(folder: Path) -> list[str]:
+    """Return which episodes of a recipe are not what the authors' came to.
+
+    Args:
+        folder: The recipe.
+
+    Returns:
+        Task, split and index of each: ``"stack/test/3"``; empty if all are equal.
+    """
+    found = []
+    for name, entry in read_json(folder / MANIFEST)["files"].items():
+        split, _, task = name.removesuffix(".parquet").partition("/")
+        pairs = zip(entry["digests"], expected_digests(task, split), strict=False)
+        found += [f"{task}/{split}/{i}" for i, (a, b) in enumerate(pairs) if a != b]
+    return found
+
+
 @lru_cache
 def expected_digests(task: str, split: str) -> tuple[str, ...]:
     """Return what the episodes of a task and split must come to, in order.

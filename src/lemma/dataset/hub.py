@@ -80,6 +80,12 @@ def pull(
             local_dir=out,
             allow_patterns=["*.json", "*.md", *wanted] if splits else None,
         )
+    for split in splits:
+        if not (out / split).is_dir():
+            raise DatasetError(
+                f"{repository} has no files of split {split!r}. Leave out the splits "
+                "to fetch all there is."
+            )
     check(out, partial=bool(splits))
     return out
 
