@@ -21,10 +21,10 @@ CHECKED := src tests examples scripts docs
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help setup setup-dev demo bench test lint types layers docs tests kernels \
-	format clean
+	test-lerobot format clean
 
 help: ## Say what the targets do.
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(VENV)/core.stamp ## Make .venv with what the `lemma` command needs.
 
@@ -54,6 +54,30 @@ docs: setup-dev ## The documentation, in out/docs.
 
 tests: setup-dev kernels ## The tests alone.
 	$(BIN)/pytest -n $(JOBS)
+
+# The newest lerobot, and the newest for Python 3.11, each in an environment of its own:
+# they ask for another torch than anybody who works on this package needs.
+LEROBOT ?= 0.6.1 0.4.4
+LEROBOT_VENV := .venv-lerobot
+
+test-lerobot: setup $(LEROBOT:%=$(LEROBOT_VENV)/%.stamp) ## The real lerobot reads an export.
+	$(BIN)/python tests/lerobot/make_export.py $(OUT)/lerobot
+	for version in $(LEROBOT); do \
+		echo "lerobot $$version"; \
+		LEROBOT_EXPORT=$(abspath $(OUT))/lerobot HF_HOME=$(abspath $(OUT))/lerobot/cache \
+		$(LEROBOT_VENV)/$$version/bin/python -m pytest -q -p no:cacheprovider \
+			-c tests/lerobot/pytest.ini --confcutdir=tests/lerobot \
+			tests/lerobot/check_lerobot.py; \
+	done
+
+# Without what it requires for robots, training and viewing; see docs/lerobot.md.
+$(LEROBOT_VENV)/%.stamp: tests/lerobot/requirements-%.txt
+	@echo "Installing lerobot $* into $(LEROBOT_VENV)/$* ..."
+	@$(PYTHON) -m venv --clear $(LEROBOT_VENV)/$*
+	@$(LEROBOT_VENV)/$*/bin/python -m pip install -qq -r $<
+	@$(LEROBOT_VENV)/$*/bin/python -m pip install -qq --no-deps --ignore-requires-python \
+		torchvision==0.25.0 lerobot==$*
+	@touch $@
 
 # Numba keeps a compiled kernel until its own file changes, also where it has inlined one
 # of another file: edited kernels are tested only if all are compiled anew.

@@ -26,6 +26,7 @@ from lemma.dataset.files import (
     versions,
     write_json,
 )
+from lemma.dataset.instructions import check_recorded
 from lemma.dataset.lerobot_assembly import assemble, name_in_recipe
 from lemma.dataset.lerobot_episode import Source, is_whole, write_part
 from lemma.dataset.lerobot_format import EXTRAS, INFO, Style
@@ -147,7 +148,8 @@ def write_dataset(
 
     Raises:
         DatasetError: The recipe cannot be read here, what is there was made from
-            another one or otherwise, or something cannot be written.
+            another one or otherwise, something cannot be written, or sentences that
+            are held out would be those of training.
         UnknownNameError: The recipe has no such task or split.
         RenderingError: OpenGL does not work here.
     """
@@ -157,6 +159,7 @@ def write_dataset(
         DEPTH.check()
     sources = order.sources()
     files = list(dict.fromkeys(source.path for source in sources))
+    check_recorded(order.style.instruction, [path.parent.name for path in files])
     for path in files:
         check_versions(open_table(path)[1])
     with only_writer(order.out):

@@ -1,6 +1,7 @@
 """From parts to a LeRobotDataset: which file each episode goes to, and the joining."""
 
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from operator import attrgetter
@@ -9,18 +10,21 @@ from shutil import copyfile
 from typing import Any
 
 from lemma.core.errors import DatasetError
-from lemma.dataset.files import write_text, write_whole
+from lemma.dataset.files import (
+    MANIFEST,
+    read_json,
+    write_json,
+    write_text,
+    write_whole,
+)
 from lemma.dataset.lerobot_card import card
 from lemma.dataset.lerobot_episode import FRAMES, Note, film_name, read_note
 from lemma.dataset.lerobot_format import (
-    DATA_FILE_MB,
     EXTRAS,
     INFO,
     STATS,
     SUBTASKS,
     TASKS,
-    VIDEO_FILE_MB,
-    VIDEO_FILE_S,
     Style,
     data_path,
     info,
@@ -108,10 +112,12 @@ def _place(
 ) -> list[Placement]:
     """Decide which file every episode goes to."""
     notes = [(note.length, note.size_bytes) for note in map(read_note, parts)]
-    longest = VIDEO_FILE_S * style.fps
-    data = allot([(size[FRAMES], n) for n, size in notes], DATA_FILE_MB * _MB)
+    longest = math.floor(style.video_file_s * style.fps)
+    data = allot([(size[FRAMES], n) for n, size in notes], style.data_file_mb * _MB)
     videos = {
-        key: allot([(size[key], n) for n, size in notes], VIDEO_FILE_MB * _MB, longest)
+        key: allot(
+            [(size[key], n) for n, size in notes], style.video_file_mb * _MB, longest
+        )
         for key in video_keys(robots, style)
     }
     placements, start = [], 0
@@ -132,7 +138,7 @@ def _place(
 
 def allot(
     episodes: Sequence[tuple[int, int]],
-    most_bytes: int,
+    most_bytes: float,
     most_frames: int | None = None,
 ) -> list[tuple[int, int]]:
     """Decide which file every episode goes to, and behind how many frames there.
@@ -186,9 +192,14 @@ def _join_films(
 
 def _write_extras(folder: Path, files: Sequence[Path]) -> None:
     """Add the recipe of the episodes: instances, and states of the physics."""
+    manifest = read_json(files[0].parents[1] / MANIFEST)
+    listed = {}
     for path in files:
-        copy = folder / EXTRAS / name_in_recipe(path)
-        write_whole(copy, partial(copyfile, path))
+        name = name_in_recipe(path)
+        write_whole(folder / EXTRAS / name, partial(copyfile, path))
+        if name in manifest["files"]:
+            listed[name] = manifest["files"][name]
+    write_json(folder / EXTRAS / MANIFEST, {**manifest, "files": listed})
 
 
 def _write_json(path: Path, data: dict[str, Any]) -> None:

@@ -6,6 +6,7 @@ which files are whose. What is ours beside the format has names of its own: colu
 and the folder ``extras``.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,12 +19,8 @@ from lemma.tasks.template import KINDS
 
 CODEBASE_VERSION = "v3.0"
 FILES_PER_CHUNK = 1000
-DATA_FILE_MB = 100
-"""Size at which the next file of frames is begun."""
-VIDEO_FILE_MB = 200
-"""Size at which the next video is begun."""
-VIDEO_FILE_S = 1000
-"""Duration at which the next video is begun [s].
+LONGEST_VIDEO_S = 1000.0
+"""Duration that no video of several episodes exceeds [s].
 
 Readers look frames up by time in float32, to within 0.1 ms: beyond 1024 s neighbouring
 float32 numbers are further apart than that.
@@ -58,6 +55,12 @@ class Style:
     """Whether depth is filmed too. Readers before lerobot 0.6 take it for color."""
     instruction: str = "high_level"
     """Which of the three instructions is the ``task`` of a frame."""
+    data_file_mb: float = 100.0
+    """Size at which the next file of frames is begun [MiB]."""
+    video_file_mb: float = 200.0
+    """Size at which the next video is begun [MiB]."""
+    video_file_s: float = LONGEST_VIDEO_S
+    """Duration at which the next video is begun [s]."""
 
     def __post_init__(self) -> None:
         """Check that it can be done."""
@@ -70,6 +73,11 @@ class Style:
             )
         if self.instruction not in KINDS:
             raise UnknownNameError("kind of instruction", self.instruction, KINDS)
+        if self.video_file_s > LONGEST_VIDEO_S:
+            raise InvalidConfigError(
+                f"Readers cannot tell the frames of a video of {self.video_file_s:g} s "
+                f"apart. Choose at most {LONGEST_VIDEO_S:g} s."
+            )
 
 
 def image_key(robot: str) -> str:
@@ -166,8 +174,8 @@ def info(
         "total_frames": frames,
         "total_tasks": tasks,
         "chunks_size": FILES_PER_CHUNK,
-        "data_files_size_in_mb": DATA_FILE_MB,
-        "video_files_size_in_mb": VIDEO_FILE_MB,
+        "data_files_size_in_mb": math.ceil(style.data_file_mb),
+        "video_files_size_in_mb": math.ceil(style.video_file_mb),
         "fps": style.fps,
         "splits": splits,
         "data_path": _DATA,
