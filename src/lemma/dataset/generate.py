@@ -144,7 +144,9 @@ def generate(
     about = versions(BENCHMARK_VERSION)
     with only_writer(order.out):
         clear_drafts(order.out)
-        _begin(order.out, about)
+        note = order.out / _PARTS / _ABOUT
+        if note.exists():
+            check_same(note, read_json(note), about)
         listed = [
             _look(order, split, task, about)
             for split in order.splits
@@ -153,6 +155,8 @@ def generate(
         missing = {(file.split, file.task): file.missing() for file in listed}
         made = sum(len(indices) for indices in missing.values())
         advance(order.total - made)
+        if made:
+            write_json(note, dict(about))
         worker_mb = _work(listed, missing, engine, about, advance)
         rmtree(order.out / _PARTS, ignore_errors=True)
         _write_manifest(order.out, about)
@@ -235,15 +239,6 @@ def generate_part(
 def part_file(parts: Path, index: int) -> Path:
     """Return where one episode is until all of its file are there."""
     return parts / f"{index:05d}.parquet"
-
-
-def _begin(folder: Path, about: dict[str, str]) -> None:
-    """Check that the parts that are there are of this version, or say that they are."""
-    path = folder / _PARTS / _ABOUT
-    if path.exists():
-        check_same(path, read_json(path), about)
-    else:
-        write_json(path, dict(about))
 
 
 def _look(order: Order, split: str, task: str, about: dict[str, str]) -> _File:

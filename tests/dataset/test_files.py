@@ -1,0 +1,297 @@
+"""Files that are whole or not there, and complaints that say what to do."""
+
+import errno
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from recipes import made_up, write_recipe
+
+from lemma.core.errors import DatasetError
+from lemma.dataset import files
+from lemma.dataset.files import (
+    MANIFEST,
+    METADATA_KEY,
+    REVISION_VARIABLE,
+    check_files,
+    check_same,
+    clear_drafts,
+    only_writer,
+    open_table,
+    read_json,
+    read_table,
+    versions,
+    write_json,
+    write_table,
+    write_text,
+    write_whole,
+)
+from lemma.dataset.schema import SCHEMA, from_table, to_table
+
+ABOUT = versions("v1")
+
+
+def hidden(folder: Path) -> list[str]:
+    return [path.name for path in folder.rglob(".*")]
+
+
+def test_a_file_is_written_whole(tmp_path: Path) -> None:
+    write_text(tmp_path / "deep" / "er" / "note.txt", "ä")
+    assert (tmp_path / "deep/er/note.txt").read_text(encoding="utf-8") == "ä"
+    assert hidden(tmp_path) == []
+
+
+@pytest.mark.parametrize("error", [OSError(errno.EIO, "broken"), KeyboardInterrupt()])
+def test_a_write_that_fails_leaves_the_old_file(
+    tmp_path: Path, error: BaseException
+) -> None:
+    path = tmp_path / "note.txt"
+    path.write_text("old")
+
+    def write(draft: Path) -> None:
+        draft.write_text("half of the n")
+        raise error
+
+    with pytest.raises((DatasetError, KeyboardInterrupt)):
+        write_whole(path, write)
+    assert path.read_text() == "old"
+    assert hidden(tmp_path) == []
+
+
+def test_a_full_disk_is_explained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    path = write_old(tmp_path)
+    with pytest.raises(DatasetError, match=r"disk is full.*before is lost.*again"):
+        write_table(path, to_table([made_up(index=1)]), ABOUT)
+    assert [record.index for record in from_table(read_table(path))] == [0]
+    assert hidden(tmp_path) == []
+
+
+def write_old(folder: Path) -> Path:
+    path = folder / "some.parquet"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        write_table(path, to_table([made_up()]), ABOUT)
+    return path
+
+
+@pytest.fixture
+def tiny_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of its own with 256 kB, where the tests may mount one."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(folder)]
+    if (
+        sys.platform != "linux"
+        or subprocess.run(command, capture_output=True).returncode
+    ):
+        pytest.skip("mounting a small disk takes root and Linux")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_disk_that_really_is_full(tiny_disk: Path) -> None:
+    first = tiny_disk / "first.parquet"
+    write_table(first, to_table([made_up()]), ABOUT)
+    noise = np.random.default_rng(0).bytes(400_000).hex()
+    with pytest.raises(DatasetError, match="disk is full"):
+        write_text(tiny_disk / "second.txt", noise)
+    big = to_table([made_up(index=i, keyframes=40) for i in range(40)])
+    with pytest.raises(DatasetError, match="disk is full"):
+        write_table(tiny_disk / "third.parquet", big, ABOUT)
+    assert from_table(read_table(first)) == [made_up()]
+    assert sorted(path.name for path in tiny_disk.iterdir()) == ["first.parquet"]
+
+
+def test_a_folder_that_may_not_be_written_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "mkdir", fail)
+    for write in (write_text_there, hold):
+        with pytest.raises(DatasetError, match=r"Permission denied.*Choose a folder"):
+            write(tmp_path / "closed")
+
+
+def write_text_there(folder: Path) -> None:
+    write_text(folder / "note.txt", "text")
+
+
+def hold(folder: Path) -> None:
+    with only_writer(folder):
+        pass
+
+
+def test_a_file_where_a_folder_should_be(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(DatasetError, match=r"taken.*cannot be written"):
+        write_text_there(tmp_path / "taken")
+    with pytest.raises(DatasetError, match=r"taken.*cannot be written"):
+        hold(tmp_path / "taken")
+
+
+def test_a_folder_has_one_writer(tmp_path: Path) -> None:
+    with only_writer(tmp_path):
+        code = (
+            "import sys; from pathlib import Path\n"
+            "from lemma.dataset.files import only_writer\n"
+            "with only_writer(Path(sys.argv[1])): pass"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True
+        )
+        assert "Another process is writing" in done.stderr
+    hold(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_drafts_are_cleared_and_nothing_else(tmp_path: Path) -> None:
+    kept = [tmp_path / "a.parquet", tmp_path / ".hidden", tmp_path / "b.draft"]
+    for path in (*kept, tmp_path / ".a.parquet.77.draft", tmp_path / "x/.b.5.draft"):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("")
+    clear_drafts(tmp_path)
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == set(kept)
+
+
+def test_bytes_do_not_depend_on_how_a_table_was_put_together(tmp_path: Path) -> None:
+    records = [made_up(index=i) for i in range(30)]
+    whole = to_table(records)
+    pieces = pa.concat_tables([to_table([record]) for record in records])
+    write_table(tmp_path / "a.parquet", whole, ABOUT)
+    write_table(tmp_path / "b.parquet", pieces, ABOUT)
+    assert (tmp_path / "a.parquet").read_bytes() == (
+        tmp_path / "b.parquet"
+    ).read_bytes()
+
+
+def test_a_file_says_what_wrote_it(tmp_path: Path) -> None:
+    write_table(tmp_path / "a.parquet", to_table([made_up()]), ABOUT)
+    _, about = open_table(tmp_path / "a.parquet")
+    assert about == ABOUT
+    names = {"format", "benchmark", "lemma", "mujoco", "numpy", "numba", "revision"}
+    assert set(about) == names
+
+
+def damage_end(data: bytearray) -> bytearray:
+    return data[: len(data) // 2]
+
+
+def damage_middle(data: bytearray) -> bytearray:
+    # In the states, which are most of the file and do not compress.
+    data[len(data) // 3] ^= 1
+    return data
+
+
+def damage_all(data: bytearray) -> bytearray:
+    return bytearray()
+
+
+@pytest.mark.parametrize("damage", [damage_end, damage_middle, damage_all])
+def test_a_damaged_file_is_named_and_explained(
+    tmp_path: Path, damage: Callable[[bytearray], bytearray]
+) -> None:
+    path = tmp_path / "a.parquet"
+    write_table(path, to_table([made_up(index=i) for i in range(40)]), ABOUT)
+    path.write_bytes(damage(bytearray(path.read_bytes())))
+    with pytest.raises(DatasetError, match=r"a\.parquet.*lemma generate"):
+        read_table(path)
+
+
+def test_a_missing_file_is_explained(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"none\.parquet"):
+        read_table(tmp_path / "none.parquet")
+
+
+def test_the_parquet_of_somebody_else_is_refused(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
+    with pytest.raises(DatasetError, match="no recipe of this benchmark"):
+        open_table(tmp_path / "a.parquet")
+    # Ours by its metadata alone.
+    table = pa.table({"a": [1]}).replace_schema_metadata({METADATA_KEY: b"{}"})
+    pq.write_table(table, tmp_path / "b.parquet")
+    with pytest.raises(DatasetError, match="no recipe of this benchmark"):
+        open_table(tmp_path / "b.parquet")
+
+
+def test_a_later_format_is_refused(tmp_path: Path) -> None:
+    about = {**ABOUT, "format": "9", "lemma": "7.0.0"}
+    write_table(tmp_path / "a.parquet", to_table([made_up()]), about)
+    with pytest.raises(DatasetError, match=r"format 9.*format 1.*7\.0\.0"):
+        open_table(tmp_path / "a.parquet")
+
+
+@pytest.mark.parametrize("name", sorted(set(ABOUT) - {"revision"}))
+def test_another_version_is_refused(name: str) -> None:
+    with pytest.raises(DatasetError, match=f"{name} 0 instead of"):
+        check_same(Path("a"), {**ABOUT, name: "0"}, ABOUT)
+
+
+def test_another_revision_of_the_same_version_is_not_refused() -> None:
+    check_same(Path("a"), {**ABOUT, "revision": "other"}, ABOUT)
+
+
+def test_checksums(tmp_path: Path) -> None:
+    path = write_recipe(tmp_path, [made_up()])
+    check_files(tmp_path)
+    manifest = read_json(tmp_path / MANIFEST)
+    manifest["files"]["val/stack.parquet"]["sha256"] = "00"
+    write_json(tmp_path / MANIFEST, manifest)
+    with pytest.raises(DatasetError, match=r"stack\.parquet has another checksum"):
+        check_files(tmp_path)
+    path.unlink()
+    with pytest.raises(DatasetError, match=r"stack\.parquet is missing"):
+        check_files(tmp_path)
+    check_files(tmp_path, partial=True)
+
+
+def test_a_file_that_nobody_listed(tmp_path: Path) -> None:
+    write_recipe(tmp_path, [made_up("pass")])
+    write_recipe(tmp_path, [made_up("stack")])
+    with pytest.raises(DatasetError, match=r"pass\.parquet is not in manifest"):
+        check_files(tmp_path)
+
+
+@pytest.mark.parametrize("content", ["{", "[1]", ""])
+def test_a_damaged_manifest(tmp_path: Path, content: str) -> None:
+    (tmp_path / MANIFEST).write_text(content)
+    with pytest.raises(DatasetError, match=r"manifest\.json"):
+        check_files(tmp_path)
+
+
+def test_json_has_the_same_bytes_for_the_same_data(tmp_path: Path) -> None:
+    write_json(tmp_path / "a.json", {"b": 1, "a": [2]})
+    write_json(tmp_path / "b.json", {"a": [2], "b": 1})
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": [2], "b": 1}
+
+
+def test_the_revision_is_never_that_of_somebody_elses_repository(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(REVISION_VARIABLE)
+    package = tmp_path / "project" / ".venv" / "lib" / "lemma" / "dataset"
+    package.mkdir(parents=True)
+    subprocess.run(["git", "init", "-q", str(tmp_path / "project")], check=True)
+    monkeypatch.setattr(files, "__file__", str(package / "files.py"))
+    assert versions("v1")["revision"] == "release"
+
+
+def test_columns_can_be_read_alone(tmp_path: Path) -> None:
+    write_table(tmp_path / "a.parquet", to_table([made_up()]), ABOUT)
+    assert read_table(tmp_path / "a.parquet", ["task"]).column_names == ["task"]
+    assert read_table(tmp_path / "a.parquet").column_names == SCHEMA.names
