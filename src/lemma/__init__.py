@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from lemma.registration import make, parallel_env, register_environments
 
 if TYPE_CHECKING:
+    from lemma.dataset.reader import load
     from lemma.env.episode import Episode
     from lemma.expert.expert import Expert, solve
     from lemma.expert.policy import ExpertPolicy
@@ -30,6 +31,7 @@ __all__ = [
     "LanguageBank",
     "Task",
     "__version__",
+    "load",
     "load_instance",
     "make",
     "parallel_env",
@@ -45,6 +47,7 @@ _HOMES = {
     "SUITE": "lemma.tasks.suite",
     "TASKS": "lemma.tasks.suite",
     "Task": "lemma.tasks.task",
+    "load": "lemma.dataset.reader",
     "load_instance": "lemma.tasks.suite",
     "solve": "lemma.expert.expert",
 }
