@@ -16,8 +16,8 @@ from lemma.core.errors import (
 from lemma.core.poses import Pose2
 from lemma.env.gym_env import LemmaEnv
 from lemma.env.skill_env import SkillEnv
-from lemma.env.spaces import ENTITIES
 from lemma.expert.plan_env import PlanEnv
+from lemma.scene.entities import ENTITIES
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 LEVELS = ("control", "skill", "plan")

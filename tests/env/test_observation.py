@@ -9,7 +9,7 @@ from gymnasium import spaces
 import lemma
 from lemma.core.poses import matrix_from_quaternion
 from lemma.env.observation import OBSERVATIONS, read_text, write_text
-from lemma.env.spaces import ENTITIES
+from lemma.scene.entities import ENTITIES
 from lemma.scene.objects import CUBE_EDGE_M
 
 

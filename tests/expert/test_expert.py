@@ -14,8 +14,8 @@ from lemma.expert.planner import find_plan
 from lemma.expert.situation import Situation
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.robots.reach import reach_of
+from lemma.scene.entities import STICK
 from lemma.scene.scene import Scene
-from lemma.scene.spec import STICK
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import STOP, Primitive
 from lemma.tasks.suite import SUITE, load_instance, task_named

@@ -13,8 +13,9 @@ from lemma.expert.places import Places
 from lemma.expert.planner import find_plan
 from lemma.expert.situation import TABLE, Situation
 from lemma.robots.reach import reach_of
+from lemma.scene.entities import SHARED, STICK
 from lemma.scene.scene import Scene
-from lemma.scene.spec import SHARED, STICK, SceneSpec
+from lemma.scene.spec import SceneSpec
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 from lemma.tasks.suite import SUITE, load_instance
 from lemma.tasks.tool_use import (

@@ -13,8 +13,9 @@ from lemma.expert.allocation_problem import pose_problem
 from lemma.expert.grounding import Grounding, OracleGrounder
 from lemma.expert.planner import Plan, find_plan, utility
 from lemma.expert.situation import Situation
+from lemma.scene.entities import SHARED, STICK
 from lemma.scene.scene import Scene
-from lemma.scene.spec import SHARED, STICK, ObjectPlacement, RobotPlacement, SceneSpec
+from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import Primitive, SubTask

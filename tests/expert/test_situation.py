@@ -6,8 +6,8 @@ import pytest
 
 from lemma.core.poses import Pose, Pose2
 from lemma.expert.situation import TABLE, Situation
+from lemma.scene.entities import SHARED, STICK
 from lemma.scene.scene import Scene
-from lemma.scene.spec import SHARED, STICK
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.tool_use import PREPARE_GAP_M
 from small_tables import cube, facing, pad, stick

@@ -7,7 +7,7 @@ import pytest
 from lemma.core.errors import UnknownNameError
 from lemma.robots.ur import ARMS, JOINTS
 from lemma.scene.compose import ACTUATIONS, TIME_STEP_S, compile_model
-from lemma.scene.spec import STICK
+from lemma.scene.entities import STICK
 from recorded_episodes import EPISODES, first_instance
 
 

@@ -10,8 +10,9 @@ from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
 from lemma.robots.reach import reach_of
+from lemma.scene.entities import STICK
 from lemma.scene.palette import OBJECT_COLOURS
-from lemma.scene.spec import STICK, ObjectPlacement, RobotPlacement
+from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.tasks.board import Board, PlacementError
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.tool_use import LARGEST_HEADING_RAD, grasp_on_stick, heading_from

@@ -12,6 +12,7 @@ from lemma.robots.envelope import sweep_radius_m
 from lemma.robots.reach import GRASP_HEIGHT_M, TRAVEL_HEIGHT_M, can_hold, reach_of
 from lemma.scene.cameras import Camera, CameraIntrinsics
 from lemma.scene.compose import TABLE_HALF_X_M, TABLE_HALF_Y_M
+from lemma.scene.entities import STICK
 from lemma.scene.layout import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX, camera_mount
 from lemma.scene.objects import (
     CUBE_EDGE_M,
@@ -20,7 +21,7 @@ from lemma.scene.objects import (
     PAD_RADIUS_M,
     STICK_SECTION_M,
 )
-from lemma.scene.spec import STICK, ObjectPlacement
+from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.board import Board, PlacementError
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance

@@ -11,8 +11,9 @@ import pytest
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.seeding import stream
+from lemma.scene.entities import STICK
 from lemma.scene.palette import OBJECT_COLOURS
-from lemma.scene.spec import ROBOT_COLOURS, STICK
+from lemma.scene.spec import ROBOT_COLOURS
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language import KINDS, parse, words
 from lemma.tasks.sampling import TEAMS, sample

@@ -21,9 +21,9 @@ from lemma.cli.recording import robot_titles
 from lemma.core.poses import Pose2
 from lemma.env.topdown import MapImage, TopDownMap
 from lemma.robots.reach import reach_map, reach_of
+from lemma.scene.entities import STICK
 from lemma.scene.rendering import CameraImage
 from lemma.scene.scene import Scene
-from lemma.scene.spec import STICK
 from lemma.tasks.instance import Instance
 
 Pixel = Callable[[float, float], Point]

@@ -32,9 +32,9 @@ from lemma.dataset.labels import entity_poses, label
 from lemma.dataset.render import Found
 from lemma.dataset.schema import EpisodeRecord
 from lemma.env.observation import object_poses
-from lemma.env.spaces import ENTITIES
 from lemma.env.topdown import TopDownMap
 from lemma.motion.outcome import Outcome
+from lemma.scene.entities import ENTITIES
 from lemma.scene.layout import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.opengl import choose_backend
 from lemma.scene.rendering import CameraImage, Renderer

@@ -22,8 +22,8 @@ from lemma.dataset.files import write_whole
 from lemma.dataset.labels import entity_poses, label
 from lemma.dataset.render import Found
 from lemma.dataset.schema import EpisodeRecord
-from lemma.env.spaces import ENTITIES
 from lemma.robots.ur import JOINTS
+from lemma.scene.entities import ENTITIES
 
 _PER_FILE = ("channels", "digests")
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from lemma.core.poses import FloatArray
 from lemma.dataset.schema import EpisodeRecord
-from lemma.env.spaces import ENTITIES
+from lemma.scene.entities import ENTITIES
 from lemma.tasks.language import sub_instruction
 from lemma.tasks.subtask import STOP
 

@@ -14,6 +14,7 @@ from lemma.env.dampers import restrain
 from lemma.motion.arm import ArmMotion
 from lemma.robots.envelope import closest_points, envelope_of
 from lemma.robots.kinematics import frames
+from lemma.scene.entities import STICK
 from lemma.scene.objects import (
     CUBE_EDGE_M,
     HANDLE_LENGTH_M,
@@ -21,7 +22,6 @@ from lemma.scene.objects import (
     STICK_SECTION_M,
 )
 from lemma.scene.scene import Scene
-from lemma.scene.spec import STICK
 
 # What is held is nearer to the tool centre point than the one, and the fingers are as
 # far apart as it is wide, give or take the other.

@@ -11,11 +11,11 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray, Pose, wrap
 from lemma.core.registry import Registry
 from lemma.env.episode import Episode
-from lemma.env.spaces import ENTITIES
 from lemma.env.topdown import MapImage, TopDownMap
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
 from lemma.robots.ur import ARMS
+from lemma.scene.entities import ENTITIES
 from lemma.scene.rendering import CameraImage, Renderer
 from lemma.scene.scene import Scene
 

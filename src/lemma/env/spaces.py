@@ -16,18 +16,11 @@ from numpy.typing import NDArray
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.scene.compose import TABLE_HALF_X_M, TABLE_HALF_Y_M
-from lemma.scene.palette import OBJECT_COLOURS
-from lemma.scene.spec import SHARED, STICK
+from lemma.scene.entities import ENTITIES, SHARED
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 PRIMITIVES = tuple(Primitive)
 """The primitives in the order of their numbers."""
-ENTITIES = (
-    *(f"{colour}_cube" for colour in OBJECT_COLOURS),
-    *(f"{colour}_pad" for colour in OBJECT_COLOURS),
-    STICK,
-)
-"""Every object that may be on a table, in the order of their numbers."""
 PICKS = ("", *ENTITIES)
 """What a sub-task may pick; the first means nothing."""
 PLACES = (*PICKS, SHARED)

@@ -14,8 +14,9 @@ from lemma.expert.places import Places
 from lemma.expert.situation import TABLE, Situation
 from lemma.robots.envelope import sweep_radius_m
 from lemma.robots.reach import reach_of
+from lemma.scene.entities import SHARED, STICK
 from lemma.scene.objects import PAD_RADIUS_M
-from lemma.scene.spec import SHARED, STICK, RobotPlacement, SceneSpec
+from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 from lemma.tasks.tool_use import (
     Disc,

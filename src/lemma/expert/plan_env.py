@@ -9,7 +9,7 @@ from lemma.env.spaces import Action, decode_plan, encode_plan, plan_space
 from lemma.expert.grounding import OracleGrounder
 from lemma.expert.situation import Situation
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.scene.spec import SHARED, STICK
+from lemma.scene.entities import SHARED, STICK
 from lemma.tasks.subtask import Primitive, SubTask
 
 _TOOL = {

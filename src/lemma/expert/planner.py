@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from lemma.expert.grounding import Grounding, OracleGrounder
 from lemma.expert.situation import Situation
-from lemma.scene.spec import SHARED, STICK
+from lemma.scene.entities import SHARED, STICK
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.subtask import Primitive, SubTask
 

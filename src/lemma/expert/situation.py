@@ -3,9 +3,10 @@
 from dataclasses import dataclass, replace
 
 from lemma.core.poses import Pose2
+from lemma.scene.entities import STICK
 from lemma.scene.objects import CUBE_EDGE_M, PAD_RADIUS_M
 from lemma.scene.scene import Scene
-from lemma.scene.spec import STICK, SceneSpec
+from lemma.scene.spec import SceneSpec
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.tool_use import is_prepared
 

@@ -19,8 +19,8 @@ from lemma.motion.obstacles import around
 from lemma.motion.outcome import Outcome, SkillFailure, SkillResult
 from lemma.robots.kinematics import top_down
 from lemma.robots.reach import TRAVEL_HEIGHT_M
+from lemma.scene.entities import STICK
 from lemma.scene.objects import height_m
-from lemma.scene.spec import STICK
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 Skill = Generator[None, None, SkillResult]

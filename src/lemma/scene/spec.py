@@ -6,14 +6,11 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.robots.ur import ARMS
+from lemma.scene.entities import STICK
 from lemma.scene.palette import OBJECT_COLOURS
 
 ROBOT_COLOURS = ("red", "white")
 OBJECT_KINDS = ("cube", "pad", "stick")
-STICK = "stick"
-"""Name of the one L-shaped stick."""
-SHARED = "shared"
-"""Place entity: the region that every robot of the team reaches."""
 
 
 @dataclass(frozen=True, slots=True)
