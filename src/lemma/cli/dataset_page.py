@@ -6,20 +6,33 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from lemma.cli.charts import Part, Range, bars, histogram, legend, ranges, stacked
-from lemma.dataset.statistics import ALL, TEAM_NAMES, GroupSummary, Statistics
+from lemma.cli.charts import Part, Range, histogram, legend, ranges, rates, stacked
+from lemma.dataset.balance import ALL, LEAST_EXPECTED, TEAM_NAMES, Balance, Evenness
+from lemma.dataset.statistics import GroupSummary, Statistics
+from lemma.scene.palette import OBJECT_COLOURS
 
-_TEAM_INKS = ("low", "middle", "high")
 _FILLS = {
-    **{"pink": "#f273ad", "red": "#cc1a1a", "white": "#f2f2ed"},
-    **{"blue": "#1a47c7", "green": "#1a8c38"},
+    **{
+        name: f"rgb({', '.join(f'{255 * c:.0f}' for c in OBJECT_COLOURS[name][:3])})"
+        for name in OBJECT_COLOURS
+    },
     **dict(
         zip(TEAM_NAMES, ("var(--low)", "var(--middle)", "var(--high)"), strict=True)
     ),
 }
-_HEADINGS = (
-    *("episodes", "solved", "sub-tasks", "objects", "distractors"),
-    *("seconds", "margin"),
+_HEADINGS = {
+    "episodes": "",
+    "solved": "",
+    "sub-tasks": "mean",
+    "objects": "",
+    "distractors": "",
+    "time": "mean, simulated",
+    "margin": "least, to the edge of reach",
+}
+_EXPLANATION = (
+    "Colours and teams are drawn evenly by design: bars should be divided at the "
+    "dashed lines. p is the probability of counts at least as uneven (chi-square "
+    f"test); there is none where fewer than {LEAST_EXPECTED} of each are expected."
 )
 
 
@@ -35,20 +48,23 @@ def write_dataset_page(
         versions: What it was written with.
         size_mb: Size of its files [MB].
     """
-    total = found.total
-    splits = ", ".join(f"{k} {group.episodes}" for k, group in found.splits.items())
-    lead = (
-        f"{total.episodes} episodes ({splits}), {total.solved} of them solved; "
-        f"{total.elapsed_s.mean * total.episodes / 3600:.1f} simulated hours; "
-        f"{size_mb:.1f} MB."
-    )
-    rows = [*found.tasks.items(), (ALL, total)]
     template = (files("lemma.cli") / "dataset.html").read_text(encoding="utf-8")
     page = Template(template).substitute(
         title=f"Recipe {escape(name)}",
-        lead=escape(lead),
-        headings="".join(f"<th>{heading}</th>" for heading in ("task", *_HEADINGS)),
-        rows="\n".join(_row(task, group) for task, group in rows),
+        tiles="\n".join(_tiles(found, size_mb)),
+        headings="".join(
+            f"<th>{name}<small>{note}</small></th>" for name, note in _HEADINGS.items()
+        ),
+        groups="\n".join(
+            _rows(title, rows)
+            for title, rows in (
+                ("task", found.tasks),
+                ("split", found.splits),
+                ("team", found.teams),
+                ("", {ALL: found.total}),
+            )
+        ),
+        cells=_rows("task / split / team", found.cells),
         sections="\n".join(_sections(found)),
         footer=escape("Written with " + ", ".join(map(" ".join, versions.items()))),
     )
@@ -62,50 +78,106 @@ def table_cells(group: GroupSummary) -> dict[str, str]:
     cells = (
         f"{group.episodes}",
         f"{group.solved / group.episodes:.0%}",
-        f"{group.subtasks.mean:.2g}",
-        f"{objects.least:.0f}-{objects.most:.0f}",
-        f"{more.least:.0f}-{more.most:.0f}",
-        f"{group.elapsed_s.mean:.1f}",
+        f"{group.subtasks.mean:.2f}",
+        f"{objects.least:.0f}–{objects.most:.0f}",
+        f"{more.least:.0f}–{more.most:.0f}",
+        f"{group.elapsed_s.mean:.1f} s",
         f"{100 * group.margin_m.least:.1f} cm",
     )
     return dict(zip(_HEADINGS, cells, strict=True))
 
 
-def _row(name: str, group: GroupSummary) -> str:
-    cells = (name, *table_cells(group).values())
-    return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+def p_words(balance: Balance) -> str:
+    """Return a p-value in words, or a dash where there are too few to test."""
+    if balance.p_value is None:
+        return "–"
+    return "<0.01" if balance.p_value < 0.01 else f"{balance.p_value:.2f}"
+
+
+def verdict_words(found: Evenness) -> str:
+    """Return whether what was drawn is even, in a sentence."""
+    if found.smallest_p is None:
+        return "Too few episodes to say whether what was drawn is even."
+    numbers = (
+        f"{found.tests} chi-square tests, smallest p {found.smallest_p:.2g} (uneven "
+        f"is below {found.limit:.1g})"
+    )
+    if found.even:
+        return f"What was drawn is even within sampling noise: {numbers}."
+    return f"What was drawn is not even: {numbers}."
+
+
+def _verdict(found: Evenness) -> str:
+    kind = "faint" if found.smallest_p is None else "good" if found.even else "bad"
+    return f'<p class="verdict {kind}">{escape(verdict_words(found))}</p>'
+
+
+def _tiles(found: Statistics, size_mb: float) -> Iterator[str]:
+    total = found.total
+    hours = total.elapsed_s.mean * total.episodes / 3600
+    subtasks = round(total.subtasks.mean * total.episodes)
+    for number, words in (
+        (f"{total.episodes:,}", "episodes"),
+        (f"{total.solved / total.episodes:.1%}", "solved"),
+        (f"{subtasks:,}", "sub-tasks"),
+        (f"{hours:.1f} h", "simulated"),
+        (f"{total.idle_share:.0%}", "idle, per robot"),
+        (f"{size_mb:.1f} MB", "on disk"),
+    ):
+        yield f"<div><b>{number}</b><span>{words}</span></div>"
+
+
+def _rows(title: str, groups: dict[str, GroupSummary]) -> str:
+    """Return the rows of a table for some groups, under a title."""
+    head = f'<tr class="title"><th colspan="8">by {title}</th></tr>' if title else ""
+    kind = "" if title else ' class="total"'
+    rows = (
+        f"<tr{kind}>"
+        + "".join(f"<td>{escape(c)}</td>" for c in (name, *table_cells(group).values()))
+        + "</tr>"
+        for name, group in groups.items()
+    )
+    return f"<tbody>{head}{''.join(rows)}</tbody>"
 
 
 def _sections(found: Statistics) -> Iterator[str]:
-    rows = [_range(name, group) for name, group in found.tasks.items()]
     yield _section(
         "Simulated time of an episode",
-        "From the shortest to the longest; the dot is the mean.",
-        ranges(rows, "s", "Simulated time per task"),
+        "From the shortest to the longest; the dot and the number are the mean.",
+        ranges(
+            [_range(name, group) for name, group in found.tasks.items()],
+            "s",
+            "simulated time of an episode",
+        ),
     )
     yield _section(
         "Simulated time of a primitive",
-        "The same, over all tasks.",
+        "The same for every sub-task, over all tasks.",
         ranges(
             [
                 Range(name, spread.least, spread.mean, spread.most)
                 for name, spread in found.primitives_s.items()
             ],
             "s",
-            "Simulated time per primitive",
+            "simulated time of a sub-task",
         ),
     )
-    for name in found.balances:
-        yield _balance_section(found, name)
-    yield _distractor_section(found)
-    margins = [margin for fact in found.facts for margin in fact.margins_m]
+    margins = [100 * margin for fact in found.facts for margin in fact.margins_m]
     yield _section(
         "Reach margin",
         "How far inside the reach of the robot that acts its gripper closes, and where "
-        "it ends.",
-        histogram(margins, "m", "Histogram of reach margins"),
+        "it ends. Below zero only a tool is led.",
+        histogram(margins, "cm", "distance to the edge of reach", "gripper poses"),
     )
-    yield _rejection_section(found)
+    yield _distractor_section(found)
+    yield (
+        '<header class="wide"><h2>Is it balanced?</h2>'
+        f"{_verdict(found.evenness)}<p>{escape(_EXPLANATION)}</p></header>"
+    )
+    for name in found.balances:
+        yield _balance_section(found, name)
+    yield '<header class="wide"><h2>What was turned down</h2></header>'
+    yield from _rejection_sections(found)
 
 
 def _range(name: str, group: GroupSummary) -> Range:
@@ -120,12 +192,11 @@ def _balance_section(found: Statistics, name: str) -> str:
         if task in balances:
             counts = balances[task].counts
             parts = [Part(k, v, _FILLS[k]) for k, v in counts.items()]
-            rows.append((task, parts, f"p {balances[task].p_value:.2f}"))
+            rows.append((task, parts, f"p {p_words(balances[task])}"))
     return _section(
         name[0].upper() + name[1:],
-        "Drawn evenly by design. p: the probability of counts at least this uneven "
-        "(chi-square test); one in a hundred is below 0.01 by chance.",
-        legend(parts) + stacked(rows, name),
+        "",
+        legend(parts) + stacked(rows, "share of episodes", len(parts)),
     )
 
 
@@ -137,7 +208,7 @@ def _distractor_section(found: Statistics) -> str:
     ]
     rows = []
     parts: list[Part] = []
-    for task in found.tasks:
+    for task, group in found.tasks.items():
         counts = [0] * (most + 1)
         for fact in found.facts:
             counts[fact.distractors] += fact.task == task
@@ -145,38 +216,31 @@ def _distractor_section(found: Statistics) -> str:
             Part(str(i), n, shade)
             for i, (n, shade) in enumerate(zip(counts, shades, strict=True))
         ]
-        low, high = (int(v) for v in _ends(found.tasks[task]))
-        rows.append((task, parts, f"{low}-{high}"))
+        rows.append((task, parts, table_cells(group)["distractors"]))
     return _section(
         "Distractors",
         "Objects that the goal does not need.",
-        legend(parts) + stacked(rows, "Distractors per task"),
+        legend(parts) + stacked(rows, "share of episodes"),
     )
 
 
-def _ends(group: GroupSummary) -> tuple[float, float]:
-    return group.distractors.least, group.distractors.most
-
-
-def _rejection_section(found: Statistics) -> str:
-    tables = [(task, r.sampler_rate) for task, r in found.rejections.items()]
-    instances = [(task, r.expert_rate) for task, r in found.rejections.items()]
-    refused = (
-        "<p>Sampled instances that the expert did not solve as the task promises.</p>"
-        + _rates(instances, "Instances that the expert did not solve")
+def _rejection_sections(found: Statistics) -> Iterator[str]:
+    """Tell what was turned down, before there were episodes."""
+    turned_down = found.rejections.items()
+    yield _section(
+        "Rejected by the sampler",
+        "While the frozen lists of these splits were made: tables on which somebody "
+        "reaches what the task forbids.",
+        rates([(t, r.sampler_rate) for t, r in turned_down], "share of tables"),
     )
-    if not any(rate for _, rate in instances):
-        refused = "<p>The expert solved every instance that was sampled.</p>"
-    return _section(
-        "Turned down while the lists were frozen",
-        "Tables that the sampler turned down because they violate the task's zones.",
-        _rates(tables, "Tables that the sampler turned down") + refused,
+    yield _section(
+        "Rejected by the expert",
+        "Of the instances that were left: those that it did not solve as the task "
+        f"promises, {sum(r.by_expert for _, r in turned_down)} in all.",
+        rates([(t, r.expert_rate) for t, r in turned_down], "share of instances"),
     )
-
-
-def _rates(rates: list[tuple[str, float]], title: str) -> str:
-    return bars([(task, rate, f"{rate:.1%}") for task, rate in rates], title)
 
 
 def _section(title: str, text: str, content: str) -> str:
-    return f"<section><h2>{escape(title)}</h2><p>{escape(text)}</p>{content}</section>"
+    words = f"<p>{escape(text)}</p>" if text else ""
+    return f"<section><h2>{escape(title)}</h2>{words}{content}</section>"

@@ -5,7 +5,12 @@ from pathlib import Path
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.dataset_page import table_cells, write_dataset_page
+from lemma.cli.dataset_page import (
+    p_words,
+    table_cells,
+    verdict_words,
+    write_dataset_page,
+)
 from lemma.cli.replay import Folder, choose
 from lemma.cli.strip import keyframe_strip
 from lemma.cli.terminal import (
@@ -18,10 +23,11 @@ from lemma.cli.terminal import (
     print_json,
 )
 from lemma.core.errors import InvalidConfigError
+from lemma.dataset.balance import ALL
 from lemma.dataset.files import open_table
 from lemma.dataset.reader import Recipe, load
 from lemma.dataset.schema import EpisodeRecord
-from lemma.dataset.statistics import ALL, Statistics, statistics_of
+from lemma.dataset.statistics import Statistics, statistics_of
 
 _SPLIT = "test"
 
@@ -102,22 +108,41 @@ def _print_episode(record: EpisodeRecord) -> None:
 
 def _print(found: Statistics, size_mb: float) -> None:
     console = output()
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    rows = {**found.tasks, ALL: found.total}
-    headings = table_cells(found.total)
-    for heading in ("task", *headings):
-        table.add_column(heading, justify="left" if heading == "task" else "right")
-    for name, group in rows.items():
-        style = "bold" if name == ALL else None
-        table.add_row(name, *table_cells(group).values(), style=style)
-    console.print(table)
-    table = Table(title="Drawn evenly?", title_justify="left", box=SIMPLE_HEAD)
-    for heading in ("draw", "counts", "p"):
+    console.print(_groups_table(found))
+    console.print(_balance_table(found))
+    even = found.evenness.even
+    console.print(verdict_words(found.evenness), style=None if even else "bold red")
+    rejected = (
+        f"{task} {rates.sampler_rate:.1%}" for task, rates in found.rejections.items()
+    )
+    refused = sum(rates.by_expert for rates in found.rejections.values())
+    console.print()
+    console.print(f"rejected   tables, by the sampler: {', '.join(rejected)}")
+    console.print(f"           instances, by the expert: {refused}")
+    console.print(f"size       {size_mb:.1f} MB")
+
+
+def _groups_table(found: Statistics) -> Table:
+    """Return the numbers by task, by split, by team, and of all."""
+    # Eighty columns are enough without padding.
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
+    for heading in ("", *table_cells(found.total)):
+        table.add_column(heading, justify="right" if heading else "left")
+    groups = [found.tasks, found.splits, found.teams]
+    for group in (group for group in groups if len(group) > 1):
+        for name, summary in group.items():
+            table.add_row(name, *table_cells(summary).values())
+        table.add_section()
+    table.add_row(ALL, *table_cells(found.total).values(), style="bold")
+    return table
+
+
+def _balance_table(found: Statistics) -> Table:
+    """Return how often everything was drawn, over all tasks."""
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
+    for heading in ("drawn evenly?", "counts", "p"):
         table.add_column(heading, justify="right" if heading == "p" else "left")
     for name, balances in found.balances.items():
         counts = (f"{value} {count}" for value, count in balances[ALL].counts.items())
-        table.add_row(name, ", ".join(counts), f"{balances[ALL].p_value:.2f}")
-    console.print(table)
-    counts = (f"{name} {group.episodes}" for name, group in found.splits.items())
-    console.print(f"splits     {', '.join(counts)}")
-    console.print(f"size       {size_mb:.1f} MB")
+        table.add_row(name, ", ".join(counts), p_words(balances[ALL]))
+    return table

@@ -8,23 +8,25 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
 
 from lemma.core.poses import Pose2
+from lemma.dataset.balance import (
+    TEAM_NAMES,
+    Balance,
+    Evenness,
+    balances_of,
+    draws_of,
+    evenness,
+)
 from lemma.dataset.reader import Recipe
 from lemma.robots.reach import reach_of
-from lemma.robots.ur import ARMS
-from lemma.scene.palette import OBJECT_COLOURS
-from lemma.scene.spec import ROBOT_COLOURS
-from lemma.tasks.sampling import TEAMS
+from lemma.tasks.instance import SPLITS
 from lemma.tasks.suite import SUITE
 
 _COLUMNS = (
     *("task", "split", "index", "team", "distractors", "instance", "subtasks"),
     *("success", "elapsed_s", "idle_s"),
 )
-
-TEAM_NAMES = tuple("+".join(team) for team in TEAMS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +49,7 @@ class EpisodeFacts:
     elapsed_s: float
     idle_s: tuple[float, ...]
     draws: dict[str, str]
-    """What was drawn and should be balanced: see :data:`DRAWS`."""
+    """What was drawn and should be balanced: see :mod:`lemma.dataset.balance`."""
 
 
 def facts_of(recipe: Recipe) -> list[EpisodeFacts]:
@@ -69,11 +71,7 @@ def _facts(row: dict[str, Any]) -> EpisodeFacts:
         margins_m=_margins(instance, subtasks),
         elapsed_s=row["elapsed_s"],
         idle_s=tuple(row["idle_s"]),
-        draws={
-            name: drawn
-            for name, draw in DRAWS.items()
-            if (drawn := draw.of(instance, subtasks)) is not None
-        },
+        draws=draws_of(instance),
     )
 
 
@@ -87,73 +85,6 @@ def _margins(
         for pose in (subtask["pick_pose"], subtask["place_pose"]):
             found.append(reach_of(arm).margin(Pose2(x, y, yaw), pose[0], pose[1]))
     return tuple(found)
-
-
-@dataclass(frozen=True, slots=True)
-class Draw:
-    """Something that every episode draws once, each value as likely as the others."""
-
-    values: tuple[str, ...]
-    of: Callable[[dict[str, Any], list[dict[str, Any]]], str | None]
-    """What an episode drew, from its instance and sub-tasks; None: it did not draw."""
-
-
-def _goal_colour(side: int, kind: str) -> Callable[..., str | None]:
-    def of(instance: dict[str, Any], subtasks: list[dict[str, Any]]) -> str | None:
-        colour, _, found = instance["goal"][0][side].partition("_")
-        return colour if found == kind else None
-
-    return of
-
-
-def _team(instance: dict[str, Any], subtasks: list[dict[str, Any]]) -> str:
-    order = list(ARMS)
-    return "+".join(sorted((robot[0] for robot in instance["robots"]), key=order.index))
-
-
-DRAWS = {
-    "cube of the goal": Draw(tuple(OBJECT_COLOURS), _goal_colour(0, "cube")),
-    "pad of the goal": Draw(tuple(OBJECT_COLOURS), _goal_colour(1, "pad")),
-    "colour of the left robot": Draw(ROBOT_COLOURS, lambda i, _: i["robots"][0][1]),
-    "colour of the right robot": Draw(ROBOT_COLOURS, lambda i, _: i["robots"][1][1]),
-    "team": Draw(TEAM_NAMES, _team),
-}
-"""What is balanced by design. One draw per episode, so that draws are independent, as
-the chi-square test wants; a goal's first pair stands for its others."""
-
-
-@dataclass(frozen=True, slots=True)
-class Balance:
-    """How often each value was drawn, against all being as likely."""
-
-    name: str
-    counts: dict[str, int]
-    p_value: float
-    """Probability of counts at least this uneven, if all values are as likely."""
-
-
-def balance(name: str, facts: Sequence[EpisodeFacts]) -> Balance | None:
-    """Test whether something was drawn evenly, by Pearson's chi-square test.
-
-    Args:
-        name: What was drawn, one of :data:`DRAWS`.
-        facts: The episodes.
-
-    Returns:
-        The result; None where nothing was drawn.
-    """
-    drawn = Counter(fact.draws[name] for fact in facts if name in fact.draws)
-    if not drawn:
-        return None
-    counts = {value: drawn[value] for value in DRAWS[name].values}
-    return Balance(name, counts, uniform_p_value(list(counts.values())))
-
-
-def uniform_p_value(counts: Sequence[int]) -> float:
-    """Return the p-value of Pearson's chi-square test for equal probabilities."""
-    expected = sum(counts) / len(counts)
-    statistic = sum((count - expected) ** 2 / expected for count in counts)
-    return float(chdtrc(len(counts) - 1, statistic))
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,10 +181,6 @@ def rejections(task: str, splits: Iterable[str]) -> Rejections:
     )
 
 
-ALL = "all"
-"""In place of a name: all tasks together."""
-
-
 @dataclass(frozen=True, slots=True)
 class Statistics:
     """All numbers of a recipe."""
@@ -266,7 +193,8 @@ class Statistics:
     cells: dict[str, GroupSummary]
     """By task, split and team: ``"stack/test/ur5+ur10"``."""
     balances: dict[str, dict[str, Balance]]
-    """By what was drawn, and then by task and for :data:`ALL`."""
+    """By what was drawn, and then for all tasks together and by task."""
+    evenness: Evenness
     primitives_s: dict[str, Spread]
     """Durations [s]."""
     rejections: dict[str, Rejections]
@@ -274,11 +202,16 @@ class Statistics:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the single episodes as plain data, ready for JSON."""
-        return {
+        data = {
             field.name: _plain(getattr(self, field.name))
             for field in fields(self)
             if field.name != "facts"
         }
+        data["evenness"]["even"] = self.evenness.even
+        for task, found in self.rejections.items():
+            data["rejections"][task]["sampler_rate"] = found.sampler_rate
+            data["rejections"][task]["expert_rate"] = found.expert_rate
+        return data
 
 
 def _plain(value: Any) -> Any:
@@ -294,38 +227,54 @@ def statistics_of(recipe: Recipe) -> Statistics:
         recipe: At least one episode.
     """
     facts = tuple(facts_of(recipe))
-    by_task = _grouped(facts, lambda fact: fact.task)
-    by_split = _grouped(facts, lambda fact: fact.split)
-    cells = _grouped(facts, lambda fact: f"{fact.task}/{fact.split}/{fact.team}")
-    balances: dict[str, dict[str, Balance]] = {}
-    for name in DRAWS:
-        for task, group in {ALL: list(facts), **by_task}.items():
-            if (found := balance(name, group)) is not None:
-                balances.setdefault(name, {})[task] = found
+    by_task = _grouped(facts, SUITE, lambda fact: fact.task)
+    balances = balances_of(
+        {task: [fact.draws for fact in group] for task, group in by_task.items()}
+    )
+    cells = {
+        f"{task}/{split}/{team}": summarize(group)
+        for task, of_task in by_task.items()
+        for split, of_split in _by_split(of_task).items()
+        for team, group in _by_team(of_split).items()
+    }
     return Statistics(
         facts=facts,
         total=summarize(facts),
         tasks=_summaries(by_task),
-        splits=_summaries(by_split),
-        teams=_summaries(_grouped(facts, lambda fact: fact.team)),
-        cells=_summaries(cells),
+        splits=_summaries(_by_split(facts)),
+        teams=_summaries(_by_team(facts)),
+        cells=cells,
         balances=balances,
+        evenness=evenness(balances),
         primitives_s=primitive_durations(facts),
         rejections={
-            task: rejections(task, sorted({fact.split for fact in group}))
-            for task, group in by_task.items()
+            task: rejections(task, _by_split(group)) for task, group in by_task.items()
         },
     )
 
 
+_Groups = dict[str, list[EpisodeFacts]]
+
+
+def _by_split(facts: Sequence[EpisodeFacts]) -> _Groups:
+    return _grouped(facts, tuple(SPLITS), lambda fact: fact.split)
+
+
+def _by_team(facts: Sequence[EpisodeFacts]) -> _Groups:
+    return _grouped(facts, TEAM_NAMES, lambda fact: fact.team)
+
+
 def _grouped(
-    facts: Sequence[EpisodeFacts], name: Callable[[EpisodeFacts], str]
-) -> dict[str, list[EpisodeFacts]]:
-    groups: dict[str, list[EpisodeFacts]] = {}
-    for fact in sorted(facts, key=lambda fact: SUITE.index(fact.task)):
-        groups.setdefault(name(fact), []).append(fact)
-    return groups
+    facts: Sequence[EpisodeFacts],
+    names: Sequence[str],
+    name: Callable[[EpisodeFacts], str],
+) -> _Groups:
+    """Return the episodes by name, in the order of the names; empty groups not."""
+    groups: _Groups = {known: [] for known in names}
+    for fact in facts:
+        groups[name(fact)].append(fact)
+    return {known: group for known, group in groups.items() if group}
 
 
-def _summaries(groups: dict[str, list[EpisodeFacts]]) -> dict[str, GroupSummary]:
+def _summaries(groups: _Groups) -> dict[str, GroupSummary]:
     return {name: summarize(group) for name, group in groups.items()}
