@@ -1,0 +1,1 @@
+"""Policies that see, read and act: planners, grounders, and what trains them."""

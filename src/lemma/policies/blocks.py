@@ -1,0 +1,53 @@
+"""Convolutional blocks that several models are made of.
+
+Normalisation is over groups of channels, never over the batch: a batch statistic would
+make a decision depend on what else is decided at the same time.
+"""
+
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+GROUP_CHANNELS = 8
+"""Channels that are normalised together."""
+
+
+def norm(channels: int) -> nn.GroupNorm:
+    """Return the normalisation of a feature map."""
+    return nn.GroupNorm(max(1, channels // GROUP_CHANNELS), channels)
+
+
+class ResidualBlock(nn.Module):
+    """Two 3 x 3 convolutions and a shortcut; the first may halve the resolution."""
+
+    def __init__(self, channels_in: int, channels: int, stride: int = 1) -> None:
+        """Make the weights.
+
+        Args:
+            channels_in: Of the input.
+            channels: Of the output.
+            stride: 1, or 2 to halve the resolution.
+        """
+        super().__init__()
+        self.first = nn.Conv2d(channels_in, channels, 3, stride, 1, bias=False)
+        self.first_norm = norm(channels)
+        self.second = nn.Conv2d(channels, channels, 3, 1, 1, bias=False)
+        self.second_norm = norm(channels)
+        self.shortcut = (
+            nn.Identity()
+            if stride == 1 and channels_in == channels
+            else nn.Conv2d(channels_in, channels, 1, stride, bias=False)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, channels_in, H, W) to (B, channels, H / stride, W / stride)."""
+        y = F.silu(self.first_norm(self.first(x)))
+        y = self.second_norm(self.second(y))
+        out: Tensor = F.silu(y + self.shortcut(x))
+        return out
+
+
+def upsample_to(x: Tensor, size_of: Tensor) -> Tensor:
+    """Return a feature map, bilinearly enlarged to the size of another."""
+    return F.interpolate(
+        x, size=size_of.shape[-2:], mode="bilinear", align_corners=False
+    )

@@ -1,0 +1,138 @@
+"""What a policy is given and what it answers; the interfaces of planners and grounders.
+
+A decision is a pure function of a :class:`PolicyInput`, which holds all that was seen
+and done since the episode began. Policies keep no state, so that many episodes can be
+decided at once, in any order, and again from the middle.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.poses import FloatArray
+from lemma.tasks.language import sub_instruction
+from lemma.tasks.subtask import GroundedSubTask, SubTask
+
+if TYPE_CHECKING:
+    from lemma.env.episode import Episode
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What is seen at a keyframe: the top-down map and the robots' joints.
+
+    Row 0 of the map lies at +y and column 0 at -x; see :mod:`lemma.env.topdown`.
+    """
+
+    rgb: NDArray[np.uint8]
+    """Color, (rows, columns, 3)."""
+    height_m: NDArray[np.float32]
+    """Height above the table [m], (rows, columns); 0 where no camera sees."""
+    coverage: NDArray[np.bool_]
+    """Whether a camera sees the cell, (rows, columns)."""
+    joints: FloatArray
+    """Measured joint angles [rad], (robots, 6)."""
+    opening_m: FloatArray
+    """Measured gripper openings [m], (robots,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One decision of the past."""
+
+    view: View
+    """What was seen before it."""
+    subtask: SubTask
+    outcome: str = "success"
+    """How it went: a value of :class:`lemma.motion.outcome.Outcome`."""
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyInput:
+    """All that a policy may know when it decides on the next sub-task."""
+
+    instruction: str
+    robots: tuple[str, ...]
+    """How people name the robots, from the first to the last: ``"red robot"``."""
+    view: View
+    past: tuple[Step, ...] = ()
+    """What was decided before, oldest first."""
+    episode: "Episode | None" = field(default=None, repr=False)
+    """The truth, for oracles only: learned policies never look at it."""
+
+    def words_for(self, subtask: SubTask) -> str:
+        """Return a sub-task of this scene as a sub-instruction.
+
+        Raises:
+            UnknownNameError: There is no such primitive or entity.
+            InvalidConfigError: It names no cube where it needs one.
+        """
+        return sub_instruction(
+            self.robots[int(subtask.robot.removeprefix("robot_"))]
+            if subtask.robot
+            else "",
+            str(subtask.primitive),
+            subtask.pick or None,
+            subtask.place or None,
+        )
+
+    def with_past(self, past: tuple[Step, ...]) -> "PolicyInput":
+        """Return the same input with another past."""
+        return replace(self, past=past)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What shall be done next."""
+
+    subtask: SubTask
+    """In symbols."""
+    grounded: GroundedSubTask | None
+    """With poses; None to stop, or where no pose was found."""
+    explanation: str = ""
+    """Why there is no pose."""
+
+
+@runtime_checkable
+class Planner(Protocol):
+    """Decides who does what with which object (high level)."""
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        """Return the next sub-task of each episode; ``STOP`` when the goal is reached.
+
+        Args:
+            inputs: One per episode; at least one.
+        """
+        ...
+
+
+@runtime_checkable
+class Grounder(Protocol):
+    """Decides where exactly (low level)."""
+
+    def ground(
+        self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
+    ) -> list[GroundedSubTask | None]:
+        """Return each sub-task with the gripper's poses; None where there are none.
+
+        Args:
+            inputs: One per episode; at least one.
+            subtasks: One per episode, none of them ``STOP``.
+        """
+        ...
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Decides both: a planner with a grounder, or a model of its own kind."""
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the next decision of each episode.
+
+        Args:
+            inputs: One per episode; at least one.
+        """
+        ...

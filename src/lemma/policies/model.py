@@ -1,0 +1,47 @@
+"""What every model that is trained has in common, and the table of all models."""
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, Literal
+
+from torch import Tensor, nn
+
+from lemma.core.registry import Registry
+from lemma.policies.frames import Batch
+
+
+class Model(nn.Module, ABC):
+    """A network with its losses and its scores.
+
+    A subclass has a frozen dataclass of its options, which is the one argument of its
+    constructor; it is written beside the weights, as JSON.
+    """
+
+    unit: ClassVar[Literal["frame", "episode"]] = "frame"
+    """What training draws at random: single frames, or whole episodes, whose frames
+    then follow one another in the batch."""
+    selection: ClassVar[str]
+    """Name of the score by which the best weights are chosen, in validation."""
+    config: Any
+    """The options; a frozen dataclass whose fields are plain data."""
+
+    @abstractmethod
+    def loss(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the terms of the loss, weighted: training minimises their sum.
+
+        Args:
+            batch: With labels.
+        """
+
+    @abstractmethod
+    def score(self, batch: Batch) -> dict[str, Tensor]:
+        """Return how good decisions are, one value a frame, (B,); more is better.
+
+        NaN where a frame does not count, such as the pose of ``stop``.
+
+        Args:
+            batch: With labels.
+        """
+
+
+MODELS: Registry[tuple[type[Any], type[Any]]] = Registry("model")
+"""Models by the name that ``lemma train`` knows, each with its type of options."""
