@@ -42,6 +42,8 @@ from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 
 _MAP = TopDownMap()
+RASTER = Raster(_MAP.rows, _MAP.columns, _MAP.cell_m, _MAP.floor_m)
+"""The raster of rendered maps."""
 _STOPPED = str(Outcome.STOPPED)
 _PER_FILE = ("part", "robots", "digests", "keyframes")
 
@@ -83,7 +85,7 @@ class KeyframeForm:
             robots=2,
             width=self.width,
             height=self.height,
-            raster=Raster(_MAP.rows, _MAP.columns, _MAP.cell_m, _MAP.floor_m),
+            raster=RASTER,
             entities=ENTITIES,
         )
 
@@ -189,7 +191,6 @@ def see(scene: Scene, renderer: Renderer) -> Row:
             for image, depth in zip(images, depths, strict=True)
         ]
     )
-    raster = Raster(_MAP.rows, _MAP.columns, _MAP.cell_m, _MAP.floor_m)
     return {
         "intrinsics": np.array([i.camera.intrinsics.matrix() for i in images]),
         "world_from_camera": np.array(
@@ -198,7 +199,7 @@ def see(scene: Scene, renderer: Renderer) -> Row:
         "rgb": np.array([image.rgb for image in images]),
         "depth": np.array(depths),
         "map_rgb": fused.rgb,
-        "map_height": raster.encode_height(fused.height_m, fused.coverage),
+        "map_height": RASTER.encode_height(fused.height_m, fused.coverage),
     }
 
 

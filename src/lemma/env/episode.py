@@ -10,6 +10,9 @@ from lemma.scene.compose import TIME_STEP_S
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask
 
+LEAST_STEP_S = 1.0
+"""Simulated time that a step takes at least, so that every episode ends."""
+
 
 @dataclass(frozen=True, slots=True)
 class ExecutedSubTask:
@@ -111,6 +114,16 @@ class Episode:
         result = self.simulation.execute(grounded, until_s=self.horizon_s)
         self.executed.append(ExecutedSubTask(grounded, result, start))
         return result
+
+    def linger(self, start_s: float) -> None:
+        """Let time pass until a step has taken :data:`LEAST_STEP_S`.
+
+        Args:
+            start_s: Simulated time at which the step began [s].
+        """
+        if not self.is_over:
+            end_s = min(start_s + LEAST_STEP_S, self.horizon_s)
+            self.simulation.rest(end_s - self.elapsed_s)
 
     def stop(self) -> SkillResult:
         """End the episode."""

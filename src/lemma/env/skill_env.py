@@ -3,14 +3,11 @@
 from typing import Any
 
 from lemma.env.config import EnvConfig
-from lemma.env.episode import Episode
+from lemma.env.episode import LEAST_STEP_S, Episode
 from lemma.env.gym_env import LemmaEnv, StepResult
 from lemma.env.spaces import Action, decode_skill, encode_skill, skill_space
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.tasks.subtask import GroundedSubTask
-
-LEAST_STEP_S = 1.0
-"""Simulated time that a step takes at least, so that every episode ends."""
 
 
 class SubTaskEnv(LemmaEnv):
@@ -61,9 +58,7 @@ class SubTaskEnv(LemmaEnv):
         episode = self._running()
         start = episode.elapsed_s
         self.last_result = self._execute(action)
-        if not episode.is_over:
-            left = min(start + LEAST_STEP_S, episode.horizon_s) - episode.elapsed_s
-            episode.simulation.rest(left)
+        episode.linger(start)
         info = self.info()
         reward = float(episode.is_over and info["is_success"])
         truncated = episode.out_of_time and not episode.stopped

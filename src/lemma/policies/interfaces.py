@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lemma.core.poses import FloatArray
 from lemma.tasks.language import sub_instruction
-from lemma.tasks.subtask import GroundedSubTask, SubTask
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 if TYPE_CHECKING:
     from lemma.env.episode import Episode
@@ -94,6 +94,11 @@ class Decision:
     """With poses; None to stop, or where no pose was found."""
     explanation: str = ""
     """Why there is no pose."""
+
+    @property
+    def stops(self) -> bool:
+        """Whether it says that the goal is reached."""
+        return self.subtask.primitive is Primitive.STOP
 
 
 @runtime_checkable

@@ -1,0 +1,1 @@
+"""How well policies do: episodes played, counted and compared."""

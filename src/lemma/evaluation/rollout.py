@@ -1,0 +1,168 @@
+"""Episodes played by a policy: many at once, so that it decides in batches."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+
+import numpy as np
+
+from lemma.dataset.capture import RASTER, see
+from lemma.env.episode import Episode
+from lemma.env.simulation import HORIZON_S
+from lemma.motion.outcome import Outcome, SkillResult
+from lemma.policies.interfaces import Decision, Policy, PolicyInput, Step, View
+from lemma.scene.layout import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.rendering import Renderer
+from lemma.scene.scene import Scene
+from lemma.tasks.instance import Instance
+from lemma.tasks.language import robot_phrases
+from lemma.tasks.subtask import GroundedSubTask, SubTask
+
+_BLIND = View(
+    np.zeros((0, 0, 3), np.uint8),
+    np.zeros((0, 0), np.float32),
+    np.zeros((0, 0), np.bool_),
+    np.zeros((0, 6)),
+    np.zeros(0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TakenStep:
+    """One sub-task that a policy decided on, and how it went."""
+
+    subtask: SubTask
+    grounded: GroundedSubTask | None
+    """With poses; None where there were none."""
+    result: SkillResult
+    start_s: float
+    """Simulated time at which it began [s]."""
+
+
+class Eyes:
+    """The cameras of a scene, fused; OpenGL starts with the first look."""
+
+    def __init__(self) -> None:
+        """Look at nothing yet."""
+        self._renderer: Renderer | None = None
+
+    def look(self, scene: Scene) -> View:
+        """Return what is seen now, exactly as training data hold it.
+
+        Raises:
+            RenderingError: OpenGL does not work here.
+        """
+        if self._renderer is None:
+            self._renderer = Renderer(CAMERA_WIDTH_PX, CAMERA_HEIGHT_PX)
+        scene.refresh()
+        row = see(scene, self._renderer)
+        height = row["map_height"]
+        return View(
+            rgb=row["map_rgb"],
+            height_m=RASTER.decode_height(height),
+            coverage=height > 0,
+            joints=np.array([scene.data.qpos[r.qpos] for r in scene.robots]),
+            opening_m=np.array([scene.opening_m(r) for r in scene.robots]),
+        )
+
+
+@dataclass
+class Play:
+    """One episode being played."""
+
+    instance: Instance
+    kind: str = "high_level"
+    """Which of its instructions is given."""
+    horizon_s: float = HORIZON_S
+    steps: list[TakenStep] = field(default_factory=list)
+    past: list[Step] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Set the table."""
+        self.episode = Episode(self.instance, horizon_s=self.horizon_s)
+        colours = tuple(robot.colour for robot in self.instance.scene.robots)
+        self._phrases = robot_phrases(colours)
+
+    def given(self, eyes: Eyes | None) -> PolicyInput:
+        """Return what the policy is given now; blind without eyes."""
+        scene = self.episode.simulation.scene
+        return PolicyInput(
+            instruction=self.instance.instructions[self.kind],
+            robots=self._phrases,
+            view=eyes.look(scene) if eyes else _BLIND,
+            past=tuple(self.past),
+            episode=self.episode,
+        )
+
+    def take(self, given: PolicyInput, decision: Decision) -> TakenStep | None:
+        """Carry out a decision; None if it was to stop."""
+        episode = self.episode
+        if decision.stops:
+            episode.stop()
+            return None
+        start = episode.elapsed_s
+        if decision.grounded is None:
+            result = SkillResult(Outcome.INVALID, decision.explanation, 0.0)
+        else:
+            result = episode.execute(decision.grounded)
+        episode.linger(start)
+        step = TakenStep(decision.subtask, decision.grounded, result, start)
+        self.steps.append(step)
+        self.past.append(Step(given.view, decision.subtask, str(result.outcome)))
+        return step
+
+
+def play_all(
+    plays: Iterable[Play],
+    policy: Policy,
+    eyes: Eyes | None,
+    at_once: int = 8,
+    on_step: Callable[[Play, TakenStep], None] | None = None,
+) -> Iterator[Play]:
+    """Play episodes to their ends, yielding each as soon as it is over.
+
+    Args:
+        plays: What to play; the next is set up when one has ended.
+        policy: Decides, for all running episodes together.
+        eyes: What it sees with; None for a policy that needs no images.
+        at_once: Episodes that run at a time.
+        on_step: Told of every sub-task as soon as it has ended.
+    """
+    waiting = iter(plays)
+    running = list(islice(waiting, at_once))
+    while running:
+        inputs = [play.given(eyes) for play in running]
+        decisions = policy.act(inputs)
+        for play, given, decision in zip(running, inputs, decisions, strict=True):
+            step = play.take(given, decision)
+            if step is not None and on_step is not None:
+                on_step(play, step)
+        over = [play for play in running if play.episode.is_over]
+        running = [play for play in running if not play.episode.is_over]
+        yield from over
+        running += islice(waiting, at_once - len(running))
+
+
+def play(
+    instance: Instance,
+    policy: Policy,
+    eyes: Eyes | None,
+    on_step: Callable[[Play, TakenStep], None] | None = None,
+) -> Play:
+    """Play one episode to its end."""
+    return next(play_all([Play(instance)], policy, eyes, 1, on_step))
+
+
+def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
+    """Return steps as plain data, ready for JSON."""
+    return [
+        {
+            **step.subtask.to_dict(),
+            "grounded": step.grounded.to_dict() if step.grounded else None,
+            "outcome": str(step.result.outcome),
+            "explanation": step.result.explanation,
+            "start_s": round(step.start_s, 3),
+            "duration_s": round(step.result.duration_s, 3),
+        }
+        for step in steps
+    ]

@@ -1,0 +1,124 @@
+"""The expert behind the interfaces of policies: it sees the truth, not images."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from weakref import WeakKeyDictionary
+
+from lemma.core.errors import InvalidConfigError
+from lemma.env.episode import Episode
+from lemma.expert.expert import Expert
+from lemma.expert.grounding import OracleGrounder as Geometry
+from lemma.expert.situation import Situation
+from lemma.policies.interfaces import Planner, PolicyInput
+from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
+
+
+@dataclass
+class _Answer:
+    """What was decided for an episode, and when."""
+
+    expert: Expert
+    executed: int = -1
+    subtask: SubTask = STOP
+
+
+@dataclass(frozen=True)
+class OraclePlanner:
+    """Plans as the expert does: with the true state, and again after a failure."""
+
+    _answers: WeakKeyDictionary[Episode, _Answer] = field(
+        default_factory=WeakKeyDictionary, repr=False
+    )
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        """Return the next sub-task of each episode.
+
+        Asked again before anything was executed, it gives the same answer.
+
+        Raises:
+            InvalidConfigError: The inputs come without the truth.
+        """
+        return [self._plan(_truth(given)) for given in inputs]
+
+    def _plan(self, episode: Episode) -> SubTask:
+        answer = self._answers.get(episode)
+        if answer is None or answer.executed > len(episode.executed):
+            expert = Expert(episode.simulation.scene, episode.instance.goal)
+            answer = self._answers[episode] = _Answer(expert)
+        if answer.executed < len(episode.executed):
+            if answer.executed >= 0:
+                answer.expert.notice(episode.executed[-1].result)
+            answer.subtask, _ = answer.expert.act()
+            answer.executed = len(episode.executed)
+        return answer.subtask
+
+
+@dataclass(frozen=True)
+class OracleGrounder:
+    """Grounds as the expert does: from the true poses."""
+
+    def ground(
+        self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
+    ) -> list[GroundedSubTask | None]:
+        """Return each sub-task with poses; None where its robot cannot do it.
+
+        Raises:
+            InvalidConfigError: The inputs come without the truth.
+            UnknownNameError: There is no such robot in the scene.
+        """
+        found: list[GroundedSubTask | None] = []
+        for given, subtask in zip(inputs, subtasks, strict=True):
+            scene = _truth(given).simulation.scene
+            step = Geometry(scene.spec).ground(subtask, Situation.observe(scene))
+            found.append(None if step is None else step.grounded)
+        return found
+
+
+@dataclass(frozen=True)
+class GroundTruthAllocation:
+    """A planner whose choice of robot is replaced by the right one (paper: GTA).
+
+    Primitive and objects remain the planner's. The right robot is the expert's, where
+    the expert would do the same thing next; else the one that can do it best, and the
+    planner's own where none can.
+    """
+
+    planner: Planner
+    expert: OraclePlanner = field(default_factory=OraclePlanner)
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        """Return the planner's sub-tasks, each given to the right robot.
+
+        Raises:
+            InvalidConfigError: The inputs come without the truth.
+        """
+        return [
+            self._allocate(given, subtask)
+            for given, subtask in zip(inputs, self.planner.plan(inputs), strict=True)
+        ]
+
+    def _allocate(self, given: PolicyInput, subtask: SubTask) -> SubTask:
+        if subtask.primitive is Primitive.STOP:
+            return subtask
+        expected = self.expert.plan([given])[0]
+        if replace(expected, robot=subtask.robot) == subtask:
+            return expected
+        scene = _truth(given).simulation.scene
+        geometry, now = Geometry(scene.spec), Situation.observe(scene)
+        steps = [
+            geometry.ground(replace(subtask, robot=robot), now)
+            for robot in geometry.robots
+        ]
+        able = [step for step in steps if step is not None]
+        if not able:
+            return subtask
+        return max(able, key=lambda step: step.quality).subtask
+
+
+def _truth(given: PolicyInput) -> Episode:
+    if given.episode is None:
+        raise InvalidConfigError(
+            "An oracle was asked, but the inputs come without the truth. Give "
+            "PolicyInput its episode, or use a learned policy."
+        )
+    return given.episode
