@@ -1,7 +1,9 @@
-"""`lemma demo`: the expert at work, one instance per task."""
+"""`lemma demo`: the expert or another policy at work, one instance per task."""
 
 from pathlib import Path
+from typing import Annotated
 
+import tyro
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
@@ -20,6 +22,8 @@ from lemma.cli.terminal import (
     print_json,
 )
 from lemma.cli.video import VideoStyle
+from lemma.evaluation.rollout import Player
+from lemma.policies.specification import ORACLE, PolicySpec
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE
 
@@ -29,33 +33,36 @@ _OUT = Path("out/demo")
 def demo(
     tasks: TaskNames = (),
     which: SelectionOptions = DEFAULT,
+    policy: Annotated[str, tyro.conf.arg(metavar="POLICY")] = ORACLE,
     out: Path = _OUT,
     no_video: Flag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Let the expert solve one instance of each task; write videos and a page.
+    """Let a policy solve one instance of each task; write videos and a page.
 
     Args:
         tasks: Tasks to solve; all eight if none is named.
         which: Which instance.
+        policy: oracle: the expert; a model; PLANNER+GROUNDER; or package.module:Class.
         out: Folder for the videos and for index.html.
         no_video: Solve only; write nothing.
         as_json: Print a JSON list on the output, and the progress elsewhere.
 
     Returns:
-        Exit code: 1 if the expert failed at any task.
+        Exit code: 1 if the policy failed at any task.
     """
     names = tuple(dict.fromkeys(tasks)) or SUITE
     instances = [select_instance(name, which) for name in names]
     console = messages() if as_json else output()
     with console.status("Preparing (the first run compiles, for half a minute) ..."):
         warm_up(instances[0])
+        player = Player.load(PolicySpec(policy))
     if no_video:
-        recordings = [_solve(console, instance, None) for instance in instances]
+        recordings = [_solve(console, instance, player, None) for instance in instances]
         page = None
     else:
         page = out / "index.html"
-        recordings = _solve_and_film(console, instances, page)
+        recordings = _solve_and_film(console, instances, player, page)
     console.print()
     console.print(summary(recordings))
     if page:
@@ -66,11 +73,13 @@ def demo(
 
 
 def _solve_and_film(
-    console: Console, instances: list[Instance], page: Path
+    console: Console, instances: list[Instance], player: Player, page: Path
 ) -> list[Recording]:
     """Solve all instances, then render; at once, it would spoil the times."""
     style = VideoStyle()
-    recordings = [_solve(console, instance, style.frame_s) for instance in instances]
+    recordings = [
+        _solve(console, instance, player, style.frame_s) for instance in instances
+    ]
     console.print(f"\nRendering {len(recordings)} videos in {page.parent} ...")
     illustrations = illustrate_all(
         recordings,
@@ -82,15 +91,17 @@ def _solve_and_film(
     return recordings
 
 
-def _solve(console: Console, instance: Instance, frame_s: float | None) -> Recording:
-    """Let the expert solve an instance, reporting what it does."""
+def _solve(
+    console: Console, instance: Instance, player: Player, frame_s: float | None
+) -> Recording:
+    """Let a policy solve an instance, reporting what it does."""
     instruction = instance.instructions["high_level"]
     line = Text.assemble(
         (f"\n{instance.task}", "bold"), "  ", (f"“{instruction}”", "italic")
     )
     console.print(line)
     return record(
-        instance, frame_s=frame_s, on_step=lambda step: _report(console, step)
+        instance, player, frame_s=frame_s, on_step=lambda step: _report(console, step)
     )
 
 

@@ -46,7 +46,7 @@ def write_page(
 
     Args:
         path: The HTML file.
-        recordings: What the expert did.
+        recordings: What the policy did.
         illustrations: Their pictures, in the same order.
         speed: How much faster than real time the videos are.
     """
@@ -54,12 +54,12 @@ def write_page(
     simulated = sum(recording.elapsed_s for recording in recordings)
     wall = sum(recording.wall_s for recording in recordings)
     lead = (
-        f"The expert solved {solved} of {len(recordings)} instances: {simulated:.0f} "
+        f"{solved} of {len(recordings)} instances were solved: {simulated:.0f} "
         f"simulated seconds in {wall:.1f} s, {simulated / wall:.0f} times real time."
     )
     pairs = zip(recordings, illustrations, strict=True)
     page = _template("page.html").substitute(
-        title="LEMMA Bench: the expert at work",
+        title="LEMMA Bench: a demonstration",
         lead=lead,
         rows="\n".join(_row(recording) for recording in recordings),
         cards="\n".join(_card(*pair, speed) for pair in pairs),

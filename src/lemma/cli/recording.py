@@ -1,4 +1,4 @@
-"""An expert's episode, with a state for every frame of its video."""
+"""An episode of a policy, with a state for every frame of its video."""
 
 import time
 from collections.abc import Callable
@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from lemma.core.poses import FloatArray
-from lemma.env.episode import Episode
 from lemma.env.simulation import HORIZON_S, TICK_S
-from lemma.expert.expert import Expert, Step, solve
+from lemma.evaluation.rollout import Play, Player, TakenStep, play_all
+from lemma.policies.specification import PolicySpec
 from lemma.tasks.instance import Instance
 from lemma.tasks.language import robot_phrases, sub_instruction
 from lemma.tasks.subtask import SubTask
@@ -43,7 +43,7 @@ class RecordedStep:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What an expert did with an instance."""
+    """What a policy did with an instance."""
 
     instance: Instance
     steps: tuple[RecordedStep, ...]
@@ -79,22 +79,24 @@ class Recording:
 
 def record(
     instance: Instance,
+    player: Player | None = None,
     *,
     frame_s: float | None = None,
     on_step: Callable[[RecordedStep], None] | None = None,
     horizon_s: float = HORIZON_S,
 ) -> Recording:
-    """Let the expert solve an instance.
+    """Let a policy work on an instance.
 
     Args:
         instance: The problem.
+        player: The policy; the expert if None.
         frame_s: Simulated time from one frame to the next [s]; no frames if None.
         on_step: Told of every sub-task as soon as it has ended.
         horizon_s: Simulated time after which the episode ends [s].
     """
     started = time.perf_counter()
-    episode = Episode(instance, horizon_s=horizon_s)
-    simulation = episode.simulation
+    play = Play(instance, horizon_s=horizon_s)
+    episode, simulation = play.episode, play.episode.simulation
     frames: list[tuple[float, FloatArray]] = []
 
     def take_frame() -> None:
@@ -104,10 +106,15 @@ def record(
     take_frame()
     simulation.observers.append(take_frame)
     steps = []
-    for step in solve(episode, Expert(simulation.scene, instance.goal)):
+
+    def take_step(_: Play, step: TakenStep) -> None:
         steps.append(describe_step(step, instance))
         if on_step:
             on_step(steps[-1])
+
+    player = player or Player.load(PolicySpec())
+    for _ in play_all([play], player, on_step=take_step):
+        pass
     return Recording(
         instance=instance,
         steps=tuple(steps),
@@ -119,17 +126,20 @@ def record(
     )
 
 
-def describe_step(step: Step, instance: Instance) -> RecordedStep:
+def describe_step(step: TakenStep, instance: Instance) -> RecordedStep:
     """Put an executed sub-task into words."""
     robots = instance.scene.robots
     number = instance.scene.robot_names.index(step.subtask.robot)
-    words = robot_phrases(tuple(robot.colour for robot in robots))[number]
+    robot = robot_phrases(tuple(robot.colour for robot in robots))[number]
+    subtask = step.subtask
+    # A model that acts from end to end names no objects.
+    named = subtask.pick and subtask.place
     return RecordedStep(
         robot=robot_titles(instance)[number],
-        subtask=step.subtask,
-        words=sub_instruction(
-            words, step.subtask.primitive, step.subtask.pick, step.subtask.place
-        ),
+        subtask=subtask,
+        words=sub_instruction(robot, subtask.primitive, subtask.pick, subtask.place)
+        if named
+        else f"{robot}: {subtask.primitive}",
         outcome=str(step.result.outcome),
         explanation=step.result.explanation,
         ok=step.result.ok,

@@ -11,6 +11,7 @@ from lemma.env.episode import Episode
 from lemma.env.simulation import HORIZON_S
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.policies.interfaces import Decision, Policy, PolicyInput, Step, View
+from lemma.policies.specification import PolicySpec
 from lemma.scene.layout import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.rendering import Renderer
 from lemma.scene.scene import Scene
@@ -112,10 +113,27 @@ class Play:
         return step
 
 
+@dataclass(frozen=True)
+class Player:
+    """A policy, and what it sees with."""
+
+    policy: Policy
+    eyes: Eyes | None = None
+    """None for a policy that needs no images."""
+
+    @classmethod
+    def load(cls, spec: PolicySpec) -> "Player":
+        """Load a policy by name.
+
+        Raises:
+            LemmaError: There is no such policy, or its weights are damaged.
+        """
+        return cls(spec.load(), None if spec.blind else Eyes())
+
+
 def play_all(
     plays: Iterable[Play],
-    policy: Policy,
-    eyes: Eyes | None,
+    player: Player,
     at_once: int = 8,
     on_step: Callable[[Play, TakenStep], None] | None = None,
 ) -> Iterator[Play]:
@@ -123,16 +141,15 @@ def play_all(
 
     Args:
         plays: What to play; the next is set up when one has ended.
-        policy: Decides, for all running episodes together.
-        eyes: What it sees with; None for a policy that needs no images.
+        player: Decides, for all running episodes together.
         at_once: Episodes that run at a time.
         on_step: Told of every sub-task as soon as it has ended.
     """
     waiting = iter(plays)
     running = list(islice(waiting, at_once))
     while running:
-        inputs = [play.given(eyes) for play in running]
-        decisions = policy.act(inputs)
+        inputs = [play.given(player.eyes) for play in running]
+        decisions = player.policy.act(inputs)
         for play, given, decision in zip(running, inputs, decisions, strict=True):
             step = play.take(given, decision)
             if step is not None and on_step is not None:
@@ -141,16 +158,6 @@ def play_all(
         running = [play for play in running if not play.episode.is_over]
         yield from over
         running += islice(waiting, at_once - len(running))
-
-
-def play(
-    instance: Instance,
-    policy: Policy,
-    eyes: Eyes | None,
-    on_step: Callable[[Play, TakenStep], None] | None = None,
-) -> Play:
-    """Play one episode to its end."""
-    return next(play_all([Play(instance)], policy, eyes, 1, on_step))
 
 
 def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:

@@ -1,0 +1,123 @@
+"""`lemma evaluate`: a policy on a frozen split, with a table of success rates."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import fmean
+from typing import Annotated, Literal
+
+import tyro
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from lemma.cli.terminal import Flag, JsonFlag, Number, output, print_json
+from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.evaluation.evaluate import EvaluationOrder, Row
+from lemma.evaluation.evaluate import evaluate as run
+from lemma.evaluation.summary import Rate, rates_by
+from lemma.policies.specification import PolicySpec
+from lemma.tasks.suite import SUITE
+from lemma.tasks.template import KINDS
+
+_ALL = "all"
+
+
+@dataclass(frozen=True, slots=True)
+class Questions:
+    """What is asked of the policy."""
+
+    instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
+    """Kinds of instructions: high-level, human, unseen; or all."""
+    tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
+    """Names of tasks, separated by commas."""
+    split: Annotated[str, tyro.conf.arg(metavar="SPLIT")] = "test"
+    """Frozen list of instances."""
+    episodes: Number = None
+    """Only the first so many of every task."""
+    planning: Literal["single-step", "multi-step"] = "single-step"
+    """Look before every sub-task, or plan from the first image alone."""
+    gta: Flag = False
+    """Ground-truth allocation: the right robot replaces the planner's choice."""
+
+
+EVERYTHING = Questions()
+"""High-level instructions, all tasks, the whole test split."""
+
+QuestionOptions = Annotated[Questions, tyro.conf.arg(name="")]
+"""The fields as options of the verb."""
+
+
+def evaluate(
+    policy: Annotated[str, tyro.conf.arg(metavar="POLICY")],
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    ask: QuestionOptions = EVERYTHING,
+    working: WorkerOptions = DEFAULT,
+    as_json: JsonFlag = False,
+) -> int:
+    """Let a policy play the episodes of a frozen split, and count its successes.
+
+    What is there already is kept, so the same command goes on where it was stopped.
+
+    Args:
+        policy: oracle; a model; PLANNER+GROUNDER; or package.module:Class.
+        out: Folder of the result: one line per episode in episodes.jsonl.
+        ask: What is asked of the policy.
+        working: Where to work.
+        as_json: Print one JSON object instead of a table.
+    """
+    order = EvaluationOrder(
+        out=out,
+        policy=PolicySpec(policy, ask.planning, ask.gta),
+        tasks=_names(ask.tasks, SUITE),
+        split=ask.split,
+        kinds=_names(ask.instructions.replace("-", "_"), KINDS),
+        episodes=ask.episodes,
+    )
+    with progress_bar("evaluate", order.total) as advance:
+        rows = run(order, working.make_engine(), advance)
+    rates = rates_by(rows, "instruction_kind", "task")
+    if as_json:
+        print_json(
+            {
+                kind: {
+                    task: asdict(rate) | {"success_rate": rate.success_rate}
+                    for (k, task), rate in rates.items()
+                    if k == kind
+                }
+                for kind in order.kinds
+            }
+        )
+    else:
+        output().print(table(rows))
+    return 0
+
+
+def _names(text: str, every: tuple[str, ...]) -> tuple[str, ...]:
+    return every if text == _ALL else tuple(text.split(","))
+
+
+def table(rows: list[Row]) -> Table:
+    """Return success rates [%] with Wilson intervals: tasks down, kinds across."""
+    rates = rates_by(rows, "instruction_kind", "task")
+    kinds = [kind for kind in KINDS if any(k == kind for k, _ in rates)]
+    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    shown.add_column("success [%]", style="bold", no_wrap=True)
+    for kind in kinds:
+        shown.add_column(kind.replace("_", "-"), justify="right", no_wrap=True)
+    for task in SUITE:
+        if any(t == task for _, t in rates):
+            cells = (rates.get((kind, task)) for kind in kinds)
+            shown.add_row(task, *(_cell(rate) for rate in cells))
+    shown.add_section()
+    means = (
+        fmean(rate.success_rate for (k, _), rate in rates.items() if k == kind)
+        for kind in kinds
+    )
+    shown.add_row("mean over tasks", *(f"{100 * mean:.1f}" for mean in means))
+    return shown
+
+
+def _cell(rate: Rate | None) -> str:
+    if rate is None:
+        return ""
+    low, high = rate.interval
+    return f"{100 * rate.success_rate:.1f} ({100 * low:.0f}-{100 * high:.0f})"
