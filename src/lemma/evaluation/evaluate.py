@@ -6,9 +6,11 @@ run, resumed, gives what an undisturbed one gives.
 """
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from multiprocessing import parent_process
 from pathlib import Path
 from shutil import rmtree
 from time import perf_counter
@@ -178,7 +180,11 @@ def play_group(
 @lru_cache(maxsize=1)
 def _player(spec: PolicySpec) -> Player:
     """Return the policy of this process: loading one takes long."""
-    return Player.load(spec)
+    player = Player.load(spec)
+    if parent_process() is not None and "torch" in sys.modules:
+        # There is a process per core; more threads would fight for them.
+        sys.modules["torch"].set_num_threads(1)
+    return player
 
 
 def _row(play: Play, kind: str, wall_s: float) -> Row:
