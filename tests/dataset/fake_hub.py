@@ -27,6 +27,14 @@ class FakeHub:
     exists: bool = False
     status: int = 0
     """Answer everything with this status, if it is not 0."""
+    refuses_uploads: bool = False
+    """Answer 400 to large files."""
+    token: str | None = None
+    """Only who shows this token sees the dataset; everybody if None."""
+    damaged: dict[str, int] = field(default_factory=dict)
+    """How often a file will still arrive with a wrong byte, by path."""
+    cut: dict[str, int] = field(default_factory=dict)
+    """How often the connection will still break halfway through a file, by path."""
 
 
 @contextmanager
@@ -39,7 +47,7 @@ def fake_hub() -> Iterator[FakeHub]:
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     hub.url = f"http://127.0.0.1:{server.server_address[1]}"
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
     thread.start()
     try:
         yield hub
@@ -87,6 +95,11 @@ class _Handler(BaseHTTPRequestHandler):
         hub.requests.append(f"{self.command} {path}")
         if hub.status:
             self._json({"error": "no"}, hub.status)
+        elif hub.refuses_uploads and path.startswith("/upload/"):
+            self._json({"error": "no"}, 400)
+        elif not self._is_known():
+            # What is private looks to strangers as if it were not there.
+            self._answer(b"{}", 401, {"X-Error-Code": "RepoNotFound"})
         elif path == "/api/repos/create":
             hub.exists = True
             request = json.loads(body)
@@ -103,10 +116,14 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self._serve(path, body)
 
+    def _is_known(self) -> bool:
+        token = self.served.token
+        return token is None or self.headers["Authorization"] == f"Bearer {token}"
+
     def _serve(self, path: str, body: bytes) -> None:
         hub = self.served
         if "/preupload/" in path:
-            self._json({"files": [_plan(f) for f in json.loads(body)["files"]]})
+            self._json({"files": [self._plan(f) for f in json.loads(body)["files"]]})
         elif path.endswith("/info/lfs/objects/batch"):
             objects = json.loads(body)["objects"]
             self._json(
@@ -123,26 +140,46 @@ class _Handler(BaseHTTPRequestHandler):
                 }
             )
         elif "/tree/" in path:
-            self._json(
-                [
-                    {"type": "file", "path": name, "size": len(data), "oid": _git(data)}
-                    for name, data in hub.files.items()
-                ]
-            )
+            self._json([_entry(name, data) for name, data in hub.files.items()])
         elif "/revision/" in path or path.startswith("/api/datasets/"):
             siblings = [{"rfilename": name} for name in hub.files]
             self._json({"id": "me/data", "sha": COMMIT, "siblings": siblings})
         elif "/resolve/" in path:
-            data = hub.files.get(path.split("/resolve/")[1].partition("/")[2])
-            if data is None:
-                self._answer(b"", 404, {"X-Error-Code": "EntryNotFound"})
-            else:
-                headers = {"ETag": f'"{_git(data)}"', "X-Repo-Commit": COMMIT}
-                self._answer(data, 200, headers)
+            self._send_file(path.split("/resolve/")[1].partition("/")[2])
         else:
             self._json({"error": f"nothing at {path}"}, 404)
 
+    def _send_file(self, name: str) -> None:
+        hub = self.served
+        data = hub.files.get(name)
+        if data is None:
+            self._answer(b"", 404, {"X-Error-Code": "EntryNotFound"})
+            return
+        headers = {"ETag": f'"{_oid(name, data)}"', "X-Repo-Commit": COMMIT}
+        if self.command == "GET" and hub.damaged.get(name, 0):
+            hub.damaged[name] -= 1
+            middle = len(data) // 2
+            data = data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+        if self.command == "GET" and hub.cut.get(name, 0):
+            hub.cut[name] -= 1
+            self.send_response(200)
+            self.send_header("Content-Length", str(len(data)))
+            self.end_headers()
+            self.wfile.write(data[: len(data) // 2])
+            self.close_connection = True
+            return
+        self._answer(data, 200, headers)
+
+    def _plan(self, wanted: dict[str, Any]) -> dict[str, Any]:
+        name = wanted["path"]
+        plan = {"path": name, "shouldIgnore": False}
+        plan["uploadMode"] = "lfs" if _is_large(name) else "regular"
+        there = self.served.files.get(name)
+        return plan if there is None else {**plan, "oid": _oid(name, there)}
+
     def _place(self, wanted: dict[str, Any]) -> dict[str, Any]:
+        if wanted["oid"] in self.served.blobs:
+            return wanted
         href = f"{self.served.url}/upload/{wanted['oid']}"
         return {**wanted, "actions": {"upload": {"href": href}}}
 
@@ -159,11 +196,23 @@ class _Handler(BaseHTTPRequestHandler):
     do_GET = do_HEAD = do_POST = do_PUT = _handle
 
 
-def _plan(wanted: dict[str, Any]) -> dict[str, Any]:
-    large = wanted["path"].endswith(".parquet")
-    mode = "lfs" if large else "regular"
-    return {"path": wanted["path"], "uploadMode": mode, "shouldIgnore": False}
+def _is_large(name: str) -> bool:
+    return name.endswith(".parquet")
+
+
+def _entry(name: str, data: bytes) -> dict[str, Any]:
+    entry = {"type": "file", "path": name, "size": len(data), "oid": _git(data)}
+    if _is_large(name):
+        oid = _oid(name, data)
+        entry["lfs"] = {"oid": oid, "size": len(data), "pointerSize": 130}
+    return entry
+
+
+def _oid(name: str, data: bytes) -> str:
+    """Return what the hub calls a content: SHA-256 of large files, git's of others."""
+    return hashlib.sha256(data).hexdigest() if _is_large(name) else _git(data)
 
 
 def _git(data: bytes) -> str:
-    return hashlib.sha1(data, usedforsecurity=False).hexdigest()
+    head = f"blob {len(data)}\0".encode()
+    return hashlib.sha1(head + data, usedforsecurity=False).hexdigest()

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.dataset.files import MANIFEST, check_files
+from lemma.dataset.files import MANIFEST, check_files, read_json, sha256_of
 
 _KIND = "dataset"
 _HIDDEN = [".*", ".*/**", "**/.*"]
@@ -68,26 +69,55 @@ def pull(
     Raises:
         DatasetError: It cannot be fetched or is damaged, or the client of the Hub is
             not installed.
+        OSError: The folder cannot be written to.
     """
     _check_name(repository)
     client = _client()
-    wanted = [f"{split}/*" for split in splits]
+    patterns = ["*.json", "*.md", *(f"{split}/*" for split in splits)]
     with _explained(repository):
-        client.snapshot_download(
+        # Asked for by name, because the download falls back to what is there already
+        # where the Hub cannot be reached, as if that were what the Hub has.
+        commit = client.dataset_info(repository, revision=revision).sha
+        out.mkdir(parents=True, exist_ok=True)
+        fetch = partial(
+            client.snapshot_download,
             repository,
             repo_type=_KIND,
-            revision=revision,
+            revision=commit,
             local_dir=out,
-            allow_patterns=["*.json", "*.md", *wanted] if splits else None,
         )
+        fetch(allow_patterns=patterns if splits else None)
+        # The client compares sizes only, and takes for good what it has fetched once.
+        if damaged := _damaged(out):
+            fetch(allow_patterns=damaged, force_download=True)
     for split in splits:
         if not (out / split).is_dir():
             raise DatasetError(
                 f"{repository} has no files of split {split!r}. Leave out the splits "
                 "to fetch all there is."
             )
-    check(out, partial=bool(splits))
+    if damaged := _damaged(out):
+        raise DatasetError(
+            f"{out / damaged[0]} arrived damaged twice: its checksum is not the one in "
+            f"{MANIFEST}. Run the same command again; if that does not help, what is "
+            f"in {repository} is damaged."
+        )
+    try:
+        check(out, partial=bool(splits))
+    except DatasetError as error:
+        raise DatasetError(f"What {repository} holds is not whole. {error}") from error
     return out
+
+
+def _damaged(folder: Path) -> list[str]:
+    """Return the files that are not what the manifest says; missing ones not."""
+    if not (folder / MANIFEST).exists():
+        return []
+    return [
+        name
+        for name, entry in read_json(folder / MANIFEST).get("files", {}).items()
+        if (folder / name).is_file() and sha256_of(folder / name) != entry["sha256"]
+    ]
 
 
 def check(folder: Path, *, partial: bool = False) -> None:
@@ -156,8 +186,10 @@ def _explained(repository: str) -> Iterator[None]:
 
 def _words(error: Exception, repository: str) -> str | None:
     """Return what to say, or None if it is not about the Hub."""
-    response = getattr(error, "response", None)
-    status = getattr(response, "status_code", None)
+    chain = list(_chain(error))
+    answers = (getattr(link, "response", None) for link in chain)
+    found = (getattr(answer, "status_code", None) for answer in answers)
+    status = next((code for code in found if code is not None), None)
     if status in (401, 403):
         return (
             f"The Hub does not let you use {repository} ({status}): it does not exist, "
@@ -170,20 +202,31 @@ def _words(error: Exception, repository: str) -> str | None:
             "the name."
         )
     if status is not None:
-        return (
-            f"The Hub answered {status} about {repository}: {error}. Try again later."
-        )
-    chain = [error, error.__cause__, error.__context__]
+        why = " ".join(str(error).split())
+        return f"The Hub answered {status} about {repository}. Try again later. ({why})"
     if any(_is_transport(link) for link in chain):
         return (
             f"The Hub could not be reached ({type(error).__name__}). Check the "
             "network, the proxy, and HF_ENDPOINT and HF_HUB_OFFLINE if they are set. "
             "The same command goes on where it was stopped."
         )
+    if type(error).__name__ == "HFValidationError":
+        why = " ".join(str(error).split())
+        return (
+            f"{repository!r} names no repository of the Hub. Write owner/name. ({why})"
+        )
     return None
 
 
-def _is_transport(error: BaseException | None) -> bool:
+def _chain(error: BaseException) -> Iterator[BaseException]:
+    """Yield an error and what led to it."""
+    link: BaseException | None = error
+    while link is not None:
+        yield link
+        link = link.__cause__ or link.__context__
+
+
+def _is_transport(error: BaseException) -> bool:
     """Whether an error says that nobody answered."""
     if isinstance(error, ConnectionError | TimeoutError):
         return True
