@@ -207,8 +207,9 @@ def _bar(x: float, y: float, width: float, height: float, words: str) -> str:
 
 
 def _text(x: float, y: float, words: str, anchor: str, style: str = "") -> str:
+    kind = f' class="{style}"' if style else ""
     return (
-        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" class="{style}" '
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{kind} '
         f'dominant-baseline="central">{escape(words)}</text>'
     )
 
