@@ -1,14 +1,19 @@
 import json
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recipes import made_up
 
 from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.dataset.instructions import (
     TRAINING_KINDS,
+    Language,
     check_recorded,
     draw_instruction,
 )
+from lemma.tasks.instance import SPLITS
 from lemma.tasks.language import templates
 from lemma.tasks.suite import SUITE, load_instance
 
@@ -17,6 +22,10 @@ PAIRS = (("red_cube", "blue_cube"),)
 
 def said(task: str, kind: str, sentence: str) -> bool:
     return any(template.parse(sentence) for template in templates(task, kind))
+
+
+def said_by_anybody(kind: str, sentence: str) -> bool:
+    return any(said(task, kind, sentence) for task in SUITE)
 
 
 def test_drawing_is_a_pure_function() -> None:
@@ -48,6 +57,68 @@ def test_nothing_held_out_is_drawn(task: str) -> None:
         )
         assert not said(task, "unseen", sentence)
         assert any(said(task, kind, sentence) for kind in TRAINING_KINDS)
+
+
+@given(
+    task=st.sampled_from(SUITE),
+    index=st.integers(0, SPLITS["train"] - 1),
+    seed=st.integers(0, 2**63),
+    epoch=st.integers(0, 10**6),
+    kinds=st.sampled_from([TRAINING_KINDS, ("high_level",), ("human",)]),
+)
+@settings(max_examples=300)
+def test_whatever_is_drawn_is_for_training(
+    task: str, index: int, seed: int, epoch: int, kinds: tuple[str, ...]
+) -> None:
+    instance = load_instance(task, "train", index)
+    pairs = instance.goal.pairs
+    sentence = draw_instruction(
+        task, pairs, instance.key, seed=seed, epoch=epoch, kinds=kinds
+    )
+    assert not said_by_anybody("unseen", sentence)
+    asked = [t.parse(sentence) for kind in kinds for t in templates(task, kind)]
+    assert frozenset(pairs) in asked
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_the_check_knows_a_held_out_sentence(task: str) -> None:
+    # So that the tests around this one can fail.
+    pairs = load_instance(task, "train", 9).goal.pairs
+    for template in templates(task, "unseen"):
+        sentence = template.render(pairs)
+        assert said_by_anybody("unseen", sentence)
+        assert not said_by_anybody("high_level", sentence)
+        assert not said_by_anybody("human", sentence)
+
+
+def test_a_recipe_is_never_read_with_held_out_sentences_for_training() -> None:
+    resampled = Language(instructions="resampled")
+    for task in SUITE:
+        record = made_up(task, "train", 5)
+        for epoch in range(30):
+            assert not said_by_anybody("unseen", resampled.choose(record, epoch))
+        with pytest.raises(DatasetError, match="held out"):
+            Language(kind="unseen").choose(record)
+        assert Language(kind="unseen").choose(made_up(task, "test", 5)) == (
+            made_up(task, "test", 5).unseen
+        )
+
+
+def test_resampling_says_more_than_was_recorded() -> None:
+    record = made_up("hook", "train", 5)
+    drawn = {Language(instructions="resampled").choose(record, e) for e in range(300)}
+    # One high-level template and ten human ones.
+    assert len(drawn) == 11
+    assert {record.high_level, record.human} <= drawn
+    # It follows the epoch and the seed, and nothing else.
+    assert Language(instructions="resampled").choose(record, 3) == (
+        Language(instructions="resampled").choose(record, 3)
+    )
+    other = Language(instructions="resampled", seed=1)
+    assert any(
+        other.choose(record, e) != Language(instructions="resampled").choose(record, e)
+        for e in range(10)
+    )
 
 
 def test_kinds_can_be_chosen_but_not_the_held_out_ones() -> None:
@@ -101,6 +172,15 @@ def test_what_training_sees_is_printed(capsys: pytest.CaptureFixture[str]) -> No
     assert not any(said("stack", "unseen", sentence) for sentence in sentences)
     assert printed(capsys, "stack") == records
     assert printed(capsys, "stack", "--seed", 1) != records
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_training_never_prints_what_is_held_out(
+    task: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in range(3):
+        for record in printed(capsys, task, "--n", 40, "--seed", seed):
+            assert not said_by_anybody("unseen", record["instruction"])
 
 
 def test_sub_instructions_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
