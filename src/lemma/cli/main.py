@@ -13,7 +13,7 @@ from lemma.core.errors import LemmaError
 VERBS = (
     *("tasks", "demo", "show", "doctor", "bench"),
     *("generate", "replay", "inspect", "push-to-hub", "pull"),
-    *("render", "instructions", "evaluate"),
+    *("render", "instructions", "train", "evaluate"),
 )
 """Each is a function of the same name in a module of the same name in this package,
 with underscores for dashes."""

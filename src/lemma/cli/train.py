@@ -1,0 +1,79 @@
+"""`lemma train`: a model, on rendered keyframes."""
+
+from dataclasses import asdict
+from importlib import import_module
+from typing import Annotated
+
+import tyro
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from lemma.cli.terminal import Flag, JsonFlag, messages, output, print_json
+from lemma.core.errors import InvalidConfigError
+from lemma.policies.training import TrainingConfig
+
+INTERRUPTED = 130
+_EXTRA = ("torch", "safetensors", "tensorboard")
+
+
+def train(
+    config: Annotated[TrainingConfig, tyro.conf.arg(name="")],
+    restart: Flag = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Train a model, or go on with it where it was stopped.
+
+    The best weights by validation, the configuration, logs for TensorBoard and a
+    report are written to the folder of the run. The same command goes on after Ctrl-C
+    or a crash, with the same outcome.
+
+    Args:
+        config: What to train, on what, how.
+        restart: Begin anew where a run was begun before.
+        as_json: Print the report as JSON.
+
+    Returns:
+        Exit code: 130 if it was interrupted.
+    """
+    try:
+        loop = import_module("lemma.policies.train")
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] not in _EXTRA:
+            raise
+        raise InvalidConfigError(
+            f"Training needs {error.name}, which is not installed. Install it with: "
+            "python -m pip install 'lemma-bench[learn]'"
+        ) from error
+    report = loop.train(config, restart=restart)
+    interrupted: bool = report.status == "interrupted"
+    if as_json:
+        print_json(asdict(report))
+    elif interrupted:
+        messages().print(
+            f"Interrupted after {report.steps} steps, which are kept. The same command "
+            "goes on from there.",
+            soft_wrap=True,
+        )
+    else:
+        _print(config, report)
+    return INTERRUPTED if interrupted else 0
+
+
+def _print(config: TrainingConfig, report: object) -> None:
+    told = vars(report)
+    table = Table(box=SIMPLE_HEAD, title_justify="left")
+    table.add_column("score")
+    table.add_column("best weights", justify="right")
+    kinds = told["scores_by_kind"]
+    for kind in kinds:
+        table.add_column(kind.replace("_", " "), justify="right")
+    for name, score in told["scores"].items():
+        of_kinds = [f"{kinds[kind][name]:.4f}" for kind in kinds]
+        table.add_row(name, f"{score:.4f}", *of_kinds)
+    output().print(table)
+    output().print(
+        f"{config.out / 'weights.safetensors'}: {told['parameters']:,} weights from "
+        f"step {told['best_step']} of {told['steps']}, in {told['seconds']:.0f} s of "
+        f"training ({told['samples_per_s']:.0f} frames/s on {told['device']}).",
+        soft_wrap=True,
+    )

@@ -1,0 +1,204 @@
+"""What a training run begins with: its data, its first weights, its folder."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from lemma import __version__
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.seeding import stream
+from lemma.dataset.files import MANIFEST, clear_drafts, read_json, write_json
+from lemma.dataset.keyframe_schema import FORM
+from lemma.dataset.shards import keyframe_shards, read_manifest
+from lemma.policies.frames import Frames
+from lemma.policies.model import Model
+from lemma.policies.processes import Processes
+from lemma.policies.trainer import seed_of
+from lemma.policies.training import MAY_CHANGE, TrainingConfig, model_options
+from lemma.policies.weights import load_model
+from lemma.policies.zoo import MODELS, make_model, options_of
+from lemma.tasks.instance import BENCHMARK_VERSION
+
+CONFIG = "config.json"
+CHECKPOINT = "checkpoint.pt"
+WEIGHTS = "weights.safetensors"
+REPORT = "report.json"
+
+_BYTES_PER_CELL = 5
+
+
+@dataclass(frozen=True)
+class Data:
+    """What is trained on, and what the best weights are chosen by."""
+
+    train: Frames
+    val: Frames
+    about: dict[str, Any]
+    """Version and digest."""
+
+
+def check_data(folder: Path) -> dict[str, Any]:
+    """Return version and digest of rendered keyframes.
+
+    Raises:
+        DatasetError: There are none, or they are of another version.
+    """
+    if not folder.is_dir():
+        raise DatasetError(
+            f"There is no folder {folder}. Make one from a recipe: lemma render RECIPE "
+            f"--out {folder} --form {FORM}"
+        )
+    files = read_manifest(folder, FORM)
+    about = read_json(folder / MANIFEST).get("about", {})
+    found = about.get("versions", {})
+    if found.get("benchmark") != BENCHMARK_VERSION:
+        raise DatasetError(
+            f"{folder} was made from version {found.get('benchmark')} of the "
+            f"benchmark, and this package has {BENCHMARK_VERSION}. Train with lemma-"
+            f"bench {found.get('lemma')}, or make the data again."
+        )
+    text = json.dumps({name: files[name]["sha256"] for name in sorted(files)})
+    return {
+        "benchmark": BENCHMARK_VERSION,
+        "digest": hashlib.sha256(text.encode()).hexdigest(),
+        "renderer": about.get("renderer", ""),
+    }
+
+
+def read_frames(config: TrainingConfig, team: Processes) -> Data:
+    """Read both splits, to the device if it has room for them.
+
+    Raises:
+        DatasetError: Files are missing, damaged or of another version.
+        UnknownNameError: There is no such split or task.
+    """
+    about = check_data(config.data)
+    tasks = config.tasks
+    size = sum(
+        sum(shard.header.keyframes)
+        * (shard.header.raster.rows * shard.header.raster.columns * _BYTES_PER_CELL)
+        for split in (config.train_split, config.val_split)
+        for shard in keyframe_shards(config.data, split, tasks)
+    )
+    place = _place(config, team.device, size)
+    train = Frames.load(config.data, config.train_split, tasks, place)
+    same = config.val_split == config.train_split
+    val = train if same else Frames.load(config.data, config.val_split, tasks, place)
+    return Data(train, val, about)
+
+
+def _place(config: TrainingConfig, device: torch.device, size: int) -> torch.device:
+    host = torch.device("cpu")
+    if device.type == "cpu" or config.images == "host":
+        return host
+    free, _ = torch.cuda.mem_get_info(device)
+    if config.images == "device" or size < free / 2:
+        return device
+    return host
+
+
+def training_units(
+    model: Model, frames: Frames, config: TrainingConfig
+) -> list[Sequence[int]]:
+    """Return the frames of each unit to train on.
+
+    Raises:
+        InvalidConfigError: There are not so many episodes.
+    """
+    episodes: list[Sequence[int]] = list(frames.episodes)
+    if config.episodes is not None:
+        if config.episodes > len(episodes):
+            raise InvalidConfigError(
+                f"--episodes is {config.episodes}, but split {config.train_split!r} "
+                f"has {len(episodes)}."
+            )
+        drawn = stream("episodes", config.seed).permutation(len(episodes))
+        episodes = [episodes[i] for i in sorted(drawn[: config.episodes].tolist())]
+    if model.unit == "episode":
+        return episodes
+    return [(frame,) for episode in episodes for frame in episode]
+
+
+def first_model(config: TrainingConfig) -> Model:
+    """Return the model with its first weights, a function of the seed.
+
+    Raises:
+        UnknownNameError: There is no such model or option.
+        WeightsError: It shall start from weights that cannot be used.
+        InvalidConfigError: They are of another model.
+    """
+    kind, options = MODELS[config.model]
+    chosen = model_options(options, config.options)
+    torch.manual_seed(seed_of(config.seed, -1))
+    if config.start is None:
+        return make_model(config.model, chosen)
+    if chosen:
+        raise InvalidConfigError(
+            "--start takes the options of the model from its weights. Leave out "
+            "--options."
+        )
+    model: Model = load_model(config.start)
+    if type(model) is not kind:
+        raise InvalidConfigError(
+            f"{config.start} is a {type(model).__name__}, not {config.model}. Choose "
+            "weights of the same model."
+        )
+    return model
+
+
+def open_run(
+    config: TrainingConfig, model: Model, data: dict[str, Any], command: str
+) -> None:
+    """Write the configuration of a run, or check that it is still the same.
+
+    Args:
+        config: Resolved.
+        model: Whose options are written too.
+        data: Version and digest of the data.
+        command: The command line.
+
+    Raises:
+        InvalidConfigError: Another run is in its folder.
+    """
+    clear_drafts(config.out)
+    path = config.out / CONFIG
+    wanted = {
+        "training": config.to_dict(),
+        "model_options": json.loads(json.dumps(options_of(model))),
+        "data": data,
+    }
+    if path.exists():
+        found = read_json(path)
+        differing = _differences(found, wanted)
+        if differing:
+            raise InvalidConfigError(
+                f"{config.out} holds another run: {'; '.join(differing[:5])}. Choose "
+                "another --out, or --restart to begin this one anew."
+            )
+    write_json(path, {**wanted, "command": command, "lemma": __version__})
+
+
+def _differences(found: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
+    differing = []
+    for part, values in wanted.items():
+        before = found.get(part, {})
+        for name in sorted({*values, *before}):
+            if part == "training" and name in MAY_CHANGE:
+                continue
+            old, new = before.get(name), values.get(name)
+            if old != new:
+                differing.append(f"{name} was {old!r} and is {new!r}")
+    return differing
+
+
+def clear_run(folder: Path) -> None:
+    """Remove what a run left behind, so that it begins anew."""
+    for name in (CONFIG, CHECKPOINT, WEIGHTS, REPORT):
+        (folder / name).unlink(missing_ok=True)
+    for log in (folder / "tensorboard").glob("events.*"):
+        log.unlink()
