@@ -4,13 +4,19 @@ import atexit
 import hashlib
 import json
 import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
 
 import numpy as np
+import pytest
 
+from lemma.cli.main import main
 from lemma.dataset.digests import content_digest, shorten
 from lemma.dataset.engines import Serial
 from lemma.dataset.files import (
@@ -55,6 +61,35 @@ def bytes_of(folder: Path) -> dict[str, str]:
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
+
+
+def lemma(*words: object) -> int | str | None:
+    """Run a command in this process and return its exit code."""
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    return end.value.code
+
+
+@contextmanager
+def small_disk(folder: Path, kilobytes: int) -> Iterator[Path]:
+    """Give a file system of its own, or skip the test where none may be mounted."""
+    folder.mkdir()
+    size = f"size={kilobytes}k"
+    command = ["mount", "-t", "tmpfs", "-o", size, "tmpfs", str(folder)]
+    if (
+        sys.platform != "linux"
+        or subprocess.run(command, capture_output=True).returncode
+    ):
+        pytest.skip("mounting a small disk takes root and Linux")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def remount(folder: Path, options: str) -> None:
+    """Change the size of such a file system, or whether it may be written to."""
+    subprocess.run(["mount", "-o", f"remount,{options}", str(folder)], check=True)
 
 
 def made_up(

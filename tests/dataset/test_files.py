@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recipes import made_up, write_recipe
+from recipes import made_up, small_disk, write_recipe
 
 from lemma.core.errors import DatasetError
 from lemma.dataset import files
@@ -89,17 +89,8 @@ def write_old(folder: Path) -> Path:
 
 @pytest.fixture
 def tiny_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of its own with 256 kB, where the tests may mount one."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(folder)]
-    if (
-        sys.platform != "linux"
-        or subprocess.run(command, capture_output=True).returncode
-    ):
-        pytest.skip("mounting a small disk takes root and Linux")
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
+    with small_disk(tmp_path / "disk", 256) as folder:
+        yield folder
 
 
 def test_a_disk_that_really_is_full(tiny_disk: Path) -> None:

@@ -12,7 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError, UnknownNameError
-from lemma.dataset.files import MANIFEST, read_json, write_json, write_text
+from lemma.dataset.files import (
+    MANIFEST,
+    listed_files,
+    read_json,
+    write_json,
+    write_text,
+)
 
 _HERE = files("lemma.dataset") / "digests"
 _BINDING = ("benchmark", "format", "mujoco")
@@ -73,7 +79,7 @@ def differing(folder: Path) -> list[str]:
         Task, split and index of each: ``"stack/test/3"``; empty if all are equal.
     """
     found = []
-    for name, entry in read_json(folder / MANIFEST)["files"].items():
+    for name, entry in listed_files(folder).items():
         split, _, task = name.removesuffix(".parquet").partition("/")
         pairs = zip(entry["digests"], expected_digests(task, split), strict=False)
         found += [f"{task}/{split}/{i}" for i, (a, b) in enumerate(pairs) if a != b]

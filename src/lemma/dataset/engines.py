@@ -24,6 +24,8 @@ Job = tuple[Any, ...]
 
 _MOST_BREAKS = 5
 _AHEAD = 2
+_WORKER = "LEMMA_WORKER"
+"""Environment variable that is set in worker processes."""
 
 
 class Engine(Protocol):
@@ -103,7 +105,7 @@ class Processes:
         pool = ProcessPoolExecutor(
             min(self.workers, len(jobs)),
             mp_context=get_context("spawn"),
-            initializer=_die_with_parent,
+            initializer=_become_worker,
         )
         try:
             while True:
@@ -133,6 +135,21 @@ def _interrupts_held() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def is_worker() -> bool:
+    """Return whether this process works for another, beside others."""
+    return _WORKER in os.environ
+
+
+def _become_worker() -> None:
+    os.environ[_WORKER] = "1"
+    _die_with_parent()
+
+
+def _work_for_another(function: Callable[..., Any], *job: Any) -> Any:
+    os.environ[_WORKER] = "1"
+    return function(*job)
 
 
 def _die_with_parent() -> None:
@@ -197,15 +214,17 @@ class Ray:
         """Yield what each job returned, in the order in which they end.
 
         Raises:
+            DatasetError: Machines of the cluster keep dying.
             LemmaError: What a job raised.
         """
-        remote = self._ray.remote(max_retries=_MOST_BREAKS)(function)
+        # A machine that dies takes along its jobs; others do them again.
+        remote = self._ray.remote(max_retries=_MOST_BREAKS)(_work_for_another)
         most = _AHEAD * self.workers
         waiting = iter(jobs)
         running: list[Any] = []
         while True:
             while len(running) < most and (job := next(waiting, None)) is not None:
-                running.append(remote.remote(*job))
+                running.append(remote.remote(function, *job))
             if not running:
                 return
             done, running = self._ray.wait(running)
@@ -214,4 +233,14 @@ class Ray:
             except self._ray.exceptions.RayTaskError as error:
                 # The cause alone: the message of the wrapper is a traceback.
                 raise error.cause from error
+            except self._ray.exceptions.RayError as error:
+                raise DatasetError(
+                    f"The Ray cluster lost a job {_MOST_BREAKS} times, or itself: "
+                    f"{_first_line(error)}. What was written is kept: look after the "
+                    "cluster ('ray status') and run the same command again."
+                ) from error
             yield from results
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().partition("\n")[0].rstrip(".")

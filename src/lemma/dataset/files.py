@@ -21,7 +21,9 @@ from lemma.dataset.schema import FORMAT_VERSION, SCHEMA
 
 METADATA_KEY = b"lemma"
 MANIFEST = "manifest.json"
-"""What a recipe's folder says of its files."""
+"""What a dataset's folder says of its files."""
+CARD = "README.md"
+"""What a dataset's folder says to people."""
 REVISION_VARIABLE = "LEMMA_REVISION"
 """Environment variable that says the git revision where the checkout has no .git."""
 ROW_GROUP = 20
@@ -132,11 +134,36 @@ def only_writer(folder: Path) -> Iterator[None]:
         os.close(held)
 
 
+_NO_ROOM = {
+    errno.ENOSPC: "The disk is full",
+    errno.EDQUOT: "Your quota of the disk is used up",
+    errno.EFBIG: "Files of that size are not allowed here",
+}
+
+
+def check_free(folder: Path, *, begun: bool) -> None:
+    """Check that a card can be written without writing over somebody else's.
+
+    Args:
+        folder: Where a dataset is to be written.
+        begun: Whether some of it is there already.
+
+    Raises:
+        DatasetError: The folder holds something else.
+    """
+    if (folder / CARD).exists() and not begun and not (folder / MANIFEST).exists():
+        raise DatasetError(
+            f"{folder} has a {CARD}, but no dataset: it holds something else. Choose "
+            "a folder of its own for the dataset."
+        )
+
+
 def _explain(path: Path, error: OSError) -> str:
-    if error.errno == errno.ENOSPC:
+    if error.errno in _NO_ROOM:
         return (
-            f"The disk is full: {path} could not be written. Nothing that was written "
-            "before is lost. Free some space and run the same command again."
+            f"{_NO_ROOM[error.errno]}: {path} could not be written. Nothing that was "
+            "written before is lost. Free some space, or ask for more, and run the "
+            "same command again."
         )
     return (
         f"{path} cannot be written: {error.strerror or error}. Choose a folder that "
@@ -182,11 +209,11 @@ def open_table(path: Path) -> tuple[pq.ParquetFile, dict[str, str]]:
             "'lemma generate'."
         )
     about: dict[str, str] = json.loads(found)
-    if about["format"] != FORMAT_VERSION:
+    if about.get("format") != FORMAT_VERSION:
         raise DatasetError(
-            f"{path} has format {about['format']}, and this version of the package "
+            f"{path} has format {about.get('format')}, and this version of the package "
             f"reads format {FORMAT_VERSION}. Install the version that wrote it "
-            f"({about['lemma']}), or generate it again."
+            f"({about.get('lemma')}), or generate it again."
         )
     return file, about
 
@@ -211,8 +238,8 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
 def damaged(path: Path, error: Exception) -> str:
     """Return what to say about a file that cannot be read."""
     return (
-        f"{path} is damaged: {error}. It may have been cut short. Delete it and run "
-        "'lemma generate' again: it writes what is missing."
+        f"{path} is damaged: {str(error).rstrip('.')}. It may have been cut short. "
+        "Delete it and run 'lemma generate' again: it writes what is missing."
     )
 
 
@@ -244,10 +271,15 @@ def read_json(path: Path) -> dict[str, Any]:
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise DatasetError(
+            f"{path} is missing: nothing was written there, or not to the end. "
+            "'lemma generate' writes it; run it again to complete the recipe."
+        ) from error
     except (OSError, ValueError) as error:
         raise DatasetError(
-            f"{path} cannot be read: {error}. 'lemma generate' writes it; run it again "
-            "to complete the recipe."
+            f"{path} cannot be read: {error}. Fetch it again, or delete it and run the "
+            "command again that wrote it."
         ) from error
     if not isinstance(data, dict):
         raise DatasetError(f"{path} holds no JSON object. Delete it.")
@@ -266,7 +298,7 @@ def check_files(folder: Path, *, partial: bool = False) -> None:
             manifest.
     """
     manifest = read_json(folder / MANIFEST)
-    files = manifest.get("files", {})
+    files = listed_files(folder)
     written = "lemma generate" if "form" not in manifest else "lemma render"
     listed = {name for name in files if (folder / name).exists() or not partial}
     if "form" not in manifest:
@@ -279,12 +311,44 @@ def check_files(folder: Path, *, partial: bool = False) -> None:
                 f"{folder / name} {what}. Run '{written}' again: it completes the "
                 "folder and its manifest."
             )
-        if sha256_of(folder / name) != files[name]["sha256"]:
-            raise DatasetError(
-                f"{folder / name} has another checksum than {MANIFEST} says: it was "
-                f"changed or damaged. Fetch it again, or delete it and run '{written}' "
-                "again: it writes what is missing."
-            )
+        check_sum(folder / name, files[name], written)
+
+
+def listed_files(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return what the manifest of a dataset says of each file.
+
+    Raises:
+        DatasetError: It is missing or damaged.
+    """
+    files = read_json(folder / MANIFEST).get("files", {})
+    if not isinstance(files, dict) or not all(
+        isinstance(entry, dict) and isinstance(entry.get("sha256"), str)
+        for entry in files.values()
+    ):
+        raise DatasetError(
+            f"{folder / MANIFEST} is damaged: it does not say what the checksums are. "
+            "Fetch it again, or delete it and run the command again that wrote it."
+        )
+    return files
+
+
+def check_sum(path: Path, entry: dict[str, Any], written: str) -> None:
+    """Check that a file is the one that was written.
+
+    Args:
+        path: The file.
+        entry: What the manifest says of it.
+        written: The command that writes it.
+
+    Raises:
+        DatasetError: It is another one.
+    """
+    if sha256_of(path) != entry["sha256"]:
+        raise DatasetError(
+            f"{path} has another checksum than {MANIFEST} says: it was changed or "
+            f"damaged. Fetch it again, or delete it and run '{written}' again: it "
+            "writes what is missing."
+        )
 
 
 def sha256_of(path: Path) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
 from time import perf_counter
+from typing import Any
 
 import pyarrow as pa
 
@@ -20,8 +21,11 @@ from lemma.dataset.digests import content_digest, shorten
 from lemma.dataset.engines import Engine, peak_memory_mb
 from lemma.dataset.files import (
     MANIFEST,
+    check_free,
     check_same,
+    check_sum,
     clear_drafts,
+    listed_files,
     only_writer,
     open_table,
     read_json,
@@ -137,12 +141,13 @@ def generate(
         What it came to.
 
     Raises:
-        DatasetError: Something cannot be written, or what is there is of another
-            version, or somebody else is writing there, or the expert failed.
+        DatasetError: Something cannot be written, or what is there is damaged or of
+            another version, or somebody else is writing there, or the expert failed.
     """
     start = perf_counter()
     about = versions(BENCHMARK_VERSION)
     with only_writer(order.out):
+        known = _known(order.out)
         clear_drafts(order.out)
         note = order.out / _PARTS / _ABOUT
         if note.exists():
@@ -152,6 +157,7 @@ def generate(
             for split in order.splits
             for task in order.tasks
         ]
+        _check_sums(order.out, known, listed, about)
         missing = {(file.split, file.task): file.missing() for file in listed}
         made = sum(len(indices) for indices in missing.values())
         advance(order.total - made)
@@ -260,6 +266,51 @@ def _look(order: Order, split: str, task: str, about: dict[str, str]) -> _File:
             "folder, or delete this file."
         )
     return _File(task, split, path, parts, there, wanted)
+
+
+def _known(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return what the manifest says of files, if there is one.
+
+    Raises:
+        DatasetError: The folder holds something else than a recipe.
+    """
+    begun = (folder / _PARTS).exists() or any(folder.glob("*/*.parquet"))
+    check_free(folder, begun=begun)
+    if not (folder / MANIFEST).exists():
+        return {}
+    if form := read_json(folder / MANIFEST).get("form"):
+        raise DatasetError(
+            f"{folder} holds {form!r}, which was rendered from a recipe. Choose "
+            "another folder."
+        )
+    return listed_files(folder)
+
+
+def _check_sums(
+    folder: Path,
+    known: dict[str, dict[str, Any]],
+    listed: list[_File],
+    about: dict[str, str],
+) -> None:
+    """Check that files are what the manifest says, and forget those to be written.
+
+    A run that is killed after it wrote a file, and before the manifest, must not make
+    that file look damaged.
+
+    Raises:
+        DatasetError: One was changed since it was written.
+    """
+    for name in sorted(known):
+        if (folder / name).exists():
+            check_sum(folder / name, known[name], "lemma generate")
+    open_ended = {file.path for file in listed if file.there < file.wanted}
+    kept = {
+        name: entry
+        for name, entry in known.items()
+        if (folder / name).exists() and folder / name not in open_ended
+    }
+    if kept != known:
+        write_json(folder / MANIFEST, {"versions": about, "files": kept})
 
 
 def _put_together(file: _File, about: dict[str, str]) -> None:

@@ -167,6 +167,6 @@ class _Tensor:
 def damaged(path: Path, error: Exception) -> str:
     """Return what to say about a rendered file that cannot be read."""
     return (
-        f"{path} is damaged: {error}. It may have been cut short. Delete it and run "
-        "'lemma render' again: it makes what is missing."
+        f"{path} is damaged: {str(error).rstrip('.')}. It may have been cut short. "
+        "Delete it and run 'lemma render' again: it makes what is missing."
     )

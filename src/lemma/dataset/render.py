@@ -8,20 +8,22 @@ the same bytes, wherever it was interrupted; for images, on machines that draw a
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from multiprocessing import parent_process
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
 
 from lemma.core.errors import DatasetError, UnknownNameError
-from lemma.dataset.engines import Engine
+from lemma.dataset.engines import Engine, is_worker
 from lemma.dataset.files import (
+    CARD,
     MANIFEST,
+    check_files,
+    check_free,
     clear_drafts,
+    listed_files,
     only_writer,
     open_table,
-    read_json,
     sha256_of,
     versions,
     write_json,
@@ -32,8 +34,6 @@ from lemma.dataset.replay import check_versions
 from lemma.dataset.schema import EpisodeRecord
 from lemma.dataset.shards import changed, read_manifest
 from lemma.tasks.instance import BENCHMARK_VERSION
-
-CARD = "README.md"
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +187,7 @@ def render(
     groups = order.groups()
     for source in dict.fromkeys(source for source, *_ in groups):
         check_versions(open_table(source)[1])
+    check_files(order.recipe, partial=True)
     about = form.about(versions(BENCHMARK_VERSION))
     chunks = list(_chunks(order, form, groups))
     total = sum(len(chunk.digests) for chunk in chunks)
@@ -198,7 +199,8 @@ def render(
         missing = [chunk for chunk in chunks if not _is_there(chunk, there)]
         made = sum(len(chunk.digests) for chunk in missing)
         advance(total - made)
-        for episodes in engine.run(render_chunk, [(form, c, about) for c in missing]):
+        jobs = [(form, _at_home(chunk), about) for chunk in missing]
+        for episodes in engine.run(render_chunk, jobs):
             advance(episodes)
         for path in (path for chunk in missing for path in chunk.paths):
             sums.pop(path, None)
@@ -208,9 +210,15 @@ def render(
     return RenderSummary(total, rows, made, seconds, size / 1e6)
 
 
+def _at_home(chunk: _Chunk) -> _Chunk:
+    """Return a chunk whose paths hold wherever a worker is at home."""
+    paths = tuple(path.absolute() for path in chunk.paths)
+    return replace(chunk, source=chunk.source.absolute(), paths=paths)
+
+
 def render_chunk(form: Form, chunk: _Chunk, about: dict[str, Any]) -> int:
     """Make the files of one row group; return how many episodes that were."""
-    if parent_process() is not None:
+    if is_worker():
         # Mesa would start as many threads as there are cores, in each process.
         os.environ.setdefault("LP_NUM_THREADS", "0")
     records = read_group(chunk.source, chunk.group)
@@ -226,7 +234,7 @@ def _chunks(
     Raises:
         DatasetError: The recipe is not complete.
     """
-    files = read_json(order.recipe / MANIFEST)["files"]
+    files = listed_files(order.recipe)
     taken: dict[Path, int] = {}
     # Groups are numbered from the first of their file, whose rows come before.
     for source, group, rows in groups:
@@ -306,6 +314,8 @@ def _known_files(folder: Path, form: Form) -> dict[str, dict[str, Any]]:
     """
     if (folder / MANIFEST).exists():
         return read_manifest(folder, form.name)
+    begun = any(any(folder.glob(pattern)) for pattern in form.paths("*", "*"))
+    check_free(folder, begun=begun)
     return {}
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError, UnknownNameError
-from lemma.dataset.files import MANIFEST, read_json, sha256_of
+from lemma.dataset.files import MANIFEST, listed_files, read_json, sha256_of
 from lemma.dataset.keyframe_schema import FORM, PARTS, Header
 from lemma.dataset.keyframes import KeyframeFile
 
@@ -91,8 +91,7 @@ def read_manifest(folder: Path, form: str) -> dict[str, dict[str, Any]]:
             f"{folder} holds {manifest.get('form', 'recipe')!r}, not {form!r}. Choose "
             f"another folder, or make one with 'lemma render --form {form}'."
         )
-    files: dict[str, dict[str, Any]] = manifest["files"]
-    return files
+    return listed_files(folder)
 
 
 def verify(folder: Path, form: str = FORM) -> int:
@@ -131,10 +130,10 @@ def _check_size(path: Path, entry: dict[str, Any]) -> None:
         raise DatasetError(
             f"{path} is missing. Run 'lemma render' again: it makes what is missing."
         ) from error
-    if size != entry["bytes"]:
+    if size != entry.get("bytes"):
         raise DatasetError(
-            f"{path} has {size} bytes, but {MANIFEST} says {entry['bytes']}: it was "
-            "cut short or changed. Delete it and run 'lemma render' again."
+            f"{path} has {size} bytes, but {MANIFEST} says {entry.get('bytes')}: it "
+            "was cut short or changed. Delete it and run 'lemma render' again."
         )
 
 
