@@ -1,0 +1,387 @@
+"""ReachNet: sees entities and reach, then plans and grounds with both. Our own policy.
+
+An eye turns the map into a small table: where things are, and between which radii each
+robot reaches. A reader turns the sentence into the pairs that shall lie on each other.
+A planner scores all sub-tasks by who reaches what; a grounder hangs the poses on the
+entities. The last three see no pixels, and so they also learn from labels with noise.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import Pose2
+from lemma.dataset.keyframe_schema import Raster
+from lemma.policies.frames import (
+    NOBODY,
+    PLACES,
+    PRIMITIVES,
+    STOP,
+    Batch,
+    Labels,
+    batch_of,
+    decision_numbers,
+)
+from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.model import MODELS, Model
+from lemma.policies.reachnet_grounding import Grounding
+from lemma.policies.reachnet_language import GoalReader, goal_numbers, recoloured
+from lemma.policies.reachnet_perception import Eye, Marks, PerceptionConfig, reach_loss
+from lemma.policies.reachnet_planner import (
+    Planner,
+    PlannerConfig,
+    decision_of,
+    number_of,
+)
+from lemma.policies.reachnet_scores import score_decisions
+from lemma.policies.reachnet_table import (
+    THE_STICK,
+    Noise,
+    Table,
+    disturbed,
+    needed_entities,
+    true_table,
+    turned,
+    turned_numbers,
+)
+from lemma.policies.text import TextConfig
+from lemma.scene.entities import ENTITIES
+from lemma.tasks.subtask import STOP as STOP_SUBTASK
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+
+_ARMS = ("ur5", "ur10")
+_AT_ONCE = 32
+_REACH_POINTS = 128
+_EDGE_M = 0.05
+_LOUDEST = 25.0
+
+
+@dataclass(frozen=True)
+class ReachNetConfig:
+    """Options of ReachNet."""
+
+    reach: Literal["simulator", "demonstrations", "none"] = "simulator"
+    """Where reach is learned from: labels of the simulator, or who did what in the
+    demonstrations; or not at all."""
+    robots: int = 2
+    """Robots of a team."""
+    eye: PerceptionConfig = field(default_factory=PerceptionConfig)
+    """What sees."""
+    text: TextConfig = field(default_factory=lambda: TextConfig(width=128))
+    """What reads."""
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    """What decides."""
+    noise: Noise = field(default_factory=Noise)
+    """Of tables that are made from labels."""
+    draws: int = 2
+    """Tables that are made from the labels of each frame; half of them are turned."""
+    perceived: bool = True
+    """Whether the planner also learns from what the eye sees."""
+    recolour: bool = True
+    """Whether the reader also learns from sentences with other colours."""
+    cell_m: float = 0.008
+    """Side of a cell of the map [m]."""
+    floor_m: float = -0.1
+    """Lowest height of the map [m]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if self.draws < 1 or self.robots < 2:
+            raise InvalidConfigError(
+                f"draws={self.draws} and robots={self.robots}: one draw and two robots "
+                "are the least."
+            )
+
+    def raster(self, given: PolicyInput) -> Raster:
+        """Return where the cells of a view are."""
+        rows, columns = given.view.height_m.shape
+        return Raster(rows, columns, self.cell_m, self.floor_m)
+
+
+class ReachNet(Model):
+    """Plans and grounds from images, joints and a sentence."""
+
+    selection = "decision"
+
+    def __init__(self, config: ReachNetConfig | None = None) -> None:
+        """Make the weights.
+
+        Args:
+            config: Options; the defaults if None.
+        """
+        super().__init__()
+        self.config = config = config or ReachNetConfig()
+        known = config.reach != "none"
+        self.eye = Eye(config.eye, config.robots)
+        self.reader = GoalReader(config.text)
+        self.planner = Planner(config.planner, config.robots, known)
+        self.grounding = Grounding(known)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return self.eye.nowhere.device
+
+    def loss(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the terms of the loss."""
+        labels = batch.labels
+        assert labels is not None
+        marks, coarse = self.eye(batch)
+        goal = goal_numbers(labels.goals, self.device)
+        texts, goals = batch.instructions, goal
+        if self.config.recolour:
+            more, other = recoloured(texts, goals)
+            texts, goals = [*texts, *more], torch.cat([goals, other])
+        reading = self.reader.loss(texts, goals)
+        with torch.autocast(self.device.type, enabled=False):
+            bases = labels.bases[..., :2]
+            rings = self.eye.reach(coarse, batch, bases)
+            known = self._true_rings(labels)
+            truth = true_table(labels, rings if known is None else known)
+            seen = true_table(labels, rings)
+            terms = self.eye.losses(marks, truth, batch)
+            terms["reading"] = reading
+            terms |= self._reach_terms(seen, known, labels, batch)
+            terms |= self._table_terms(
+                truth, self._seen(marks, coarse, batch), goal, batch
+            )
+        return terms
+
+    def _seen(self, marks: Marks, coarse: Tensor, batch: Batch) -> Table | None:
+        """Return what the eye sees, for the planner to learn from."""
+        if not self.config.perceived:
+            return None
+        with torch.no_grad():
+            return self.eye.table(marks, coarse, batch)
+
+    def _true_rings(self, labels: Labels) -> Tensor | None:
+        """Return the true radii, where training may know them."""
+        if self.config.reach != "simulator":
+            return None
+        # The simulator is needed for this alone: policies that are only used run
+        # without it.
+        from lemma.robots.reach import reach_of  # noqa: PLC0415
+
+        found = [reach_of(name) for name in _ARMS]
+        radii = torch.tensor([[r.inner_m, r.travel_m] for r in found])
+        return radii.to(self.device)[labels.arms]
+
+    def _reach_terms(
+        self, seen: Table, known: Tensor | None, labels: Labels, batch: Batch
+    ) -> dict[str, Tensor]:
+        if self.config.reach == "none":
+            return {"reach": 0.0 * seen.rings.sum()}
+        if known is not None:
+            half = torch.tensor(
+                [batch.raster.columns, batch.raster.rows], device=self.device
+            ) * (batch.raster.cell_m / 2)
+            share = torch.rand(len(batch), _REACH_POINTS, 2, device=self.device) * 2 - 1
+            return {"reach": reach_loss(seen, known, seen.bases, share * half)}
+        return {"reach": _demonstrated_reach(seen, labels)}
+
+    def _table_terms(
+        self, truth: Table, seen: Table | None, goal: Tensor, batch: Batch
+    ) -> dict[str, Tensor]:
+        """Return the losses of planner and grounder."""
+        labels = batch.labels
+        assert labels is not None
+        decision, past, config = labels.decision, batch.past, self.config
+        needed = needed_entities(decision, goal)
+        draws = [disturbed(truth, config.noise, needed) for _ in range(config.draws)]
+        pasts, wanted = [past] * config.draws, [decision] * config.draws
+        for i in range(1, config.draws, 2):
+            draws[i] = turned(draws[i])
+            pasts[i] = turned_numbers(past, config.robots)
+            wanted[i] = turned_numbers(decision, config.robots)
+        counts = [torch.ones(len(batch), dtype=torch.bool, device=self.device)] * len(
+            draws
+        )
+        if seen is not None:
+            draws.append(seen)
+            pasts.append(past)
+            wanted.append(decision)
+            counts.append((seen.present | ~_named(decision)).all(1))
+        scores = self.planner(
+            Table.joined(draws),
+            goal.repeat(len(draws), 1, 1),
+            torch.cat(pasts),
+            self.grounding.drags,
+        )
+        number = number_of(torch.cat(wanted), config.robots)
+        wrong = F.cross_entropy(scores, number, reduction="none").clamp(max=_LOUDEST)
+        able = torch.cat(counts)
+        plan = torch.where(able, wrong, 0.0).sum() / able.sum().clamp(min=1)
+        grounding = self.grounding.losses(
+            draws[0], decision, labels.pick_pose, labels.place_pose
+        )
+        return {"plan": plan, **grounding}
+
+    def score(self, batch: Batch) -> dict[str, Tensor]:
+        """Return how good decisions are; ``decision`` is right in symbols and poses."""
+        labels = batch.labels
+        assert labels is not None
+        with self.deciding():
+            table, decision = self._decide(batch)
+            with torch.autocast(self.device.type, enabled=False):
+                poses = self.grounding(table, decision)
+                told = self.grounding(table, labels.decision)
+                goal = goal_numbers(labels.goals, self.device)
+                read = (self.reader.read(batch.instructions) == goal).flatten(1).all(1)
+                known = self._true_rings(labels)
+            truth = true_table(labels, table.rings if known is None else known)
+            return {
+                **score_decisions(decision, poses, told, labels),
+                "reading": read.float(),
+                **_score_eye(table, truth),
+            }
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        """Return the next sub-task of each episode."""
+        found = []
+        with self.deciding():
+            for batch in self._batches(inputs):
+                found += [_subtask(row) for row in self._decide(batch)[1].tolist()]
+        return found
+
+    def ground(
+        self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
+    ) -> list[GroundedSubTask | None]:
+        """Return each sub-task with poses; None where an entity is not seen."""
+        found: list[GroundedSubTask | None] = []
+        numbers = [_numbers(subtask, self.config.robots) for subtask in subtasks]
+        with self.deciding():
+            for batch in self._batches(inputs):
+                rows = numbers[len(found) : len(found) + len(batch)]
+                marks, coarse = self.eye(batch)
+                table = self.eye.table(marks, coarse, batch)
+                decision = torch.tensor(rows, device=self.device)
+                found += self._grounded(table, decision)
+        return found
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the next decision of each episode."""
+        found: list[Decision] = []
+        with self.deciding():
+            for batch in self._batches(inputs):
+                table, decision = self._decide(batch)
+                grounded = self._grounded(table, decision)
+                for row, poses in zip(decision.tolist(), grounded, strict=True):
+                    subtask = _subtask(row)
+                    done = poses or subtask.primitive is Primitive.STOP
+                    why = "" if done else f"What it needs is not seen: {subtask}."
+                    found.append(Decision(subtask, poses, why))
+        return found
+
+    @contextmanager
+    def deciding(self) -> Iterator[None]:
+        """Switch training off for a while."""
+        was = self.training
+        self.eval()
+        try:
+            with torch.inference_mode():
+                yield
+        finally:
+            self.train(was)
+
+    def _batches(self, inputs: Sequence[PolicyInput]) -> Iterator[Batch]:
+        for start in range(0, len(inputs), _AT_ONCE):
+            part = inputs[start : start + _AT_ONCE]
+            raster = self.config.raster(part[0])
+            yield batch_of(part, raster, device=self.device)
+
+    def _decide(self, batch: Batch) -> tuple[Table, Tensor]:
+        """Return what is seen, and the likeliest sub-tasks, (B, 4)."""
+        marks, coarse = self.eye(batch)
+        goal = self.reader.read(batch.instructions)
+        with torch.autocast(self.device.type, enabled=False):
+            table = self.eye.table(marks, coarse, batch)
+            scores = self.planner(table, goal, batch.past, self.grounding.drags)
+        return table, decision_of(scores.argmax(-1), self.config.robots)
+
+    def _grounded(self, table: Table, decision: Tensor) -> list[GroundedSubTask | None]:
+        pick, place = self.grounding(table, decision)
+        found: list[GroundedSubTask | None] = []
+        for row, start, end in zip(
+            decision.tolist(), pick.tolist(), place.tolist(), strict=True
+        ):
+            if row[1] == STOP or not all(map(math.isfinite, (*start, *end))):
+                found.append(None)
+                continue
+            subtask = _subtask(row)
+            found.append(
+                GroundedSubTask(
+                    subtask.robot, subtask.primitive, Pose2(*start), Pose2(*end)
+                )
+            )
+        return found
+
+
+def _demonstrated_reach(seen: Table, labels: Labels) -> Tensor:
+    """Return how unlikely it is, by reach alone, that these robots did it."""
+    robot = labels.decision[:, 0].clamp(min=0)
+    ends = torch.stack([labels.pick_pose[:, :2], labels.place_pose[:, :2]], 1)
+    logs = F.logsigmoid(seen.margins(ends.nan_to_num()) / 0.03).sum(-1)
+    rows = torch.arange(len(robot), device=robot.device)
+    likely = logs.log_softmax(1)[rows, robot] + logs[rows, robot]
+    acts = labels.decision[:, 0] != NOBODY
+    return torch.where(acts, -likely, 0.0).sum() / acts.sum().clamp(min=1)
+
+
+def _score_eye(table: Table, truth: Table) -> dict[str, Tensor]:
+    both = table.present & truth.present
+    off = (table.xy - truth.xy).norm(dim=-1)
+    millimetres = torch.where(both, off, torch.nan).nanmean(1)
+    x = torch.linspace(-1.2, 1.2, 25, device=off.device)
+    points = torch.cartesian_prod(x, 0.75 * x).expand(len(off), -1, -1)
+    true = truth.margins(points)
+    agree = ((table.margins(points) > 0) == (true > 0)).float()
+    clear = true.abs() > _EDGE_M
+    return {
+        "present": (table.present == truth.present).all(1).float(),
+        "near": torch.exp(-millimetres / 0.01),
+        "reach": (agree * clear).flatten(1).sum(1) / clear.flatten(1).sum(1),
+    }
+
+
+def _named(decision: Tensor) -> Tensor:
+    """Return which entities sub-tasks pick or put something on, (B, 11) bool."""
+    numbers = torch.arange(len(ENTITIES), device=decision.device)
+    return (decision[:, 2:, None] == numbers).any(1)
+
+
+def _subtask(row: Sequence[int]) -> SubTask:
+    robot, primitive, pick, place = row
+    if primitive == STOP:
+        return STOP_SUBTASK
+    return SubTask(
+        f"robot_{robot}", Primitive(PRIMITIVES[primitive]), PLACES[pick], PLACES[place]
+    )
+
+
+def _numbers(subtask: SubTask, robots: int) -> list[int]:
+    """Return a sub-task as numbers; those of ``stop`` if it makes no sense."""
+    nothing = [NOBODY, STOP, NOBODY, NOBODY]
+    try:
+        numbers = decision_numbers(subtask.to_dict())
+    except ValueError:
+        return nothing
+    robot, _, pick, place = numbers
+    cube = range(THE_STICK // 2)
+    if subtask.primitive is Primitive.MOVE:
+        onto = place in range(THE_STICK) and place != pick
+        fits = (pick in cube and (onto or place > THE_STICK)) or (
+            pick == THE_STICK and place > THE_STICK
+        )
+    else:
+        fits = pick == THE_STICK and place in cube
+    return numbers if fits and 0 <= robot < robots else nothing
+
+
+MODELS.add("reachnet", (ReachNet, ReachNetConfig))
