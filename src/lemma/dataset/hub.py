@@ -72,6 +72,30 @@ def pull(
         OSError: The folder cannot be written to.
     """
     _check_name(repository)
+    damaged = _fetch(repository, out, revision, splits)
+    for split in splits:
+        if not (out / split).is_dir():
+            raise DatasetError(
+                f"{repository} has no files of split {split!r}. Leave out the splits "
+                "to fetch all there is."
+            )
+    if damaged:
+        raise DatasetError(
+            f"{out / damaged[0]} arrived damaged twice: its checksum is not the one in "
+            f"{MANIFEST}. Run the same command again; if that does not help, what is "
+            f"in {repository} is damaged."
+        )
+    try:
+        check(out, partial=bool(splits))
+    except DatasetError as error:
+        raise DatasetError(f"What {repository} holds is not whole. {error}") from error
+    return out
+
+
+def _fetch(
+    repository: str, out: Path, revision: str | None, splits: Sequence[str]
+) -> list[str]:
+    """Download a dataset; return the files that arrived damaged, twice."""
     client = _client()
     patterns = ["*.json", "*.md", *(f"{split}/*" for split in splits)]
     with _explained(repository):
@@ -88,25 +112,10 @@ def pull(
         )
         fetch(allow_patterns=patterns if splits else None)
         # The client compares sizes only, and takes for good what it has fetched once.
-        if damaged := _damaged(out):
-            fetch(allow_patterns=damaged, force_download=True)
-    for split in splits:
-        if not (out / split).is_dir():
-            raise DatasetError(
-                f"{repository} has no files of split {split!r}. Leave out the splits "
-                "to fetch all there is."
-            )
-    if damaged := _damaged(out):
-        raise DatasetError(
-            f"{out / damaged[0]} arrived damaged twice: its checksum is not the one in "
-            f"{MANIFEST}. Run the same command again; if that does not help, what is "
-            f"in {repository} is damaged."
-        )
-    try:
-        check(out, partial=bool(splits))
-    except DatasetError as error:
-        raise DatasetError(f"What {repository} holds is not whole. {error}") from error
-    return out
+        if not (damaged := _damaged(out)):
+            return []
+        fetch(allow_patterns=damaged, force_download=True)
+    return _damaged(out)
 
 
 def _damaged(folder: Path) -> list[str]:
