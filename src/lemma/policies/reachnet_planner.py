@@ -158,11 +158,11 @@ class Planner(nn.Module):
         count = len(tokens)
         cubes, robots = tokens[:, :_C], tokens[:, _E : _E + self.robots]
         shared, whole = tokens[:, -2:-1], tokens[:, -1]
-        places = torch.cat([tokens[:, :THE_STICK], shared], 1)
+        onto = torch.cat([tokens[:, :THE_STICK], shared], 1)
         pair = F.pad(near[:, :_C, :THE_STICK, :PAIR], (0, 0, 0, 1))
         hidden = (
             self.move_pick(cubes)[:, :, None, None]
-            + (self.move_place(places)[:, None] + self.pair(pair))[:, :, :, None]
+            + (self.move_place(onto)[:, None] + self.pair(pair))[:, :, :, None]
             + self.move_robot(robots)[:, None, None]
         )
         moves = self.move_out(hidden).squeeze(-1)
@@ -186,8 +186,8 @@ class Planner(nn.Module):
         """Add what is the same for every model: nobody moves what is not there."""
         there = torch.where(table.present, 0.0, _ABSENT)
         lay = there[:, THE_STICK, None]
-        places = F.pad(there[:, :THE_STICK], (0, 1))
-        moves = moves + there[:, :_C, None, None] + places[:, None, :, None]
+        onto = F.pad(there[:, :THE_STICK], (0, 1))
+        moves = moves + there[:, :_C, None, None] + onto[:, None, :, None]
         same = torch.eye(_C, THE_STICK + 1, device=moves.device) * _ABSENT
         moves = moves + same[:, :, None]
         tools = tools + there[:, None, :_C, None] + lay[:, None, None]
