@@ -25,6 +25,7 @@ from lemma.policies.reachnet_features import (
     kinds,
     last,
     nearness,
+    places,
     reach_features,
     recent,
     robot_features,
