@@ -39,6 +39,16 @@ Benchmark {benchmark}, package {lemma}, MuJoCo {mujoco}, NumPy {numpy}, revision
 {revision}.
 `manifest.json` holds the checksum of every file.
 
+```python
+import lemma
+
+recipe = lemma.load("lemma-v1")  # the folder; 'lemma pull' fetches it
+record = recipe.find("hook", "test", 7)
+print(record.high_level, [row.instruction for row in record.subtasks])
+```
+
+Reading needs neither MuJoCo nor torch, and any library that reads Parquet will do.
+
 The `human` and `unseen` sentences were written by the authors of the package, none is
 crowd-sourced. Do not train on `unseen`.
 
