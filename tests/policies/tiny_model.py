@@ -81,3 +81,14 @@ def register() -> None:
     if NAME not in MODELS:
         MODELS.add(NAME, (Tiny, TinyConfig))
         MODELS.add(f"{NAME}-episodes", (TinyEpisodes, TinyEpisodesConfig))
+
+
+if __name__ == "__main__":
+    # Tests start it like `python -m lemma.policies.train`, to kill it.
+    import tyro
+
+    from lemma.policies.train import main
+
+    torch.set_num_threads(1)
+    register()
+    tyro.cli(main)
