@@ -1,0 +1,444 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tiny_model
+import torch
+from painted_keyframes import write_painted
+from safetensors.torch import load_file
+from tiny_model import NAME, Tiny, TinyConfig
+
+from lemma.cli.main import main
+from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.dataset.files import MANIFEST
+from lemma.policies import train as loop
+from lemma.policies.checkpoints import WeightsError
+from lemma.policies.feed import Feed, Order
+from lemma.policies.frames import Frames
+from lemma.policies.processes import Processes
+from lemma.policies.run import training_units
+from lemma.policies.train import Report, TrainingError, train
+from lemma.policies.trainer import Trainer, learning_rate
+from lemma.policies.training import Augmentation, TrainingConfig, model_options
+
+HERE = Path(__file__).parent
+ALONE = Processes(0, 1, torch.device("cpu"))
+
+tiny_model.register()
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("painted")
+    return write_painted(folder, {"train": 10, "val": 4})
+
+
+def config(data: Path, out: Path, **options: Any) -> TrainingConfig:
+    given: dict[str, Any] = {
+        "model": NAME,
+        "steps": 24,
+        "batch_size": 4,
+        "val_every": 8,
+        "warmup_steps": 4,
+        "learning_rate": 1e-2,
+        **options,
+    }
+    return TrainingConfig(data=data, out=out, **given)
+
+
+def weights(out: Path) -> dict[str, torch.Tensor]:
+    return load_file(out / "weights.safetensors")
+
+
+def state(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = torch.load(out / "checkpoint.pt", weights_only=True)
+    return found
+
+
+def assert_same_run(first: Path, second: Path) -> None:
+    """Check that two runs came to the same weights, and judged them the same."""
+    for name, value in weights(first).items():
+        assert torch.equal(value, weights(second)[name]), name
+    one, other = state(first), state(second)
+    for part in ("model", "average"):
+        for name, value in one["trainer"][part].items():
+            assert torch.equal(value, other["trainer"][part][name]), (part, name)
+    for moments, others in zip(
+        one["trainer"]["optimizer"]["state"].values(),
+        other["trainer"]["optimizer"]["state"].values(),
+        strict=True,
+    ):
+        for name, value in moments.items():
+            assert torch.equal(value, others[name]), name
+    for name in ("history", "scores", "best_step", "samples"):
+        assert one["so_far"][name] == other["so_far"][name]
+
+
+def test_a_run_writes_what_it_did(data: Path, tmp_path: Path) -> None:
+    report = train(config(data, tmp_path), command="lemma train tiny")
+    assert report.status == "finished"
+    assert report.steps == 24
+    assert report.samples == 96
+    assert report.samples_per_s > 0
+    assert report.parameters == sum(v.numel() for v in Tiny(TinyConfig()).parameters())
+    assert [entry["step"] for entry in report.history] == [8, 16, 24]
+    assert set(report.scores_by_kind) == {"high_level", "human"}
+    best = max(report.history, key=lambda entry: entry["primitive"])
+    assert report.best_step == best["step"]
+    assert report.scores["primitive"] == best["primitive"]
+    assert json.loads((tmp_path / "report.json").read_text()) == asdict(report)
+    written = json.loads((tmp_path / "config.json").read_text())
+    assert written["model_options"] == {"width": 8, "dropout": 0.1}
+    assert (
+        TrainingConfig.from_dict(written["training"])
+        == config(data, tmp_path).resolved()
+    )
+    assert list((tmp_path / "tensorboard").glob("events.*"))
+
+
+def test_training_lowers_the_loss(data: Path, tmp_path: Path) -> None:
+    options = {"steps": 150, "val_every": 150, "episodes": 1, "ema": 0.5}
+    calm = Augmentation.none()
+    run = config(data, tmp_path, **options, augmentation=calm, train_split="val",
+                 options=("dropout=0.0", "width=32"))  # fmt: skip
+    report = train(run)
+    assert report.passes == 200
+    # One of four episodes is known by heart.
+    assert report.scores["primitive"] > 0.6
+
+
+def test_the_seed_decides(data: Path, tmp_path: Path) -> None:
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train(config(data, tmp_path / name, seed=seed, steps=8))
+    assert_same_run(tmp_path / "a", tmp_path / "b")
+    assert not torch.equal(
+        weights(tmp_path / "a")["first.weight"], weights(tmp_path / "c")["first.weight"]
+    )
+
+
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train(config(data, tmp_path / "whole"))
+    run = config(data, tmp_path / "parts", checkpoint_every_s=1e-9)
+    one_step = Trainer.train
+
+    def stop_at_eleven(trainer: Trainer, *args: Any) -> Any:
+        if trainer.step == 11:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return one_step(trainer, *args)
+
+    monkeypatch.setattr(Trainer, "train", stop_at_eleven)
+    report = train(run)
+    assert report.status == "interrupted"
+    assert report.steps == 12
+    monkeypatch.setattr(Trainer, "train", one_step)
+    assert train(run).status == "finished"
+    assert_same_run(tmp_path / "whole", tmp_path / "parts")
+
+
+@pytest.mark.slow
+def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(
+    data: Path, tmp_path: Path
+) -> None:
+    words = ("--steps", "60", "--val-every", "20")
+    finish(start(data, tmp_path / "whole", *words))
+    out = tmp_path / "parts"
+    rng = np.random.default_rng()
+    for _ in range(2):
+        process = start(data, out, *words)
+        begun = time.monotonic()
+        while not (out / "checkpoint.pt").exists() and process.poll() is None:
+            assert time.monotonic() - begun < 60
+            time.sleep(0.02)
+        time.sleep(float(rng.uniform(0.0, 0.2)))
+        process.kill()
+        process.communicate()
+    finish(start(data, out, *words))
+    assert_same_run(tmp_path / "whole", out)
+
+
+def finish(process: subprocess.Popen[str]) -> None:
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+
+
+def start(
+    data: Path, out: Path, *words: str, processes: int = 1
+) -> subprocess.Popen[str]:
+    """Start a run in a process of its own, or in several that torchrun starts."""
+    launch = [sys.executable]
+    if processes > 1:
+        launch += ["-m", "torch.distributed.run", "--nproc-per-node", str(processes)]
+        launch += ["--master-port", "0", "--rdzv-backend", "c10d"]
+        launch += ["--rdzv-endpoint", "localhost:0"]
+    command = [
+        *launch,
+        str(HERE / "tiny_model.py"),
+        *(NAME, "--data", str(data), "--out", str(out)),
+        *("--batch-size", "4", "--warmup-steps", "4", "--learning-rate", "1e-2"),
+        *("--checkpoint-every-s", "1e-9"),
+        *words,
+    ]
+    source = str(Path(loop.__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": source, "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        command, env=environment, stderr=subprocess.PIPE, text=True, cwd=out.parent
+    )
+
+
+@pytest.mark.slow
+def test_two_processes_do_what_one_does_with_twice_the_batch(
+    data: Path, tmp_path: Path
+) -> None:
+    # What is drawn at random belongs to a process, so nothing is.
+    calm = Augmentation.none()
+    options = ("dropout=0.0",)
+    train(config(data, tmp_path / "one", batch_size=8, steps=10, val_every=5,
+                 augmentation=calm, options=options))  # fmt: skip
+    off = [f"--augmentation.no-{name}" for name in ("palette", "templates", "turn")]
+    for name in ("brightness", "pixel-noise", "height-noise-m"):
+        off += [f"--augmentation.{name}", "0"]
+    off += ["--augmentation.translate-cells", "0", "--augmentation.dropouts", "0"]
+    words = ("--options", *options, "--steps", "10", "--val-every", "5", *off)
+    finish(start(data, tmp_path / "two", *words, processes=2))
+    one, two = state(tmp_path / "one")["trainer"], state(tmp_path / "two")["trainer"]
+    for name, value in one["model"].items():
+        if value.is_floating_point():
+            assert torch.allclose(value, two["model"][name], atol=1e-5), name
+    first, second = (
+        json.loads((tmp_path / name / "report.json").read_text())
+        for name in ("one", "two")
+    )
+    assert first["samples"] == second["samples"] == 80
+    for name, score in first["scores"].items():
+        assert score == pytest.approx(second["scores"][name], abs=1e-4)
+
+
+def test_every_unit_is_drawn_once_in_each_pass() -> None:
+    orders = [Order(14, 4, 3, rank, 2) for rank in (0, 1)]
+    drawn = [unit for step in range(7) for o in orders for unit in o.step(step)]
+    for start in range(0, 56, 14):
+        assert sorted(drawn[start : start + 14]) == list(range(14))
+    assert drawn[:14] != drawn[14:28]
+    assert drawn[:8] == Order(14, 8, 3).step(0)
+    assert Order(14, 8, 4).step(0) != drawn[:8]
+    # A step is a function of its number, in whatever order steps are asked for.
+    assert [Order(14, 8, 3).step(n) for n in (6, 0)] == [drawn[48:56], drawn[:8]]
+
+
+def test_batches_are_the_same_ahead_and_at_once(data: Path, tmp_path: Path) -> None:
+    frames, options = Frames.load(data), config(data, tmp_path).resolved()
+    units = training_units(Tiny(TinyConfig()), frames, options)
+    feed = Feed(frames, units, Order(len(units), 4, 0), options, ALONE.device)
+    with feed.ahead(5, 9) as batches:
+        ahead = list(batches)
+    assert len(ahead) == 4
+    for step, batch in zip(range(5, 9), ahead, strict=True):
+        again = feed.make(step)
+        assert torch.equal(batch.rgb, again.rgb)
+        assert batch.instructions == again.instructions
+
+
+def test_what_goes_wrong_in_the_feed_is_raised_in_the_loop(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(feed: Feed, step: int) -> None:
+        raise RuntimeError(f"no batch {step}")
+
+    monkeypatch.setattr(Feed, "make", fail)
+    with pytest.raises(RuntimeError, match="no batch 0"):
+        train(config(data, tmp_path))
+
+
+def test_whole_episodes_are_drawn_for_models_that_want_them(
+    data: Path, tmp_path: Path
+) -> None:
+    model = tiny_model.TinyEpisodes(tiny_model.TinyEpisodesConfig())
+    frames = Frames.load(data)
+    units = training_units(model, frames, config(data, tmp_path, episodes=4))
+    assert len(units) == 4
+    assert all(len(unit) == 3 for unit in units)
+    report = train(config(data, tmp_path, model=f"{NAME}-episodes", steps=4))
+    assert report.samples == 4 * 4 * 3
+
+
+def test_the_learning_rate_rises_and_falls(data: Path, tmp_path: Path) -> None:
+    run = config(data, tmp_path, warmup_steps=10, learning_rate=1.0)
+    rates = [learning_rate(run, step, step / 100) for step in range(101)]
+    assert rates[0] == pytest.approx(0.1)
+    assert max(rates) == rates[9] > 0.9
+    assert rates[50] == pytest.approx(0.5)
+    assert rates[100] == pytest.approx(0.0)
+
+
+def test_time_is_up(data: Path, tmp_path: Path) -> None:
+    run = config(data, tmp_path, steps=100_000, val_every=100_000, time_limit_s=1.0)
+    report = train(run)
+    assert report.status == "time is up"
+    assert 0 < report.steps < 100_000
+    assert report.best_step == report.steps
+    assert (tmp_path / "weights.safetensors").exists()
+    assert train(run).steps == report.steps
+
+
+def test_weights_can_be_what_another_run_begins_with(
+    data: Path, tmp_path: Path
+) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    train(config(data, first, options=("width=16",)))
+    run = config(data, second, start=str(first), steps=1, learning_rate=1e-9)
+    train(run)
+    for name, value in weights(first).items():
+        if value.is_floating_point():
+            assert torch.allclose(value, weights(second)[name], atol=1e-3), name
+    with pytest.raises(InvalidConfigError, match="Leave out --options"):
+        train(replace(run, out=tmp_path / "third", options=("width=16",)))
+    with pytest.raises(InvalidConfigError, match=f"not {NAME}-episodes"):
+        train(replace(run, out=tmp_path / "fourth", model=f"{NAME}-episodes"))
+
+
+def test_another_run_in_the_folder_is_not_overwritten(
+    data: Path, tmp_path: Path
+) -> None:
+    train(config(data, tmp_path, steps=2))
+    kept = (tmp_path / "weights.safetensors").read_bytes()
+    with pytest.raises(InvalidConfigError, match=r"seed was 0 and is 1.*--restart"):
+        train(config(data, tmp_path, steps=2, seed=1))
+    with pytest.raises(InvalidConfigError, match="width was 8 and is 9"):
+        train(config(data, tmp_path, steps=2, options=("width=9",)))
+    assert (tmp_path / "weights.safetensors").read_bytes() == kept
+    report: Report = train(config(data, tmp_path, steps=2, seed=1), restart=True)
+    assert report.steps == 2
+    assert (tmp_path / "weights.safetensors").read_bytes() != kept
+
+
+def test_options_of_the_model_are_checked(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'width'"):
+        train(config(data, tmp_path, options=("widht=3",)))
+    with pytest.raises(InvalidConfigError, match="NAME=VALUE"):
+        train(config(data, tmp_path, options=("width",)))
+    with pytest.raises(InvalidConfigError, match="'wide' is no int"):
+        train(config(data, tmp_path, options=("width=wide",)))
+    with pytest.raises(UnknownNameError, match="Unknown model 'tinny'"):
+        train(config(data, tmp_path, model="tinny"))
+    assert model_options(TinyConfig, ("width=4", "dropout=0.5")) == {
+        "width": 4,
+        "dropout": 0.5,
+    }
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"steps": 0}, "1 or more"),
+        ({"learning_rate": 0.0}, "positive"),
+        ({"samples": 5}, "twice"),
+        ({"ema": 1.0}, "0.999"),
+        ({"kinds": ("unseen",)}, "Choose some of"),
+        ({"episodes": 99}, "has 10"),
+        ({"device": "cuda"}, "No GPU"),
+    ],
+)
+def test_impossible_options_are_refused_with_a_remedy(
+    data: Path, tmp_path: Path, options: dict[str, Any], words: str
+) -> None:
+    if options.get("device") == "cuda" and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(InvalidConfigError, match=words):
+        train(config(data, tmp_path, **options))
+
+
+def test_missing_or_foreign_data_are_refused_with_a_remedy(
+    data: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(DatasetError, match="lemma render RECIPE"):
+        train(config(tmp_path / "nothing", tmp_path / "out"))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DatasetError, match="nothing was rendered there"):
+        train(config(tmp_path / "empty", tmp_path / "out"))
+    old = write_painted(tmp_path / "old", {"train": 1, "val": 1})
+    text = (old / MANIFEST).read_text().replace('"benchmark": "v1"', '"benchmark": "0"')
+    (old / MANIFEST).write_text(text)
+    with pytest.raises(DatasetError, match="version 0 of the benchmark"):
+        train(config(old, tmp_path / "out"))
+
+
+def test_other_data_cannot_continue_a_run(data: Path, tmp_path: Path) -> None:
+    train(config(data, tmp_path / "out", steps=2))
+    other = write_painted(tmp_path / "other", {"train": 9, "val": 4})
+    with pytest.raises(InvalidConfigError, match="digest was"):
+        train(config(other, tmp_path / "out", steps=2))
+
+
+def test_a_damaged_checkpoint_is_refused_with_a_remedy(
+    data: Path, tmp_path: Path
+) -> None:
+    train(config(data, tmp_path, steps=2))
+    path = tmp_path / "checkpoint.pt"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(WeightsError, match="--restart"):
+        train(config(data, tmp_path, steps=2))
+
+
+def test_a_loss_that_is_infinite_ends_the_run(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = Tiny.loss
+
+    def explode(model: Tiny, batch: Any) -> dict[str, torch.Tensor]:
+        terms = plain(model, batch)
+        return {name: term * torch.inf for name, term in terms.items()}
+
+    monkeypatch.setattr(Tiny, "loss", explode)
+    with pytest.raises(TrainingError, match="lower --learning-rate"):
+        train(config(data, tmp_path, steps=3))
+    assert not (tmp_path / "checkpoint.pt").exists()
+
+
+def test_too_little_gpu_memory_names_a_smaller_batch(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run_out(model: Tiny, batch: Any) -> None:
+        raise torch.cuda.OutOfMemoryError("CUDA out of memory.")
+
+    monkeypatch.setattr(Tiny, "loss", run_out)
+    with pytest.raises(TrainingError, match="Try --batch-size 2"):
+        train(config(data, tmp_path))
+
+
+def run_command(*words: object) -> int | str | None:
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    return end.value.code
+
+
+def test_the_command_trains_and_reports(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("train", NAME, "--data", data, "--out", tmp_path, "--steps", 3)
+    assert run_command(*words, "--batch-size", 2, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["steps"] == 3
+    assert run_command(*words, "--batch-size", 2) == 0
+    assert "weights.safetensors" in capsys.readouterr().out
+    assert run_command(*words, "--batch-size", 3) == 2
+    assert "batch_size was 2 and is 3" in capsys.readouterr().err
+
+
+def test_the_command_says_what_is_missing_without_torch(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "lemma.policies.train")
+    assert run_command("train", NAME, "--data", data, "--out", tmp_path) == 2
+    assert "lemma-bench[learn]" in capsys.readouterr().err
