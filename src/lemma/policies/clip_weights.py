@@ -7,6 +7,7 @@ was trained: no gradients, statistics of normalisation frozen.
 """
 
 import re
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -49,7 +50,7 @@ class _Bottleneck(nn.Module):
         y = F.relu(self.bn1(self.conv1(x)))
         y = F.relu(self.bn2(self.conv2(y)))
         if self.halves:
-            y, x = F.avg_pool2d(y, 2), F.avg_pool2d(x, 2)
+            y, x = (F.avg_pool2d(value, 2, ceil_mode=True) for value in (y, x))
         if self.downsample is not None:
             x = self.downsample["1"](self.downsample["0"](x))
         return F.relu(self.bn3(self.conv3(y)) + x)
@@ -163,7 +164,7 @@ def _read(path: Path) -> Mapping[str, Tensor]:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as plain:
         try:
-            found = torch.jit.load(str(path), map_location="cpu")  # type: ignore[no-untyped-call]
+            found = _read_archive(path)
         except Exception:
             raise InvalidConfigError(
                 f"{path} holds no tensors that torch can read: {plain}. Give RN50.pt "
@@ -178,6 +179,14 @@ def _read(path: Path) -> Mapping[str, Tensor]:
     raise InvalidConfigError(
         f"{path} holds {type(found).__name__}, no tensors by name."
     )
+
+
+def _read_archive(path: Path) -> nn.Module:
+    with warnings.catch_warnings():
+        # TorchScript is deprecated, and the form in which the weights are published.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        found: nn.Module = torch.jit.load(str(path), map_location="cpu")  # type: ignore[no-untyped-call]
+    return found
 
 
 def _visual(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -48,9 +48,9 @@ AT_ONCE = 16
 class CLIPortConfig:
     """Options of :class:`CLIPort`."""
 
-    widths: Sequence[int] = (40, 80, 160, 224)
+    widths: tuple[int, ...] = (40, 80, 160, 224)
     """Channels at a quarter to a 32nd of the map's resolution."""
-    query_widths: Sequence[int] = (32, 64, 96, 128)
+    query_widths: tuple[int, ...] = (32, 64, 96, 128)
     """The same of the network that sees what lies around the pick."""
     bins: int = 12
     """Of yaw; each is refined by a residual."""
@@ -91,8 +91,8 @@ class CLIPortConfig:
     def heads(self, extra_channels: int = 0) -> HeadsConfig:
         """Return the sizes of the two heads."""
         return HeadsConfig(
-            widths=tuple(self.widths),
-            query_widths=tuple(self.query_widths),
+            widths=self.widths,
+            query_widths=self.query_widths,
             sentence_width=self.text_width,
             bins=self.bins,
             kernel_channels=self.kernel_channels,
