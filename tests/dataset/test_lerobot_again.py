@@ -128,8 +128,8 @@ def test_export_takes_names_of_tasks_and_splits(tmp_path: Path) -> None:
     orders: list[LeRobotOrder] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lerobot, "write_dataset", lambda o, engine: orders.append(o))
-        export(recipe_folder(), tmp_path / "set", 5, TASKS[:1], (SPLIT,), workers=2)
-    assert orders[0].style == Style(fps=5)
+        export(recipe_folder(), tmp_path / "set", 5, TASKS[:1], (SPLIT,), 2, False)
+    assert orders[0].style == Style(fps=5, depth=False)
     assert [source.path.stem for source in orders[0].sources()] == [TASKS[0]] * 2
 
 

@@ -106,6 +106,7 @@ def export(
     tasks: Sequence[str] = (),
     splits: Sequence[str] = (),
     workers: int = 1,
+    depth: bool = True,
 ) -> None:
     """Export a recipe as a LeRobotDataset.
 
@@ -116,6 +117,7 @@ def export(
         tasks: Names of tasks; all if empty.
         splits: Names of splits; all if empty.
         workers: Number of processes.
+        depth: Whether depth is filmed too; see :class:`Style`.
 
     Raises:
         DatasetError: The recipe cannot be read here, or something cannot be written.
@@ -127,7 +129,9 @@ def export(
         recipe=recipe_folder, out=out, tasks=tuple(tasks), splits=tuple(splits)
     )
     engine: Engine = Serial() if workers == 1 else Processes(workers)
-    write_dataset(LeRobotOrder(source=source, style=Style(fps=fps)), engine)
+    write_dataset(
+        LeRobotOrder(source=source, style=Style(fps=fps, depth=depth)), engine
+    )
 
 
 def write_dataset(
