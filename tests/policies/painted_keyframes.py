@@ -100,6 +100,7 @@ def episode(split: str, index: int, raster: Raster) -> list[Row]:
         poses[cube] = (*places[number][:2], z, places[number][2])
         poses["stick"] = (-0.1, -0.45, 0.015, 0.0)
         rgb, height = paint(poses, team, raster)
+        seen: NDArray[np.bool_] = np.any(rgb, -1)
         phrases = robot_phrases(team)
         words = (
             sub_instruction(phrases[int(robot[-1])], primitive, pick, place)
@@ -138,15 +139,13 @@ def episode(split: str, index: int, raster: Raster) -> list[Row]:
                     {"robots": [["ur5", colour] for colour in team]}
                 ),
                 "map_rgb": rgb,
-                "map_height": raster.encode_height(
-                    height, np.any(rgb, -1, keepdims=False)
-                ),
+                "map_height": raster.encode_height(height, seen),
             }
         )
     return rows
 
 
-def _rows_of(poses: dict[str, tuple[float, ...]]) -> NDArray[np.float64]:
+def _rows_of(poses: Mapping[str, tuple[float, ...]]) -> NDArray[np.float64]:
     objects = np.full((len(ENTITIES), 7), np.nan)
     for name, (x, y, z, yaw) in poses.items():
         half = yaw / 2

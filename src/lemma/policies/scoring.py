@@ -15,7 +15,7 @@ from lemma.policies.sentences import with_instructions, with_language
 from lemma.policies.training import TrainingConfig
 
 Scores = dict[str, float]
-"""Mean scores by name; NaN where no frame counts."""
+"""Mean scores by name, without those for which no frame counts."""
 
 
 def validate(
@@ -55,7 +55,8 @@ def validate(
             "Use fewer processes, or a smaller --batch-size."
         )
     totals = {name: team.total(sums[name]) for name in sorted(sums)}
-    return {name: float(total / count) for name, (total, count) in totals.items()}
+    means = {name: total.tolist() for name, total in totals.items()}
+    return {name: sum_ / count for name, (sum_, count) in means.items() if count}
 
 
 def units_of(model: Model, frames: Frames) -> list[Sequence[int]]:
