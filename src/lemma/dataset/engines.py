@@ -7,6 +7,7 @@ need only say which jobs are done.
 import os
 import resource
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -24,6 +25,7 @@ Job = tuple[Any, ...]
 
 _MOST_BREAKS = 5
 _AHEAD = 2
+_PATIENCE_S = 10.0
 _WORKER = "LEMMA_WORKER"
 """Environment variable that is set in worker processes."""
 
@@ -198,8 +200,9 @@ class Ray:
         self._ray = ray
         try:
             if not ray.is_initialized():
+                _knock(address)
                 ray.init(address=address, log_to_driver=False, logging_level="warning")
-        except (ConnectionError, ValueError) as error:
+        except (OSError, ValueError, ray.exceptions.RayError) as error:
             raise DatasetError(
                 f"There is no Ray cluster at {address!r}: {str(error).rstrip('.')}. "
                 "Start one with 'ray start --head', or use --engine processes."
@@ -240,6 +243,19 @@ class Ray:
                     "cluster ('ray status') and run the same command again."
                 ) from error
             yield from results
+
+
+def _knock(address: str) -> None:
+    """Check that somebody listens at an address; Ray alone would try for minutes.
+
+    Raises:
+        OSError: Nobody does.
+    """
+    if address == "auto":
+        address = os.environ.get("RAY_ADDRESS", address)
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if host and port.isdecimal():
+        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE_S).close()
 
 
 def _first_line(error: Exception) -> str:
