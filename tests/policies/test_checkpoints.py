@@ -150,7 +150,7 @@ def test_shipped_weights_are_found_by_name_and_checked(tmp_path: Path) -> None:
     assert entry["scores"] == ABOUT.scores
     assert len(entry["sha256"]) == 64
     with pytest.raises(UnknownNameError, match="Did you mean 'small'"):
-        find_weights("smal", shelf)
+        find_weights("snall", shelf)
     path.write_bytes(path.read_bytes() + b"\0")
     with pytest.raises(WeightsError, match="checksum differs"):
         find_weights("small", shelf)

@@ -55,7 +55,7 @@ def test_another_run_in_the_folder_is_not_overwritten(
 
 def test_options_of_the_model_are_checked(data: Path, tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="Did you mean 'width'"):
-        train(config(data, tmp_path, options=("widht=3",)))
+        train(config(data, tmp_path, options=("widthh=3",)))
     with pytest.raises(InvalidConfigError, match="NAME=VALUE"):
         train(config(data, tmp_path, options=("width",)))
     with pytest.raises(InvalidConfigError, match="'wide' is no int"):

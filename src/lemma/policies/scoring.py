@@ -46,8 +46,8 @@ def validate(
         with torch.inference_mode(), autocast(config, team.device):
             scores = model.score(batch)
         for name, values in scores.items():
-            counted = ~torch.isnan(values)
-            both = torch.stack([values[counted].double().sum(), counted.sum().double()])
+            exact = values.double()
+            both = torch.stack([exact.nansum(), (~exact.isnan()).sum().double()])
             sums[name] = sums[name] + both if name in sums else both
     if team.count > len(starts):
         raise InvalidConfigError(

@@ -12,7 +12,7 @@ from lemma.dataset.files import read_json, sha256_of, write_json
 from lemma.policies.checkpoints import WeightsError, load_weights, read_about
 from lemma.policies.model import Model
 
-SHIPPED = Path(__file__).with_name("weights")
+SHIPPED = Path(__file__).with_name("trained")
 """Where weights that ship lie: in the package, so that a checkout, an editable
 installation and a wheel find them at the same place."""
 LIST = "weights.json"
