@@ -2,17 +2,20 @@
 
     python scripts/measure_dataset.py [--recipe DIR] [--episodes 10] [--seconds 5]
 
-Without --recipe, a small one is generated first: so many episodes of every task.
-Rendering is measured in one process. Reading is measured in batches of 32 shuffled
-samples: in two processes that fill shared memory, in the two threads of the package's
-own loader, and per second of processor time with samples stacked one by one. Files are
-read before they are measured, so that they come from the cache of the disk.
+Without --recipe, one is generated for each number of workers up to the cores: so many
+episodes of every task. Rendering is measured in one process. Reading is measured in
+batches of 32 shuffled samples: in two processes that fill shared memory, in the two
+threads of the package's own loader, by torch's DataLoader where torch is installed, and
+per second of processor time with samples stacked one by one. Files are read before they
+are measured, so that they come from the cache of the disk.
 """
 
 import argparse
 import json
 import multiprocessing as mp
 import tempfile
+from importlib import import_module
+from importlib.util import find_spec
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from time import perf_counter, process_time
@@ -21,10 +24,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.cli.machine import describe_machine
+from lemma.cli.machine import describe_machine, usable_cores
 from lemma.dataset.capture import KeyframeForm
 from lemma.dataset.dense_form import DenseForm
-from lemma.dataset.engines import Serial, peak_memory_mb
+from lemma.dataset.engines import Processes, Serial, peak_memory_mb
 from lemma.dataset.generate import Order, generate
 from lemma.dataset.instructions import Language
 from lemma.dataset.keyframe_dataset import (
@@ -40,6 +43,21 @@ BATCH = 32
 WORKERS = 2
 SLOTS = 2 * WORKERS
 SPLIT = "val"
+
+
+def generation(folder: Path, episodes: int) -> dict[str, Any]:
+    """Return rates and memory for 1, 2, 4, ... workers, up to the cores."""
+    figures: dict[str, Any] = {}
+    cores = usable_cores()
+    powers = (2**power for power in range(cores.bit_length()))
+    for workers in sorted({*powers, cores}):
+        out = folder / f"recipe-{workers}"
+        order = Order(out=out, splits=(SPLIT,), episodes=episodes)
+        made = generate(order, Processes(workers))
+        rate = made.made / made.seconds
+        figures[f"episodes_per_s_{workers}_workers"] = round(rate, 2)
+        figures[f"worker_peak_mb_{workers}_workers"] = round(made.worker_mb)
+    return figures
 
 
 def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
@@ -68,6 +86,10 @@ def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
         columns=(*MAP_COLUMNS, *POLICY_COLUMNS),
         language=Language(instructions="resampled"),
     )
+    if find_spec("torch"):
+        for workers in (0, WORKERS):
+            rate = torch_rate(maps, workers, seconds)
+            figures[f"map_samples_per_s_torch_{workers}_workers"] = round(rate)
     cameras = KeyframeDataset(frames, SPLIT, columns=CAMERA_COLUMNS)
     for name, dataset in (("map", maps), ("resampled", drawn), ("camera", cameras)):
         rate = read_rate(dataset, seconds)
@@ -122,6 +144,25 @@ def loader_rate(dataset: KeyframeDataset, seconds: float) -> float:
     start, count = perf_counter(), 0
     while perf_counter() - start < seconds:
         count += sum(len(batch["instruction"]) for batch in loader)
+    return count / (perf_counter() - start)
+
+
+def torch_rate(dataset: KeyframeDataset, workers: int, seconds: float) -> float:
+    """Return samples per second of torch's loader, which is asked for batches."""
+    # Optional: nothing else here needs it.
+    data = import_module("torch.utils.data")
+    order = np.random.default_rng(0)
+    # More than can be read, because a second pass would start workers anew.
+    count = int(1000 * seconds)
+    batches = [order.integers(len(dataset), size=BATCH).tolist() for _ in range(count)]
+    loader = iter(
+        data.DataLoader(dataset, batch_size=None, sampler=batches, num_workers=workers)
+    )
+    for _ in range(SLOTS):
+        next(loader)
+    start, count = perf_counter(), 0
+    while perf_counter() - start < seconds:
+        count += len(next(loader)["instruction"])
     return count / (perf_counter() - start)
 
 
@@ -193,8 +234,9 @@ if __name__ == "__main__":
     parser.add_argument("--seconds", type=float, default=5.0)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        source = arguments.recipe or Path(scratch) / "recipe"
-        if arguments.recipe is None:
-            order = Order(out=source, splits=(SPLIT,), episodes=arguments.episodes)
-            generate(order, Serial())
-        print(json.dumps(measure(source, Path(scratch), arguments.seconds), indent=1))
+        folder, source, figures = Path(scratch), arguments.recipe, {}
+        if source is None:
+            figures = generation(folder, arguments.episodes)
+            source = folder / "recipe-1"
+        figures = measure(source, folder, arguments.seconds) | figures
+        print(json.dumps(figures, indent=1))
