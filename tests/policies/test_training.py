@@ -24,7 +24,8 @@ from lemma.policies.processes import Processes
 from lemma.policies.run import training_units
 from lemma.policies.train import train
 from lemma.policies.trainer import Trainer, learning_rate
-from lemma.policies.training import Augmentation, TrainingConfig
+from lemma.policies.training import DEFAULTS, Augmentation, TrainingConfig, decode
+from lemma.policies.zoo import MODELS
 
 HERE = Path(__file__).parent
 ALONE = Processes(0, 1, torch.device("cpu"))
@@ -301,3 +302,12 @@ def test_weights_can_be_what_another_run_begins_with(
         train(replace(run, out=tmp_path / "third", options=("width=16",)))
     with pytest.raises(InvalidConfigError, match=f"not {NAME}-episodes"):
         train(replace(run, out=tmp_path / "fourth", model=f"{NAME}-episodes"))
+
+
+def test_every_model_has_defaults_of_its_own() -> None:
+    ours = [name for name in MODELS if not name.startswith(NAME)]
+    assert sorted(ours) == sorted(DEFAULTS)
+    for name in ours:
+        kind, options = MODELS[name]
+        assert decode(options, json.loads(json.dumps(asdict(options())))) == options()
+        assert kind.unit in ("frame", "episode")

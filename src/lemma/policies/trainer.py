@@ -14,6 +14,7 @@ from lemma.policies.frames import Batch
 from lemma.policies.model import Model
 from lemma.policies.processes import Processes
 from lemma.policies.scoring import autocast
+from lemma.policies.text import TextEncoder
 from lemma.policies.training import TrainingConfig
 
 
@@ -55,10 +56,12 @@ class Trainer:
         self._averages = [old for old, _ in floats]
         self._values = [value for _, value in floats]
         self._counts = [pair for pair in pairs if not pair[0].is_floating_point()]
+        if config.compile:
+            compile_parts(self.model)
         losses: Any = _Losses(self.model)
         if team.count > 1:
             losses = DistributedDataParallel(losses)
-        self._losses = torch.compile(losses) if config.compile else losses
+        self._losses = losses
 
     def train(self, batch: Batch, progress: float) -> dict[str, Tensor]:
         """Do one step.
@@ -112,6 +115,19 @@ class Trainer:
         self.model.load_state_dict(state["model"])
         self.average.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])
+
+
+def compile_parts(module: nn.Module) -> None:
+    """Compile the parts of a model that are given tensors alone.
+
+    Sentences are constants to the compiler, so that the whole model would be compiled
+    anew for every batch.
+    """
+    for part in module.children():
+        if isinstance(part, nn.ModuleList | nn.ModuleDict):
+            compile_parts(part)
+        elif not isinstance(part, TextEncoder):
+            part.compile()
 
 
 def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:

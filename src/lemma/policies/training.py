@@ -113,7 +113,7 @@ class TrainingConfig:
     channels_last: bool = True
     """Whether convolutions have their channels last."""
     compile: bool = False
-    """Whether to compile the model: slower to start, faster to run."""
+    """Whether to compile the parts of the model: slower to start, faster to run."""
     device: Literal["auto", "cuda", "cpu"] = "auto"
     """Where to train; auto: on a GPU where there is one."""
     images: Literal["auto", "device", "host"] = "auto"

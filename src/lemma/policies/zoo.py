@@ -1,19 +1,17 @@
 """All models by name: importing this module fills the table of models."""
 
 from dataclasses import asdict
-from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError
+from lemma.policies import (  # noqa: F401
+    cliport,
+    episodic_transformer,
+    m_cliport,
+    reachnet,
+)
 from lemma.policies.model import MODELS, Model
 from lemma.policies.training import decode
-
-_MODULES = ("episodic_transformer", "cliport", "m_cliport", "reachnet")
-
-for _name in _MODULES:
-    if find_spec(f"lemma.policies.{_name}") is not None:
-        import_module(f"lemma.policies.{_name}")
 
 
 def make_model(name: str, options: dict[str, Any]) -> Model:
