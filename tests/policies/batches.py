@@ -21,6 +21,7 @@ from lemma.policies.frames import (
     with_sub_instructions,
 )
 from lemma.policies.interfaces import PolicyInput, View
+from lemma.policies.model import Model
 from lemma.scene.entities import ENTITIES
 from lemma.scene.palette import OBJECT_COLOURS
 from lemma.tasks.language import robot_phrases
@@ -124,6 +125,16 @@ def labels_of(batch: Batch) -> Labels:
 def total(losses: dict[str, Tensor]) -> Tensor:
     """Return the sum of all terms."""
     return torch.stack(list(losses.values())).sum()
+
+
+def learn_by_heart(model: Model, batch: Batch, steps: int, rate: float = 5e-3) -> None:
+    """Train on one batch, ever more slowly."""
+    optimizer = torch.optim.Adam(model.parameters(), rate)
+    for step in range(steps):
+        optimizer.param_groups[0]["lr"] = rate * (1.0 - step / steps)
+        optimizer.zero_grad()
+        total(model.loss(batch)).backward()
+        optimizer.step()
 
 
 def gradients(model: torch.nn.Module) -> dict[str, Tensor | None]:

@@ -4,7 +4,16 @@ import math
 from dataclasses import replace
 
 import torch
-from batches import RASTER, drawn_batch, gradients, inputs_of, labels_of, part_of, total
+from batches import (
+    RASTER,
+    drawn_batch,
+    gradients,
+    inputs_of,
+    labels_of,
+    learn_by_heart,
+    part_of,
+    total,
+)
 
 from lemma.policies.frames import PRIMITIVES, STOP
 from lemma.policies.interfaces import Policy
@@ -33,11 +42,7 @@ def test_it_learns_an_episode_by_heart() -> None:
     decision[1, 1] = PRIMITIVES.index("poke")
     batch = replace(batch, labels=replace(labels_of(batch), decision=decision))
     model = tiny()
-    optimizer = torch.optim.Adam(model.parameters(), 5e-3)
-    for _ in range(100):
-        optimizer.zero_grad()
-        total(model.loss(batch)).backward()
-        optimizer.step()
+    learn_by_heart(model, batch, 90)
     scores = model.score(batch)
     assert scores["right_stop"].tolist() == [1.0] * 4
     assert scores["right_robot"][:3].tolist() == [1.0] * 3

@@ -9,7 +9,8 @@ all cells and turns. What differs, to be small and to turn grippers:
 - networks of a few millions of weights learn from the start; CLIP's trunk is an option;
 - cells of the output are 16 and 32 mm wide, and a regression says where in them;
 - the pick has a yaw, and the crop is turned by it, so that turns are gripper yaws;
-- features of the crop are turned, instead of the crop: the network looks once.
+- features of the crop are turned, instead of the crop: the network looks once;
+- what lies around the place is seen again, to correct it; an option, on by default.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,6 +35,7 @@ from lemma.policies.cliport_poses import (
     places,
     score_poses,
 )
+from lemma.policies.cliport_zoom import Zoom
 from lemma.policies.frames import Batch, batch_of
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.model import MODELS, Model
@@ -48,7 +50,7 @@ AT_ONCE = 16
 class CLIPortConfig:
     """Options of :class:`CLIPort`."""
 
-    widths: tuple[int, ...] = (40, 80, 160, 224)
+    widths: tuple[int, ...] = (40, 72, 128, 224)
     """Channels at a quarter to a 32nd of the map's resolution."""
     query_widths: tuple[int, ...] = (32, 64, 96, 128)
     """The same of the network that sees what lies around the pick."""
@@ -59,6 +61,8 @@ class CLIPortConfig:
     crop: int = 128
     """Cells of the map along a side of what is seen around the pick; it should hold the
     stick, wherever it is grasped."""
+    zoom: bool = True
+    """Whether to look again at the place that was found, which CLIPort does not."""
     text_width: int = 192
     """Of a word."""
     text_layers: int = 2
@@ -80,7 +84,7 @@ class CLIPortConfig:
             if len(getattr(self, name)) != 4:
                 raise InvalidConfigError(
                     f"{name}={getattr(self, name)!r}: there are four levels. Give four "
-                    "numbers of channels, such as (40, 80, 160, 224)."
+                    "numbers of channels, such as (40, 72, 128, 224)."
                 )
         if self.crop < 2 * STRIDE or self.crop % STRIDE:
             raise InvalidConfigError(
@@ -132,6 +136,7 @@ class PickAndPlace(Model):
             self.trunk = trunk = CLIPTrunk.load(config.clip_weights)
         self.pick = PickHead(heads, trunk)
         self.place = PlaceHead(heads, trunk)
+        self.zoom = Zoom(heads, trunk) if config.zoom else None
 
     def sentences(self, batch: Batch) -> list[str]:
         """Return what the model is told."""
@@ -185,7 +190,11 @@ class CLIPort(PickAndPlace):
                 self.pick, self.pick(image, sentence), pick, counts, batch.raster
             ),
             **place_losses(
-                self.place, (image, sentence), Poses(pick, place), counts, batch.raster
+                (self.place, self.zoom),
+                (image, sentence),
+                Poses(pick, place),
+                counts,
+                batch.raster,
             ),
         }
 
@@ -197,9 +206,9 @@ class CLIPort(PickAndPlace):
 
     def poses(self, batch: Batch) -> Poses:
         """Return where the gripper shall go in each frame."""
-        image, sentence = self.look(batch)
-        pick, _ = picks(self.pick, self.pick(image, sentence), batch.raster)
-        return Poses(pick, places(self.place, image, sentence, pick, batch.raster))
+        seen = self.look(batch)
+        pick, _ = picks(self.pick, self.pick(*seen), batch.raster)
+        return Poses(pick, places(self.place, self.zoom, seen, pick, batch.raster))
 
     def ground(
         self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]

@@ -99,7 +99,7 @@ class PickHead(nn.Module):
             nn.SiLU(),
             nn.Conv2d(width, (1 + config.extra_channels) * _FINER**2, 1),
         )
-        self.read = _reader(width + _FINER**2, 2 + 2 * config.bins)
+        self.read = reader(width + _FINER**2, 2 + 2 * config.bins)
         self.bins = config.bins
 
     def forward(self, image: Tensor, sentence: Tensor) -> Attention:
@@ -145,7 +145,7 @@ class PlaceHead(nn.Module):
         self.alone = nn.Conv2d(width, config.bins, 1)
         self.scale = nn.Parameter(torch.tensor(_FIRST_SCALE))
         query = self.query.context_width
-        self.read = _reader(width + query + config.bins + 4, 3)
+        self.read = reader(width + query + config.bins + 4, 3)
         self.bins, self.crop = config.bins, config.crop
 
     def forward(
@@ -203,7 +203,8 @@ class PlaceHead(nn.Module):
         return found[..., :2], found[..., 2]
 
 
-def _reader(width: int, out: int) -> nn.Sequential:
+def reader(width: int, out: int) -> nn.Sequential:
+    """Return the small network that reads the features of a cell."""
     return nn.Sequential(
         nn.Linear(width, _READ_WIDTH),
         nn.SiLU(),

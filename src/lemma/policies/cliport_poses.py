@@ -15,6 +15,7 @@ from lemma.policies.cliport_heads import (
     pick_cells,
     place_cells,
 )
+from lemma.policies.cliport_zoom import Zoom
 from lemma.policies.frames import PLACES, PRIMITIVES, STOP, Labels
 from lemma.policies.rotations import nearest_bins, wrapped, yaw_of
 from lemma.scene.entities import ENTITIES, SHARED, STICK
@@ -22,6 +23,7 @@ from lemma.scene.entities import ENTITIES, SHARED, STICK
 _YAW_WEIGHT = 0.5
 _OFFSET_WEIGHT = 1.0
 _RESIDUAL_WEIGHT = 1.0
+_ZOOM_WEIGHT = 1.0
 
 _NEAR_M = 0.02
 _NEAR_SHARED_M = 0.06
@@ -55,19 +57,33 @@ def picks(head: PickHead, seen: Attention, raster: Raster) -> tuple[Tensor, Tens
 
 
 def places(
-    head: PlaceHead, image: Tensor, sentence: Tensor, pick: Tensor, raster: Raster
+    head: PlaceHead,
+    zoom: Zoom | None,
+    seen: tuple[Tensor, Tensor],
+    pick: Tensor,
+    raster: Raster,
 ) -> Tensor:
-    """Return the best place poses for pick poses, (B, 3)."""
+    """Return the best place poses for pick poses, (B, 3).
+
+    Args:
+        head: Tries all places.
+        zoom: Looks again at the best, if anybody does.
+        seen: Picture and sentence.
+        pick: Gripper where it closes, (B, 3).
+        raster: Where the cells are.
+    """
     cells = place_cells(raster)
-    seen = head(image, sentence, pick, raster)
-    best = seen.logits.flatten(1).argmax(1, keepdim=True)
+    fit = head(*seen, pick, raster)
+    best = fit.logits.flatten(1).argmax(1, keepdim=True)
     bin_number, number = best // len(cells), best % len(cells)
-    offsets, residual = head.at(seen, number, bin_number, pick, cells)
+    offsets, residual = head.at(fit, number, bin_number, pick, cells)
     xy = cells.positions(number, offsets)[:, 0]
-    yaw = yaw_of(bin_number, residual, head.bins)
+    place = torch.cat([xy, yaw_of(bin_number, residual, head.bins)], 1)
+    if zoom is not None:
+        place = zoom.corrected(place, zoom(seen, fit, pick, place, raster))
     # The arm turns from one to the other: never the long way round.
-    yaw = pick[:, 2:] + wrapped(yaw - pick[:, 2:])
-    return torch.cat([xy, yaw], 1)
+    yaw = pick[:, 2:] + wrapped(place[:, 2:] - pick[:, 2:])
+    return torch.cat([place[:, :2], yaw], 1)
 
 
 def counted(labels: Labels) -> tuple[Tensor, Tensor, Tensor]:
@@ -114,7 +130,7 @@ def pick_losses(
 
 
 def place_losses(
-    head: PlaceHead,
+    heads: tuple[PlaceHead, Zoom | None],
     seen: tuple[Tensor, Tensor],
     poses: Poses,
     counts: Tensor,
@@ -123,12 +139,13 @@ def place_losses(
     """Return the losses of the place, after the expert's pick.
 
     Args:
-        head: Whose losses.
+        heads: Whose losses.
         seen: Picture and sentence.
         poses: The expert's.
         counts: Which frames count, (B,).
         raster: Where the cells are.
     """
+    head, zoom = heads
     cells = place_cells(raster)
     fit = head(*seen, poses.pick, raster)
     xy = poses.place[:, :2]
@@ -146,11 +163,15 @@ def place_losses(
     residual = F.smooth_l1_loss(
         residuals, rests.repeat_interleave(count, 1), reduction="none"
     )
-    return {
+    losses = {
         "place": mean_over(chosen, counts),
         "place_offset": _OFFSET_WEIGHT * mean_over(_distance(offsets, wanted), counts),
         "place_residual": _RESIDUAL_WEIGHT * mean_over(residual.mean(1), counts),
     }
+    if zoom is not None:
+        again = zoom.loss(seen, fit, poses.pick, poses.place, raster)
+        losses["place_zoom"] = _ZOOM_WEIGHT * mean_over(again, counts)
+    return losses
 
 
 def _distance(offsets: Tensor, wanted: Tensor) -> Tensor:

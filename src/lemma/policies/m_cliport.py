@@ -93,7 +93,11 @@ class MCLIPort(PickAndPlace):
         return {
             **pick_losses(self.pick, seen, pick, counts, batch.raster),
             **place_losses(
-                self.place, (image, sentence), Poses(pick, place), counts, batch.raster
+                (self.place, self.zoom),
+                (image, sentence),
+                Poses(pick, place),
+                counts,
+                batch.raster,
             ),
             "robot": mean_over(_mean_entropy(who, robot.clamp(min=0)), counts),
             "primitive": mean_over(
@@ -134,10 +138,10 @@ class MCLIPort(PickAndPlace):
         return found
 
     def _decide(self, batch: Batch) -> _Answer:
-        image, sentence = self.look(batch)
-        seen = self.pick(image, sentence)
+        looked = self.look(batch)
+        seen = self.pick(*looked)
         pick, numbers = picks(self.pick, seen, batch.raster)
-        place = places(self.place, image, sentence, pick, batch.raster)
+        place = places(self.place, self.zoom, looked, pick, batch.raster)
         who, what = self._symbols(seen, numbers[:, None])
         return _Answer(
             stop=self.stop(seen.context)[:, 0] > 0.0,
