@@ -177,7 +177,9 @@ class ReachNet(Model):
         self, seen: Table, known: Tensor | None, labels: Labels, batch: Batch
     ) -> dict[str, Tensor]:
         if self.config.reach == "none":
-            return {"reach": 0.0 * seen.rings.sum()}
+            # Every weight has a gradient, which training on many GPUs asks for.
+            unused = (self.planner.reach_sharpness, self.planner.reach_weight)
+            return {"reach": 0.0 * (seen.rings.sum() + sum(unused))}
         if known is not None:
             half = torch.tensor(
                 [batch.raster.columns, batch.raster.rows], device=self.device

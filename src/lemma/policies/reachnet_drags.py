@@ -165,8 +165,7 @@ class DragUtility(nn.Module):
         enough = self.enough()[:, None, None, None]
         weights = self.weights().exp()[:, None, None, None]
         quality = torch.minimum(constraints[..., 2] / _SCALE_M, enough)
-        if not self.use_reach:
-            quality = torch.zeros_like(quality)
+        quality = quality * float(self.use_reach)
         length = torch.tensor(TRAVELS_M, device=device) / _SCALE_M
         turn = torch.tensor(TURNS_RAD, device=device).abs()[:, None]
         worth: Tensor = (
@@ -207,7 +206,7 @@ class DragUtility(nn.Module):
         bases = torch.minimum(stick, cube)[..., THE_STICK:].amin(-1)
         found = [stick[..., :THE_STICK].amin(-1), cube[..., :THE_STICK].amin(-1), bases]
         # Room that is more than enough is all the same.
-        return [room.clamp(max=0.3) for room in found]
+        return [room.clamp(max=1.0) for room in found]
 
 
 def stick_distance(grasp: Tensor, yaw: Tensor, points: Tensor) -> Tensor:

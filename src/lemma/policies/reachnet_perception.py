@@ -28,6 +28,8 @@ _IMAGE, _INPUTS = 5, 5 * STRIDE**2 + 2
 _HEIGHT_M = 0.1
 _RING_M = ((0.05, 0.35), (0.4, 1.8))
 _NEAR = 1
+_CELLS = math.log(72 * 104)
+_MARKS = 3.0
 _NEAR_HEIGHT_CELLS = 1
 
 
@@ -91,7 +93,8 @@ class Eye(nn.Module):
             wide = width
         marked = _POINTS + robots
         self.mark = nn.Conv2d(first, marked, 1)
-        self.nowhere = nn.Parameter(torch.zeros(marked))
+        # As likely as all cells of a usual map together.
+        self.nowhere = nn.Parameter(torch.full((marked,), _CELLS))
         self.offset = nn.Conv2d(first, 2 * marked, 1)
         self.turn = nn.Conv2d(first, 2, 1)
         joints = 12
@@ -212,7 +215,7 @@ class Eye(nn.Module):
         off = (turn - wanted).square().sum(1)
         seen = there[:, cubes]
         return {
-            "marks": found.mean(),
+            "marks": _MARKS * found.mean(),
             "offsets": self._offset_loss(marks, xy, there, batch),
             "yaw": (torch.where(seen, off, 0.0).sum() / seen.sum().clamp(min=1)),
         }
