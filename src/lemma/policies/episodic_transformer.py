@@ -27,7 +27,7 @@ from lemma.policies.frames import (
 )
 from lemma.policies.interfaces import PolicyInput, View
 from lemma.policies.model import MODELS, Model
-from lemma.policies.text import TextConfig, TextEncoder
+from lemma.policies.text import WORDS, TextConfig, TextEncoder
 from lemma.policies.transformer import TransformerLayer, sinusoids
 from lemma.policies.view_cache import ViewCache
 from lemma.scene.entities import ENTITIES
@@ -47,8 +47,8 @@ class EpisodicTransformerConfig:
 
     robots: int = 2
     """Robots of a team."""
-    text: Literal["words"] = "words"
-    """Kind of the text encoder."""
+    text: str = WORDS
+    """Kind of the text encoder: see ``TextConfig``."""
     width: int = 384
     """Of a token."""
     heads: int = 6
@@ -238,6 +238,8 @@ class EpisodicTransformer(Model):
         return cells
 
     def _decide(self, cells: Tensor, layout: Layout) -> list[Tensor]:
+        if self.training and self.config.first_view_only:
+            cells = self._first_views(cells, layout)
         cells = self.frame_dropout(cells)
         where = (layout.episode, layout.slot)
         words, mask = self.text.encode(layout.instructions)
@@ -245,8 +247,6 @@ class EpisodicTransformer(Model):
         frames = token.new_zeros(len(words), SLOTS, token.shape[1])
         frames = frames.index_put(where, token)
         present = layout.present
-        if self.training and self.config.first_view_only:
-            frames = self._first_views(frames, present)
         tokens = torch.cat(
             [
                 words + self.kinds[0],
@@ -265,10 +265,13 @@ class EpisodicTransformer(Model):
         inputs = (out, out, objects, objects)
         return [head(x) for head, x in zip(self.heads, inputs, strict=True)]
 
-    def _first_views(self, frames: Tensor, present: Tensor) -> Tensor:
-        chosen = torch.rand(len(frames), device=frames.device)
-        frozen = (chosen < self.config.first_view_only) & present[:, 0]
-        return torch.where(frozen[:, None, None], frames[:, :1], frames)
+    def _first_views(self, cells: Tensor, layout: Layout) -> Tensor:
+        counts = torch.bincount(layout.episode, minlength=len(layout.actions))
+        firsts = torch.cumsum(counts, 0) - counts
+        chosen = torch.rand(len(firsts), device=cells.device)
+        frozen = (chosen < self.config.first_view_only) & (layout.slot[firsts] == 0)
+        shown = cells[firsts[layout.episode]]
+        return torch.where(frozen[layout.episode].unsqueeze(1), shown, cells)
 
     def _decision_tokens(self, layout: Layout) -> Tensor:
         parts = [

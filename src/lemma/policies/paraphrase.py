@@ -21,12 +21,18 @@ from lemma.tasks.template import SLOT, GoalPairs, Template, split_entity
 
 NOUNS = {"cube": ("cube", "block", "box"), "pad": ("pad", "circle", "target")}
 """Names of things that the training templates use."""
+_ALL_NOUNS = {noun for nouns in NOUNS.values() for noun in nouns}
 _NOUN = "(?:cube|block|box|pad|circle|target)"
 _ROLE = r"\{(?P<role>(?:top|bottom)[12]?)(?:\.colour)?\}"
 _MENTION = re.compile(
     rf"(?P<before>{_NOUN}) that is {_ROLE}"
     rf"|{_ROLE.replace('?P<role>', '?P<role2>')}"
     rf"(?: coloured)?(?: (?P<after>{_NOUN}|one)\b)?"
+)
+_ON = ("on", "on", "onto", "on top of", "on top of", "over", "top")
+_UNDER = ("under", "under", "below", "at the bottom of")
+_RELATION = re.compile(
+    r"\b(?:(?P<on>on top of|onto|on|over)|under|below)(?= (?:the )?$)"
 )
 _JOINTS = (" and ", ", and ", ". ", ", ", ", then ", ". then ", ", and then ")
 _SHORT = 16
@@ -39,6 +45,8 @@ class ParaphraseConfig:
 
     native: float = 0.3
     """Of a sentence of the task, as it stands, but for single words."""
+    turned: float = 0.3
+    """Of telling each relation the other way round: what goes under what."""
     renamed: float = 0.6
     """Of another name for a thing, each time it is mentioned."""
     clause_dropped: float = 0.4
@@ -112,6 +120,7 @@ def _say(
     for number, pair in enumerate(goal_pairs, 1):
         suffix = str(number) if sentence.pairs == 2 else ""
         entities |= {f"top{suffix}": pair[0], f"bottom{suffix}": pair[1]}
+    sentence = _turned(sentence, rng, config.turned)
     # One name for each role throughout, in most sentences.
     nouns = {role: _noun(entity, rng) for role, entity in entities.items()}
     text, told = sentence.pieces[0], set()
@@ -119,8 +128,9 @@ def _say(
     for role, said, piece in mentions:
         colour, kind = split_entity(entities[role])
         noun = nouns[role]
-        fits = any(re.search(rf"\b{name}\b", said) for name in NOUNS[kind])
-        if rng.random() < config.renamed or not (fits or role in told):
+        named = set(words(said)) & _ALL_NOUNS
+        fits = named <= set(NOUNS[kind]) and (named or role in told)
+        if rng.random() < config.renamed or not fits:
             forms = [f"{colour} {noun}"] * 6
             forms += [f"{noun} that is {colour}", f"{colour} coloured {noun}"]
             forms += [f"{colour} one"] * (2 if role in told else 0)
@@ -128,6 +138,32 @@ def _say(
         text += said.replace("*", colour) + piece
         told.add(role)
     return text
+
+
+def _turned(sentence: _Sentence, rng: np.random.Generator, chance: float) -> _Sentence:
+    """Return a sentence in which some "x on y" have become "y under x", or back."""
+    pieces, roles = list(sentence.pieces), list(sentence.roles)
+    for i in range(1, len(roles)):
+        first, second = roles[i - 1 : i + 1]
+        upright = first.startswith("top")
+        found = _RELATION.search(pieces[i])
+        if (
+            found is None
+            or upright is second.startswith("top")
+            or _conjunct(first) != _conjunct(second)
+            or upright is not bool(found["on"])
+            or rng.random() >= chance
+        ):
+            continue
+        options = _UNDER if upright else _ON
+        other = options[int(rng.integers(len(options)))]
+        pieces[i] = pieces[i][: found.start()] + other + pieces[i][found.end() :]
+        roles[i - 1 : i + 1] = second, first
+    return _Sentence(tuple(pieces), tuple(roles), sentence.said)
+
+
+def _conjunct(role: str) -> str:
+    return role.removeprefix("top").removeprefix("bottom")
 
 
 def _noun(entity: str, rng: np.random.Generator) -> str:

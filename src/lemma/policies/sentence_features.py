@@ -16,6 +16,7 @@ import numpy as np
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray
+from lemma.tasks.language import words
 
 MODEL_NAME = "all-MiniLM-L6-v2"
 _REMEMBERED = 50_000
@@ -80,8 +81,8 @@ def sentence_features() -> SentenceFeatures:
 
 
 def digest(text: str) -> int:
-    """Return 64 bits that stand for a text; case and outer spaces are ignored."""
-    plain = " ".join(text.lower().split()).encode()
+    """Return 64 bits that stand for a text; case and punctuation are ignored."""
+    plain = " ".join(words(text)).encode()
     return int.from_bytes(hashlib.sha256(plain).digest()[:8], "big")
 
 
@@ -107,7 +108,7 @@ def load_model(text: str = "") -> Any:
         need = (
             f"The features of {text!r} were not made beforehand"
             if text
-            else ("Features of sentences are to be made")
+            else "Features of sentences are to be made"
         )
         raise InvalidConfigError(
             f"{need}, and {MODEL_NAME} is not installed ({error}). Install the extra: "

