@@ -10,7 +10,7 @@ from batches import drawn_batch, gradients, inputs_of, labels_of, part_of, total
 
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.frames import STOP
-from lemma.policies.interfaces import Grounder, Planner, Policy
+from lemma.policies.interfaces import Grounder, Planner, Policy, Step
 from lemma.policies.model import MODELS
 from lemma.policies.reachnet import ReachNet, ReachNetConfig
 from lemma.policies.reachnet_perception import PerceptionConfig
@@ -176,6 +176,18 @@ def test_what_cannot_be_grounded_is_explained() -> None:
     assert decision.grounded is None
     assert decision.subtask.primitive is not Primitive.STOP
     assert "not seen" in decision.explanation
+
+
+def test_what_keeps_failing_is_tried_less(expert: ReachNet) -> None:
+    given = inputs_of(drawn_batch(3))[0]
+    [wanted] = expert.plan([given])
+    failed = Step(given.view, wanted, "unreachable")
+    [other] = expert.plan([given.with_past((failed,) * 40)])
+    assert other != wanted
+    # What failed before the last success is forgiven.
+    done = Step(given.view, wanted)
+    [again] = expert.plan([given.with_past((*(failed,) * 40, *(done,) * 12))])
+    assert [again] == expert.plan([given.with_past((done,) * 12)])
 
 
 def test_stop_frames_score_only_what_counts() -> None:

@@ -186,6 +186,16 @@ def test_drags_go_along_the_stick(primitive: int, sign: float) -> None:
     assert pick[0, 0] == pytest.approx(-0.3 + 0.05 * math.cos(0.2), abs=1e-5)
 
 
+@pytest.mark.parametrize("primitive", [HOOK, POKE])
+def test_no_drag_ends_where_the_robot_cannot_follow(primitive: int) -> None:
+    grounding = Grounding(use_reach=True)
+    # Grasped 20 cm inside either edge of reach.
+    x = -0.15 if primitive == POKE else -0.33
+    scene = table(red_cube=(x + 0.5, 0.05, 0.0), stick=(x, 0.0, 0.0))
+    _, place = grounding(scene, row(0, primitive, THE_STICK, CUBE))
+    assert scene.margins(place[None, :, :2])[0, 0, 0] > 0.0
+
+
 def test_what_is_not_seen_has_no_pose() -> None:
     grounding = Grounding(use_reach=True)
     scene = table(red_cube=(0.0, 0.0, 0.0))

@@ -21,13 +21,10 @@ from lemma.core.poses import Pose2
 from lemma.dataset.keyframe_schema import Raster
 from lemma.policies.frames import (
     NOBODY,
-    PLACES,
-    PRIMITIVES,
     STOP,
     Batch,
     Labels,
     batch_of,
-    decision_numbers,
 )
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.model import MODELS, Model
@@ -41,8 +38,8 @@ from lemma.policies.reachnet_planner import (
     number_of,
 )
 from lemma.policies.reachnet_scores import score_decisions
+from lemma.policies.reachnet_symbols import failures_in, numbers_of, subtask_of
 from lemma.policies.reachnet_table import (
-    THE_STICK,
     Noise,
     Table,
     disturbed,
@@ -53,7 +50,6 @@ from lemma.policies.reachnet_table import (
 )
 from lemma.policies.text import TextConfig
 from lemma.scene.entities import ENTITIES
-from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _ARMS = ("ur5", "ur10")
@@ -84,6 +80,8 @@ class ReachNetConfig:
     """Tables that are made from the labels of each frame; half of them are turned."""
     perceived: bool = True
     """Whether the planner also learns from what the eye sees."""
+    failure_cost: float = 4.0
+    """What a sub-task loses, in log-probability, each time it fails in a row."""
     recolour: bool = True
     """Whether the reader also learns from sentences with other colours."""
     cell_m: float = 0.008
@@ -248,8 +246,9 @@ class ReachNet(Model):
         """Return the next sub-task of each episode."""
         found = []
         with self.deciding():
-            for batch in self._batches(inputs):
-                found += [_subtask(row) for row in self._decide(batch)[1].tolist()]
+            for batch, failed in self._batches(inputs):
+                _, decision = self._decide(batch, failed)
+                found += [subtask_of(row) for row in decision.tolist()]
         return found
 
     def ground(
@@ -257,9 +256,9 @@ class ReachNet(Model):
     ) -> list[GroundedSubTask | None]:
         """Return each sub-task with poses; None where an entity is not seen."""
         found: list[GroundedSubTask | None] = []
-        numbers = [_numbers(subtask, self.config.robots) for subtask in subtasks]
+        numbers = [numbers_of(subtask, self.config.robots) for subtask in subtasks]
         with self.deciding():
-            for batch in self._batches(inputs):
+            for batch, _ in self._batches(inputs):
                 rows = numbers[len(found) : len(found) + len(batch)]
                 marks, coarse = self.eye(batch)
                 table = self.eye.table(marks, coarse, batch)
@@ -271,11 +270,11 @@ class ReachNet(Model):
         """Return the next decision of each episode."""
         found: list[Decision] = []
         with self.deciding():
-            for batch in self._batches(inputs):
-                table, decision = self._decide(batch)
+            for batch, failed in self._batches(inputs):
+                table, decision = self._decide(batch, failed)
                 grounded = self._grounded(table, decision)
                 for row, poses in zip(decision.tolist(), grounded, strict=True):
-                    subtask = _subtask(row)
+                    subtask = subtask_of(row)
                     done = poses or subtask.primitive is Primitive.STOP
                     why = "" if done else f"What it needs is not seen: {subtask}."
                     found.append(Decision(subtask, poses, why))
@@ -292,19 +291,30 @@ class ReachNet(Model):
         finally:
             self.train(was)
 
-    def _batches(self, inputs: Sequence[PolicyInput]) -> Iterator[Batch]:
+    def _batches(
+        self, inputs: Sequence[PolicyInput]
+    ) -> Iterator[tuple[Batch, list[list[SubTask]]]]:
+        """Yield batches, and what has failed since something last succeeded."""
         for start in range(0, len(inputs), _AT_ONCE):
             part = inputs[start : start + _AT_ONCE]
             raster = self.config.raster(part[0])
-            yield batch_of(part, raster, device=self.device)
+            failed = [failures_in(given) for given in part]
+            yield batch_of(part, raster, device=self.device), failed
 
-    def _decide(self, batch: Batch) -> tuple[Table, Tensor]:
+    def _decide(
+        self, batch: Batch, failed: Sequence[Sequence[SubTask]] = ()
+    ) -> tuple[Table, Tensor]:
         """Return what is seen, and the likeliest sub-tasks, (B, 4)."""
         marks, coarse = self.eye(batch)
         goal = self.reader.read(batch.instructions)
         with torch.autocast(self.device.type, enabled=False):
             table = self.eye.table(marks, coarse, batch)
             scores = self.planner(table, goal, batch.past, self.grounding.drags)
+        for row, subtasks in enumerate(failed):
+            for subtask in subtasks:
+                numbers = torch.tensor([numbers_of(subtask, self.config.robots)])
+                number = int(number_of(numbers, self.config.robots))
+                scores[row, number] -= self.config.failure_cost
         return table, decision_of(scores.argmax(-1), self.config.robots)
 
     def _grounded(self, table: Table, decision: Tensor) -> list[GroundedSubTask | None]:
@@ -316,7 +326,7 @@ class ReachNet(Model):
             if row[1] == STOP or not all(map(math.isfinite, (*start, *end))):
                 found.append(None)
                 continue
-            subtask = _subtask(row)
+            subtask = subtask_of(row)
             found.append(
                 GroundedSubTask(
                     subtask.robot, subtask.primitive, Pose2(*start), Pose2(*end)
@@ -356,34 +366,6 @@ def _named(decision: Tensor) -> Tensor:
     """Return which entities sub-tasks pick or put something on, (B, 11) bool."""
     numbers = torch.arange(len(ENTITIES), device=decision.device)
     return (decision[:, 2:, None] == numbers).any(1)
-
-
-def _subtask(row: Sequence[int]) -> SubTask:
-    robot, primitive, pick, place = row
-    if primitive == STOP:
-        return STOP_SUBTASK
-    return SubTask(
-        f"robot_{robot}", Primitive(PRIMITIVES[primitive]), PLACES[pick], PLACES[place]
-    )
-
-
-def _numbers(subtask: SubTask, robots: int) -> list[int]:
-    """Return a sub-task as numbers; those of ``stop`` if it makes no sense."""
-    nothing = [NOBODY, STOP, NOBODY, NOBODY]
-    try:
-        numbers = decision_numbers(subtask.to_dict())
-    except ValueError:
-        return nothing
-    robot, _, pick, place = numbers
-    cube = range(THE_STICK // 2)
-    if subtask.primitive is Primitive.MOVE:
-        onto = place in range(THE_STICK) and place != pick
-        fits = (pick in cube and (onto or place > THE_STICK)) or (
-            pick == THE_STICK and place > THE_STICK
-        )
-    else:
-        fits = pick == THE_STICK and place in cube
-    return numbers if fits and 0 <= robot < robots else nothing
 
 
 MODELS.add("reachnet", (ReachNet, ReachNetConfig))

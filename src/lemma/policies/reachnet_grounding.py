@@ -29,6 +29,10 @@ _QUARTER_RAD = 0.5 * math.pi
 _FINGER_M, _FINGER_RADIUS_M = 0.059, 0.014
 _CUBE_FOOTPRINT_M, _STICK_HALF_M = 0.028, 0.015
 _ENOUGH_M = 0.008
+_SAFE_M = 0.008
+"""So far inside its reach a robot shall be, which is seen with some error."""
+_OUTSIDE = 1e4
+"""Cost of a metre outside."""
 _STICK_SHARE = 8
 """Of so many frames one may lay the stick down; more are not looked at."""
 
@@ -158,15 +162,28 @@ class Grounding(nn.Module):
         rows = torch.arange(len(table), device=robot.device)
         cube = place.clamp(max=len(CUBES) - 1)
         utility, bearings, poses = self._choices(table, robot, primitive, cube)
-        turn = utility.amax(-1).argmax(-1)
+        signs = torch.tensor(SIGNS, device=start.device)[_side(primitive)]
+        lengths = torch.tensor(TRAVELS_M, device=start.device)
+        steps = signs[:, None] * lengths
+        ahead = torch.stack([bearings.cos(), bearings.sin()], -1)
+        ends = poses[:, :, None] + steps[:, None, :, None] * ahead[:, :, None]
+        apart = self._beyond(table, poses, robot)[..., None]
+        apart = apart + self._beyond(table, ends, robot)
+        turn = (utility - _OUTSIDE * apart).amax(-1).argmax(-1)
         prepared = torch.cat([poses[rows, turn], bearings[rows, turn, None]], 1)
         lying = _nearest_turn(table, table.xy[rows, cube], robot, start[:, 2])
-        length = utility[rows, lying].argmax(-1)
-        lengths = torch.tensor(TRAVELS_M, device=start.device)[length]
-        signs = torch.tensor(SIGNS, device=start.device)[_side(primitive)]
         along = torch.stack([start[:, 2].cos(), start[:, 2].sin()], -1)
-        used = start[:, :2] + (signs * lengths)[:, None] * along
+        used = start[:, None, :2] + steps[..., None] * along[:, None]
+        worth = utility[rows, lying] - _OUTSIDE * self._beyond(table, used, robot)
+        used = used[rows, worth.argmax(-1)]
         return prepared, torch.cat([used, start[:, 2:]], 1)
+
+    def _beyond(self, table: Table, points: Tensor, robot: Tensor) -> Tensor:
+        """Return how far points (B, ..., 2) are out of a robot's safe reach [m]."""
+        rows = torch.arange(len(table), device=robot.device)
+        margin = table.margins(points)[rows, robot]
+        beyond = (_SAFE_M - margin).clamp(min=0.0)
+        return beyond * float(self.drags.use_reach)
 
     def _cube_grasp(self, table: Table, robot: Tensor, cube: Tensor) -> Tensor:
         """Return the grasp of a cube by its faces, with room for the fingers."""
