@@ -123,13 +123,15 @@ class PickAndPlace(Model):
         super().__init__()
         self.config: CLIPortConfig = config
         heads = config.heads(extra_channels)
-        self.text = TextEncoder(
-            TextConfig(
-                width=config.text_width,
-                layers=config.text_layers,
-                word_dropout=config.word_dropout,
-            )
+        text = TextConfig(
+            width=config.text_width,
+            layers=config.text_layers,
+            word_dropout=config.word_dropout,
         )
+        # One each: the half that learns faster would shape a shared one for the word
+        # that it needs, and the other would never find its own.
+        self.pick_text = TextEncoder(text)
+        self.place_text = TextEncoder(text)
         self.trunk: nn.Module | None = None
         trunk = None
         if config.clip_weights is not None:
@@ -142,9 +144,14 @@ class PickAndPlace(Model):
         """Return what the model is told."""
         raise NotImplementedError
 
-    def look(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """Return the picture and the sentence as the networks want them."""
-        return image_of(batch), self.text.pooled(self.sentences(batch))
+    def look(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the picture, and the sentence as read for the pick and the place."""
+        texts = self.sentences(batch)
+        return (
+            image_of(batch),
+            self.pick_text.pooled(texts),
+            self.place_text.pooled(texts),
+        )
 
     @contextmanager
     def deciding(self) -> Iterator[None]:
@@ -184,14 +191,14 @@ class CLIPort(PickAndPlace):
         """Return the losses of pick and place; ``stop`` has none."""
         assert batch.labels is not None
         counts, pick, place = counted(batch.labels)
-        image, sentence = self.look(batch)
+        image, to_pick, to_place = self.look(batch)
         return {
             **pick_losses(
-                self.pick, self.pick(image, sentence), pick, counts, batch.raster
+                self.pick, self.pick(image, to_pick), pick, counts, batch.raster
             ),
             **place_losses(
                 (self.place, self.zoom),
-                (image, sentence),
+                (image, to_place),
                 Poses(pick, place),
                 counts,
                 batch.raster,
@@ -206,8 +213,9 @@ class CLIPort(PickAndPlace):
 
     def poses(self, batch: Batch) -> Poses:
         """Return where the gripper shall go in each frame."""
-        seen = self.look(batch)
-        pick, _ = picks(self.pick, self.pick(*seen), batch.raster)
+        image, to_pick, to_place = self.look(batch)
+        pick, _ = picks(self.pick, self.pick(image, to_pick), batch.raster)
+        seen = (image, to_place)
         return Poses(pick, places(self.place, self.zoom, seen, pick, batch.raster))
 
     def ground(

@@ -83,8 +83,8 @@ class MCLIPort(PickAndPlace):
         """Return the losses of the poses, the robot, the primitive and ``stop``."""
         assert batch.labels is not None
         counts, pick, place = counted(batch.labels)
-        image, sentence = self.look(batch)
-        seen = self.pick(image, sentence)
+        image, to_pick, to_place = self.look(batch)
+        seen = self.pick(image, to_pick)
         cells = pick_cells(batch.raster)
         near = cells.around(cells.holding(pick[:, :2]))
         who, what = self._symbols(seen, near)
@@ -94,7 +94,7 @@ class MCLIPort(PickAndPlace):
             **pick_losses(self.pick, seen, pick, counts, batch.raster),
             **place_losses(
                 (self.place, self.zoom),
-                (image, sentence),
+                (image, to_place),
                 Poses(pick, place),
                 counts,
                 batch.raster,
@@ -138,10 +138,10 @@ class MCLIPort(PickAndPlace):
         return found
 
     def _decide(self, batch: Batch) -> _Answer:
-        looked = self.look(batch)
-        seen = self.pick(*looked)
+        image, to_pick, to_place = self.look(batch)
+        seen = self.pick(image, to_pick)
         pick, numbers = picks(self.pick, seen, batch.raster)
-        place = places(self.place, self.zoom, looked, pick, batch.raster)
+        place = places(self.place, self.zoom, (image, to_place), pick, batch.raster)
         who, what = self._symbols(seen, numbers[:, None])
         return _Answer(
             stop=self.stop(seen.context)[:, 0] > 0.0,
