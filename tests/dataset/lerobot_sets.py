@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from lemma.dataset.engines import Serial
-from lemma.dataset.lerobot import LeRobotOrder, LeRobotSummary, write_dataset
+from lemma.dataset.lerobot import LeRobotOrder, write_dataset
 from lemma.dataset.lerobot_format import Style, features
-from lemma.dataset.render import RenderOrder
+from lemma.dataset.render import RenderOrder, RenderSummary
 from rendered_sets import recipe_folder, scratch
 
 FPS = 2
@@ -29,7 +29,7 @@ def order(out: Path, style: Style = STYLE, **changes: Any) -> LeRobotOrder:
 
 
 @cache
-def written() -> tuple[Path, LeRobotSummary]:
+def written() -> tuple[Path, RenderSummary]:
     folder = scratch() / "lerobot"
     return folder, write_dataset(order(folder), Serial())
 

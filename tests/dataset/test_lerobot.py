@@ -69,7 +69,7 @@ def test_the_whole_says_how_much_there_is() -> None:
     assert told["codebase_version"] == "v3.0"
     assert told["fps"] == FPS
     assert told["total_episodes"] == len(episodes()) == 4
-    assert told["total_frames"] == sum(lengths) == written()[1].frames
+    assert told["total_frames"] == sum(lengths) == written()[1].rows
     assert told["splits"] == {SPLIT: "0:4"}
     assert written()[1].episodes == written()[1].made == 4
     for row in episodes():

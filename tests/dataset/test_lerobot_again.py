@@ -10,11 +10,10 @@ import pytest
 from lerobot_sets import STYLE, decode_at, folder, order, psnr_db
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
-from lemma.dataset import lerobot
 from lemma.dataset.engines import Job, Processes, Serial
 from lemma.dataset.files import REVISION_VARIABLE
 from lemma.dataset.generate import Order, generate
-from lemma.dataset.lerobot import LeRobotOrder, export, write_dataset
+from lemma.dataset.lerobot import LeRobotOrder, write_dataset
 from lemma.dataset.lerobot_assembly import allot
 from lemma.dataset.lerobot_format import Style
 from lemma.dataset.lerobot_stats import Histogram, Total, describe
@@ -119,18 +118,29 @@ def test_a_lost_part_is_an_error(tmp_path: Path) -> None:
         write_dataset(order(out, style, tasks=TASKS[:1]), Serial())
 
 
+def test_names_of_tasks_and_splits_choose_episodes(tmp_path: Path) -> None:
+    sources = order(tmp_path / "set", tasks=TASKS[:1]).sources()
+    assert [source.path.stem for source in sources] == [TASKS[0]] * 2
+    for wrong, message in (
+        ({"tasks": ("sleep",)}, "task"),
+        ({"splits": ("x",)}, "spl"),
+    ):
+        with pytest.raises(UnknownNameError, match=message):
+            order(tmp_path / "set", **wrong).sources()
+
+
 @pytest.mark.render
-def test_export_takes_names_of_tasks_and_splits(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match="task in this recipe"):
-        export(recipe_folder(), tmp_path / "set", tasks=("sleep",))
-    with pytest.raises(UnknownNameError, match="split in this recipe"):
-        export(recipe_folder(), tmp_path / "set", splits=("train",))
-    orders: list[LeRobotOrder] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lerobot, "write_dataset", lambda o, engine: orders.append(o))
-        export(recipe_folder(), tmp_path / "set", 5, TASKS[:1], (SPLIT,), 2, False)
-    assert orders[0].style == Style(fps=5, depth=False)
-    assert [source.path.stem for source in orders[0].sources()] == [TASKS[0]] * 2
+def test_a_recipe_that_was_changed_is_not_filmed(tmp_path: Path) -> None:
+    recipe = own_copy(recipe_folder(), tmp_path / "recipe")
+    path = recipe / SPLIT / f"{TASKS[0]}.parquet"
+    content = bytearray(path.read_bytes())
+    # Of the statistics in the footer: what Parquet itself does not notice.
+    content[content.rindex(f"v1/{TASKS[0]}/{SPLIT}/1".encode())] ^= 1
+    path.write_bytes(content)
+    source = RenderOrder(recipe=recipe, out=tmp_path / "set")
+    with pytest.raises(DatasetError, match="another checksum"):
+        write_dataset(LeRobotOrder(source=source, style=STYLE), Serial())
+    assert not (tmp_path / "set").exists()
 
 
 def test_styles_that_cannot_be() -> None:

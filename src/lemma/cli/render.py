@@ -1,20 +1,23 @@
 """`lemma render`: images, or steps, from a recipe."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from lemma.cli.machine import usable_cores
-from lemma.cli.terminal import JsonFlag, complain, output, print_json
-from lemma.cli.workers import DEFAULT, WorkerOptions, Workers, progress_bar
+from lemma.cli.terminal import Flag, JsonFlag, complain, output, print_json
+from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.capture import KeyframeForm
 from lemma.dataset.dense_form import DenseForm
-from lemma.dataset.lerobot import export
-from lemma.dataset.render import Form, RenderOrder, RenderSummary
-from lemma.dataset.render import render as make
+from lemma.dataset.engines import Engine
+from lemma.dataset.lerobot import LeRobotOrder, write_dataset
+from lemma.dataset.lerobot_format import Style
+from lemma.dataset.render import RenderOrder, RenderSummary
+from lemma.dataset.render import render as render_form
 
 INTERRUPTED = 130
 _ALL = "all"
@@ -22,6 +25,9 @@ _ALL = "all"
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
 """A recipe."""
 FormName = Literal["keyframes", "dense", "lerobot"]
+Make = Callable[[Engine, Callable[[int], None]], RenderSummary]
+"""Makes what is missing, given where to work and whom to tell how many are done."""
+_ROWS = {"keyframes": "keyframes", "dense": "steps", "lerobot": "frames"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +44,8 @@ class Look:
     """Size of camera images [px]; dense has none."""
     fps: int = 10
     """Steps per simulated second; keyframes have none."""
+    no_depth: Flag = False
+    """Leave depth out of a LeRobotDataset. Readers before lerobot 0.6 need that."""
 
 
 EVERYTHING = Look()
@@ -64,17 +72,15 @@ def render(
         out: Folder of what is made.
         form: keyframes: images and labels before every sub-task, for planners; dense:
             states and commands at a rate, without images; lerobot: LeRobotDataset
-            v3.0, with videos of 640x480.
+            v3.0, with videos.
         look: What is made of which episodes.
         working: Where to work.
         as_json: Print one JSON object instead of words.
     """
-    if form == "lerobot":
-        return _export(data, out, look, working)
     order = RenderOrder(
         recipe=data, out=out, tasks=words(look.tasks), splits=words(look.splits)
     )
-    chosen = choose_form(form, look)
+    make = choose_form(form, order, look)
     engine = working.make_engine()
     total, done = order.episodes(), 0
     try:
@@ -85,7 +91,7 @@ def render(
                 done += more
                 advance(more)
 
-            summary = make(order, chosen, engine, count)
+            summary = make(engine, count)
     except KeyboardInterrupt:
         complain(
             f"Interrupted with {done} of {total} episodes made. The same command goes "
@@ -99,24 +105,25 @@ def render(
     return 0
 
 
-def _export(data: Path, out: Path, look: Look, working: Workers) -> int:
-    """Write a LeRobotDataset, whose images have one size."""
-    processes = usable_cores() if working.workers is None else working.workers
-    export(data, out, look.fps, words(look.tasks), words(look.splits), processes)
-    output().print(f"{out} is a LeRobotDataset v3.0.")
-    return 0
-
-
-def choose_form(name: FormName, look: Look) -> Form:
-    """Return the form that a user asked for.
+def choose_form(name: FormName, order: RenderOrder, look: Look) -> Make:
+    """Return what makes the form that a user asked for.
 
     Raises:
-        InvalidConfigError: Its size or rate is impossible.
+        InvalidConfigError: Its size or rate is impossible, or depth cannot be left out.
     """
+    if look.no_depth and name != "lerobot":
+        raise InvalidConfigError(
+            f"--no-depth is for --form lerobot; {name} cannot leave depth out."
+        )
     if name == "dense":
-        return DenseForm(look.fps)
+        return partial(render_form, order, DenseForm(look.fps))
     width, height = parse_size(look.size)
-    return KeyframeForm(width, height)
+    if name == "keyframes":
+        return partial(render_form, order, KeyframeForm(width, height))
+    style = Style(
+        fps=look.fps, width_px=width, height_px=height, depth=not look.no_depth
+    )
+    return partial(write_dataset, LeRobotOrder(source=order, style=style))
 
 
 def words(listed: str) -> tuple[str, ...]:
@@ -142,9 +149,9 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def _print(out: Path, form: FormName, summary: RenderSummary) -> None:
-    unit = "keyframes" if form == "keyframes" else "steps"
     output().print(
-        f"{out}: {summary.rows} {unit}, {summary.size_mb:.1f} MB. Of {summary.episodes}"
-        f" episodes, {summary.made} were made by this run ({summary.seconds:.1f} s).",
+        f"{out}: {summary.rows} {_ROWS[form]}, {summary.size_mb:.1f} MB. Of "
+        f"{summary.episodes} episodes, {summary.made} were made by this run "
+        f"({summary.seconds:.1f} s).",
         soft_wrap=True,
     )

@@ -8,7 +8,7 @@ same bytes.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from shutil import rmtree
 from time import perf_counter
@@ -16,8 +16,9 @@ from time import perf_counter
 import av
 
 from lemma.core.errors import DatasetError
-from lemma.dataset.engines import Engine, Processes, Serial
+from lemma.dataset.engines import Engine
 from lemma.dataset.files import (
+    check_files,
     clear_drafts,
     only_writer,
     open_table,
@@ -31,7 +32,7 @@ from lemma.dataset.lerobot_assembly import assemble, name_in_recipe
 from lemma.dataset.lerobot_episode import Source, is_whole, write_part
 from lemma.dataset.lerobot_format import EXTRAS, INFO, Style
 from lemma.dataset.lerobot_video import DEPTH, RGB
-from lemma.dataset.render import RenderOrder, check_made_alike
+from lemma.dataset.render import RenderOrder, RenderSummary, check_made_alike
 from lemma.dataset.replay import check_versions
 from lemma.scene.opengl import choose_backend
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
@@ -83,62 +84,11 @@ def _rank(path: Path, group: int) -> tuple[int, int, str, int]:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class LeRobotSummary:
-    """What a run came to."""
-
-    episodes: int
-    """Episodes of the data set."""
-    frames: int
-    """Their frames."""
-    made: int
-    """Episodes that this run filmed."""
-    seconds: float
-    """Time that this run took [s]."""
-    size_mb: float
-    """Of all files of the data set [MB]."""
-
-
-def export(
-    recipe_folder: Path,
-    out: Path,
-    fps: int = 10,
-    tasks: Sequence[str] = (),
-    splits: Sequence[str] = (),
-    workers: int = 1,
-    depth: bool = True,
-) -> None:
-    """Export a recipe as a LeRobotDataset.
-
-    Args:
-        recipe_folder: The recipe.
-        out: Folder of the data set; what is there already is kept.
-        fps: Frames per simulated second: a divisor of 100.
-        tasks: Names of tasks; all if empty.
-        splits: Names of splits; all if empty.
-        workers: Number of processes.
-        depth: Whether depth is filmed too; see :class:`Style`.
-
-    Raises:
-        DatasetError: The recipe cannot be read here, or something cannot be written.
-        UnknownNameError: The recipe has no such task or split.
-        InvalidConfigError: The rate is impossible.
-        RenderingError: OpenGL does not work here.
-    """
-    source = RenderOrder(
-        recipe=recipe_folder, out=out, tasks=tuple(tasks), splits=tuple(splits)
-    )
-    engine: Engine = Serial() if workers == 1 else Processes(workers)
-    write_dataset(
-        LeRobotOrder(source=source, style=Style(fps=fps, depth=depth)), engine
-    )
-
-
 def write_dataset(
     order: LeRobotOrder,
     engine: Engine,
     advance: Callable[[int], None] = lambda count: None,
-) -> LeRobotSummary:
+) -> RenderSummary:
     """Write what is missing of a LeRobotDataset.
 
     Args:
@@ -166,6 +116,7 @@ def write_dataset(
     check_recorded(order.style.instruction, [path.parent.name for path in files])
     for path in files:
         check_versions(open_table(path)[1])
+    check_files(order.source.recipe, partial=True)
     with only_writer(order.out):
         clear_drafts(order.out)
         _begin(order, files)
@@ -179,9 +130,7 @@ def write_dataset(
         rmtree(order.out / _PARTS, ignore_errors=True)
     frames = read_json(order.out / INFO)["total_frames"]
     size = sum(path.stat().st_size for path in order.out.rglob("*") if path.is_file())
-    return LeRobotSummary(
-        len(sources), frames, made, perf_counter() - start, size / 1e6
-    )
+    return RenderSummary(len(sources), frames, made, perf_counter() - start, size / 1e6)
 
 
 def _begin(order: LeRobotOrder, files: Sequence[Path]) -> None:
@@ -217,7 +166,12 @@ def _film(
 ) -> int:
     """Film the episodes that are not there yet; return how many."""
     missing = [
-        (source, order.part(number), order.style)
+        # Absolute, because a worker may be at home elsewhere.
+        (
+            replace(source, path=source.path.absolute()),
+            order.part(number).absolute(),
+            order.style,
+        )
         for number, source in enumerate(sources)
         if not is_whole(order.part(number))
     ]

@@ -7,7 +7,6 @@ comes last: where it is, the part is whole.
 import os
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
-from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import pyarrow.parquet as pq
 
 from lemma.core.errors import DatasetError
 from lemma.dataset.dense import NO_SUBTASK, DenseStep, iterate_steps
+from lemma.dataset.engines import is_worker
 from lemma.dataset.files import read_json, write_json, write_whole
 from lemma.dataset.labels import label
 from lemma.dataset.lerobot_format import Style, depth_key, image_key, video_keys
@@ -118,7 +118,7 @@ def write_part(source: Source, part: Path, style: Style) -> int:
         DatasetError: The motion is not the recorded one, or the part cannot be written.
         RenderingError: OpenGL does not work here.
     """
-    if parent_process() is not None:
+    if is_worker():
         # Mesa would start as many threads as there are cores, in each process.
         os.environ.setdefault("LP_NUM_THREADS", "0")
     record = read_group(source.path, source.group)[source.row]

@@ -151,7 +151,7 @@ class RenderSummary:
     episodes: int
     """Episodes of the order; all are there."""
     rows: int
-    """Keyframes or steps of the whole folder."""
+    """Keyframes, steps or frames of the whole folder."""
     made: int
     """Episodes that this run made."""
     seconds: float

@@ -1,0 +1,118 @@
+"""What `lemma render` does with its options, whatever the form."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from lemma.cli import render as verb
+from lemma.cli.main import main
+from lemma.cli.render import Look, choose_form
+from lemma.cli.workers import Workers
+from lemma.core.errors import InvalidConfigError
+from lemma.dataset.engines import Serial
+from lemma.dataset.lerobot import LeRobotOrder
+from lemma.dataset.render import RenderOrder, RenderSummary
+from rendered_sets import TASKS, recipe_folder
+
+FORMS = ("keyframes", "dense", "lerobot")
+
+
+def run(*words: object) -> int | str | None:
+    with pytest.raises(SystemExit) as end:
+        main(["render", *(str(word) for word in words)])
+    return end.value.code
+
+
+@pytest.mark.render
+@pytest.mark.slow
+def test_a_lerobot_dataset_of_another_size_without_depth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "set"
+    words = ("--form", "lerobot", "--tasks", TASKS[0], "--fps", "2", "--no-depth")
+    command = (recipe_folder(), "--out", out, *words, "--size", "64x48", "--workers")
+    assert run(*command, "1", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["form"], told["episodes"], told["made"]) == ("lerobot", 2, 2)
+    info = json.loads((out / "meta/info.json").read_text())
+    assert told["rows"] == info["total_frames"] > 20
+    shapes = {
+        name: feature["shape"]
+        for name, feature in info["features"].items()
+        if feature["dtype"] == "video"
+    }
+    assert shapes == {
+        "observation.images.robot_0": [48, 64, 3],
+        "observation.images.robot_1": [48, 64, 3],
+    }
+    assert run(*command, "1") == 0
+    words_told = capsys.readouterr().out
+    assert f"{told['rows']} frames" in words_told
+    assert "0 were made by this run" in words_told
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_works_where_it_is_told_and_can_be_interrupted(
+    form: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    engine = Serial()
+    given: list[object] = []
+
+    def make(*arguments: object) -> RenderSummary:
+        *rest, advance = arguments
+        given.extend(rest)
+        assert callable(advance)
+        advance(3)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Workers, "make_engine", lambda self: engine)
+    monkeypatch.setattr(verb, "write_dataset", make)
+    monkeypatch.setattr(verb, "render_form", make)
+    assert run(recipe_folder(), "--out", tmp_path / "set", "--form", form) == 130
+    assert given[-1] is engine
+    told = capsys.readouterr().err
+    assert "Interrupted with 3 of 4 episodes made" in " ".join(told.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--form", "keyframes", "--no-depth"), "cannot leave depth out"),
+        (("--form", "dense", "--no-depth"), "cannot leave depth out"),
+        (("--form", "lerobot", "--size", "63x48"), "must be even"),
+        (("--form", "lerobot", "--size", "large"), "is no size"),
+        (("--form", "lerobot", "--fps", "30"), "Choose one of 1, 2"),
+        (("--form", "lerobot", "--engine", "ray", "--workers", "2"), "Leave out one"),
+        (("--form", "lerobot", "--tasks", "sleep"), "Unknown task"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_written(
+    words: tuple[str, ...],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(recipe_folder(), "--out", tmp_path / "set", *words) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "set").exists()
+
+
+def test_depth_is_filmed_unless_it_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    orders: list[bool] = []
+
+    def keep(order: LeRobotOrder, *rest: object) -> None:
+        orders.append(order.style.depth)
+
+    monkeypatch.setattr(verb, "write_dataset", keep)
+    order = RenderOrder(recipe=tmp_path, out=tmp_path / "set")
+    for look in (Look(), Look(no_depth=True)):
+        choose_form("lerobot", order, look)(Serial(), lambda count: None)
+    assert orders == [True, False]
+    with pytest.raises(InvalidConfigError):
+        choose_form("dense", order, Look(no_depth=True))
