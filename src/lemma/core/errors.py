@@ -5,6 +5,7 @@ Each message says what was wrong, what is valid and what to try.
 
 import difflib
 from collections.abc import Iterable
+from typing import Self
 
 
 class LemmaError(Exception):
@@ -28,6 +29,11 @@ class UnknownNameError(LemmaError, ValueError):
         super().__init__(
             f"Unknown {kind} {name!r}.{hint} Valid: {', '.join(names) or '(none)'}."
         )
+        self._looked_up = (kind, name, names)
+
+    def __reduce__(self) -> tuple[type[Self], tuple[str, object, list[str]]]:
+        """Return how another process builds it again: its message is no argument."""
+        return type(self), self._looked_up
 
 
 class InvalidActionError(LemmaError, ValueError):
