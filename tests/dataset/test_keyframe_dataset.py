@@ -1,7 +1,7 @@
 """Rendered keyframes as a training loop sees them."""
 
 import pickle
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -34,6 +34,7 @@ from rendered_sets import (
 pytestmark = pytest.mark.render
 
 RESAMPLED = Language(instructions="resampled", seed=4)
+DESCRIPTORS = Path("/proc/self/fd")
 
 
 def dataset(**options: Any) -> KeyframeDataset:
@@ -250,6 +251,18 @@ def test_everything_in_memory() -> None:
         row["map_coverage"] = memory.coverage[index]
         assert same(row, found[index])
     assert memory.raster == found.raster
+
+
+@pytest.mark.skipif(not DESCRIPTORS.is_dir(), reason="/proc says which files are open")
+def test_open_files_take_no_descriptors() -> None:
+    # A system allows a process about a thousand, and every thread has files of its own.
+    found = dataset()
+    before = len(list(DESCRIPTORS.iterdir()))
+    first = found[0]
+    with ThreadPoolExecutor(8) as pool:
+        again = list(pool.map(found.__getitem__, [0] * 50))
+        assert len(list(DESCRIPTORS.iterdir())) <= before
+    assert all(same(first, one) for one in again)
 
 
 def test_a_folder_without_keyframes_is_explained(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ Batches of maps are tens of megabytes. Handing them from process to process cost
 than reading them, so threads, which share memory, are faster than processes here.
 """
 
+import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -25,6 +26,8 @@ from lemma.dataset.keyframe_dataset import (
     Sample,
 )
 from lemma.dataset.keyframe_schema import Raster
+
+_THREADS = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,12 +130,18 @@ class MapsInMemory:
         rgb = np.empty((count, raster.rows, raster.columns, 3), np.uint8)
         height = np.empty((count, raster.rows, raster.columns), np.uint16)
         rest: dict[str, list[Any]] = {}
-        for index in range(count):
+
+        def read(index: int) -> Sample:
             sample = dataset[index]
             rgb[index], height[index] = sample.pop("map_rgb"), sample.pop("map_height")
             del sample["map_coverage"]
-            for name, value in sample.items():
-                rest.setdefault(name, []).append(value)
+            return sample
+
+        # Most of the time goes into new memory and decompression, without the lock.
+        with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
+            for sample in pool.map(read, range(count)):
+                for name, value in sample.items():
+                    rest.setdefault(name, []).append(value)
         found = {
             name: np.array(values, object if isinstance(values[0], str) else None)
             for name, values in rest.items()

@@ -112,7 +112,10 @@ class KeyframeFile:
 
     def _open(self, options: pa.ipc.IpcReadOptions) -> pa.ipc.RecordBatchFileReader:
         try:
-            return pa.ipc.open_file(pa.memory_map(str(self.path)), options=options)
+            # What is mapped stays so without a descriptor, of which a process has few.
+            with pa.memory_map(str(self.path)) as source:
+                content = source.read_buffer()
+            return pa.ipc.open_file(pa.BufferReader(content), options=options)
         except (OSError, pa.ArrowException) as error:
             raise DatasetError(damaged(self.path, error)) from error
 
