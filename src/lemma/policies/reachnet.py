@@ -56,6 +56,9 @@ _ARMS = ("ur5", "ur10")
 _AT_ONCE = 32
 _REACH_POINTS = 128
 _EDGE_M = 0.05
+_REACH_EDGE_M = 0.006
+_TIGHT = 0.2
+_DEMONSTRATED = 0.3
 _LOUDEST = 25.0
 
 
@@ -336,14 +339,22 @@ class ReachNet(Model):
 
 
 def _demonstrated_reach(seen: Table, labels: Labels) -> Tensor:
-    """Return how unlikely it is, by reach alone, that these robots did it."""
+    """Return how unlikely it is, by reach alone, that these robots did it.
+
+    The robot that acted reached both ends, and of the robots it was the likelier one.
+    Where else a robot reaches nobody shows: the smallest ring that holds all that was
+    done is the likeliest, as of points drawn evenly from it.
+    """
     robot = labels.decision[:, 0].clamp(min=0)
     ends = torch.stack([labels.pick_pose[:, :2], labels.place_pose[:, :2]], 1)
-    logs = F.logsigmoid(seen.margins(ends.nan_to_num()) / 0.03).sum(-1)
+    margins = seen.margins(ends.nan_to_num())
+    logs = F.logsigmoid(margins / _REACH_EDGE_M).sum(-1)
     rows = torch.arange(len(robot), device=robot.device)
     likely = logs.log_softmax(1)[rows, robot] + logs[rows, robot]
     acts = labels.decision[:, 0] != NOBODY
-    return torch.where(acts, -likely, 0.0).sum() / acts.sum().clamp(min=1)
+    unlikely = torch.where(acts, -likely, 0.0).sum() / acts.sum().clamp(min=1)
+    area = seen.rings[..., 1].square() - seen.rings[..., 0].square()
+    return _DEMONSTRATED * (unlikely + _TIGHT * area.log().mean())
 
 
 def _score_eye(table: Table, truth: Table) -> dict[str, Tensor]:
