@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -109,6 +111,7 @@ def test_vectors_place_words_by_meaning() -> None:
     assert "beneath" in neighbours("under")
     assert "atop" in neighbours("top")
     assert not set(neighbours("top")) & {"bottom", "under"}
+    assert "above" not in neighbours("below")
     assert neighbours("qwertz") == ()
 
 
@@ -156,25 +159,43 @@ def test_paraphrases_say_the_goal_in_words_of_training() -> None:
     assert {"red", "blue", "white"} <= set(words(two))
 
 
-def test_a_relation_is_turned_with_its_things() -> None:
-    config = ParaphraseConfig(
-        native=0.0, turned=1.0, renamed=1.0, clause_dropped=1.0, clause_added=0.0
-    )
-    config = ParaphraseConfig(**{**vars(config), "swapped": 0.0, "left_out": 0.0})
+PLAIN = ParaphraseConfig(
+    native=0.0,
+    turned=0.0,
+    fronted=0.0,
+    renamed=0.0,
+    clause_dropped=0.0,
+    clause_added=0.0,
+    swapped=0.0,
+    left_out=0.0,
+)
+UNDER = {"under", "below", "bottom"}
+
+
+@pytest.mark.parametrize(("turned", "fronted"), [(1, 0), (0, 1), (1, 1), (0, 0)])
+def test_a_relation_is_turned_with_its_things(turned: int, fronted: int) -> None:
+    config = replace(PLAIN, turned=turned, fronted=fronted, renamed=1.0)
     rng = stream("test", "turned")
     taught = templates("pass", "high_level")
     for _ in range(50):
         text = paraphrase("pass", GOAL, rng, config, taught)
-        under = bool(set(words(text)) & {"under", "below", "bottom"})
-        assert under
-        assert text.index("blue") < text.index("red")
+        assert bool(set(words(text)) & UNDER) == bool(turned)
+        first = "red" if turned == fronted else "blue"
+        assert min(("red", "blue"), key=text.index) == first, text
+
+
+def test_a_place_that_comes_first_is_turned_too() -> None:
+    rng = stream("test", "front")
+    taught = [t for t in templates("pass", "human") if t.text.startswith("on the")]
+    text = paraphrase("pass", GOAL, rng, replace(PLAIN, turned=1.0), taught)
+    assert set(words(text)) & UNDER
+    assert text.index("red") < text.index("blue")
 
 
 def test_paraphrases_use_only_the_templates_that_are_taught() -> None:
     rng = stream("test", "taught")
     taught = templates("pass", "high_level")
-    plain = ParaphraseConfig(turned=0.0, renamed=0.0, swapped=0.0, left_out=0.0)
-    said = {paraphrase("pass", GOAL, rng, plain, taught) for _ in range(20)}
+    said = {paraphrase("pass", GOAL, rng, PLAIN, taught) for _ in range(20)}
     assert said == {SENTENCE.lower()}
 
 

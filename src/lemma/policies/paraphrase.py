@@ -31,9 +31,11 @@ _MENTION = re.compile(
 )
 _ON = ("on", "on", "onto", "on top of", "on top of", "over", "top")
 _UNDER = ("under", "under", "below", "at the bottom of")
-_RELATION = re.compile(
-    r"\b(?:(?P<on>on top of|onto|on|over)|under|below)(?= (?:the )?$)"
+_WHERE = (
+    r"(?P<relation>(?P<on>on top of|onto|on|over|top)|under|below|at the bottom of)"
 )
+_RELATION = re.compile(rf"\b{_WHERE}(?= (?:the )?$)")
+_FRONT = re.compile(rf"(?:^|, |\. |\band ){_WHERE}(?= (?:the )?$)", re.IGNORECASE)
 _JOINTS = (" and ", ", and ", ". ", ", ", ", then ", ". then ", ", and then ")
 _SHORT = 16
 """Words of the longest sentence that is joined with another."""
@@ -47,6 +49,8 @@ class ParaphraseConfig:
     """Of a sentence of the task, as it stands, but for single words."""
     turned: float = 0.3
     """Of telling each relation the other way round: what goes under what."""
+    fronted: float = 0.2
+    """Of beginning with the place: on the pad goes the cube."""
     renamed: float = 0.6
     """Of another name for a thing, each time it is mentioned."""
     clause_dropped: float = 0.4
@@ -121,6 +125,8 @@ def _say(
         suffix = str(number) if sentence.pairs == 2 else ""
         entities |= {f"top{suffix}": pair[0], f"bottom{suffix}": pair[1]}
     sentence = _turned(sentence, rng, config.turned)
+    if rng.random() < config.fronted:
+        sentence = _fronted(sentence)
     # One name for each role throughout, in most sentences.
     nouns = {role: _noun(entity, rng) for role, entity in entities.items()}
     text, told = sentence.pieces[0], set()
@@ -145,21 +151,31 @@ def _turned(sentence: _Sentence, rng: np.random.Generator, chance: float) -> _Se
     pieces, roles = list(sentence.pieces), list(sentence.roles)
     for i in range(1, len(roles)):
         first, second = roles[i - 1 : i + 1]
-        upright = first.startswith("top")
-        found = _RELATION.search(pieces[i])
-        if (
-            found is None
-            or upright is second.startswith("top")
-            or _conjunct(first) != _conjunct(second)
-            or upright is not bool(found["on"])
-            or rng.random() >= chance
-        ):
+        if _conjunct(first) != _conjunct(second) or first == second:
             continue
-        options = _UNDER if upright else _ON
-        other = options[int(rng.integers(len(options)))]
-        pieces[i] = pieces[i][: found.start()] + other + pieces[i][found.end() :]
-        roles[i - 1 : i + 1] = second, first
+        upright = first.startswith("top")
+        # "x on y", or "on y goes x".
+        for j, pattern, on in ((i, _RELATION, upright), (i - 1, _FRONT, not upright)):
+            found = pattern.search(pieces[j])
+            if found and on is bool(found["on"]) and rng.random() < chance:
+                options = _UNDER if on else _ON
+                other = options[int(rng.integers(len(options)))]
+                start, end = found.span("relation")
+                pieces[j] = pieces[j][:start] + other + pieces[j][end:]
+                roles[i - 1 : i + 1] = second, first
+                break
     return _Sentence(tuple(pieces), tuple(roles), sentence.said)
+
+
+def _fronted(sentence: _Sentence) -> _Sentence:
+    """Return "on y put x" for "put x on y", if a sentence is no more than that."""
+    found = _RELATION.search(sentence.pieces[1])
+    if len(sentence.roles) != 2 or found is None:
+        return sentence
+    before, between, after = sentence.pieces
+    start = found.start("relation")
+    pieces = (between[start:], f" {before}", f" {between[:start].strip()} {after}")
+    return _Sentence(pieces, sentence.roles[::-1], sentence.said[::-1])
 
 
 def _conjunct(role: str) -> str:

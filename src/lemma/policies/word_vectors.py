@@ -16,6 +16,8 @@ from lemma.tasks.language import vocabulary
 
 NEAR = 0.4
 """Cosine of the angle between words of similar meaning, at least."""
+_OPPOSITES = {"above": "below"}
+"""Words that are near the word of training that means their opposite."""
 _MOST = 12
 """Words that are offered in another's place."""
 
@@ -74,9 +76,11 @@ def _neighbours() -> dict[str, tuple[str, ...]]:
     found: dict[str, list[tuple[float, str]]] = {}
     for word, row in table.rows.items():
         cosine = float(cosines[row, closest[row]])
-        if word not in known and cosine >= NEAR:
-            found.setdefault(known[closest[row]], []).append((-cosine, word))
+        other = known[closest[row]]
+        opposite = other == _OPPOSITES.get(word)
+        if word not in known and cosine >= NEAR and not opposite:
+            found.setdefault(other, []).append((-cosine, word))
     return {
-        word: tuple(other for _, other in sorted(others)[:_MOST])
+        word: tuple(near for _, near in sorted(others)[:_MOST])
         for word, others in found.items()
     }
