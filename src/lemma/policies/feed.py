@@ -88,7 +88,9 @@ class Feed:
         rng = stream("batch", config.seed, step, order.rank)
         batch = augment(batch, config.augmentation, rng)
         draw = step if config.augmentation.templates else 0
-        batch = with_instructions(batch, config.seed, draw, config.kinds)
+        batch = with_instructions(
+            batch, config.seed, draw, config.kinds, config.augmentation.paraphrases
+        )
         return with_language(batch, config.language, rng)
 
     @contextmanager

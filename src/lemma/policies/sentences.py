@@ -5,12 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from lemma.core.seeding import stream
 from lemma.dataset.instructions import draw_instruction
 from lemma.policies.frames import Batch
+from lemma.policies.paraphrase import paraphrase
 
 
 def with_instructions(
-    batch: Batch, seed: int, draw: int, kinds: Sequence[str] = ("high_level", "human")
+    batch: Batch,
+    seed: int,
+    draw: int,
+    kinds: Sequence[str] = ("high_level", "human"),
+    paraphrases: float = 0.0,
 ) -> Batch:
     """Return a batch whose instructions are drawn from the templates for training.
 
@@ -21,6 +27,8 @@ def with_instructions(
         seed: Seeds all draws.
         draw: A new one gives new sentences.
         kinds: Kinds to draw from, each as likely.
+        paraphrases: Share of episodes whose sentence is put together anew from parts
+            of those templates.
     """
     assert batch.labels is not None
     drawn: dict[int, str] = {}
@@ -29,14 +37,15 @@ def with_instructions(
     for row, episode in enumerate(labels.episode.tolist()):
         text = drawn.get(episode)
         if text is None:
-            text = drawn[episode] = draw_instruction(
-                labels.tasks[row],
-                labels.goals[row],
-                str(episode),
-                seed=seed,
-                epoch=draw,
-                kinds=kinds,
-            )
+            task, goal = labels.tasks[row], labels.goals[row]
+            rng = stream("paraphrase", seed, draw, episode) if paraphrases else None
+            if rng is not None and rng.random() < paraphrases:
+                text = paraphrase(task, goal, rng)
+            else:
+                text = draw_instruction(
+                    task, goal, str(episode), seed=seed, epoch=draw, kinds=kinds
+                )
+            drawn[episode] = text
         texts.append(text)
     return replace(batch, instructions=texts)
 

@@ -31,6 +31,9 @@ class Augmentation:
     """Exchange the five colours of cubes and pads, in images, labels and sentences."""
     templates: bool = True
     """Draw a sentence anew each time; else an episode keeps its first one."""
+    paraphrases: float = 0.5
+    """Share of sentences that are put together anew from parts of the templates; 0 for
+    none."""
     translate_cells: int = 6
     """Move the whole scene by up to so many cells of the map; 0 for never."""
     turn: bool = True
@@ -48,7 +51,7 @@ class Augmentation:
         """Check the numbers."""
         for name in (
             *("translate_cells", "brightness"),
-            *("pixel_noise", "height_noise_m", "dropouts"),
+            *("pixel_noise", "height_noise_m", "dropouts", "paraphrases"),
         ):
             if not getattr(self, name) >= 0:
                 raise InvalidConfigError(
@@ -65,6 +68,7 @@ class Augmentation:
         return cls(
             palette=False,
             templates=False,
+            paraphrases=0.0,
             translate_cells=0,
             turn=False,
             brightness=0.0,
