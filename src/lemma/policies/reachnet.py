@@ -48,7 +48,7 @@ from lemma.policies.reachnet_table import (
     turned,
     turned_numbers,
 )
-from lemma.policies.text import TextConfig
+from lemma.policies.text import WORDS_AND_VECTORS, TextConfig
 from lemma.scene.entities import ENTITIES
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
@@ -73,7 +73,9 @@ class ReachNetConfig:
     """Robots of a team."""
     eye: PerceptionConfig = field(default_factory=PerceptionConfig)
     """What sees."""
-    text: TextConfig = field(default_factory=lambda: TextConfig(width=128))
+    text: TextConfig = field(
+        default_factory=lambda: TextConfig(kind=WORDS_AND_VECTORS, width=128)
+    )
     """What reads."""
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     """What decides."""

@@ -223,7 +223,7 @@ DEFAULTS: dict[str, Defaults] = {
     "episodic-transformer": Defaults(samples=168_000, batch_size=32),
     "cliport": Defaults(samples=384_000, learning_rate=5e-4),
     "m-cliport": Defaults(samples=384_000, learning_rate=5e-4),
-    "reachnet": Defaults(samples=384_000, learning_rate=5e-4),
+    "reachnet": Defaults(samples=512_000, batch_size=128, learning_rate=1e-3),
 }
 """By the name of the model."""
 
