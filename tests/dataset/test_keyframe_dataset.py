@@ -5,12 +5,14 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
+from threading import Barrier
 from typing import Any
 
 import numpy as np
 import pytest
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.dataset import keyframe_dataset
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.instructions import Language
 from lemma.dataset.keyframe_dataset import (
@@ -254,15 +256,34 @@ def test_everything_in_memory() -> None:
 
 
 @pytest.mark.skipif(not DESCRIPTORS.is_dir(), reason="/proc says which files are open")
-def test_open_files_take_no_descriptors() -> None:
-    # A system allows a process about a thousand, and every thread has files of its own.
-    found = dataset()
+def test_threads_share_descriptors() -> None:
+    # A system allows a process about a thousand.
+    found = dataset(columns=(*MAP_COLUMNS, *POLICY_COLUMNS, *CAMERA_COLUMNS))
     before = len(list(DESCRIPTORS.iterdir()))
-    first = found[0]
-    with ThreadPoolExecutor(8) as pool:
-        again = list(pool.map(found.__getitem__, [0] * 50))
-        assert len(list(DESCRIPTORS.iterdir())) <= before
-    assert all(same(first, one) for one in again)
+    start = Barrier(4)
+
+    def read_first(_: int) -> Sample:
+        start.wait()
+        return found[0]
+
+    with ThreadPoolExecutor(4) as pool:
+        again = list(pool.map(read_first, range(4)))
+        assert len(list(DESCRIPTORS.iterdir())) == before + 2
+    assert all(same(found[0], one) for one in again)
+
+
+def test_files_are_opened_again_where_too_many_are_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    expected = [dataset()[index] for index in range(len(dataset()))]
+    monkeypatch.setattr(keyframe_dataset, "_OPEN_FILES", 1)
+    found = dataset()
+    before = len(list(DESCRIPTORS.iterdir())) if DESCRIPTORS.is_dir() else 0
+    for _ in range(2):
+        for index, sample in enumerate(expected):
+            assert same(found[index], sample)
+    if DESCRIPTORS.is_dir():
+        assert len(list(DESCRIPTORS.iterdir())) == before + 1
 
 
 def test_a_folder_without_keyframes_is_explained(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from lemma.core.errors import UnknownNameError
@@ -28,7 +29,7 @@ from lemma.dataset.keyframe_schema import (
     camera_columns,
     map_columns,
 )
-from lemma.dataset.keyframes import KeyframeFile
+from lemma.dataset.keyframes import KeyframeFile, mapped
 from lemma.dataset.shards import keyframe_shards
 
 Sample = dict[str, Any]
@@ -45,7 +46,8 @@ POLICY_COLUMNS = (*LABELS, "arms", "bases", "joints", "opening_m", "sub_instruct
 MAP_COLUMNS = ("map_rgb", "map_height")
 CAMERA_COLUMNS = ("intrinsics", "world_from_camera", "rgb", "depth")
 
-_OPEN_FILES = 300
+_OPEN_FILES = 600
+"""What is open at most: each file takes a descriptor, of which systems allow 1024."""
 
 
 class KeyframeDataset:
@@ -89,6 +91,7 @@ class KeyframeDataset:
         self._columns = _by_part(columns, language, self.shards[0].header)
         self._added = set().union(*self._columns.values()) - set(columns)
         self._local = threading.local()
+        self._sources: dict[tuple[int, int, str], pa.NativeFile] = {}
 
     def __len__(self) -> int:
         """Return the number of keyframes."""
@@ -159,7 +162,7 @@ class KeyframeDataset:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what is open, which belongs to a thread, and what was drawn."""
-        return {**self.__dict__, "_local": None, "_drawn": {}}
+        return {**self.__dict__, "_local": None, "_sources": {}, "_drawn": {}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Begin with nothing open."""
@@ -176,9 +179,22 @@ class KeyframeDataset:
         if file is None:
             if len(files) >= _OPEN_FILES:
                 del files[next(iter(files))]
-            file = KeyframeFile(self.shards[shard].paths[part], columns)
+            path = self.shards[shard].paths[part]
+            file = KeyframeFile(path, columns, self._source(shard, part))
             files[shard, part] = file
         return file
+
+    def _source(self, shard: int, part: str) -> pa.NativeFile:
+        """Return a file that all threads of this process share."""
+        place = getpid(), shard, part
+        source = self._sources.get(place)
+        if source is None:
+            too_many = len(self._sources) + 1 - _OPEN_FILES
+            for old in list(self._sources)[: max(0, too_many)]:
+                self._sources.pop(old, None)
+            path = self.shards[shard].paths[part]
+            source = self._sources.setdefault(place, mapped(path))
+        return source
 
     def _instruction(self, sample: Sample) -> str:
         if self.language.instructions == "recorded":

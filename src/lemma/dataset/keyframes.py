@@ -80,21 +80,40 @@ def _array(value: Any, kind: pa.DataType) -> pa.Array:
     return pa.ExtensionArray.from_storage(kind, storage)
 
 
+def mapped(path: Path) -> pa.NativeFile:
+    """Return a file in memory, which several threads may read.
+
+    Raises:
+        DatasetError: It is missing, or empty.
+    """
+    try:
+        return pa.memory_map(str(path))
+    except (OSError, pa.ArrowException) as error:
+        raise DatasetError(damaged(path, error)) from error
+
+
 class KeyframeFile:
     """An open file: any row at once."""
 
-    def __init__(self, path: Path, columns: Sequence[str] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        columns: Sequence[str] | None = None,
+        source: pa.NativeFile | None = None,
+    ) -> None:
         """Open a file; nothing of it is read but its table of contents.
 
         Args:
             path: The file.
             columns: Names of columns to read; all if None.
+            source: The file as :func:`mapped` returned it, maybe to others too.
 
         Raises:
             DatasetError: It is missing, cut short, or not of this format.
             UnknownNameError: It has no such column.
         """
         self.path = path
+        self._source = mapped(path) if source is None else source
         reader = self._open(pa.ipc.IpcReadOptions(use_threads=False))
         self.header = Header.from_json(
             path, (reader.schema.metadata or {}).get(METADATA_KEY)
@@ -112,10 +131,7 @@ class KeyframeFile:
 
     def _open(self, options: pa.ipc.IpcReadOptions) -> pa.ipc.RecordBatchFileReader:
         try:
-            # What is mapped stays so without a descriptor, of which a process has few.
-            with pa.memory_map(str(self.path)) as source:
-                content = source.read_buffer()
-            return pa.ipc.open_file(pa.BufferReader(content), options=options)
+            return pa.ipc.open_file(self._source, options=options)
         except (OSError, pa.ArrowException) as error:
             raise DatasetError(damaged(self.path, error)) from error
 
