@@ -128,8 +128,7 @@ class PickAndPlace(Model):
             layers=config.text_layers,
             word_dropout=config.word_dropout,
         )
-        # One each: the half that learns faster would shape a shared one for the word
-        # that it needs, and the other would never find its own.
+        # One each: the pick listens for other words than the place.
         self.pick_text = TextEncoder(text)
         self.place_text = TextEncoder(text)
         self.trunk: nn.Module | None = None

@@ -22,6 +22,9 @@ IMAGE_CHANNELS = 8
 _SEMANTIC = (0, 1, 2, 6, 7)
 _HEIGHT_SCALES_M = (0.3, 0.05)
 _HEIGHT_LIMIT = 2.0
+_LOUDNESS = 3.0
+"""How much louder than usual sentences are at first. Spoken softly, they were not heard
+for thousands of steps: a network that picks any cube is hard to teach colors."""
 
 
 def image_of(batch: Batch) -> Tensor:
@@ -99,6 +102,8 @@ class _FiLM(nn.Module):
     def __init__(self, sentence_width: int, width: int) -> None:
         super().__init__()
         self.linear = nn.Linear(sentence_width, 2 * width)
+        with torch.no_grad():
+            self.linear.weight.mul_(_LOUDNESS)
 
     def forward(self, x: Tensor, sentence: Tensor) -> Tensor:
         scale, shift = self.linear(sentence)[:, :, None, None].chunk(2, 1)
