@@ -50,7 +50,7 @@ AT_ONCE = 16
 class CLIPortConfig:
     """Options of :class:`CLIPort`."""
 
-    widths: tuple[int, ...] = (40, 72, 128, 224)
+    widths: tuple[int, ...] = (32, 64, 128, 224)
     """Channels at a quarter to a 32nd of the map's resolution."""
     query_widths: tuple[int, ...] = (32, 64, 96, 128)
     """The same of the network that sees what lies around the pick."""
@@ -84,7 +84,7 @@ class CLIPortConfig:
             if len(getattr(self, name)) != 4:
                 raise InvalidConfigError(
                     f"{name}={getattr(self, name)!r}: there are four levels. Give four "
-                    "numbers of channels, such as (40, 72, 128, 224)."
+                    "numbers of channels, such as (32, 64, 128, 224)."
                 )
         if self.crop < 2 * STRIDE or self.crop % STRIDE:
             raise InvalidConfigError(
