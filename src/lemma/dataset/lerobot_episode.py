@@ -4,7 +4,9 @@ An episode is written as a part of its own, a folder, by whichever process. The 
 comes last: where it is, the part is whole.
 """
 
+import ctypes
 import os
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -37,6 +39,8 @@ from lemma.tasks.template import KINDS
 
 FRAMES = "frames.parquet"
 _NOTE = "episode.json"
+_M_MMAP_THRESHOLD = -3
+_LARGE_BYTES = 128 * 1024
 LOCAL_SUBTASK = "subtask"
 """Column of a part: number of the episode's sub-task; behind the last is the end."""
 
@@ -121,6 +125,7 @@ def write_part(source: Source, part: Path, style: Style) -> int:
     if is_worker():
         # Mesa would start as many threads as there are cores, in each process.
         os.environ.setdefault("LP_NUM_THREADS", "0")
+        _return_memory()
     record = read_group(source.path, source.group)[source.row]
     names = tuple(f"robot_{i}" for i in range(len(record.instance_data()["robots"])))
     studio = _Studio(names, style)
@@ -156,6 +161,13 @@ def write_part(source: Source, part: Path, style: Style) -> int:
     )
     write_json(part / _NOTE, asdict(note))
     return 1
+
+
+def _return_memory() -> None:
+    """Let what pictures took go back to the system, instead of piling up in pieces."""
+    with suppress(OSError, AttributeError):
+        # Where the C library is glibc. Otherwise it raises the limit by itself.
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
 
 
 def _put(content: bytes, path: Path) -> None:

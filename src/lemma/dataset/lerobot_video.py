@@ -125,9 +125,10 @@ DEPTH = Encoding(
     preset="superfast",
     options={
         # Twelve bits, nothing lost; one thread, silence, and no word on the processor.
-        # Looking ahead takes memory, and gains nothing where no rate is controlled.
+        # Looking ahead and weighing blocks take memory, and gain nothing here.
         "x265-params": "lossless=1:open-gop=0:pools=none:frame-threads=1"
-        ":rc-lookahead=1:log-level=error:info=0"
+        ":rc-lookahead=0:scenecut=0:aq-mode=0:cutree=0:weightp=0"
+        ":log-level=error:info=0"
     },
     notes={
         "is_depth_map": True,
