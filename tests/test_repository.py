@@ -88,8 +88,13 @@ def test_version_is_the_same_everywhere() -> None:
     assert f"## [{lemma.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
 
 
+UNPINNED = ("text", "track")
+"""Extras that no target of the Makefile installs; the versions are the user's."""
+
+
 def requirements() -> list[Requirement]:
-    extras = PROJECT["optional-dependencies"].values()
+    every = PROJECT["optional-dependencies"]
+    extras = [group for name, group in every.items() if name not in UNPINNED]
     return [
         Requirement(text)
         for group in (PROJECT["dependencies"], *extras)
@@ -108,6 +113,13 @@ def pins() -> dict[str, str]:
 def test_dependency_is_pinned_within_its_range(requirement: Requirement) -> None:
     pinned = pins()[canonicalize_name(requirement.name)]
     assert requirement.specifier.contains(Version(pinned))
+
+
+def test_what_is_not_pinned_is_not_installed_here() -> None:
+    installed = re.findall(r"'\.\[(.*?)\]'", (ROOT / "Makefile").read_text())
+    assert installed
+    names = {name for group in installed for name in group.split(",")}
+    assert names <= set(PROJECT["optional-dependencies"]) - set(UNPINNED)
 
 
 def test_core_needs_no_torch() -> None:
