@@ -203,9 +203,9 @@ def test_two_processes_do_what_one_does_with_twice_the_batch(
     train(config(data, tmp_path / "one", batch_size=8, steps=10, val_every=5,
                  augmentation=calm, options=options))  # fmt: skip
     off = [f"--augmentation.no-{name}" for name in ("palette", "templates", "turn")]
-    for name in ("brightness", "pixel-noise", "height-noise-m"):
+    for name in ("paraphrases", "translate-cells", "brightness", "pixel-noise",
+                 "height-noise-m", "dropouts"):  # fmt: skip
         off += [f"--augmentation.{name}", "0"]
-    off += ["--augmentation.translate-cells", "0", "--augmentation.dropouts", "0"]
     words = ("--options", *options, "--steps", "10", "--val-every", "5", *off)
     finish(start(data, tmp_path / "two", *words, processes=2))
     one, two = state(tmp_path / "one")["trainer"], state(tmp_path / "two")["trainer"]

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.seeding import stream
+from lemma.dataset.engines import Serial
+from lemma.dataset.generate import Order, generate
 from lemma.scene.palette import OBJECT_COLOURS
 from lemma.tasks import language
 from lemma.tasks.language import KINDS, Template
@@ -318,7 +320,12 @@ PAGE = (Path(__file__).parents[2] / "docs" / "language.md").read_text(encoding="
 
 
 @pytest.mark.parametrize("code", re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL))
-def test_the_code_of_the_page_runs(code):
+def test_the_code_of_the_page_runs(code, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    order = Order(
+        out=Path("data/lemma-v1"), tasks=("pass",), splits=("train",), episodes=1
+    )
+    generate(order, Serial())
     exec(code, {})
 
 
