@@ -63,3 +63,19 @@ def test_peak_memory_grows_with_what_is_kept() -> None:
     kept[::4096] = b"x" * len(kept[::4096])
     assert peak_memory_mb() >= before
     assert peak_memory_mb() > 60
+
+
+@pytest.mark.slow
+@pytest.mark.render
+def test_figures_of_a_policy(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["bench", "pass", "--episodes", "2", "--policy", "oracle", "--json"])
+    assert end.value.code == 0
+    report = json.loads(capsys.readouterr().out)
+    assert set(report) == {"machine", "policy"}
+    found = report["policy"]
+    assert found["decisions"] >= 4
+    assert 0 < found["decision_ms"] <= found["slowest_ms"]
+    assert found["look_ms"] == 0.0
+    assert found["success_rate"] == 1.0
+    assert found["demo_peak_mb"] > 50

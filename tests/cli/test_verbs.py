@@ -107,12 +107,19 @@ def test_a_file_where_a_folder_should_be(
     assert "taken" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("missing", "remedy"),
+    [("numba", "--force-reinstall lemma-bench"), ("torch", "'lemma-bench[learn]'")],
+)
 def test_an_incomplete_installation_is_explained(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    missing: str,
+    remedy: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def fail(name: str) -> None:
-        raise ModuleNotFoundError("No module named 'numba'", name="numba")
+        raise ModuleNotFoundError(f"No module named {missing!r}", name=missing)
 
     monkeypatch.setattr(command, "import_module", fail)
     assert run("tasks") == 2
-    assert "pip install" in capsys.readouterr().err
+    assert remedy in capsys.readouterr().err

@@ -1,7 +1,8 @@
 """`lemma bench`: the benchmark's own figures, measured here."""
 
-from typing import Any
+from typing import Annotated, Any
 
+import tyro
 from rich.progress import track
 from rich.table import Table
 
@@ -14,6 +15,7 @@ from lemma.cli.measure import (
     rounded,
     run_trials,
 )
+from lemma.cli.measure_policy import PolicyFigures, measure_policy
 from lemma.cli.terminal import (
     Flag,
     JsonFlag,
@@ -38,6 +40,14 @@ _TARGETS = {
     "peak_mb": ("memory of one environment, with cameras", "{:.0f} MB", "< 400 MB"),
 }
 """Of every figure: what it is, how to print it, and what it should be."""
+_POLICY_TARGETS = {
+    "decisions": ("decisions that were timed", "{:.0f}", ""),
+    "look_ms": ("both cameras and the map before each", "{:.0f} ms", ""),
+    "decision_ms": ("one decision, median", "{:.0f} ms", "< 150 ms"),
+    "slowest_ms": ("one decision, 95 of 100 are faster", "{:.0f} ms", ""),
+    "success_rate": ("success in these episodes", "{:.0%}", ""),
+    "demo_peak_mb": ("memory of lemma demo --policy", "{:.0f} MB", "< 1500 MB"),
+}
 
 
 def bench(
@@ -45,6 +55,9 @@ def bench(
     expert: Flag = False,
     episodes: int = SPLITS[_SPLIT],
     workers: Number = None,
+    policy: Annotated[
+        str | None, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Measure speed, memory and, if asked to, the expert's success.
@@ -54,6 +67,8 @@ def bench(
         expert: Measure the expert's success as well, which takes minutes.
         episodes: Frozen instances per task, and as many fresh ones, for the expert.
         workers: Processes for the expert; one per core by default.
+        policy: Measure instead how fast this policy decides, and how much memory it
+            needs.
         as_json: Print one JSON object on the output, and the progress elsewhere.
     """
     names = tuple(dict.fromkeys(tasks)) or SUITE
@@ -67,6 +82,14 @@ def bench(
     each = min(episodes, _SPEED_EPISODES)
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
+    if policy is not None:
+        with messages().status(f"Playing {len(instances)} episodes ..."):
+            found = measure_policy(policy, instances)
+        if as_json:
+            print_json({"machine": machine, "policy": found.to_dict()})
+        else:
+            _print_policy(machine, found, policy)
+        return 0
     with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
         speed = measure_speed(instances)
     figures: dict[str, ExpertFigures] = {}
@@ -103,14 +126,8 @@ def _print(
     episodes: str,
 ) -> None:
     console = output()
-    console.print(", ".join(f"{key} {value}" for key, value in machine.items()))
-    table = Table(title=f"Speed ({episodes})", title_justify="left")
-    table.add_column("figure")
-    table.add_column("measured", justify="right", style="bold")
-    table.add_column("target", justify="right")
-    for name, (words, form, target) in _TARGETS.items():
-        table.add_row(words, form.format(getattr(speed, name)), target)
-    console.print(table)
+    _print_machine(machine)
+    console.print(_figures(f"Speed ({episodes})", speed, _TARGETS))
     if not figures:
         return
     table = Table(title="The expert", title_justify="left")
@@ -131,3 +148,24 @@ def _print(
             f"{found.rejection_rate:.1%}",
         )
     console.print(table)
+
+
+def _print_policy(machine: dict[str, Any], found: PolicyFigures, policy: str) -> None:
+    _print_machine(machine)
+    output().print(_figures(f"Policy {policy}", found, _POLICY_TARGETS))
+
+
+def _print_machine(machine: dict[str, Any]) -> None:
+    output().print(", ".join(f"{key} {value}" for key, value in machine.items()))
+
+
+def _figures(
+    title: str, found: object, targets: dict[str, tuple[str, str, str]]
+) -> Table:
+    table = Table(title=title, title_justify="left")
+    table.add_column("figure")
+    table.add_column("measured", justify="right", style="bold")
+    table.add_column("target", justify="right")
+    for name, (words, form, target) in targets.items():
+        table.add_row(words, form.format(getattr(found, name)), target)
+    return table

@@ -24,6 +24,8 @@ _DESCRIPTION = (
 )
 BAD_INPUT = 2
 """Exit code for what the user can put right; argument errors use it as well."""
+_EXTRAS = {"torch": "learn", "safetensors": "learn", "tensorboard": "learn"}
+"""The extra of this package with which a module comes."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -56,10 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         complain(str(error))
         code = BAD_INPUT
     except ImportError as error:
-        complain(
-            f"{error}. The installation is incomplete; repair it with: "
-            "python -m pip install --force-reinstall lemma-bench"
-        )
+        complain(_about_missing(error))
         code = BAD_INPUT
     except KeyboardInterrupt:
         complain("Interrupted.")
@@ -73,3 +72,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
         complain(str(error))
         code = BAD_INPUT
     raise SystemExit(code)
+
+
+def _about_missing(error: ImportError) -> str:
+    extra = _EXTRAS.get((error.name or "").partition(".")[0])
+    if extra is None:
+        return (
+            f"{error}. The installation is incomplete; repair it with: "
+            "python -m pip install --force-reinstall lemma-bench"
+        )
+    return (
+        f"This takes {error.name}, which comes with an extra: python -m pip install "
+        f"'lemma-bench[{extra}]', or '.[{extra}]' in a checkout."
+    )

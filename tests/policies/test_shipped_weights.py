@@ -1,0 +1,58 @@
+"""What every set of weights that ships must do."""
+
+import pytest
+
+from lemma.cli.main import main
+from lemma.evaluation.rollout import Play, Player, play_all
+from lemma.policies.specification import PolicySpec
+from lemma.policies.weights import (
+    LARGEST_MB,
+    SHIPPED,
+    find_weights,
+    load_model,
+    shipped_weights,
+)
+from lemma.tasks.suite import SUITE, load_instance
+
+NAMES = tuple(shipped_weights())
+WHOLE = tuple(name for name in NAMES if hasattr(load_model(name), "act"))
+
+
+def test_all_files_are_listed() -> None:
+    listed = {entry["file"] for entry in shipped_weights().values()}
+    assert {path.name for path in SHIPPED.glob("*.safetensors")} == listed
+    assert "reachnet" in NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_weights_are_small_and_what_is_said_of_them(name: str) -> None:
+    entry = shipped_weights()[name]
+    path = find_weights(name)
+    assert path.stat().st_size == entry["bytes"] <= LARGEST_MB * 1e6
+    model = load_model(name)
+    assert all(bool(p.isfinite().all()) for p in model.parameters())
+    assert model.selection in entry["scores"]
+    assert f"{entry['model']} " in entry["command"]
+    assert entry["data"]["digest"]
+
+
+@pytest.mark.slow
+@pytest.mark.render
+@pytest.mark.parametrize("name", [n for n in NAMES if n.startswith("reachnet")])
+def test_ours_solves_an_episode_of_every_task(name: str) -> None:
+    player = Player.load(PolicySpec(name))
+    plays = [Play(load_instance(task, "val", 0), "human") for task in SUITE]
+    over = list(play_all(plays, player))
+    # One failure in eight would be within what is claimed of it; two would not.
+    assert sum(bool(play.episode.info()["success"]) for play in over) >= 7
+
+
+@pytest.mark.slow
+@pytest.mark.render
+@pytest.mark.parametrize("name", WHOLE)
+def test_the_demo_runs_with_them(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["demo", "pass", "--policy", name, "--no-video"])
+    # Whether it solves the task is not asked here.
+    assert end.value.code in (0, 1)
+    assert "move" in capsys.readouterr().out
