@@ -9,6 +9,7 @@ import numpy as np
 from lemma.dataset.capture import RASTER, see
 from lemma.env.episode import Episode
 from lemma.env.simulation import HORIZON_S
+from lemma.evaluation.advice import Advice, advise
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.policies.interfaces import Decision, Policy, PolicyInput, Step, View
 from lemma.policies.specification import PolicySpec
@@ -38,6 +39,8 @@ class TakenStep:
     result: SkillResult
     start_s: float
     """Simulated time at which it began [s]."""
+    advice: Advice
+    """What the expert said of it."""
 
 
 class Eyes:
@@ -75,6 +78,8 @@ class Play:
     kind: str = "high_level"
     """Which of its instructions is given."""
     horizon_s: float = HORIZON_S
+    says: str | None = None
+    """What is said instead of that instruction."""
     steps: list[TakenStep] = field(default_factory=list)
     past: list[Step] = field(default_factory=list)
 
@@ -84,11 +89,17 @@ class Play:
         colours = tuple(robot.colour for robot in self.instance.scene.robots)
         self._phrases = robot_phrases(colours)
 
+    @property
+    def instruction(self) -> str:
+        """What the policy is told."""
+        own = self.instance.instructions[self.kind]
+        return own if self.says is None else self.says
+
     def given(self, eyes: Eyes | None) -> PolicyInput:
         """Return what the policy is given now; blind without eyes."""
         scene = self.episode.simulation.scene
         return PolicyInput(
-            instruction=self.instance.instructions[self.kind],
+            instruction=self.instruction,
             robots=self._phrases,
             view=eyes.look(scene) if eyes else _BLIND,
             past=tuple(self.past),
@@ -102,12 +113,13 @@ class Play:
             episode.stop()
             return None
         start = episode.elapsed_s
+        advice = advise(episode, decision)
         if decision.grounded is None:
             result = SkillResult(Outcome.INVALID, decision.explanation, 0.0)
         else:
             result = episode.execute(decision.grounded)
         episode.linger(start)
-        step = TakenStep(decision.subtask, decision.grounded, result, start)
+        step = TakenStep(decision.subtask, decision.grounded, result, start, advice)
         self.steps.append(step)
         self.past.append(Step(given.view, decision.subtask, str(result.outcome)))
         return step
@@ -170,6 +182,7 @@ def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
             "explanation": step.result.explanation,
             "start_s": round(step.start_s, 3),
             "duration_s": round(step.result.duration_s, 3),
+            "expert": step.advice.to_dict(),
         }
         for step in steps
     ]
