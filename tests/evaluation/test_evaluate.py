@@ -12,7 +12,8 @@ from lemma.cli.evaluate import evaluate as verb
 from lemma.cli.workers import Workers
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.dataset.engines import Job, Processes, Serial
-from lemma.evaluation.evaluate import ABOUT, EPISODES, EvaluationOrder, Row, evaluate
+from lemma.evaluation.evaluate import ABOUT, EPISODES, EvaluationOrder, evaluate
+from lemma.evaluation.result import Row, cells_of
 from lemma.evaluation.statistics import wilson_interval
 from lemma.evaluation.summary import rates_by
 from lemma.policies.specification import PolicySpec
@@ -107,7 +108,7 @@ def test_rates_are_counted_from_lines(whole: list[Row]) -> None:
     rows = [
         {**row, "success": i % 4 == 0, "progress": 0.5} for i, row in enumerate(whole)
     ]
-    rates = rates_by(rows, "task")
+    rates = rates_by(cells_of(rows), "task")
     assert rates["stack",].successes == 3
     assert rates["stack",].success_rate == 0.25
     assert rates["stack",].progress == 0.5

@@ -2,7 +2,6 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from statistics import fmean
 from typing import Annotated, Literal
 
 import tyro
@@ -11,9 +10,10 @@ from rich.table import Table
 
 from lemma.cli.terminal import Flag, JsonFlag, Number, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
-from lemma.evaluation.evaluate import EvaluationOrder, Row
+from lemma.evaluation.evaluate import SUMMARY, EvaluationOrder, summary_of
 from lemma.evaluation.evaluate import evaluate as run
-from lemma.evaluation.summary import Rate, rates_by
+from lemma.evaluation.result import Cell
+from lemma.evaluation.summary import Rate, mean_over_tasks, rates_by
 from lemma.policies.specification import PolicySpec
 from lemma.tasks.suite import SUITE
 from lemma.tasks.template import KINDS
@@ -37,6 +37,8 @@ class Questions:
     """Look before every sub-task, or plan from the first image alone."""
     gta: Flag = False
     """Ground-truth allocation: the right robot replaces the planner's choice."""
+    language: Literal["full", "none", "shuffled"] = "full"
+    """Controls. none: nothing is said; shuffled: what belongs to the next instance."""
 
 
 EVERYTHING = Questions()
@@ -59,7 +61,8 @@ def evaluate(
 
     Args:
         policy: oracle; a model; PLANNER+GROUNDER; or package.module:Class.
-        out: Folder of the result: one line per episode in episodes.jsonl.
+        out: Folder of the result: one line per episode in episodes.jsonl, counts and
+            causes of failure in summary.json.
         ask: What is asked of the policy.
         working: Where to work.
         as_json: Print one JSON object instead of a table.
@@ -71,11 +74,14 @@ def evaluate(
         split=ask.split,
         kinds=_names(ask.instructions.replace("-", "_"), KINDS),
         episodes=ask.episodes,
+        language=ask.language,
     )
     with progress_bar("evaluate", order.total) as advance:
         rows = run(order, working.make_engine(), advance)
-    rates = rates_by(rows, "instruction_kind", "task")
+    result = summary_of(order, rows)
+    result.write(out / SUMMARY)
     if as_json:
+        rates = rates_by(result.cells, "kind", "task")
         print_json(
             {
                 kind: {
@@ -87,7 +93,7 @@ def evaluate(
             }
         )
     else:
-        output().print(table(rows))
+        output().print(table(result.cells))
     return 0
 
 
@@ -95,9 +101,9 @@ def _names(text: str, every: tuple[str, ...]) -> tuple[str, ...]:
     return every if text == _ALL else tuple(text.split(","))
 
 
-def table(rows: list[Row]) -> Table:
+def table(cells: tuple[Cell, ...]) -> Table:
     """Return success rates [%] with Wilson intervals: tasks down, kinds across."""
-    rates = rates_by(rows, "instruction_kind", "task")
+    rates = rates_by(cells, "kind", "task")
     kinds = [kind for kind in KINDS if any(k == kind for k, _ in rates)]
     shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     shown.add_column("success [%]", style="bold", no_wrap=True)
@@ -105,13 +111,10 @@ def table(rows: list[Row]) -> Table:
         shown.add_column(kind.replace("_", "-"), justify="right", no_wrap=True)
     for task in SUITE:
         if any(t == task for _, t in rates):
-            cells = (rates.get((kind, task)) for kind in kinds)
-            shown.add_row(task, *(_cell(rate) for rate in cells))
+            row = (rates.get((kind, task)) for kind in kinds)
+            shown.add_row(task, *(_cell(rate) for rate in row))
     shown.add_section()
-    means = (
-        fmean(rate.success_rate for (k, _), rate in rates.items() if k == kind)
-        for kind in kinds
-    )
+    means = (mean_over_tasks(c for c in cells if c.kind == kind) for kind in kinds)
     shown.add_row("mean over tasks", *(f"{100 * mean:.1f}" for mean in means))
     return shown
 

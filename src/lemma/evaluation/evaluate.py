@@ -25,22 +25,25 @@ from lemma.dataset.files import (
     read_json,
     versions,
     write_json,
-    write_whole,
+    write_text,
 )
+from lemma.evaluation.advice import left_in
+from lemma.evaluation.provenance import weights_of
+from lemma.evaluation.result import Result, Row, place_of, summarise
 from lemma.evaluation.rollout import Play, Player, play_all, subtasks_of
-from lemma.policies.specification import PolicySpec
+from lemma.policies.specification import PLANNINGS, PolicySpec
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import SUITE, load_instance
 from lemma.tasks.template import KINDS
 
 EPISODES = "episodes.jsonl"
 ABOUT = "about.json"
+SUMMARY = "summary.json"
+LANGUAGES = ("full", "none", "shuffled")
+"""What is said: all of it; nothing; what belongs to the next instance of the list."""
 GROUP = 10
 """Episodes that are played together."""
 _PARTS = ".parts"
-
-Row = dict[str, Any]
-"""One episode, as it stands in the file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +59,8 @@ class EvaluationOrder:
     """Kinds of instructions."""
     episodes: int | None = None
     """Only the first so many of every task; all if None."""
+    language: str = LANGUAGES[0]
+    """How much is said; all but the first of :data:`LANGUAGES` are controls."""
 
     def __post_init__(self) -> None:
         """Check the names and the number."""
@@ -67,6 +72,8 @@ class EvaluationOrder:
         for kind in self.kinds:
             if kind not in KINDS:
                 raise UnknownNameError("kind of instruction", kind, KINDS)
+        if self.language not in LANGUAGES:
+            raise UnknownNameError("control of language", self.language, LANGUAGES)
         if self.episodes is not None and self.episodes < 1:
             raise InvalidConfigError(
                 f"Episodes per task are 1 or more, not {self.episodes}."
@@ -87,10 +94,29 @@ class EvaluationOrder:
         """Return what decides the result."""
         return {
             "policy": asdict(self.policy),
+            "weights": weights_of(self.policy),
+            "language": self.language,
             "split": self.split,
             "horizon_s": Play.horizon_s,
             **versions(BENCHMARK_VERSION),
         }
+
+    def command(self) -> str:
+        """Return the command line that asks for the same, wherever it is written."""
+        words = ["lemma evaluate", f"--policy {self.policy.name}"]
+        kinds = ",".join(kind.replace("_", "-") for kind in self.kinds)
+        words += [f"--instructions {kinds}", f"--split {self.split}"]
+        if self.tasks != SUITE:
+            words.append(f"--tasks {','.join(self.tasks)}")
+        if self.episodes is not None:
+            words.append(f"--episodes {self.episodes}")
+        if self.policy.planning != PLANNINGS[0]:
+            words.append(f"--planning {self.policy.planning}")
+        if self.policy.gta:
+            words.append("--gta")
+        if self.language != LANGUAGES[0]:
+            words.append(f"--language {self.language}")
+        return " ".join(words)
 
     def groups(self) -> Iterator[tuple[str, str, range]]:
         """Yield kind, task and numbers of the episodes that are played together."""
@@ -137,12 +163,22 @@ def evaluate(
             if there or path.exists():
                 advance(len(indices))
             else:
-                jobs.append((order.policy, kind, task, order.split, indices, path))
+                jobs.append(
+                    (
+                        order.policy,
+                        kind,
+                        task,
+                        order.split,
+                        order.language,
+                        indices,
+                        path,
+                    )
+                )
         for count in engine.run(play_group, jobs):
             advance(count)
         for path in sorted(parts.glob("*.jsonl")):
             done.update((_name(row), row) for row in _read(path))
-        rows = sorted(done.values(), key=_place)
+        rows = sorted(done.values(), key=place_of)
         _write(order.out / EPISODES, rows)
         rmtree(parts, ignore_errors=True)
     wanted = {
@@ -163,16 +199,34 @@ def read_rows(folder: Path) -> list[Row]:
     return _read(path) if path.exists() else []
 
 
+def summary_of(order: EvaluationOrder, rows: list[Row]) -> Result:
+    """Count what :func:`evaluate` returned, with the note that was made then."""
+    return summarise(rows, read_json(order.out / ABOUT), order.command())
+
+
 def play_group(
-    spec: PolicySpec, kind: str, task: str, split: str, indices: range, path: Path
+    spec: PolicySpec,
+    kind: str,
+    task: str,
+    split: str,
+    language: str,
+    indices: range,
+    path: Path,
 ) -> int:
     """Play some episodes, write them, and return how many they are."""
     player = _player(spec)
-    plays = [Play(load_instance(task, split, i), kind) for i in indices]
+    plays = [
+        Play(
+            load_instance(task, split, i),
+            kind,
+            says=_said(language, kind, task, split, i),
+        )
+        for i in indices
+    ]
     start = perf_counter()
     over = list(play_all(plays, player, len(plays)))
     wall_s = (perf_counter() - start) / len(over)
-    rows = sorted((_row(play, kind, wall_s) for play in over), key=_place)
+    rows = sorted((_row(play, kind, wall_s) for play in over), key=place_of)
     _write(path, rows)
     return len(rows)
 
@@ -197,24 +251,28 @@ def _row(play: Play, kind: str, wall_s: float) -> Row:
         "team": instance.team,
         "distractors": len(instance.distractors),
         "instruction_kind": kind,
-        "instruction": instance.instructions[kind],
+        "instruction": play.instruction,
         "success": info["success"],
         "progress": info["progress"],
         "failure": info["failure"],
         "elapsed_s": round(info["elapsed_s"], 3),
         "idle_s": {name: round(idle, 3) for name, idle in info["idle_s"].items()},
         "subtasks": subtasks_of(play.steps),
+        "left": left_in(episode),
         "wall_s": round(wall_s, 3),
     }
 
 
+def _said(language: str, kind: str, task: str, split: str, index: int) -> str | None:
+    """Return what is said instead of the instruction; None for nothing else."""
+    if language == "shuffled":
+        other = load_instance(task, split, (index + 1) % SPLITS[split])
+        return other.instructions[kind]
+    return "" if language == "none" else None
+
+
 def _name(row: Row) -> tuple[str, str, int]:
     return row["instruction_kind"], row["task"], row["index"]
-
-
-def _place(row: Row) -> tuple[int, int, int]:
-    kind, task, index = _name(row)
-    return KINDS.index(kind), SUITE.index(task), index
 
 
 def _read(path: Path) -> list[Row]:
@@ -227,9 +285,4 @@ def _read(path: Path) -> list[Row]:
 
 
 def _write(path: Path, rows: list[Row]) -> None:
-    text = "".join(json.dumps(row) + "\n" for row in rows)
-    write_whole(path, lambda draft: _write_text(draft, text))
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    write_text(path, "".join(json.dumps(row) + "\n" for row in rows))

@@ -1,9 +1,10 @@
-"""Tables of success rates, made from the lines of episodes and from nothing else."""
+"""Rates of success, made from counts and from nothing else."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from statistics import fmean
 
-from lemma.evaluation.evaluate import Row
+from lemma.evaluation.result import Cell
 from lemma.evaluation.statistics import wilson_interval
 
 
@@ -27,24 +28,31 @@ class Rate:
         return wilson_interval(self.successes, self.episodes)
 
 
-def rate_of(rows: Iterable[Row]) -> Rate:
-    """Return the success in episodes; at least one."""
-    listed = list(rows)
+def rate_of(cells: Iterable[Cell]) -> Rate:
+    """Return the success in all episodes of some cells; at least one."""
+    listed = list(cells)
+    episodes = sum(cell.episodes for cell in listed)
     return Rate(
-        len(listed),
-        sum(bool(row["success"]) for row in listed),
-        sum(row["progress"] for row in listed) / len(listed),
+        episodes,
+        sum(cell.successes for cell in listed),
+        sum(cell.progress for cell in listed) / episodes,
     )
 
 
-def rates_by(rows: Iterable[Row], *columns: str) -> dict[tuple[str, ...], Rate]:
+def rates_by(cells: Iterable[Cell], *columns: str) -> dict[tuple[str, ...], Rate]:
     """Return the success for every combination of values, in order of appearance.
 
     Args:
-        rows: Episodes.
-        columns: What to group by, such as ``"instruction_kind", "task"``.
+        cells: Counted episodes.
+        columns: Fields to group by, such as ``"kind", "task"``.
     """
-    groups: dict[tuple[str, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(str(row[name]) for name in columns), []).append(row)
+    groups: dict[tuple[str, ...], list[Cell]] = {}
+    for cell in cells:
+        name = tuple(str(getattr(cell, column)) for column in columns)
+        groups.setdefault(name, []).append(cell)
     return {name: rate_of(listed) for name, listed in groups.items()}
+
+
+def mean_over_tasks(cells: Iterable[Cell]) -> float:
+    """Return the mean of the tasks' success rates, each counting the same."""
+    return fmean(rate.success_rate for rate in rates_by(cells, "task").values())
