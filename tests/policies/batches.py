@@ -96,6 +96,7 @@ def drawn_batch(frames: int, seed: int = 0, stop_last: bool = True) -> Batch:
         tasks=["pass"] * frames,
         goals=[(("red_cube", "blue_pad"),)] * frames,
         robot_colours=[TEAM] * frames,
+        perturbed=torch.zeros(frames, dtype=torch.bool),
     )
     past = np.full((frames, MAX_PAST, 4), NOBODY)
     for i in range(1, frames):

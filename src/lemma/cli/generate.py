@@ -1,29 +1,78 @@
 """`lemma generate`: the expert's demonstrations of the suite, as a recipe."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from rich.table import Table
 
-from lemma.cli.terminal import JsonFlag, Number, complain, output, print_json
+from lemma.cli.terminal import JsonFlag, Number, Word, complain, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.digests import differing
 from lemma.dataset.generate import Order, Summary
 from lemma.dataset.generate import generate as write_recipe
+from lemma.dataset.reader import load
+from lemma.dataset.recovery import RecoveryFigures, recovery_figures
+from lemma.expert.perturbation import Perturbation
+from lemma.tasks.instance import SPLITS
 from lemma.tasks.suite import SUITE
 
 INTERRUPTED = 130
-_ALL = "all"
+_ALL, _SPLITS = "all", ",".join(SPLITS)
+_RECIPE, _RECOVERY = Path("data/lemma-v1"), Path("data/lemma-v1-recovery")
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Which episodes, and whether their sub-tasks go wrong to show what to do then."""
+
+    tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
+    """Names of tasks, separated by commas."""
+    split: Annotated[Word, tyro.conf.arg(metavar="SPLIT,...")] = None
+    """Names of splits, separated by commas; all by default, train with --perturb."""
+    episodes: Number = None
+    """Only the first so many of every task and split; all by default."""
+    perturb: Annotated[
+        float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")
+    ] = None
+    """Make recovery states instead of demonstrations: each sub-task goes wrong with
+    this probability, such as 0.3, and what the expert would do is recorded too."""
+    perturb_seed: int = 0
+    """With --perturb: another one makes other mistakes in the same instances."""
+
+    def order(self, out: Path | None) -> Order:
+        """Return what is to be written, and where.
+
+        Raises:
+            InvalidConfigError: A seed has no use.
+            LemmaError: Something is wanted that there is not.
+        """
+        perturb = None
+        if self.perturb is not None:
+            perturb = Perturbation(self.perturb, self.perturb_seed)
+        elif self.perturb_seed:
+            raise InvalidConfigError(
+                "--perturb-seed draws mistakes, but none are made. Add --perturb 0.3."
+            )
+        return Order(
+            out=out or (_RECOVERY if perturb else _RECIPE),
+            tasks=SUITE if self.tasks == _ALL else words(self.tasks),
+            splits=words(self.split or ("train" if perturb else _SPLITS)),
+            episodes=self.episodes,
+            perturb=perturb,
+        )
+
+
+_EVERYTHING = Wanted()
 
 
 def generate(
-    tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL,
-    split: Annotated[str, tyro.conf.arg(metavar="SPLIT,...")] = "train,val,test",
-    out: Path = Path("data/lemma-v1"),
-    episodes: Number = None,
+    wanted: Annotated[Wanted, tyro.conf.arg(name="")] = _EVERYTHING,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
+    ] = None,
     working: WorkerOptions = DEFAULT,
     resume: bool = True,
     as_json: JsonFlag = False,
@@ -33,20 +82,15 @@ def generate(
     What is there already is kept, so the same command goes on where it was stopped.
 
     Args:
-        tasks: Names of tasks, separated by commas.
-        split: Names of splits, separated by commas.
-        out: Folder of the recipe.
-        episodes: Only the first so many of every task and split; all by default.
+        wanted: Which episodes.
+        out: Folder of the recipe; data/lemma-v1 by default, and
+            data/lemma-v1-recovery with --perturb.
         working: Where to work.
         resume: Complete what is there; otherwise the folder must be empty.
         as_json: Print one JSON object instead of a table.
     """
-    order = Order(
-        out=out,
-        tasks=SUITE if tasks == _ALL else words(tasks),
-        splits=words(split),
-        episodes=episodes,
-    )
+    order = wanted.order(out)
+    out = order.out
     if not resume and out.is_dir() and any(out.iterdir()):
         raise InvalidConfigError(
             f"{out} is not empty. Leave out --no-resume to complete what is there, or "
@@ -69,10 +113,18 @@ def generate(
             "command goes on from there."
         )
         return INTERRUPTED
-    if as_json:
-        print_json(figures(summary, engine.workers) | {"differing": differing(out)})
+    found: dict[str, Any] = dict(figures(summary, engine.workers))
+    if not as_json:
+        _print(out, found)
+    if order.perturb:
+        recovery = recovery_figures(load(out))
+        if as_json:
+            print_json(found | {"recovery": recovery.to_dict()})
+        else:
+            _print_recovery(recovery)
+    elif as_json:
+        print_json(found | {"differing": differing(out)})
     else:
-        _print(out, figures(summary, engine.workers))
         _print_comparison(differing(out))
     return 0
 
@@ -109,6 +161,17 @@ def _print_comparison(others: list[str]) -> None:
         f"{others[0]}. They are as good; but this engine, C library or processor "
         "computes other last bits. See docs/determinism.md.",
         style="yellow",
+    )
+
+
+def _print_recovery(found: RecoveryFigures) -> None:
+    """Say what perturbed executions came to."""
+    mistakes = ", ".join(f"{kind} {count}" for kind, count in found.mistakes.items())
+    output().print(
+        f"{found.solved} of {found.episodes} episodes were solved in spite of "
+        f"{sum(found.mistakes.values())} mistakes in {found.subtasks} sub-tasks "
+        f"({mistakes}). {found.keyframes} keyframes have a label, {found.after} of "
+        f"them after a mistake; {found.unlabelled} have none and are left out.",
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.dataset.keyframe_schema import (
+    EXECUTED,
     FORM,
     KEYFRAMES_VERSION,
     PARTS,
@@ -28,11 +29,12 @@ from lemma.dataset.keyframe_schema import (
     encode_depth,
 )
 from lemma.dataset.keyframes import KeyframeFile, write_keyframes
-from lemma.dataset.labels import entity_poses, label
+from lemma.dataset.labels import entity_poses, expert_label, label
 from lemma.dataset.render import Found
-from lemma.dataset.schema import EpisodeRecord
+from lemma.dataset.schema import EpisodeRecord, PerturbedRecord
 from lemma.env.observation import object_poses
 from lemma.env.topdown import TopDownMap
+from lemma.expert.perturbation import NONE
 from lemma.motion.outcome import Outcome
 from lemma.scene.entities import ENTITIES
 from lemma.scene.layout import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
@@ -45,6 +47,7 @@ _MAP = TopDownMap()
 RASTER = Raster(_MAP.rows, _MAP.columns, _MAP.cell_m, _MAP.floor_m)
 """The raster of rendered maps."""
 _STOPPED = str(Outcome.STOPPED)
+_DECISION = ("robot", "primitive", "pick", "place")
 _PER_FILE = ("part", "robots", "digests", "keyframes")
 
 
@@ -129,7 +132,7 @@ class KeyframeForm:
                 f"Teams of {sorted(robots)} robots do not fit into one file. Put them "
                 "into different tasks."
             )
-        counts = tuple(record.keyframes for record in records)
+        counts = tuple(_count(record) for record in records)
         headers = [
             replace(
                 base,
@@ -156,15 +159,14 @@ class KeyframeForm:
         instance = Instance.from_dict(record.instance_data())
         scene = Scene(instance.scene)
         constant = _episode_columns(record, instance)
-        for keyframe in range(record.keyframes):
+        for keyframe in range(_count(record)):
             _check_state(record, keyframe)
             scene.restore(record.state(keyframe))
             yield {
                 **constant,
                 "keyframe": keyframe,
                 "time_s": record.keyframe_time_s[keyframe],
-                **label(record, keyframe),
-                **_poses(record, keyframe),
+                **_labels(record, keyframe),
                 **_truth(scene),
                 **see(scene, _renderer(self.width, self.height)),
             }
@@ -216,7 +218,7 @@ def _episode_columns(record: EpisodeRecord, instance: Instance) -> Row:
         "task": record.task,
         "split": record.split,
         "index": record.index,
-        "keyframes": record.keyframes,
+        "keyframes": _count(record),
         "team": record.team,
         "arms": "+".join(robot.arm for robot in robots),
         "bases": np.array([[r.base.x, r.base.y, r.base.yaw] for r in robots]),
@@ -225,6 +227,27 @@ def _episode_columns(record: EpisodeRecord, instance: Instance) -> Row:
         "unseen": record.unseen,
         "goal": json.dumps(instance.goal.pairs, separators=(",", ":")),
         "instance": record.instance,
+    }
+
+
+def _count(record: EpisodeRecord) -> int:
+    """Return how many keyframes there are to see: those that have a label."""
+    if isinstance(record, PerturbedRecord):
+        return record.labelled
+    return record.keyframes
+
+
+def _labels(record: EpisodeRecord, keyframe: int) -> Row:
+    """Return what comes next; in perturbed executions what should, and what came."""
+    done = {**label(record, keyframe), **_poses(record, keyframe)}
+    if not isinstance(record, PerturbedRecord):
+        return done
+    last = keyframe == len(record.subtasks)
+    return {
+        **{f"{EXECUTED}{name}": done[name] for name in _DECISION},
+        "perturbation": NONE if last else record.perturbation[keyframe],
+        "outcome": done["outcome"],
+        **expert_label(record, keyframe),
     }
 
 

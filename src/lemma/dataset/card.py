@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from lemma.dataset.files import write_text
-from lemma.dataset.schema import describe
+from lemma.dataset.schema import describe, perturbed_as
 
 _CARD = """---
 license: cc-by-4.0
@@ -58,7 +58,48 @@ crowd-sourced. Do not train on `unseen`.
 """
 
 
+_PERTURBED_CARD = """---
+license: cc-by-4.0
+task_categories:
+- robotics
+language:
+- en
+tags:
+- multi-robot
+- language-conditioned
+- manipulation
+- mujoco
+pretty_name: LEMMA Bench recovery states
+---
+
+# LEMMA Bench recovery states
+
+These are no demonstrations, and no part of the benchmark. In instances of LEMMA Bench
+sub-tasks went wrong on purpose: each with probability {perturb}, drawn with seed
+{perturb_seed}. `subtasks` are what was executed, which `lemma replay --validate`
+reproduces to the bit. `expert` says what the expert would do at each keyframe: that is
+what to learn. It is null where the expert has no plan, failed at what it would do, or
+the time was up; what comes behind the first null has no worth as an example.
+
+Benchmark {benchmark}, package {lemma}, MuJoCo {mujoco}, NumPy {numpy}, revision
+{revision}.
+`manifest.json` holds the checksum of every file.
+
+Train on it beside demonstrations, never instead of them: `lemma render --form
+keyframes`, then `lemma train --recovery`. Do not train on `unseen`.
+
+## Columns
+
+{columns}
+{more}
+"""
+
+
 def write_card(folder: Path, about: dict[str, str]) -> None:
     """Write ``README.md`` of a recipe."""
-    text = _CARD.format(columns=describe(), **about)
+    if perturbed_as(about):
+        more = "\n".join(describe(perturbed=True).splitlines()[2:])
+        text = _PERTURBED_CARD.format(columns=describe(), more=more, **about)
+    else:
+        text = _CARD.format(columns=describe(), **about)
     write_text(folder / "README.md", text)

@@ -19,6 +19,7 @@ from lemma.dataset.files import (
     write_json,
     write_text,
 )
+from lemma.dataset.schema import executions, perturbed_as
 
 _HERE = files("lemma.dataset") / "digests"
 _BINDING = ("benchmark", "format", "mujoco")
@@ -43,8 +44,16 @@ def export(folder: Path, out: Path) -> dict[str, Any]:
 
     Returns:
         The manifest that was written beside them.
+
+    Raises:
+        DatasetError: The recipe holds perturbed executions.
     """
     found = read_json(folder / MANIFEST)
+    if perturbed_as(found["versions"]):
+        raise DatasetError(
+            f"{folder} holds {executions(found['versions'])}, which are no part of the "
+            "benchmark. Export the digests of demonstrations."
+        )
     lists: dict[str, dict[str, list[str]]] = {}
     for name, entry in found["files"].items():
         split, _, task = name.removesuffix(".parquet").partition("/")

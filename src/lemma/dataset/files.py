@@ -17,7 +17,13 @@ import pyarrow.parquet as pq
 
 from lemma import __version__
 from lemma.core.errors import DatasetError
-from lemma.dataset.schema import FORMAT_VERSION, SCHEMA
+from lemma.dataset.schema import (
+    FORMAT_VERSION,
+    PERTURBED_SCHEMA,
+    SCHEMA,
+    executions,
+    perturbed_as,
+)
 
 METADATA_KEY = b"lemma"
 MANIFEST = "manifest.json"
@@ -172,7 +178,7 @@ def _explain(path: Path, error: OSError) -> str:
 
 
 def write_table(path: Path, table: pa.Table, about: dict[str, str]) -> None:
-    """Write a table of :data:`SCHEMA` to Parquet, with what it says about itself."""
+    """Write a table of a recipe to Parquet, with what it says about itself."""
     metadata = {METADATA_KEY: json.dumps(about, sort_keys=True).encode()}
     # In one piece, because where pieces begin shows in the bytes.
     table = table.replace_schema_metadata(metadata).combine_chunks()
@@ -203,7 +209,8 @@ def open_table(path: Path) -> tuple[pq.ParquetFile, dict[str, str]]:
     except (OSError, pa.ArrowException) as error:
         raise DatasetError(damaged(path, error)) from error
     found = (file.schema_arrow.metadata or {}).get(METADATA_KEY)
-    if found is None or file.schema_arrow.names != SCHEMA.names:
+    known = (SCHEMA.names, PERTURBED_SCHEMA.names)
+    if found is None or file.schema_arrow.names not in known:
         raise DatasetError(
             f"{path} is no recipe of this benchmark. Recipes are written by "
             "'lemma generate'."
@@ -252,14 +259,33 @@ def check_same(path: Path, found: dict[str, str], about: dict[str, str]) -> None
         about: What would be written now.
 
     Raises:
-        DatasetError: It is of another version.
+        DatasetError: It is of another version, or perturbed otherwise.
     """
+    check_alike(path, found, about)
     differing = [k for k in about if k != "revision" and found.get(k) != about[k]]
     if differing:
         what = ", ".join(f"{k} {found.get(k)} instead of {about[k]}" for k in differing)
         raise DatasetError(
             f"{path} was written by another version: {what}. Its states would not fit "
             "what is generated now. Choose a new folder, or delete this one."
+        )
+
+
+def check_alike(path: Path, found: dict[str, str], about: dict[str, str]) -> None:
+    """Check that demonstrations and perturbed executions are not mixed.
+
+    Args:
+        path: A file, or the folder of a recipe.
+        found: What it says about itself.
+        about: What would be written now.
+
+    Raises:
+        DatasetError: One is perturbed and the other is not, or otherwise.
+    """
+    if perturbed_as(found) != perturbed_as(about):
+        raise DatasetError(
+            f"{path} holds {executions(found)}, and what is wanted are "
+            f"{executions(about)}. Choose a new folder."
         )
 
 

@@ -21,6 +21,7 @@ from lemma.dataset.digests import content_digest, shorten
 from lemma.dataset.engines import Engine, peak_memory_mb
 from lemma.dataset.files import (
     MANIFEST,
+    check_alike,
     check_free,
     check_same,
     check_sum,
@@ -36,7 +37,9 @@ from lemma.dataset.files import (
     write_table,
 )
 from lemma.dataset.record import record_episode
-from lemma.dataset.schema import from_table, to_table
+from lemma.dataset.recovery import described, perturbation_of, record_perturbed
+from lemma.dataset.schema import EpisodeRecord, from_table, to_table
+from lemma.expert.perturbation import Perturbation
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import SUITE, load_instance
 
@@ -58,6 +61,8 @@ class Order:
     """Names of splits."""
     episodes: int | None = None
     """Only the first so many of every list; all if None."""
+    perturb: Perturbation | None = None
+    """How sub-tasks are perturbed, for recovery states; None for demonstrations."""
 
     def __post_init__(self) -> None:
         """Check the names and the number."""
@@ -145,9 +150,9 @@ def generate(
             another version, or somebody else is writing there, or the expert failed.
     """
     start = perf_counter()
-    about = versions(BENCHMARK_VERSION)
+    about = {**versions(BENCHMARK_VERSION), **described(order.perturb)}
     with only_writer(order.out):
-        known = _known(order.out)
+        known = _known(order.out, about)
         clear_drafts(order.out)
         note = order.out / _PARTS / _ABOUT
         if note.exists():
@@ -230,14 +235,21 @@ class Made:
 def generate_part(
     task: str, split: str, index: int, parts: str, about: dict[str, str]
 ) -> Made:
-    """Write one episode as a part, if the expert solves it.
+    """Write one episode as a part, if the expert solves it, or if it was perturbed.
 
     Raises:
         DatasetError: It cannot be written.
     """
-    record = record_episode(load_instance(task, split, index))
-    failure = None if record.success else f"{record.key} ({record.failure})"
-    if record.success:
+    instance, perturbation = load_instance(task, split, index), perturbation_of(about)
+    failure = None
+    record: EpisodeRecord
+    if perturbation is not None:
+        record = record_perturbed(instance, perturbation)
+    else:
+        record = record_episode(instance)
+        if not record.success:
+            failure = f"{record.key} ({record.failure})"
+    if failure is None:
         write_table(part_file(Path(parts), index), to_table([record]), about)
     return Made(task, split, failure, peak_memory_mb())
 
@@ -268,21 +280,23 @@ def _look(order: Order, split: str, task: str, about: dict[str, str]) -> _File:
     return _File(task, split, path, parts, there, wanted)
 
 
-def _known(folder: Path) -> dict[str, dict[str, Any]]:
+def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
     """Return what the manifest says of files, if there is one.
 
     Raises:
-        DatasetError: The folder holds something else than a recipe.
+        DatasetError: The folder holds something else than such a recipe.
     """
     begun = (folder / _PARTS).exists() or any(folder.glob("*/*.parquet"))
     check_free(folder, begun=begun)
     if not (folder / MANIFEST).exists():
         return {}
-    if form := read_json(folder / MANIFEST).get("form"):
+    manifest = read_json(folder / MANIFEST)
+    if form := manifest.get("form"):
         raise DatasetError(
             f"{folder} holds {form!r}, which was rendered from a recipe. Choose "
             "another folder."
         )
+    check_alike(folder, manifest.get("versions", {}), about)
     return listed_files(folder)
 
 

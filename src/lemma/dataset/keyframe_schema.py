@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lemma.core.errors import DatasetError
 from lemma.dataset.files import METADATA_KEY
+from lemma.dataset.schema import perturbed_as
 
 FORM = "keyframes"
 KEYFRAMES_VERSION = "1"
@@ -33,6 +34,9 @@ UNIT_M = 1e-4
 PARTS = ("maps", "cameras")
 """Kinds of files."""
 SUFFIX = ".arrow"
+
+EXECUTED = "executed_"
+"""What names of columns begin with that say what was done in perturbed executions."""
 
 _LARGEST = 65535
 
@@ -117,6 +121,11 @@ class Header:
         """Rows at which the episodes begin."""
         return tuple(np.cumsum([0, *self.keyframes])[:-1].tolist())
 
+    @property
+    def perturbed(self) -> bool:
+        """Whether executions were perturbed, so that labels are not what was done."""
+        return bool(perturbed_as(self.versions))
+
     @classmethod
     def from_json(cls, path: Path, text: bytes | None) -> "Header":
         """Read what a file says about itself.
@@ -184,7 +193,9 @@ def map_columns(header: Header) -> Columns:
     """Return the columns of files of maps."""
     robots, raster = header.robots, header.raster
     text, real = pa.string(), pa.float64()
+    executed = executed_columns() if header.perturbed else {}
     return {
+        **executed,
         "key": (text, "Unique name of the episode."),
         "task": (text, "Task."),
         "split": (text, "Split: train, val, test or free."),
@@ -220,6 +231,24 @@ def map_columns(header: Header) -> Columns:
             _tensor(pa.uint16(), raster.rows, raster.columns),
             "Map: 1 + height above `floor_m` [0.1 mm]; 0 where no camera sees.",
         ),
+    }
+
+
+def executed_columns() -> Columns:
+    """Return the columns that only files of perturbed executions have.
+
+    There the label of a keyframe is what the expert would do, not what was done.
+    """
+    text = pa.string()
+    words = {
+        "robot": "Robot that acted next; empty at the end.",
+        "primitive": "Primitive that was executed next; stop at the end.",
+        "pick": "Entity that it was to pick; empty at the end.",
+        "place": "Entity where it was to go; empty at the end.",
+    }
+    return {
+        **{f"{EXECUTED}{name}": (text, meaning) for name, meaning in words.items()},
+        "perturbation": (text, "Kind of mistake that was made; none where none was."),
     }
 
 

@@ -1,14 +1,37 @@
 """What rendered data say of the sub-task that comes next, and of the objects."""
 
+import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from lemma.core.poses import FloatArray
-from lemma.dataset.schema import EpisodeRecord
+from lemma.dataset.schema import EpisodeRecord, PerturbedRecord
 from lemma.scene.entities import ENTITIES
 from lemma.tasks.language import sub_instruction
 from lemma.tasks.subtask import STOP
+
+
+def expert_label(record: PerturbedRecord, keyframe: int) -> dict[str, Any]:
+    """Return what the expert would do at a keyframe that has a label: with poses.
+
+    Args:
+        record: The episode, perturbed.
+        keyframe: One of the first ``record.labelled``.
+    """
+    row = record.expert[keyframe]
+    assert row is not None
+    nowhere = (math.nan,) * 3
+    return {
+        "robot": row.robot,
+        "primitive": row.primitive,
+        "pick": row.pick,
+        "place": row.place,
+        "sub_instruction": row.instruction,
+        "pick_pose": row.pick_pose or nowhere,
+        "place_pose": row.place_pose or nowhere,
+    }
 
 
 def label(record: EpisodeRecord, subtask: int) -> dict[str, str]:

@@ -32,8 +32,14 @@ from lemma.dataset.lerobot_assembly import assemble, name_in_recipe
 from lemma.dataset.lerobot_episode import Source, is_whole, write_part
 from lemma.dataset.lerobot_format import EXTRAS, INFO, Style
 from lemma.dataset.lerobot_video import DEPTH, RGB
-from lemma.dataset.render import RenderOrder, RenderSummary, check_made_alike
+from lemma.dataset.render import (
+    RenderOrder,
+    RenderSummary,
+    check_made_alike,
+    refusal,
+)
 from lemma.dataset.replay import check_versions
+from lemma.dataset.schema import perturbed_as
 from lemma.scene.opengl import choose_backend
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import SUITE
@@ -115,7 +121,10 @@ def write_dataset(
     files = list(dict.fromkeys(source.path for source in sources))
     check_recorded(order.style.instruction, [path.parent.name for path in files])
     for path in files:
-        check_versions(open_table(path)[1])
+        found = open_table(path)[1]
+        check_versions(found)
+        if perturbed_as(found):
+            raise DatasetError(refusal(order.source.recipe, "lerobot"))
     check_files(order.source.recipe, partial=True)
     with only_writer(order.out):
         clear_drafts(order.out)

@@ -31,9 +31,19 @@ from lemma.dataset.files import (
 )
 from lemma.dataset.reader import load, read_group
 from lemma.dataset.replay import check_versions
-from lemma.dataset.schema import EpisodeRecord
+from lemma.dataset.schema import EpisodeRecord, perturbed_as
 from lemma.dataset.shards import changed, read_manifest
 from lemma.tasks.instance import BENCHMARK_VERSION
+
+LABELLED = ("keyframes",)
+"""Forms that hold what the expert would do, beside what was done."""
+_PERTURBED_NOTE = """
+## Perturbed executions
+
+These are no demonstrations and no part of the benchmark. Sub-tasks went wrong on
+purpose (`lemma generate --perturb {perturb} --perturb-seed {perturb_seed}`). Labels are
+what the expert would do in each state; what was done is in the columns `executed_*`.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,10 +195,15 @@ def render(
     """
     start = perf_counter()
     groups = order.groups()
+    perturbed: dict[str, str] = {}
     for source in dict.fromkeys(source for source, *_ in groups):
-        check_versions(open_table(source)[1])
+        found = open_table(source)[1]
+        check_versions(found)
+        perturbed = perturbed_as(found)
+    if perturbed and form.name not in LABELLED:
+        raise DatasetError(refusal(order.recipe, form.name))
     check_files(order.recipe, partial=True)
-    about = form.about(versions(BENCHMARK_VERSION))
+    about = form.about({**versions(BENCHMARK_VERSION), **perturbed})
     chunks = list(_chunks(order, form, groups))
     total = sum(len(chunk.digests) for chunk in chunks)
     with only_writer(order.out):
@@ -205,9 +220,19 @@ def render(
         for path in (path for chunk in missing for path in chunk.paths):
             sums.pop(path, None)
         rows, size = _write_manifest(order.out, form, about, sums)
-        write_text(order.out / CARD, form.card())
+        note = _PERTURBED_NOTE.format(**perturbed) if perturbed else ""
+        write_text(order.out / CARD, form.card() + note)
     seconds = perf_counter() - start
     return RenderSummary(total, rows, made, seconds, size / 1e6)
+
+
+def refusal(recipe: Path, form: str) -> str:
+    """Return why perturbed executions are not rendered to a form."""
+    return (
+        f"{recipe} holds perturbed executions, in which what was done is not what is "
+        f"right, and the form {form!r} says what was done. Render {LABELLED[0]}, whose "
+        "labels are the expert's, or a recipe of demonstrations."
+    )
 
 
 def _at_home(chunk: _Chunk) -> _Chunk:

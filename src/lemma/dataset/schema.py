@@ -7,6 +7,7 @@ a hash of each state, by which a replay proves itself.
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +17,8 @@ import pyarrow as pa
 from lemma.core.poses import FloatArray
 
 FORMAT_VERSION = "1"
+PERTURB_KEYS = ("perturb", "perturb_seed")
+"""What recipes of perturbed executions say of themselves, beside their versions."""
 
 _TEXT = {
     "key": "Unique name: benchmark version, task, split, index.",
@@ -40,6 +43,12 @@ _TEXT = {
     "idle_s": "How long each robot waited [s], in the order of the robots.",
 }
 """Meaning of every column, for the documentation and for the file itself."""
+
+_PERTURBED_TEXT = {
+    "expert": "At each keyframe what the expert would do; null where it knows nothing.",
+    "perturbation": "What was done to each sub-task before it was executed, or none.",
+}
+"""The columns that recipes of perturbed executions have beside all others."""
 
 _SUBTASK = pa.struct(
     [
@@ -80,6 +89,37 @@ SCHEMA = pa.schema(
         for name, text in _TEXT.items()
     ]
 )
+
+_EXPERT = pa.struct(
+    [
+        pa.field("robot", pa.string(), nullable=False),
+        pa.field("primitive", pa.string(), nullable=False),
+        pa.field("pick", pa.string(), nullable=False),
+        pa.field("place", pa.string(), nullable=False),
+        pa.field("instruction", pa.string(), nullable=False),
+        pa.field("pick_pose", pa.list_(pa.float64(), 3)),
+        pa.field("place_pose", pa.list_(pa.float64(), 3)),
+    ]
+)
+
+PERTURBED_SCHEMA = pa.schema(
+    [
+        *SCHEMA,
+        *(
+            pa.field(
+                name,
+                kind,
+                nullable=False,
+                metadata={"description": _PERTURBED_TEXT[name]},
+            )
+            for name, kind in (
+                ("expert", pa.list_(_EXPERT)),
+                ("perturbation", pa.list_(pa.string())),
+            )
+        ),
+    ]
+)
+"""What recipes of perturbed executions hold; see :class:`PerturbedRecord`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,17 +199,85 @@ class EpisodeRecord:
         return hashlib.sha256(summary.encode()).hexdigest()
 
 
-def to_table(records: list[EpisodeRecord]) -> pa.Table:
-    """Return records as an Arrow table of :data:`SCHEMA`."""
+@dataclass(frozen=True, slots=True)
+class ExpertRecord:
+    """What the expert would do at a keyframe."""
+
+    robot: str
+    """Empty for ``stop``, as are what to pick and where to place."""
+    primitive: str
+    pick: str
+    place: str
+    instruction: str
+    """The sub-task in words."""
+    pick_pose: tuple[float, float, float] | None
+    """Gripper where it closes: x, y [m], yaw [rad]; None for ``stop``."""
+    place_pose: tuple[float, float, float] | None
+    """Gripper where the motion ends: x, y [m], yaw [rad]; None for ``stop``."""
+
+
+@dataclass(frozen=True, slots=True)
+class PerturbedRecord(EpisodeRecord):
+    """One episode whose sub-tasks were perturbed now and then; plain data.
+
+    ``subtasks`` are what was executed, so that it is replayed like any other.
+    """
+
+    expert: tuple[ExpertRecord | None, ...]
+    """What the expert would do at each keyframe; None where it has no plan, its own
+    sub-task failed there, or the time was up."""
+    perturbation: tuple[str, ...]
+    """Of each sub-task; see :data:`lemma.expert.perturbation.KINDS`."""
+
+    @property
+    def labelled(self) -> int:
+        """Number of keyframes before the first without a label."""
+        known = [*self.expert, None]
+        return known.index(None)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of everything in the record."""
+        rows = [
+            row and [getattr(row, name) for name in ExpertRecord.__slots__]
+            for row in self.expert
+        ]
+        # super() does not know a class with slots.
+        summary = json.dumps(
+            [EpisodeRecord.digest(self), rows, self.perturbation],
+            separators=(",", ":"),
+        )
+        return hashlib.sha256(summary.encode()).hexdigest()
+
+
+def perturbed_as(about: dict[str, str]) -> dict[str, str]:
+    """Return what a file says of the perturbation of its episodes; empty if none."""
+    return {name: about[name] for name in PERTURB_KEYS if name in about}
+
+
+def executions(about: dict[str, str]) -> str:
+    """Return in words whether executions were perturbed."""
+    if not perturbed_as(about):
+        return "demonstrations"
+    return (
+        f"executions perturbed with {' and seed '.join(perturbed_as(about).values())}"
+    )
+
+
+def to_table(records: Sequence[EpisodeRecord]) -> pa.Table:
+    """Return records as an Arrow table of :data:`SCHEMA`, or of the perturbed one."""
+    perturbed = any(isinstance(record, PerturbedRecord) for record in records)
+    schema = PERTURBED_SCHEMA if perturbed else SCHEMA
     columns: dict[str, list[Any]] = {
-        name: [getattr(record, name) for record in records] for name in SCHEMA.names
+        name: [getattr(record, name) for record in records] for name in schema.names
     }
-    names = SubTaskRecord.__slots__
-    columns["subtasks"] = [
-        [{name: getattr(row, name) for name in names} for row in rows]
-        for rows in columns["subtasks"]
-    ]
-    return pa.table(columns, schema=SCHEMA)
+    parts = {"subtasks": SubTaskRecord.__slots__, "expert": ExpertRecord.__slots__}
+    for column, names in parts.items():
+        if column in columns:
+            columns[column] = [
+                [row and {name: getattr(row, name) for name in names} for row in rows]
+                for rows in columns[column]
+            ]
+    return pa.table(columns, schema=schema)
 
 
 def from_table(table: pa.Table) -> list[EpisodeRecord]:
@@ -178,23 +286,33 @@ def from_table(table: pa.Table) -> list[EpisodeRecord]:
 
 
 def _record(row: dict[str, Any]) -> EpisodeRecord:
-    subtasks = tuple(
-        SubTaskRecord(
-            **{
-                **subtask,
-                "pick_pose": tuple(subtask["pick_pose"]),
-                "place_pose": tuple(subtask["place_pose"]),
-            }
-        )
-        for subtask in row["subtasks"]
-    )
     listed = {name: tuple(v) for name, v in row.items() if isinstance(v, list)}
-    return EpisodeRecord(**{**row, **listed, "subtasks": subtasks})
+    subtasks = tuple(SubTaskRecord(**_with_poses(sub)) for sub in row["subtasks"])
+    values = {**row, **listed, "subtasks": subtasks}
+    if "expert" not in row:
+        return EpisodeRecord(**values)
+    expert = tuple(
+        None if known is None else ExpertRecord(**_with_poses(known))
+        for known in row["expert"]
+    )
+    return PerturbedRecord(**{**values, "expert": expert})
 
 
-def describe() -> str:
-    """Return the schema as a Markdown table, for ``docs/dataset_format.md``."""
+def _with_poses(row: dict[str, Any]) -> dict[str, Any]:
+    poses = {name: row[name] for name in ("pick_pose", "place_pose")}
+    return {**row, **{name: pose and tuple(pose) for name, pose in poses.items()}}
+
+
+def describe(*, perturbed: bool = False) -> str:
+    """Return the schema as a Markdown table, for ``docs/dataset_format.md``.
+
+    Args:
+        perturbed: Whether to describe instead the columns that only recipes of
+            perturbed executions have.
+    """
+    texts = _PERTURBED_TEXT if perturbed else _TEXT
     lines = ["| column | type | meaning |", "|---|---|---|"]
-    for column in SCHEMA:
-        lines.append(f"| `{column.name}` | `{column.type}` | {_TEXT[column.name]} |")
+    for name, text in texts.items():
+        kind = PERTURBED_SCHEMA.field(name).type
+        lines.append(f"| `{name}` | `{kind}` | {text} |")
     return "\n".join(lines)

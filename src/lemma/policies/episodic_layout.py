@@ -25,6 +25,9 @@ class Layout:
     """Decisions of each episode, (G, MAX_PAST, 4) int64, padded with -1."""
     instructions: list[str]
     """One for each of the G."""
+    foreseeable: Tensor
+    """Whether all follows from the first frame, because nothing went wrong, (G,)
+    bool."""
 
     @property
     def present(self) -> Tensor:
@@ -63,6 +66,7 @@ def of_batch(batch: Batch) -> Layout:
         slot=done,
         actions=batch.past[torch.tensor(lasts, device=device)],
         instructions=[batch.instructions[first] for first in firsts],
+        foreseeable=~batch.labels.perturbed[torch.tensor(firsts, device=device)],
     )
 
 
@@ -96,5 +100,6 @@ def of_inputs(
         slot=torch.tensor(slots, device=device),
         actions=actions.to(device),
         instructions=[given.instruction for given in inputs],
+        foreseeable=torch.ones(len(inputs), dtype=torch.bool, device=device),
     )
     return layout, list(views), torch.tensor(shown, device=device)

@@ -270,6 +270,8 @@ class EpisodicTransformer(Model):
         firsts = torch.cumsum(counts, 0) - counts
         chosen = torch.rand(len(firsts), device=cells.device)
         frozen = (chosen < self.config.first_view_only) & (layout.slot[firsts] == 0)
+        # What to do after a mistake cannot be told without having seen it.
+        frozen &= layout.foreseeable
         shown = cells[firsts[layout.episode]]
         return torch.where(frozen[layout.episode].unsqueeze(1), shown, cells)
 

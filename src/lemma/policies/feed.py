@@ -4,6 +4,7 @@ What a step is given is a function of the seed and of the step's number, so that
 that was stopped goes on as if it had not been.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
@@ -19,7 +20,7 @@ from torch import Tensor
 
 from lemma.core.seeding import stream
 from lemma.policies.augmentation import augment
-from lemma.policies.frames import Batch, Frames
+from lemma.policies.frames import Batch, Frames, joined
 from lemma.policies.sentences import with_instructions, with_language
 from lemma.policies.training import TrainingConfig
 
@@ -29,19 +30,32 @@ AHEAD = 2
 
 @dataclass(frozen=True)
 class Order:
-    """Which units (frames or episodes) each step draws: every one once per pass."""
+    """Which units (frames or episodes) each step draws: every one once per pass.
+
+    Steps of two sources may share a batch; each source has an order of its own.
+    """
 
     units: int
     batch_size: int
     seed: int
     rank: int = 0
     processes: int = 1
+    name: str = "order"
+    """Of the source."""
 
     def step(self, number: int) -> list[int]:
         """Return the units of a step; all processes together draw from one order."""
-        size = self.batch_size * self.processes
-        first = number * size + self.rank * self.batch_size
-        return [self._unit(place) for place in range(first, first + self.batch_size)]
+        return self.between(number * self.batch_size, (number + 1) * self.batch_size)
+
+    def between(self, before: int, after: int) -> list[int]:
+        """Return the units of this process in a step.
+
+        Args:
+            before: How many each process drew before it.
+            after: How many each has drawn when it is done.
+        """
+        first = before * self.processes + self.rank * (after - before)
+        return [self._unit(place) for place in range(first, first + after - before)]
 
     def passes(self, steps: int) -> float:
         """Return how often so many steps draw every unit."""
@@ -49,12 +63,29 @@ class Order:
 
     def _unit(self, place: int) -> int:
         turn, rest = divmod(place, self.units)
-        return int(_permutation(self.seed, turn, self.units)[rest])
+        return int(_permutation(self.name, self.seed, turn, self.units)[rest])
 
 
-@lru_cache(maxsize=4)
-def _permutation(seed: int, turn: int, units: int) -> NDArray[np.int64]:
-    return stream("order", seed, turn).permutation(units)
+@lru_cache(maxsize=8)
+def _permutation(name: str, seed: int, turn: int, units: int) -> NDArray[np.int64]:
+    return stream(name, seed, turn).permutation(units)
+
+
+@dataclass(frozen=True)
+class Source:
+    """Recovery states that are mixed in."""
+
+    frames: Frames
+    units: Sequence[Sequence[int]]
+    """The frames of every unit."""
+    order: Order
+    share: float
+    """Of the units of each batch; over many steps it is met exactly."""
+
+    def drawn(self, steps: int) -> int:
+        """Return how many units each process has drawn from here after some steps."""
+        # Products such as 10 * 0.3 shall not lie below the whole number that they are.
+        return math.floor(steps * self.order.batch_size * self.share + 1e-6)
 
 
 class Feed:
@@ -67,6 +98,7 @@ class Feed:
         order: Order,
         config: TrainingConfig,
         device: torch.device,
+        recovery: Source | None = None,
     ) -> None:
         """Prepare nothing yet.
 
@@ -76,15 +108,16 @@ class Feed:
             order: Which units a step draws.
             config: Of the training run.
             device: Where batches shall be.
+            recovery: What is mixed in, if anything.
         """
+        self._recovery, self._episodes = recovery, len(frames.episodes)
         self._frames, self._units, self._order = frames, units, order
         self._config, self._device = config, device
 
     def make(self, step: int) -> Batch:
         """Return the batch of a step."""
         config, order = self._config, self._order
-        rows = [i for unit in order.step(step) for i in self._units[unit]]
-        batch = moved(self._frames.batch(rows), self._device)
+        batch = self._drawn(step)
         rng = stream("batch", config.seed, step, order.rank)
         batch = augment(batch, config.augmentation, rng)
         draw = step if config.augmentation.templates else 0
@@ -92,6 +125,28 @@ class Feed:
             batch, config.seed, draw, config.kinds, config.augmentation.paraphrases
         )
         return with_language(batch, config.language, rng)
+
+    def _drawn(self, step: int) -> Batch:
+        """Return the frames of a step as they are stored."""
+        order, recovery = self._order, self._recovery
+        before, after = step * order.batch_size, (step + 1) * order.batch_size
+        found = []
+        if recovery is not None:
+            first, last = recovery.drawn(step), recovery.drawn(step + 1)
+            before, after = before - first, after - last
+            if last > first:
+                units = recovery.order.between(first, last)
+                rows = [i for unit in units for i in recovery.units[unit]]
+                found.append(moved(recovery.frames.batch(rows), self._device))
+        if after > before:
+            rows = [
+                i for unit in order.between(before, after) for i in self._units[unit]
+            ]
+            found.append(moved(self._frames.batch(rows), self._device))
+        if len(found) == 1:
+            return found[0]
+        mixed_in, usual = found
+        return joined(usual, mixed_in, self._episodes)
 
     @contextmanager
     def ahead(self, first: int, last: int) -> Iterator[Iterator[Batch]]:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ from torch import Tensor
 from lemma.core.errors import DatasetError
 from lemma.dataset.keyframe_dataset import POLICY_COLUMNS
 from lemma.dataset.keyframe_loading import MapsInMemory
-from lemma.dataset.keyframe_schema import UNIT_M, Raster
+from lemma.dataset.keyframe_schema import EXECUTED, UNIT_M, Raster
+from lemma.dataset.shards import keyframe_shards
 from lemma.policies.interfaces import PolicyInput
 from lemma.scene.entities import ENTITIES, SHARED
 from lemma.tasks.language import robot_phrases, sub_instruction
@@ -29,6 +30,7 @@ NOBODY = -1
 MAX_PAST = 12
 """Past decisions that a batch holds; older ones are forgotten."""
 
+_DECISION = ("robot", "primitive", "pick", "place")
 _COLUMNS = (*POLICY_COLUMNS, "objects", "goal", "instance")
 
 
@@ -47,8 +49,9 @@ class Batch:
     opening_m: Tensor
     """(B, R) float32 [m]."""
     past: Tensor
-    """Decisions before this one, oldest first, padded with -1 at the end:
-    (B, MAX_PAST, 4) int64, columns robot, primitive, pick, place."""
+    """Decisions that were executed before this one, oldest first, padded with -1 at
+    the end: (B, MAX_PAST, 4) int64, columns robot, primitive, pick, place. Where an
+    execution was perturbed, that is not what the expert would have done."""
     instructions: list[str]
     sub_instructions: list[str]
     """The next sub-task in words; in use, that which shall be grounded."""
@@ -63,7 +66,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """What the expert did next, and where everything is."""
+    """What the expert does next, and where everything is."""
 
     episode: Tensor
     """Number of the episode in the data set, (B,)."""
@@ -85,6 +88,9 @@ class Labels:
     goals: list[GoalPairs]
     """The (top, bottom) entities that the instruction asks for."""
     robot_colours: list[tuple[str, ...]]
+    perturbed: Tensor
+    """Whether the episode was perturbed, so that its frames do not follow from its
+    first one and the decisions, (B,) bool."""
 
 
 class Frames:
@@ -117,8 +123,15 @@ class Frames:
         ]
         self._keyframe = self._tensor(columns["keyframe"], torch.int64)
         self._episode = torch.cumsum((self._keyframe == 0).long(), 0) - 1
-        self._decision = self._tensor(_decisions(columns), torch.int64)
-        self._past = self._tensor(_pasts(columns, _decisions(columns)), torch.int64)
+        self.instances = [
+            (task, int(index))
+            for task, index in zip(self.tasks, columns["index"], strict=True)
+        ]
+        decisions = _decisions(columns)
+        self.perturbed = f"{EXECUTED}robot" in columns
+        executed = _decisions(columns, EXECUTED) if self.perturbed else decisions
+        self._decision = self._tensor(decisions, torch.int64)
+        self._past = self._tensor(_pasts(columns, executed), torch.int64)
         self._arms = self._tensor(
             [[self.arm_names.index(n) for n in s.split("+")] for s in columns["arms"]],
             torch.int64,
@@ -151,7 +164,10 @@ class Frames:
             DatasetError: Files are missing, damaged or of another version, or scenes
                 do not all have the same number of robots.
         """
-        maps = MapsInMemory.load(folder, split, tasks, _COLUMNS)
+        columns: tuple[str, ...] = _COLUMNS
+        if keyframe_shards(Path(folder), split, tasks)[0].header.perturbed:
+            columns += tuple(f"{EXECUTED}{name}" for name in _DECISION)
+        maps = MapsInMemory.load(folder, split, tasks, columns)
         if len({np.shape(j) for j in maps.columns["joints"]}) > 1:
             raise DatasetError(
                 f"{folder} mixes teams of different sizes. Choose tasks of one size."
@@ -197,6 +213,7 @@ class Frames:
             tasks=[self.tasks[i] for i in listed],
             goals=[self.goals[i] for i in listed],
             robot_colours=[self.robot_colours[i] for i in listed],
+            perturbed=torch.full_like(rows, self.perturbed, dtype=torch.bool),
         )
         return with_sub_instructions(
             Batch(
@@ -286,12 +303,38 @@ def decision_numbers(subtask: dict[str, str]) -> list[int]:
     ]
 
 
-def _decisions(columns: dict[str, Any]) -> list[list[int]]:
-    names = ("robot", "primitive", "pick", "place")
-    count = len(columns["robot"])
+def joined(first: Batch, second: Batch, episodes: int) -> Batch:
+    """Return the frames of two labelled batches, of different data, as one.
+
+    Args:
+        first: With labels, on the same device and with the same raster as the second.
+        second: With labels.
+        episodes: How many the first one's data have: those of the second are numbered
+            behind them.
+    """
+    assert first.labels is not None
+    assert second.labels is not None
+    theirs = replace(second.labels, episode=second.labels.episode + episodes)
+    labels = Labels(**_both(first.labels, theirs))
+    rest = _both(first, second)
+    return Batch(**{**rest, "raster": first.raster, "labels": labels})
+
+
+def _both(one: Any, other: Any) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for field in fields(one):
+        pair = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(pair[0], Tensor):
+            found[field.name] = torch.cat(pair)
+        elif isinstance(pair[0], list):
+            found[field.name] = [*pair[0], *pair[1]]
+    return found
+
+
+def _decisions(columns: dict[str, Any], prefix: str = "") -> list[list[int]]:
     return [
-        decision_numbers({name: columns[name][i] for name in names})
-        for i in range(count)
+        decision_numbers({name: columns[prefix + name][i] for name in _DECISION})
+        for i in range(len(columns["robot"]))
     ]
 
 

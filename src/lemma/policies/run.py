@@ -14,6 +14,7 @@ from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.seeding import stream
 from lemma.dataset.files import MANIFEST, clear_drafts, read_json, write_json
 from lemma.dataset.keyframe_schema import FORM
+from lemma.dataset.schema import executions, perturbed_as
 from lemma.dataset.shards import keyframe_shards, read_manifest
 from lemma.policies.frames import Frames
 from lemma.policies.model import Model
@@ -40,13 +41,20 @@ class Data:
     val: Frames
     about: dict[str, Any]
     """Version and digest."""
+    recovery: Frames | None = None
+    """Recovery states of the instances that are trained on."""
 
 
-def check_data(folder: Path) -> dict[str, Any]:
+def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
     """Return version and digest of rendered keyframes.
 
+    Args:
+        folder: Where they are.
+        recovery: Whether they shall be recovery states, and not demonstrations.
+
     Raises:
-        DatasetError: There are none, or they are of another version.
+        DatasetError: There are none, or they are of another version, or of the other
+            sort.
     """
     if not folder.is_dir():
         raise DatasetError(
@@ -61,6 +69,17 @@ def check_data(folder: Path) -> dict[str, Any]:
             f"{folder} was made from version {found.get('benchmark')} of the "
             f"benchmark, and this package has {BENCHMARK_VERSION}. Train with lemma-"
             f"bench {found.get('lemma')}, or make the data again."
+        )
+    if recovery and not perturbed_as(found):
+        raise DatasetError(
+            f"{folder} holds {executions(found)}, but --recovery takes perturbed "
+            "executions: lemma generate --perturb 0.3, then lemma render --form "
+            f"{FORM}. Demonstrations are named by --data."
+        )
+    if perturbed_as(found) and not recovery:
+        raise DatasetError(
+            f"{folder} holds {executions(found)}. They are mixed in with --recovery; "
+            "--data takes demonstrations, by which the best weights are chosen."
         )
     text = json.dumps({name: files[name]["sha256"] for name in sorted(files)})
     return {
@@ -79,17 +98,39 @@ def read_frames(config: TrainingConfig, team: Processes) -> Data:
     """
     about = check_data(config.data)
     tasks = config.tasks
+    sources = [(config.data, config.train_split), (config.data, config.val_split)]
+    if config.recovery is not None:
+        about["recovery"] = check_data(config.recovery, recovery=True)["digest"]
+        sources.append((config.recovery, config.train_split))
     size = sum(
         sum(shard.header.keyframes)
         * (shard.header.raster.rows * shard.header.raster.columns * _BYTES_PER_CELL)
-        for split in (config.train_split, config.val_split)
-        for shard in keyframe_shards(config.data, split, tasks)
+        for folder, split in sources
+        for shard in keyframe_shards(folder, split, tasks)
     )
     place = _place(config, team.device, size)
     train = Frames.load(config.data, config.train_split, tasks, place)
     same = config.val_split == config.train_split
     val = train if same else Frames.load(config.data, config.val_split, tasks, place)
-    return Data(train, val, about)
+    recovery = None
+    if config.recovery is not None:
+        recovery = Frames.load(config.recovery, config.train_split, tasks, place)
+        _check_alike(train, recovery)
+    return Data(train, val, about, recovery)
+
+
+def _check_alike(train: Frames, recovery: Frames) -> None:
+    """Check that frames of both fit into one batch.
+
+    Raises:
+        DatasetError: They do not.
+    """
+    ours, theirs = ((frames.raster, frames.robots) for frames in (train, recovery))
+    if ours != theirs:
+        raise DatasetError(
+            f"Recovery states have {theirs[1]} robots and maps of {theirs[0]}, but the "
+            f"data have {ours[1]} and {ours[0]}. Render both with the same version."
+        )
 
 
 def _place(config: TrainingConfig, device: torch.device, size: int) -> torch.device:
@@ -100,6 +141,36 @@ def _place(config: TrainingConfig, device: torch.device, size: int) -> torch.dev
     if config.images == "device" or size < free / 2:
         return device
     return host
+
+
+def recovery_units(
+    model: Model, recovery: Frames, units: Sequence[Sequence[int]], train: Frames
+) -> list[Sequence[int]]:
+    """Return the frames of each unit of recovery states that may be mixed in.
+
+    Args:
+        model: Says what a unit is.
+        recovery: Recovery states.
+        units: What is trained on otherwise: other instances stay unknown.
+        train: The frames of those units.
+
+    Raises:
+        DatasetError: There is none of these instances.
+    """
+    known = {train.instances[frame] for unit in units for frame in unit}
+    found: list[Sequence[int]] = [
+        episode
+        for episode in recovery.episodes
+        if recovery.instances[episode[0]] in known
+    ]
+    if not found:
+        raise DatasetError(
+            "The recovery states are all of other instances than those that are "
+            "trained on. Perturb the same tasks, splits and episodes."
+        )
+    if model.unit == "episode":
+        return found
+    return [(frame,) for episode in found for frame in episode]
 
 
 def training_units(

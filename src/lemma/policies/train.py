@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Any
 
 import torch
@@ -33,7 +33,7 @@ from lemma.policies.checkpoints import (
     write_state,
     write_weights,
 )
-from lemma.policies.feed import Feed, Order
+from lemma.policies.feed import Feed, Order, Source
 from lemma.policies.processes import Processes, processes
 from lemma.policies.progress import Reporter, gpu_memory_gb
 from lemma.policies.run import (
@@ -45,6 +45,7 @@ from lemma.policies.run import (
     first_model,
     open_run,
     read_frames,
+    recovery_units,
     training_units,
 )
 from lemma.policies.scoring import Scores, validate
@@ -73,7 +74,7 @@ class Report:
     samples: int
     """Frames that were trained on."""
     passes: float
-    """How often each frame was seen."""
+    """How often each frame was seen, of demonstrations."""
     seconds: float
     """Of training, in all runs."""
     samples_per_s: float
@@ -155,6 +156,7 @@ class _Run:
             team.rank,
             team.count,
         )
+        self.recovery = self._mixed_in()
         self.so_far = _Progress()
         self.steps = config.steps or 0
         self._told: list[dict[str, Tensor]] = []
@@ -164,10 +166,26 @@ class _Run:
             self.trainer.restore(state["trainer"])
             self.so_far = _Progress(**state["so_far"])
 
+    def _mixed_in(self) -> Source | None:
+        """Return the recovery states, if there are any."""
+        frames, share = self.data.recovery, self.config.recovery_share
+        if frames is None or share is None:
+            return None
+        units = recovery_units(self.model, frames, self.units, self.data.train)
+        order = replace(self.order, units=len(units), name="recovery")
+        return Source(frames, units, order, share)
+
     def go(self) -> Report:
         """Train to the end, or until somebody stops it."""
         config, trainer = self.config, self.trainer
-        feed = Feed(self.data.train, self.units, self.order, config, self.team.device)
+        feed = Feed(
+            self.data.train,
+            self.units,
+            self.order,
+            config,
+            self.team.device,
+            self.recovery,
+        )
         first = trainer.step
         begun = self.so_far.elapsed_s
         start = saved = self._logged = time.perf_counter()
@@ -280,6 +298,7 @@ class _Run:
         finished = self.trainer.step >= self.steps
         status = "finished" if finished else "time is up"
         frames = sum(map(len, self.units))
+        share = self.config.recovery_share or 0.0
         report = Report(
             status="interrupted" if stopped else status,
             model=self.config.model,
@@ -288,7 +307,7 @@ class _Run:
             ),
             steps=self.trainer.step,
             samples=self.so_far.samples,
-            passes=self.so_far.samples / frames,
+            passes=self.so_far.samples * (1 - share) / frames,
             seconds=self.so_far.elapsed_s,
             samples_per_s=self._here / self._busy_s if self._busy_s else 0.0,
             gpu_memory_gb=gpu_memory_gb(self.team.device),

@@ -20,6 +20,8 @@ Count = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
 Amount = Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")]
 Name = Annotated[str | None, tyro.conf.arg(metavar="WEIGHTS", help_behavior_hint="")]
 Kind = Literal["high_level", "human"]
+RECOVERY_SHARE = 0.25
+"""Share of recovery states, if nothing else is said."""
 LANGUAGES = ("full", "none", "shuffled")
 
 
@@ -145,6 +147,14 @@ class TrainingConfig:
     are controls."""
     augmentation: Augmentation = field(default_factory=Augmentation)
     """What is changed at random."""
+    recovery: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
+    ] = None
+    """Mix in recovery states: rendered keyframes of perturbed executions, which lemma
+    generate --perturb made. They are never validated on."""
+    recovery_share: Amount = None
+    """Share of the frames, or episodes, of each batch that are recovery states; 0.25 by
+    default."""
     track: bool = False
     """Whether to log to wandb as well as to TensorBoard."""
 
@@ -163,6 +173,16 @@ class TrainingConfig:
         if self.steps is not None and self.samples is not None:
             raise InvalidConfigError(
                 "steps and samples say the same thing twice. Leave out one of them."
+            )
+        if self.recovery_share is not None and not 0 < self.recovery_share <= 1:
+            raise InvalidConfigError(
+                f"recovery_share is {self.recovery_share:g}, a share above 0 and up to "
+                f"1. Try {RECOVERY_SHARE}."
+            )
+        if self.recovery_share is not None and self.recovery is None:
+            raise InvalidConfigError(
+                "recovery_share says how much of each batch are recovery states, but "
+                "there are none. Name them with --recovery DIR."
             )
         if not self.kinds or not set(self.kinds) <= set(TRAINING_KINDS):
             raise InvalidConfigError(
@@ -187,6 +207,8 @@ class TrainingConfig:
             batch_size=batch_size,
             learning_rate=self.learning_rate or own.learning_rate,
             val_every=self.val_every or max(1, steps // 20),
+            recovery_share=self.recovery_share
+            or (RECOVERY_SHARE if self.recovery else None),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -228,7 +250,15 @@ DEFAULTS: dict[str, Defaults] = {
 """By the name of the model."""
 
 MAY_CHANGE = (
-    *("data", "out", "checkpoint_every_s", "time_limit_s", "images", "track"),
+    *(
+        "data",
+        "recovery",
+        "out",
+        "checkpoint_every_s",
+        "time_limit_s",
+        "images",
+        "track",
+    ),
     *("device", "compile", "val_every"),
 )
 """Options that may be others when a run is continued."""
