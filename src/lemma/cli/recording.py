@@ -119,8 +119,8 @@ def record(
         instance=instance,
         steps=tuple(steps),
         frames=tuple(frames),
-        success=episode.is_success,
-        failure=episode.failure,
+        success=play.success,
+        failure=play.failure,
         elapsed_s=episode.elapsed_s,
         wall_s=time.perf_counter() - started,
     )

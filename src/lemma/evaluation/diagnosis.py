@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import Any
 
 from lemma.evaluation.advice import Departure
+from lemma.evaluation.guarding import POLICY_ERROR
 from lemma.motion.outcome import Outcome
 
 POSE_TOLERANCE_MM = 20.0
@@ -50,6 +51,9 @@ class Cause(StrEnum):
     """No mistake, or the time was over during the first one."""
     STOPPED_EARLY = "stopped_early"
     """No mistake, and ``stop`` while there was something left to do."""
+    POLICY_ERROR = "policy_error"
+    """The policy raised, hung, or answered what is no decision: its own fault, named in
+    the line."""
 
 
 _OF_DEPARTURE = {
@@ -68,6 +72,8 @@ def cause_of(row: Mapping[str, Any]) -> Cause | None:
     """
     if row["success"]:
         return None
+    if row["failure"] == POLICY_ERROR:
+        return Cause.POLICY_ERROR
     steps = row["subtasks"]
     left = [_number(step["expert"]["left"]) for step in steps] + [_number(row["left"])]
     for i, step in enumerate(steps):

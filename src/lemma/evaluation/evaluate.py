@@ -28,6 +28,7 @@ from lemma.dataset.files import (
     write_text,
 )
 from lemma.evaluation.advice import left_in
+from lemma.evaluation.loading import served_parts
 from lemma.evaluation.provenance import weights_of
 from lemma.evaluation.result import Result, Row, place_of, summarise
 from lemma.evaluation.rollout import Play, Player, play_all, subtasks_of
@@ -95,6 +96,7 @@ class EvaluationOrder:
         return {
             "policy": asdict(self.policy),
             "weights": weights_of(self.policy),
+            "served": served_parts(self.policy),
             "language": self.language,
             "split": self.split,
             "horizon_s": Play.horizon_s,
@@ -252,9 +254,10 @@ def _row(play: Play, kind: str, wall_s: float) -> Row:
         "distractors": len(instance.distractors),
         "instruction_kind": kind,
         "instruction": play.instruction,
-        "success": info["success"],
+        "success": play.success,
         "progress": info["progress"],
-        "failure": info["failure"],
+        "failure": play.failure,
+        "policy_error": play.fault.to_dict() if play.fault else None,
         "elapsed_s": round(info["elapsed_s"], 3),
         "idle_s": {name: round(idle, 3) for name, idle in info["idle_s"].items()},
         "subtasks": subtasks_of(play.steps),

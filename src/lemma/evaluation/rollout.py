@@ -10,6 +10,8 @@ from lemma.dataset.capture import RASTER, see
 from lemma.env.episode import Episode
 from lemma.env.simulation import HORIZON_S
 from lemma.evaluation.advice import Advice, advise
+from lemma.evaluation.guarding import POLICY_ERROR, Fault, Guard
+from lemma.evaluation.loading import load_policy
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.policies.interfaces import Decision, Policy, PolicyInput, Step, View
 from lemma.policies.specification import PolicySpec
@@ -82,6 +84,8 @@ class Play:
     """What is said instead of that instruction."""
     steps: list[TakenStep] = field(default_factory=list)
     past: list[Step] = field(default_factory=list)
+    fault: Fault | None = None
+    """Why the policy had no more decisions, if it failed."""
 
     def __post_init__(self) -> None:
         """Set the table."""
@@ -95,6 +99,16 @@ class Play:
         own = self.instance.instructions[self.kind]
         return own if self.says is None else self.says
 
+    @property
+    def success(self) -> bool:
+        """Whether the goal holds, and the policy brought it to an end."""
+        return self.fault is None and self.episode.is_success
+
+    @property
+    def failure(self) -> str | None:
+        """Why it failed; None if it succeeded or is not over."""
+        return self.episode.failure if self.fault is None else POLICY_ERROR
+
     def given(self, eyes: Eyes | None) -> PolicyInput:
         """Return what the policy is given now; blind without eyes."""
         scene = self.episode.simulation.scene
@@ -105,6 +119,11 @@ class Play:
             past=tuple(self.past),
             episode=self.episode,
         )
+
+    def fail(self, fault: Fault) -> None:
+        """End the episode for a fault of its policy."""
+        self.fault = fault
+        self.episode.stop()
 
     def take(self, given: PolicyInput, decision: Decision) -> TakenStep | None:
         """Carry out a decision; None if it was to stop."""
@@ -140,7 +159,7 @@ class Player:
         Raises:
             LemmaError: There is no such policy, or its weights are damaged.
         """
-        return cls(spec.load(), None if spec.blind else Eyes())
+        return cls(load_policy(spec), None if spec.blind else Eyes())
 
 
 def play_all(
@@ -151,18 +170,28 @@ def play_all(
 ) -> Iterator[Play]:
     """Play episodes to their ends, yielding each as soon as it is over.
 
+    A policy that raises, hangs or answers nonsense fails the episode in which it does;
+    the others go on.
+
     Args:
         plays: What to play; the next is set up when one has ended.
         player: Decides, for all running episodes together.
         at_once: Episodes that run at a time.
         on_step: Told of every sub-task as soon as it has ended.
+
+    Raises:
+        PolicyUnreachableError: The policy's server is gone.
     """
+    guard = Guard(player.policy)
     waiting = iter(plays)
     running = list(islice(waiting, at_once))
     while running:
         inputs = [play.given(player.eyes) for play in running]
-        decisions = player.policy.act(inputs)
+        decisions = guard.decide(inputs)
         for play, given, decision in zip(running, inputs, decisions, strict=True):
+            if isinstance(decision, Fault):
+                play.fail(decision)
+                continue
             step = play.take(given, decision)
             if step is not None and on_step is not None:
                 on_step(play, step)
