@@ -8,17 +8,19 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.terminal import Flag, JsonFlag, Number, output, print_json
+from lemma.cli.terminal import Flag, JsonFlag, Number, complain, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.evaluation.evaluate import SUMMARY, EvaluationOrder, summary_of
 from lemma.evaluation.evaluate import evaluate as run
-from lemma.evaluation.result import Cell
+from lemma.evaluation.loading import check_served
+from lemma.evaluation.result import Cell, Row
 from lemma.evaluation.summary import Rate, mean_over_tasks, rates_by
-from lemma.policies.specification import PolicySpec
+from lemma.policies.specification import TIMEOUT_S, PolicySpec
 from lemma.tasks.suite import SUITE
 from lemma.tasks.template import KINDS
 
 _ALL = "all"
+_COMPLAINTS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +39,12 @@ class Questions:
     """Look before every sub-task, or plan from the first image alone."""
     gta: Flag = False
     """Ground-truth allocation: the right robot replaces the planner's choice."""
+    timeout_s: Annotated[float, tyro.conf.arg(name="timeout", metavar="SECONDS")] = (
+        TIMEOUT_S
+    )
+    """Time for a decision of your own class or server [s]; 0: any, and unguarded."""
+    skip_check: Flag = False
+    """Leave out the self-test of a policy behind a socket."""
     language: Literal["full", "none", "shuffled"] = "full"
     """Controls. none: nothing is said; shuffled: what belongs to the next instance."""
 
@@ -60,7 +68,8 @@ def evaluate(
     What is there already is kept, so the same command goes on where it was stopped.
 
     Args:
-        policy: oracle; a model; PLANNER+GROUNDER; or package.module:Class.
+        policy: oracle; a model; PLANNER+GROUNDER; package.module:Class; or the address
+            of a server, http://HOST:PORT.
         out: Folder of the result: one line per episode in episodes.jsonl, counts and
             causes of failure in summary.json.
         ask: What is asked of the policy.
@@ -69,17 +78,20 @@ def evaluate(
     """
     order = EvaluationOrder(
         out=out,
-        policy=PolicySpec(policy, ask.planning, ask.gta),
+        policy=PolicySpec(policy, ask.planning, ask.gta, ask.timeout_s),
         tasks=_names(ask.tasks, SUITE),
         split=ask.split,
         kinds=_names(ask.instructions.replace("-", "_"), KINDS),
         episodes=ask.episodes,
         language=ask.language,
     )
+    if not ask.skip_check:
+        check_served(order.policy)
     with progress_bar("evaluate", order.total) as advance:
         rows = run(order, working.make_engine(), advance)
     result = summary_of(order, rows)
     result.write(out / SUMMARY)
+    complain_of(rows)
     if as_json:
         rates = rates_by(result.cells, "kind", "task")
         print_json(
@@ -95,6 +107,22 @@ def evaluate(
     else:
         output().print(table(result.cells))
     return 0
+
+
+def complain_of(rows: list[Row]) -> None:
+    """Say which episodes failed because the policy itself did."""
+    faulty = [row for row in rows if row.get("policy_error")]
+    if not faulty:
+        return
+    for row in faulty[:_COMPLAINTS]:
+        error = row["policy_error"]
+        complain(
+            f"{row['task']} {row['index']}: {error['kind']}: {error['explanation']}"
+        )
+    complain(
+        f"{len(faulty)} of {len(rows)} episodes failed because the policy did "
+        "(policy_error in episodes.jsonl)."
+    )
 
 
 def _names(text: str, every: tuple[str, ...]) -> tuple[str, ...]:
