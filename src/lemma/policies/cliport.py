@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
@@ -146,11 +147,12 @@ class PickAndPlace(Model):
     def look(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Return the picture, and the sentence as read for the pick and the place."""
         texts = self.sentences(batch)
-        return (
-            image_of(batch),
-            self.pick_text.pooled(texts),
-            self.place_text.pooled(texts),
+        # Means of many words are faint; of full strength, they are heard sooner.
+        to_pick, to_place = (
+            F.layer_norm(encoder.pooled(texts), (self.config.text_width,))
+            for encoder in (self.pick_text, self.place_text)
         )
+        return image_of(batch), to_pick, to_place
 
     @contextmanager
     def deciding(self) -> Iterator[None]:

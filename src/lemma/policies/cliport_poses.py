@@ -181,6 +181,9 @@ def _distance(offsets: Tensor, wanted: Tensor) -> Tensor:
 def score_poses(found: Poses, labels: Labels) -> dict[str, Tensor]:
     """Return how near poses come to the expert's, (B,) each; NaN for ``stop``.
 
+    ``grounded`` says whether pick and place are right, in all frames and in those of
+    each primitive.
+
     A pick is right within 2 cm and 10 degrees, where half a turn makes no difference,
     and a quarter turn none of a cube; a place within 2 cm, with the stick also within
     8 degrees, and within 6 cm where anything in the shared space will do.
@@ -200,8 +203,15 @@ def score_poses(found: Poses, labels: Labels) -> dict[str, Tensor]:
     right_place = (place_m < near_m) & (
         (primitive == _MOVE) | (place_yaw < _NEAR_PLACE_YAW)
     )
+    right = (right_pick & right_place).float()
+    by_primitive = {
+        f"grounded_{name}": right.where(primitive == number, math.nan)
+        for number, name in enumerate(PRIMITIVES)
+        if number != STOP
+    }
     scores = {
-        "grounded": (right_pick & right_place).float(),
+        **by_primitive,
+        "grounded": right,
         "right_pick": right_pick.float(),
         "right_place": right_place.float(),
         "minus_pick_mm": -1000.0 * pick_m,

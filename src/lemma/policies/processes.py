@@ -80,6 +80,8 @@ def _device(name: str) -> torch.device:
         )
     if name == "cpu" or not there:
         return torch.device("cpu")
+    # Episodes differ in length, and with them batches: else memory falls to pieces.
+    os.environ.setdefault("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True")
     device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
     torch.cuda.set_device(device)
     return device
