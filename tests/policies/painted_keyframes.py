@@ -28,27 +28,36 @@ FRAMES = 3
 CUBE_HALF_M, PAD_RADIUS_M = 0.025, 0.060
 TEAMS = (("red", "white"), ("white", "red"), ("red", "red"))
 _SHARED_M = (0.0, 0.1)
+_PERTURBED = {"perturb": "0.3", "perturb_seed": "0"}
 _VERSIONS = {"benchmark": BENCHMARK_VERSION, "lemma": "0.0.0"}
 
 Row = dict[str, Any]
 
 
-def write_painted(folder: Path, splits: dict[str, int], raster: Raster = SMALL) -> Path:
+def write_painted(
+    folder: Path,
+    splits: dict[str, int],
+    raster: Raster = SMALL,
+    *,
+    perturbed: bool = False,
+) -> Path:
     """Write painted keyframes.
 
     Args:
         folder: Where to.
         splits: Number of episodes of each split.
         raster: Of the maps.
+        perturbed: Whether other sub-tasks were executed than the labels say.
     """
     files = {}
+    versions = {**_VERSIONS, **(_PERTURBED if perturbed else {})}
     for split, episodes in splits.items():
         path = folder / "maps" / split / "stack-000.arrow"
         header = Header(
             form=FORM,
             part="maps",
             version=KEYFRAMES_VERSION,
-            versions=_VERSIONS,
+            versions=versions,
             renderer="painted",
             robots=2,
             width=0,
@@ -59,12 +68,28 @@ def write_painted(folder: Path, splits: dict[str, int], raster: Raster = SMALL) 
             keyframes=(FRAMES,) * episodes,
         )
         rows = [row for i in range(episodes) for row in episode(split, i, raster)]
+        if perturbed:
+            rows = [row | mistaken(row) for row in rows]
         write_keyframes([(path, header)], rows)
         name = path.relative_to(folder).as_posix()
         files[name] = {"sha256": sha256_of(path), "bytes": path.stat().st_size}
-    about = {"form": FORM, "versions": _VERSIONS, "renderer": "painted"}
+    about = {"form": FORM, "versions": versions, "renderer": "painted"}
     write_json(folder / MANIFEST, {"form": FORM, "about": about, "files": files})
     return folder
+
+
+def mistaken(row: Row) -> Row:
+    """Return what was executed, if the other robot did it and put it elsewhere."""
+    moves = row["primitive"] == "move"
+    return {
+        "executed_robot": {"robot_0": "robot_1", "robot_1": "robot_0", "": ""}[
+            row["robot"]
+        ],
+        "executed_primitive": row["primitive"],
+        "executed_pick": row["pick"],
+        "executed_place": "green_pad" if moves else "",
+        "perturbation": "choice" if moves else "none",
+    }
 
 
 def episode(split: str, index: int, raster: Raster) -> list[Row]:
