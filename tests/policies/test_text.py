@@ -12,6 +12,7 @@ from lemma.policies.text import TEXT_KINDS, TextConfig, TextEncoder
 from lemma.policies.vocabulary import UNKNOWN, Vocabulary, edit_distance
 from lemma.policies.word_vectors import neighbours, word_vectors
 from lemma.tasks.language import templates, vocabulary, words
+from lemma.tasks.suite import SUITE, load_instance
 
 SENTENCE = "Place the red cube on top of the blue pad"
 OTHER = "Place the white cube on top of the red pad"
@@ -197,6 +198,17 @@ def test_paraphrases_use_only_the_templates_that_are_taught() -> None:
     taught = templates("pass", "high_level")
     said = {paraphrase("pass", GOAL, rng, PLAIN, taught) for _ in range(20)}
     assert said == {SENTENCE.lower()}
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_no_paraphrase_is_a_held_out_sentence(task: str) -> None:
+    goal = load_instance(task, "train", 0).goal.pairs
+    held_out = {tuple(words(t.render(goal))) for t in templates(task, "unseen")}
+    assert len(held_out) == 10
+    rng = stream("test", "held out", task)
+    said = {tuple(words(paraphrase(task, goal, rng))) for _ in range(2000)}
+    assert len(said) > 1500
+    assert not said & held_out
 
 
 def test_paraphrases_are_the_same_for_the_same_stream() -> None:
