@@ -13,7 +13,8 @@ from lemma.core.errors import LemmaError
 VERBS = (
     *("tasks", "demo", "show", "doctor", "bench"),
     *("generate", "replay", "inspect", "push-to-hub", "pull"),
-    *("render", "instructions", "train", "evaluate"),
+    *("render", "instructions", "train", "evaluate", "serve"),
+    *("compare", "report", "reproduce"),
 )
 """Each is a function of the same name in a module of the same name in this package,
 with underscores for dashes."""

@@ -2,6 +2,8 @@
 
 import math
 
+from scipy.stats import binomtest
+
 Z_95 = 1.959963984540054
 """Two-sided quantile of the normal distribution for 95 %."""
 
@@ -27,3 +29,67 @@ def wilson_interval(
     variance = rate * (1.0 - rate) / trials + z * z / (4.0 * trials * trials)
     half = z * math.sqrt(variance) / scale
     return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def mcnemar_p(only_first: int, only_second: int) -> float:
+    """Return the exact two-sided p-value of McNemar's test.
+
+    Args:
+        only_first: Episodes that only the first policy solved.
+        only_second: Episodes that only the second one solved.
+    """
+    discordant = only_first + only_second
+    if discordant == 0:
+        return 1.0
+    return float(binomtest(only_first, discordant).pvalue)
+
+
+def paired_interval(
+    both: int, only_first: int, only_second: int, neither: int, z: float = Z_95
+) -> tuple[float, float]:
+    """Return Newcombe's interval of the difference of two paired rates, first - second.
+
+    It joins the Wilson intervals of the two rates by their correlation (Newcombe 1998,
+    method 10), so it stays within [-1, 1] and holds for small numbers.
+
+    Args:
+        both: Episodes that both policies solved.
+        only_first: Episodes that only the first one solved.
+        only_second: Episodes that only the second one solved.
+        neither: Episodes that none of them solved.
+        z: Quantile of the normal distribution; 1.96 gives 95 %.
+
+    Raises:
+        ValueError: There are no episodes.
+    """
+    total = both + only_first + only_second + neither
+    first, second = both + only_first, both + only_second
+    rate_1, rate_2 = first / max(total, 1), second / max(total, 1)
+    low_1, high_1 = wilson_interval(first, total, z)
+    low_2, high_2 = wilson_interval(second, total, z)
+    phi = _correlation(both, only_first, only_second, neither)
+    below = _joined(rate_1 - low_1, high_2 - rate_2, phi)
+    above = _joined(high_1 - rate_1, rate_2 - low_2, phi)
+    difference = rate_1 - rate_2
+    return difference - below, difference + above
+
+
+def _joined(one: float, other: float, phi: float) -> float:
+    return math.sqrt(max(0.0, one * one - 2.0 * phi * one * other + other * other))
+
+
+def _correlation(both: int, only_first: int, only_second: int, neither: int) -> float:
+    """Return phi, with Newcombe's correction for continuity where it is positive."""
+    total = both + only_first + only_second + neither
+    margins = (
+        (both + only_first)
+        * (only_second + neither)
+        * (both + only_second)
+        * (only_first + neither)
+    )
+    if margins == 0:
+        return 0.0
+    cross = float(both * neither - only_first * only_second)
+    if cross > 0:
+        cross = max(cross - total / 2.0, 0.0)
+    return cross / math.sqrt(margins)

@@ -1,0 +1,63 @@
+"""`lemma compare`: two results on the same episodes."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from lemma.cli.terminal import JsonFlag, output, print_json
+from lemma.evaluation.comparison import Comparison
+from lemma.evaluation.comparison import compare as run
+
+ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+"""A folder that ``lemma evaluate`` wrote."""
+
+
+def compare(
+    first: ResultFolder, second: ResultFolder, as_json: JsonFlag = False
+) -> int:
+    """Compare two policies on the same episodes, one by one.
+
+    Prints the difference of their success rates with its 95 % interval (Newcombe's, for
+    paired rates), on how many episodes only one of them succeeded, and the p-value of
+    McNemar's exact test. Results of other episodes or versions are refused.
+
+    Args:
+        first: Folder of a result.
+        second: Folder of the other.
+        as_json: Print one JSON object instead of a table.
+    """
+    found = run(first, second)
+    if as_json:
+        print_json(
+            {
+                kind: {task: one.to_dict() for task, one in by_task.items()}
+                for kind, by_task in found.items()
+            }
+        )
+        return 0
+    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    shown.add_column("success [%]", style="bold", no_wrap=True)
+    for heading in ("1st", "2nd", "difference (95 %)", "only 1st", "only 2nd", "p"):
+        shown.add_column(heading, justify="right", no_wrap=True)
+    for kind, by_task in found.items():
+        for task, one in by_task.items():
+            name = kind.replace("_", "-") if task == "all" else f"  {task}"
+            shown.add_row(name, *_cells(one), style="" if task == "all" else "dim")
+    output().print(shown)
+    return 0
+
+
+def _cells(one: Comparison) -> tuple[str, ...]:
+    first, second = one.rates
+    low, high = one.interval
+    return (
+        f"{100 * first:.1f}",
+        f"{100 * second:.1f}",
+        f"{100 * one.difference:+.1f} ({100 * low:+.0f} to {100 * high:+.0f})",
+        str(one.only_first),
+        str(one.only_second),
+        "<.0001" if one.p_value < 0.0001 else f"{one.p_value:.4f}",
+    )

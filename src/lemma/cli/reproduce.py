@@ -1,0 +1,90 @@
+"""`lemma reproduce`: the experiments of the tables, from the weights that ship."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from lemma.cli.terminal import Flag, Number, messages, output
+from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.dataset.files import write_text
+from lemma.evaluation.entries import entries_of, read_results
+from lemma.evaluation.experiments import selected
+from lemma.evaluation.report import REPORT, page
+from lemma.evaluation.reproduction import (
+    MissingWeightsError,
+    Reproduction,
+    commands,
+)
+
+OptionalFolder = Annotated[
+    Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
+]
+"""An optional folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """From which weights, and how many episodes."""
+
+    weights: OptionalFolder = None
+    """Folder with one training run for each name of weights; by default those that
+    ship."""
+    split: Annotated[str, tyro.conf.arg(metavar="SPLIT")] = "test"
+    """Frozen list of instances."""
+    episodes: Number = None
+    """Only the first so many of every task; for trying."""
+
+
+EVERYTHING = Extent()
+"""All episodes of the test split, from the weights that ship."""
+
+ExtentOptions = Annotated[Extent, tyro.conf.arg(name="")]
+"""The fields as options of the verb."""
+
+
+def reproduce(
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results"),
+    extent: ExtentOptions = EVERYTHING,
+    working: WorkerOptions = DEFAULT,
+    print_commands: Annotated[Flag, tyro.conf.arg(name="print")] = False,
+) -> int:
+    """Evaluate every row of the tables, and write the tables.
+
+    What is there already is kept, so the same command goes on where it was stopped.
+    Rows whose weights are not there are skipped, and named at the end.
+
+    Args:
+        name: paper, ours, controls, ablations; all, which leaves out the ablations;
+            or one experiment.
+        out: Folder of all results: one folder per experiment, one file per training
+            seed.
+        extent: From which weights, and how many episodes.
+        working: Where to work.
+        print_commands: Print how the weights of all seeds are trained and evaluated,
+            and do nothing.
+    """
+    experiments = selected(name)
+    if print_commands:
+        for line in commands(experiments):
+            output().print(line, soft_wrap=True, markup=False)
+        return 0
+    plan = Reproduction(
+        out=out, weights=extent.weights, split=extent.split, episodes=extent.episodes
+    )
+    engine = working.make_engine()
+    for experiment in experiments:
+        try:
+            order, _ = plan.order(experiment)
+        except MissingWeightsError as error:
+            messages().print(f"Skipped {experiment.name}: {error}", soft_wrap=True)
+            continue
+        with progress_bar(experiment.name, order.total) as advance:
+            plan.run(experiment, engine, advance)
+    entries = entries_of(read_results([out]) if out.exists() else [], complete=True)
+    write_text(out / REPORT, page(entries))
+    count = sum(bool(entry.results) for entry in entries)
+    output().print(f"Tables of {count} policies: {out / REPORT}", soft_wrap=True)
+    return 0

@@ -1,0 +1,164 @@
+"""The results of one policy over its training seeds: what a row of a table is."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from statistics import fmean, stdev
+
+from lemma.core.errors import DatasetError
+from lemma.evaluation.evaluate import SUMMARY
+from lemma.evaluation.experiments import ABLATIONS, EXPERIMENTS, Experiment
+from lemma.evaluation.result import Cell, Result, read_result
+from lemma.evaluation.statistics import wilson_interval
+from lemma.evaluation.summary import mean_over_tasks, rate_of
+
+NOTHING = "–"
+_SAME = ("split", "horizon_s", "benchmark", "format", "mujoco")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One policy, and what it made of the episodes with each training seed."""
+
+    title: str
+    results: tuple[Result, ...] = ()
+    """By seed; none if it was not run."""
+    experiment: Experiment | None = None
+    """None for anybody's own policy."""
+
+    def select(self, kind: str, **where: object) -> list[list[Cell]]:
+        """Return the cells of each seed that are of a kind, and of some values.
+
+        Args:
+            kind: Of instructions.
+            where: Fields of a cell and their values, such as ``task="stack"``.
+        """
+        return [
+            [
+                cell
+                for cell in result.cells
+                if cell.kind == kind
+                and all(getattr(cell, name) == value for name, value in where.items())
+            ]
+            for result in self.results
+        ]
+
+    def has(self, kind: str) -> bool:
+        """Whether there are episodes of a kind of instructions."""
+        return any(self.select(kind))
+
+
+def shown(seeds: list[list[Cell]], rate: Callable[[list[Cell]], float]) -> str:
+    """Return a success rate [%] as a table shows it.
+
+    Args:
+        seeds: The cells of each seed.
+        rate: Makes a success rate of the cells of one.
+
+    Returns:
+        With one seed the rate and its 95 % Wilson interval; with several their mean and
+        standard deviation.
+    """
+    rates = [100.0 * rate(cells) for cells in seeds if cells]
+    if not rates:
+        return NOTHING
+    if len(rates) > 1:
+        return f"{fmean(rates):.1f} ± {stdev(rates):.1f}"
+    counted = rate_of(next(cells for cells in seeds if cells))
+    low, high = wilson_interval(counted.successes, counted.episodes)
+    return f"{rates[0]:.1f} ({100 * low:.0f}–{100 * high:.0f})"
+
+
+def pooled(cells: list[Cell]) -> float:
+    """Return the success rate in all episodes."""
+    return rate_of(cells).success_rate
+
+
+def mean_of(entry: Entry, kind: str) -> float | None:
+    """Return the mean over tasks and seeds [%]; None where it was not run."""
+    rates = [mean_over_tasks(cells) for cells in entry.select(kind) if cells]
+    return 100.0 * fmean(rates) if rates else None
+
+
+def read_results(paths: Iterable[Path]) -> list[Result]:
+    """Read results.
+
+    Args:
+        paths: Files, or folders that hold some, at any depth.
+
+    Raises:
+        DatasetError: One is missing or damaged, or they are of different protocols.
+    """
+    results: list[Result] = []
+    for path in dict.fromkeys(file for each in paths for file in _files(each)):
+        result = read_result(path)
+        first = results[0] if results else result
+        for name in _SAME:
+            if result.about[name] != first.about[name]:
+                raise DatasetError(
+                    f"{path} was made with {name} {result.about[name]}, and others "
+                    f"with {first.about[name]}: they cannot be compared. Report them "
+                    "apart."
+                )
+        results.append(result)
+    return results
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise DatasetError(
+            f"There is no {path}. Name what 'lemma evaluate' or 'lemma reproduce' "
+            "wrote."
+        )
+    return sorted(file for file in path.rglob("*.json") if _is_result(file))
+
+
+def _is_result(file: Path) -> bool:
+    name, folder = file.name, file.absolute().parent.name
+    return name == SUMMARY or name.startswith("seed-") or folder == ABLATIONS
+
+
+def entries_of(results: Iterable[Result], *, complete: bool = False) -> list[Entry]:
+    """Return results by policy, those of the registry first and in its order.
+
+    Args:
+        results: Of any policies and seeds.
+        complete: Whether experiments without results have an entry too.
+
+    Raises:
+        DatasetError: A policy has two results with the same seed.
+    """
+    named: dict[str, list[Result]] = {}
+    for result in results:
+        named.setdefault(result.experiment or title_of(result), []).append(result)
+    entries = [
+        Entry(EXPERIMENTS[name].title, _by_seed(named.pop(name, [])), EXPERIMENTS[name])
+        for name in EXPERIMENTS
+        if complete or name in named
+    ]
+    return entries + [Entry(name, _by_seed(found)) for name, found in named.items()]
+
+
+def title_of(result: Result) -> str:
+    """Return what a policy is called that is no experiment."""
+    policy = result.about["policy"]
+    parts = [policy["name"], policy["planning"] * (policy["planning"] != "single-step")]
+    parts += ["GTA" * policy["gta"]]
+    if result.about["language"] != "full":
+        parts.append(f"language {result.about['language']}")
+    return ", ".join(part for part in parts if part)
+
+
+def _by_seed(results: list[Result]) -> tuple[Result, ...]:
+    ordered = sorted(results, key=lambda result: result.seed)
+    for seed, same in groupby(ordered, key=lambda result: result.seed):
+        found = list(same)
+        if len(found) > 1:
+            raise DatasetError(
+                f"There are {len(found)} results of {title_of(found[0])} with training "
+                f"seed {seed}. Report one of them."
+            )
+    return tuple(ordered)

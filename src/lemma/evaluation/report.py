@@ -1,0 +1,166 @@
+"""The page of results: Markdown, made from results and from nothing else."""
+
+from collections.abc import Iterable, Sequence
+
+from lemma.evaluation import tables
+from lemma.evaluation.entries import Entry
+from lemma.evaluation.experiments import SEEDS, SUITES
+from lemma.evaluation.tables import Table, markdown
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
+
+REPORT = "results.md"
+_INTRODUCTION = """\
+# {title}
+
+Success rates of policies on the frozen lists, skills executed in the simulator. This
+page is written by a command, from {source} and from nothing else.
+
+- **What a number is.** {protocol}
+  An episode counts if its goal holds at the end. {guide} says what else fixes a number.
+- **Intervals.** With one training seed: the rate and its 95 % Wilson interval over the
+  episodes. With several: mean ± standard deviation over the seeds. The simulator is
+  deterministic, so a second run of the same weights gives the same episodes.
+- **The paper's figures** are from Isaac Sim, with other models of the robots, another
+  gripper and other sentences; ours are from MuJoCo. Simulators differ: the same row is
+  the same kind of policy, not the same experiment. Means are as printed there; figures
+  by task (≈) are worked back from rates per sub-task and good to about one per cent.
+- *{not_run}* says that there is no result: the weights do not ship yet, or nobody has
+  evaluated them.
+
+`lemma reproduce NAME` makes a row, with the names that stand at the end; with `--print`
+it prints how the weights are trained.
+"""
+
+
+def page(
+    entries: Sequence[Entry],
+    title: str = "Results",
+    source: str = "the files named below",
+    guide: str = "docs/evaluation.md",
+) -> str:
+    """Return the page.
+
+    Args:
+        entries: What it reports.
+        title: Its heading.
+        source: Where the results are from, as the page says it.
+        guide: The page about evaluation, as the page names it.
+    """
+    text = _INTRODUCTION.format(
+        title=title,
+        source=source,
+        guide=guide,
+        protocol=_protocol(entries),
+        not_run=tables.NOT_RUN,
+    )
+    sections = (
+        ("What was aimed at", "", tables.targets(entries)),
+        (
+            "High-level instructions",
+            "The paper's first table.",
+            tables.by_task(entries, "high_level"),
+        ),
+        (
+            "Human instructions",
+            "The paper's second table. Templates of this kind are seen in training; "
+            "ours are not crowd-sourced.",
+            tables.by_task(entries, "human"),
+        ),
+        (
+            "Distractors",
+            "The paper's third table: high-level instructions, by number of objects "
+            "that the goal does not need. The tasks have different ranges of it, so "
+            "the columns hold different mixtures of tasks. We do not have the paper's "
+            "figures.",
+            tables.by_distractors(entries, "high_level"),
+        ),
+        (
+            "Robot types",
+            "The paper's fourth table: high-level instructions, by team. We do not "
+            "have the paper's figures.",
+            tables.by_team(entries, "high_level"),
+        ),
+        (
+            "Unseen templates",
+            "Sentences of templates that training never sees; not in the paper.",
+            tables.by_task(entries, "unseen"),
+        ),
+        (
+            "Ablations",
+            "One thing of ReachNet's training left out each, and two controls. "
+            "Training seed 0.",
+            tables.ablations(entries),
+        ),
+        (
+            "Where the points are lost",
+            "Failed episodes by cause, over all seeds. The expert is asked before "
+            f"every sub-task what it would do in the same state; {guide} defines the "
+            "causes.",
+            tables.losses(entries),
+        ),
+        *(
+            (f"{entry.title}: losses by task", "", tables.losses_by_task(entry))
+            for entry in entries
+            if _is_detailed(entry)
+        ),
+        (
+            "How exact the poses are",
+            "High-level instructions; distance from the middle of the cube, or of the "
+            "pad or cube below, where the sub-task was the expert's. In brackets the "
+            "part that is more than 20 mm off. Places in the shared region and poses "
+            "of the stick are a matter of choice, so they are not here.",
+            tables.precision(entries, "high_level"),
+        ),
+    )
+    text += "".join(_section(*section) for section in sections)
+    return text + _provenance(entries)
+
+
+def _section(title: str, note: str, table: Table) -> str:
+    body = markdown(table) if table.rows else "There are no results yet.\n"
+    return f"\n## {title}\n\n{note}\n\n{body}" if note else f"\n## {title}\n\n{body}"
+
+
+def _is_detailed(entry: Entry) -> bool:
+    """Whether a page has room for the causes by task, if there are any."""
+    detailed = entry.experiment is None or entry.experiment.suite in SUITES[:2]
+    return detailed and any(result.losses for result in entry.results)
+
+
+def _protocol(entries: Iterable[Entry]) -> str:
+    abouts = [result.about for entry in entries for result in entry.results]
+    told = abouts[0] if abouts else {"split": "test", "benchmark": BENCHMARK_VERSION}
+    split, benchmark = told["split"], told["benchmark"]
+    text = (
+        f"Split `{split}` of benchmark `{benchmark}`: {SPLITS[split]} episodes of each "
+        "of the eight tasks for each kind of instructions"
+    )
+    if abouts:
+        text += f"; {told['horizon_s']:.0f} simulated seconds; MuJoCo {told['mujoco']}"
+    return f"{text}."
+
+
+def _provenance(entries: Iterable[Entry]) -> str:
+    """Return how each result is made, and of which weights."""
+    rows: list[tuple[str, ...]] = []
+    for entry in entries:
+        if not entry.results and entry.experiment is not None:
+            command = f"`lemma reproduce {entry.experiment.name}`"
+            rows.append((entry.title, command, tables.NOT_RUN, "", ""))
+        for result in entry.results:
+            hashes = ", ".join(
+                f"{name} `{told['sha256'][:12]}`"
+                for name, told in result.about["weights"].items()
+            )
+            episodes = sum(cell.episodes for cell in result.cells)
+            seed = str(result.seed) if hashes else "none"
+            rows.append(
+                (entry.title, f"`{result.command}`", hashes, seed, str(episodes))
+            )
+    header = ("row", "command", "SHA-256 of the weights", "training seed", "episodes")
+    return _section(
+        "How each row is made",
+        f"Reported models are trained with seeds {', '.join(map(str, SEEDS))}; "
+        "the weights of the first ship.",
+        Table(header, tuple(rows), labels=3),
+    )
