@@ -11,15 +11,19 @@ from pathlib import Path
 from lemma.dataset.schema import describe
 
 PAGE = Path(__file__).parents[1] / "docs" / "dataset_format.md"
-START = "<!-- columns: written by scripts/write_dataset_format.py -->\n"
-END = "<!-- end of columns -->\n"
+BLOCKS = {"columns": describe(), "perturbed columns": describe(perturbed=True)}
+"""What is written where, by the name in the marks around it."""
 
 
 def with_columns(page: str) -> str:
     """Return the page with the columns as they are now."""
-    before, _, rest = page.partition(START)
-    _, _, after = rest.partition(END)
-    return f"{before}{START}\n{describe()}\n\n{END}{after}"
+    for name, text in BLOCKS.items():
+        start = f"<!-- {name}: written by scripts/write_dataset_format.py -->\n"
+        end = f"<!-- end of {name} -->\n"
+        before, _, rest = page.partition(start)
+        _, _, after = rest.partition(end)
+        page = f"{before}{start}\n{text}\n\n{end}{after}"
+    return page
 
 
 if __name__ == "__main__":
