@@ -1,7 +1,7 @@
 """The results of one policy over its training seeds: what a row of a table is."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
 from statistics import fmean, stdev
@@ -124,6 +124,8 @@ def _is_result(file: Path) -> bool:
 def entries_of(results: Iterable[Result], *, complete: bool = False) -> list[Entry]:
     """Return results by policy, those of the registry first and in its order.
 
+    What ``lemma evaluate`` made of a policy of the registry belongs there, too.
+
     Args:
         results: Of any policies and seeds.
         complete: Whether experiments without results have an entry too.
@@ -133,7 +135,7 @@ def entries_of(results: Iterable[Result], *, complete: bool = False) -> list[Ent
     """
     named: dict[str, list[Result]] = {}
     for result in results:
-        named.setdefault(result.experiment or title_of(result), []).append(result)
+        named.setdefault(_row_of(result), []).append(result)
     entries = [
         Entry(EXPERIMENTS[name].title, _by_seed(named.pop(name, [])), EXPERIMENTS[name])
         for name in EXPERIMENTS
@@ -150,6 +152,18 @@ def title_of(result: Result) -> str:
     if result.about["language"] != "full":
         parts.append(f"language {result.about['language']}")
     return ", ".join(part for part in parts if part)
+
+
+def _row_of(result: Result) -> str:
+    """Return the experiment that a result is of; else what its policy is called."""
+    if result.experiment in EXPERIMENTS:
+        return result.experiment
+    for name in EXPERIMENTS:
+        one = EXPERIMENTS[name]
+        asked = (asdict(one.policy), one.language)
+        if asked == (result.about["policy"], result.about["language"]):
+            return name
+    return title_of(result)
 
 
 def _by_seed(results: list[Result]) -> tuple[Result, ...]:

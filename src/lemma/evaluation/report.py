@@ -1,6 +1,6 @@
 """The page of results: Markdown, made from results and from nothing else."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from lemma.evaluation import tables
 from lemma.evaluation.entries import Entry
@@ -53,67 +53,73 @@ def page(
         protocol=_protocol(entries),
         not_run=tables.NOT_RUN,
     )
-    sections = (
-        ("What was aimed at", "", tables.targets(entries)),
-        (
-            "High-level instructions",
-            "The paper's first table.",
-            tables.by_task(entries, "high_level"),
-        ),
-        (
-            "Human instructions",
-            "The paper's second table. Templates of this kind are seen in training; "
-            "ours are not crowd-sourced.",
-            tables.by_task(entries, "human"),
-        ),
-        (
-            "Distractors",
-            "The paper's third table: high-level instructions, by number of objects "
-            "that the goal does not need. The tasks have different ranges of it, so "
-            "the columns hold different mixtures of tasks. We do not have the paper's "
-            "figures.",
-            tables.by_distractors(entries, "high_level"),
-        ),
-        (
-            "Robot types",
-            "The paper's fourth table: high-level instructions, by team. We do not "
-            "have the paper's figures.",
-            tables.by_team(entries, "high_level"),
-        ),
-        (
-            "Unseen templates",
-            "Sentences of templates that training never sees; not in the paper.",
-            tables.by_task(entries, "unseen"),
-        ),
-        (
-            "Ablations",
-            "One thing of ReachNet's training left out each, and two controls. "
-            "Training seed 0.",
-            tables.ablations(entries),
-        ),
-        (
-            "Where the points are lost",
-            "Failed episodes by cause, over all seeds. The expert is asked before "
-            f"every sub-task what it would do in the same state; {guide} defines the "
-            "causes.",
-            tables.losses(entries),
-        ),
-        *(
-            (f"{entry.title}: losses by task", "", tables.losses_by_task(entry))
-            for entry in entries
-            if _is_detailed(entry)
-        ),
-        (
-            "How exact the poses are",
-            "High-level instructions; distance from the middle of the cube, or of the "
-            "pad or cube below, where the sub-task was the expert's. In brackets the "
-            "part that is more than 20 mm off. Places in the shared region and poses "
-            "of the stick are a matter of choice, so they are not here.",
-            tables.precision(entries, "high_level"),
-        ),
-    )
+    sections = [*_paper_sections(entries), *_own_sections(entries, guide)]
     text += "".join(_section(*section) for section in sections)
     return text + _provenance(entries)
+
+
+def _paper_sections(entries: Sequence[Entry]) -> Iterator[tuple[str, str, Table]]:
+    """Yield title, note and table of what is in the paper, too."""
+    yield "What was aimed at", "", tables.targets(entries)
+    yield (
+        "High-level instructions",
+        "The paper's first table.",
+        tables.by_task(entries, "high_level"),
+    )
+    yield (
+        "Human instructions",
+        "The paper's second table. Templates of this kind are seen in training; ours "
+        "are not crowd-sourced.",
+        tables.by_task(entries, "human"),
+    )
+    yield (
+        "Distractors",
+        "The paper's third table: high-level instructions, by number of objects that "
+        "the goal does not need. The tasks have different ranges of it, so the columns "
+        "hold different mixtures of tasks. We do not have the paper's figures.",
+        tables.by_distractors(entries, "high_level"),
+    )
+    yield (
+        "Robot types",
+        "The paper's fourth table: high-level instructions, by team. We do not have "
+        "the paper's figures.",
+        tables.by_team(entries, "high_level"),
+    )
+
+
+def _own_sections(
+    entries: Sequence[Entry], guide: str
+) -> Iterator[tuple[str, str, Table]]:
+    """Yield title, note and table of what the paper does not have."""
+    yield (
+        "Unseen templates",
+        "Sentences of templates that training never sees; not in the paper.",
+        tables.by_task(entries, "unseen"),
+    )
+    yield (
+        "Ablations",
+        "One thing of ReachNet's training changed each, and two controls. Training "
+        "seed 0.",
+        tables.ablations(entries),
+    )
+    yield (
+        "Where the points are lost",
+        "Failed episodes by cause, over all seeds. The expert is asked before every "
+        f"sub-task what it would do in the same state; {guide} defines the causes.",
+        tables.losses(entries),
+    )
+    for entry in entries:
+        if _is_detailed(entry):
+            title = f"{entry.title}: losses by task"
+            yield title, "", tables.losses_by_task(entry)
+    yield (
+        "How exact the poses are",
+        "High-level instructions; distance from the middle of the cube, or of the pad "
+        "or cube below, where the sub-task was the expert's. In brackets the part that "
+        "is more than 20 mm off. Places in the shared region and poses of the stick "
+        "are a matter of choice, so they are not here.",
+        tables.precision(entries, "high_level"),
+    )
 
 
 def _section(title: str, note: str, table: Table) -> str:

@@ -48,6 +48,8 @@ def targets(entries: Iterable[Entry]) -> Table:
         for kind in experiment.targets if experiment else ():
             assert experiment is not None
             least, mean = experiment.targets[kind], mean_of(entry, kind)
+            if mean is None and entry.results:
+                continue
             verdict = NOT_RUN if mean is None else "yes" if mean >= least else "**no**"
             rows.append(
                 (
