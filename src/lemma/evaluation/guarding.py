@@ -8,6 +8,7 @@ other processes; see :mod:`lemma.serve.isolation`.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -193,19 +194,23 @@ def _pose(end: str, pose: object) -> Pose2:
     return Pose2(*numbers)
 
 
-def _number(end: str, value: object) -> float:
+def _number(end: str, value: Any) -> float:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
-    if isinstance(value, bool) or not isinstance(value, float | int | np.number):
+    if not _is_real(value):
         raise _malformed(
             f"The {end} pose holds a {type(value).__name__} where a number belongs"
         )
     try:
         return float(value)
-    except (OverflowError, TypeError):
-        raise _malformed(
-            f"The {end} pose holds {value!r:.40}, no real number"
-        ) from None
+    except OverflowError:
+        return math.inf
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, float | int | np.integer | np.floating) and not isinstance(
+        value, bool
+    )
 
 
 def _malformed(what: str) -> _FaultError:

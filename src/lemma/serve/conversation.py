@@ -109,7 +109,7 @@ class Conversation:
         """
         self.where = where
         self._connect = connect
-        self._manners = manners
+        self.manners = manners
         self._channel: Channel | None = None
         self._connection = 0
         self._asked = 0
@@ -143,10 +143,10 @@ class Conversation:
             PolicyFailedError: It raised, did not answer in time, or died of it.
             PolicyUnreachableError: Nobody answers any more.
         """
-        allowed_s = self._manners.timeout_s * len(inputs)
-        for _ in range(self._manners.deaths):
+        allowed_s = self.manners.timeout_s * len(inputs)
+        for _ in range(self.manners.deaths):
             if self._channel is None:
-                self._open(self._manners.patience_s)
+                self._open(self.manners.patience_s)
             try:
                 end = time.monotonic() + allowed_s
                 return self._tell_and_ask(method, inputs, subtasks, end)
@@ -155,7 +155,7 @@ class Conversation:
                 raise PolicyFailedError(
                     FaultKind.TIMEOUT,
                     f"The policy did not decide within {allowed_s:g} s "
-                    f"({len(inputs)} decisions of {self._manners.timeout_s:g} s).",
+                    f"({len(inputs)} decisions of {self.manners.timeout_s:g} s).",
                 ) from error
             except OSError as error:
                 self.close()
@@ -172,7 +172,7 @@ class Conversation:
             OSError: The other side is gone.
         """
         if self._channel is None:
-            self._open(self._manners.patience_s)
+            self._open(self.manners.patience_s)
         assert self._channel is not None
         self._asked += 1
         end = time.monotonic() + timeout_s

@@ -195,7 +195,7 @@ def serve(
     host: str = "127.0.0.1",
     port: int = DEFAULT_PORT,
     about: Mapping[str, Any] | None = None,
-    on_ready: Callable[[str], None] = lambda url: None,
+    on_ready: Callable[[str], object] = lambda url: None,
 ) -> None:
     """Answer for a policy until Ctrl-C.
 

@@ -1,0 +1,114 @@
+"""Other people's classes live in processes that may hang, crash and leave."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from faulty_policies import BAD, MOVE, given, moved, view
+
+from lemma.core.errors import InvalidConfigError
+from lemma.evaluation.loading import load_policy
+from lemma.policies.compose import PlannerWithGrounder
+from lemma.policies.interfaces import Grounder, Planner, Policy, Step
+from lemma.policies.specification import PolicySpec
+from lemma.serve.conversation import Manners
+from lemma.serve.faults import FaultKind, PolicyFailedError
+from lemma.serve.isolation import isolate
+from lemma.serve.remote import Remote
+
+LONG_S = 60.0
+LONG_PATIENCE = Manners(LONG_S)
+
+
+@pytest.fixture(scope="module")
+def sound() -> Iterator[Remote]:
+    policy = isolate("faulty_policies:Scripted", LONG_S)
+    yield policy
+    policy.close()
+
+
+def test_it_decides_as_it_would_here(sound: Policy) -> None:
+    here = load_policy(PolicySpec("faulty_policies:Scripted", timeout_s=0.0))
+    first = view(1, 20, 30)
+    inputs = [
+        given("go", now=first),
+        given("go on", Step(first, MOVE, "dropped"), now=view(2, 20, 30)),
+        given("go on", Step(first, MOVE), Step(view(3), MOVE), now=view(4)),
+    ]
+    assert sound.act(inputs) == here.act(inputs)
+    assert not isinstance(here, Remote)
+
+
+def test_it_has_the_methods_that_the_class_has(sound: Policy) -> None:
+    assert isinstance(sound, Policy)
+    assert not isinstance(sound, Planner)
+    both = load_policy(PolicySpec("faulty_policies:Plans+faulty_policies:Grounds"))
+    assert isinstance(both, PlannerWithGrounder)
+    assert isinstance(both.planner, Planner)
+    assert isinstance(both.grounder, Grounder)
+    assert not isinstance(both.planner, Policy)
+    found = both.act([given(), given("lost"), given("go", Step(view(), MOVE))])
+    assert [d.grounded is None for d in found] == [False, True, True]
+    assert [d.stops for d in found] == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "words"),
+    [
+        ("Raises", FaultKind.RAISED, "KeyError: 'no such thing'"),
+        ("Crashes", FaultKind.DIED, "signal 11"),
+        ("Leaves", FaultKind.DIED, "exit code 3"),
+        ("AnswersNumbers", FaultKind.MALFORMED, "0.0 is no Decision"),
+        ("AnswersNothing", FaultKind.MALFORMED, "None, not a list"),
+        ("ForgetsOne", FaultKind.MALFORMED, "0 decisions to 1"),
+    ],
+)
+def test_faults_are_named(name: str, kind: FaultKind, words: str) -> None:
+    policy: Any = isolate(f"faulty_policies:{name}", LONG_S)
+    with pytest.raises(PolicyFailedError, match=words) as failed:
+        policy.act([given(BAD)])
+    assert failed.value.kind is kind
+    if name != "AnswersNothing":
+        # In a new process, if the old one is gone.
+        assert policy.act([given()]) == [moved()]
+    policy.close()
+
+
+@pytest.mark.parametrize("name", ["Hangs", "HangsForGood"])
+def test_what_hangs_is_killed_and_begun_again(name: str) -> None:
+    policy: Any = isolate(f"faulty_policies:{name}", 0.5)
+    with pytest.raises(PolicyFailedError, match=r"within 0\.5 s") as failed:
+        policy.act([given(BAD)])
+    assert failed.value.kind is FaultKind.TIMEOUT
+    policy.conversation.manners = LONG_PATIENCE
+    assert policy.act([given()]) == [moved()]
+    policy.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("faulty_policies:CannotBeMade", "OSError: no weights"),
+        ("faulty_policies:Missing", "There is no"),
+        ("no_such_module:Policy", "mypackage"),
+        ("collections:Counter", "no act"),
+    ],
+)
+def test_what_cannot_be_made_is_explained_before_the_run(name: str, words: str) -> None:
+    with pytest.raises(InvalidConfigError, match=words):
+        load_policy(PolicySpec(name))
+
+
+def test_it_never_sees_the_truth() -> None:
+    policy: Any = isolate("faulty_policies:LooksForTruth", LONG_S)
+    truth: Any = object()
+    assert policy.about == {"name": "LooksForTruth"}
+    assert policy.act([replace(given(), episode=truth)])[0].explanation == "None"
+    policy.close()
+
+
+@pytest.mark.parametrize("timeout_s", [-1.0, float("nan"), float("inf")])
+def test_times_are_checked(timeout_s: float) -> None:
+    with pytest.raises(InvalidConfigError, match="positive"):
+        PolicySpec("faulty_policies:Scripted", timeout_s=timeout_s)

@@ -1,0 +1,425 @@
+"""Policies behind real sockets, which die, hang, forget, and come back."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from faulty_policies import BAD, MOVE, Hangs, Raises, Scripted, given, moved, view
+from websockets.sync import server as raw
+
+from lemma.core.errors import InvalidConfigError
+from lemma.evaluation.guarding import Fault, Guard
+from lemma.policies.interfaces import Decision, PolicyInput, Step
+from lemma.serve.conversation import Conversation, Manners
+from lemma.serve.faults import (
+    FaultKind,
+    PolicyFailedError,
+    PolicyUnreachableError,
+    ProtocolError,
+)
+from lemma.serve.messages import Message
+from lemma.serve.packing import pack, unpack
+from lemma.serve.remote import remote
+from lemma.serve.server import PolicyServer
+from lemma.serve.websocket import WebSocketChannel, connect, websocket_address
+
+PATIENT = Manners(60.0, 60.0, 10.0)
+HERE = Path(__file__).parent
+
+
+class Listening:
+    """A channel that keeps what it sends."""
+
+    def __init__(self, address: str, log: list[Message]) -> None:
+        self._channel, self._log = WebSocketChannel(address), log
+
+    def send(self, message: Message) -> None:
+        self._log.append(message)
+        self._channel.send(message)
+
+    def receive(self, timeout_s: float) -> Message:
+        return self._channel.receive(timeout_s)
+
+    def close(self) -> None:
+        self._channel.close()
+
+
+def listen(url: str, log: list[Message]) -> Any:
+    address = websocket_address(url)
+    return remote(Conversation(url, lambda: Listening(address, log), PATIENT))
+
+
+@pytest.fixture
+def served() -> Iterator[PolicyServer]:
+    with PolicyServer(Scripted(), port=0, about={"weights": "none"}) as server:
+        yield server
+
+
+def histories(count: int, steps: int) -> list[PolicyInput]:
+    """Return episodes that differ, with their past."""
+    found = []
+    for number in range(count):
+        past = tuple(
+            Step(view(10 * number + k, 20, 30), MOVE, "dropped") for k in range(steps)
+        )
+        now = view(10 * number + steps, 20, 30)
+        found.append(given(f"episode {number}", *past, now=now))
+    return found
+
+
+def went_on(inputs: Sequence[PolicyInput]) -> list[PolicyInput]:
+    """Return the same episodes one step later."""
+    return [
+        replace(
+            one,
+            past=(*one.past, Step(one.view, MOVE)),
+            view=view(len(one.past) + 100, 20, 30),
+        )
+        for one in inputs
+    ]
+
+
+def views_sent(log: list[Message]) -> int:
+    return sum(len(i["views"]) for m in log if m["type"] == "act" for i in m["inputs"])
+
+
+def test_a_socket_decides_as_its_policy_does(served: PolicyServer) -> None:
+    policy: Any = connect(served.url, PATIENT)
+    assert policy.about == {"name": "Scripted", "weights": "none"}
+    inputs = [*histories(3, 0), *histories(2, 1), *histories(1, 2)]
+    assert policy.act(inputs) == Scripted().act(inputs)
+    policy.close()
+    # Hanging up is no farewell.
+    assert policy.act(inputs) == Scripted().act(inputs)
+    policy.close()
+
+
+def test_a_view_is_sent_once(served: PolicyServer) -> None:
+    log: list[Message] = []
+    policy = listen(served.url, log)
+    inputs = histories(3, 0)
+    for step in range(4):
+        assert policy.act(inputs) == Scripted().act(inputs)
+        assert views_sent(log) == 3 * (step + 1)
+        inputs = went_on(inputs)
+    assert [m["type"] for m in log].count("reset") == 1
+    policy.close()
+
+
+def test_the_truth_never_travels(served: PolicyServer) -> None:
+    log: list[Message] = []
+    policy = listen(served.url, log)
+    truth: Any = object()
+    policy.act([replace(given(), episode=truth)])
+    sent = [m for m in log if m["type"] in ("reset", "act")]
+    assert {key for m in sent for key in m} == {
+        *("type", "id", "episodes", "forget", "inputs"),
+    }
+    assert set(sent[0]["episodes"][0]) == {"episode", "instruction", "robots"}
+    assert set(sent[1]["inputs"][0]) == {"episode", "views", "view", "past"}
+    policy.close()
+
+
+def test_ended_episodes_are_forgotten(served: PolicyServer) -> None:
+    log: list[Message] = []
+    policy = listen(served.url, log)
+    for _ in range(3):
+        inputs = histories(1, 0)
+        policy.act(inputs)
+        del inputs
+    forgotten = [n for m in log if m["type"] == "reset" for n in m["forget"]]
+    assert forgotten == [0, 1]
+    policy.close()
+
+
+def test_a_server_that_lost_views_asks_for_them(served: PolicyServer) -> None:
+    log: list[Message] = []
+    policy = listen(served.url, log)
+    inputs = went_on(histories(2, 0))
+    policy.act(inputs)
+    # As if the server had thrown away some of what it was told.
+    message = {"type": "reset", "episodes": log[1]["episodes"][:1], "forget": [1]}
+    policy.conversation.ask(message, 60.0)
+    assert policy.act(inputs) == Scripted().act(inputs)
+    policy.close()
+
+
+def start(name: str, port: int = 0) -> tuple[subprocess.Popen[str], str]:
+    process = subprocess.Popen(
+        [sys.executable, str(HERE / "faulty_policies.py"), name, str(port)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert process.stdout is not None
+    return process, process.stdout.readline().strip()
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert process.stdout is not None
+    process.stdout.close()
+
+
+def test_a_server_killed_and_started_again_changes_nothing() -> None:
+    process, url = start("Scripted")
+    policy: Any = connect(url, PATIENT)
+    port = int(url.rpartition(":")[2])
+    again: list[subprocess.Popen[str]] = []
+
+    def come_back() -> None:
+        time.sleep(0.5)
+        again.append(start("Scripted", port)[0])
+
+    inputs = histories(4, 0)
+    assert policy.act(inputs) == Scripted().act(inputs)
+    end(process)
+    thread = threading.Thread(target=come_back)
+    thread.start()
+    # The whole past is told again, to a server that knows nothing.
+    inputs = went_on(went_on(inputs))
+    assert policy.act(inputs) == Scripted().act(inputs)
+    thread.join()
+    policy.close()
+    end(again[0])
+
+
+@contextmanager
+def supervised(name: str) -> Iterator[str]:
+    """Start a server again whenever it dies, as a container would."""
+    process, url = start(name)
+    running, stopped = [process], threading.Event()
+
+    def watch() -> None:
+        while not stopped.is_set():
+            if running[0].poll() is not None:
+                end(running[0])
+                running[0] = start(name, int(url.rpartition(":")[2]))[0]
+            time.sleep(0.05)
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    try:
+        yield url
+    finally:
+        stopped.set()
+        thread.join()
+        end(running[0])
+
+
+@pytest.mark.slow
+def test_a_request_that_kills_the_server_costs_its_episode_alone() -> None:
+    with supervised("Crashes") as url:
+        policy: Any = connect(url, Manners(60.0, deaths=2))
+        good, bad, other = Guard(policy).decide([given("a"), given(BAD), given("b")])
+        assert good == other == moved()
+        assert isinstance(bad, Fault)
+        assert bad.kind is FaultKind.DIED
+        policy.close()
+
+
+def test_a_server_that_hangs_costs_its_episode_alone() -> None:
+    with PolicyServer(Hangs(), port=0) as server:
+        policy: Any = connect(server.url, Manners(0.5))
+        answers = Guard(policy).decide([given("a"), given(BAD), given("b")])
+        assert [isinstance(a, Decision) for a in answers] == [True, False, True]
+        assert isinstance(answers[1], Fault)
+        assert answers[1].kind is FaultKind.TIMEOUT
+        # Whoever else asks the same server is answered.
+        other: Any = connect(server.url, PATIENT)
+        assert other.act([given()]) == [moved()]
+        other.close()
+        policy.close()
+
+
+def test_a_slow_policy_is_waited_for() -> None:
+    class Slow(Scripted):
+        def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+            time.sleep(0.7)
+            return super().act(inputs)
+
+    with PolicyServer(Slow(), port=0) as server:
+        # Three decisions may take three times as long as one.
+        policy: Any = connect(server.url, Manners(0.5))
+        assert len(policy.act([given("a"), given("b"), given("c")])) == 3
+        policy.close()
+
+
+def test_a_raising_policy_says_what_it_raised() -> None:
+    with PolicyServer(Raises(), port=0) as server:
+        policy: Any = connect(server.url, PATIENT)
+        with pytest.raises(PolicyFailedError, match="KeyError: 'no such thing'"):
+            policy.act([given(), given(BAD)])
+        assert policy.act([given()]) == [moved()]
+        policy.close()
+
+
+def test_a_big_batch_arrives(served: PolicyServer) -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 256, (288, 416, 3), np.uint8)
+    inputs = []
+    for number in range(24):
+        seen = replace(view(number, 288, 416), rgb=noise)
+        inputs.append(given(f"{number}", now=seen))
+    policy: Any = connect(served.url, PATIENT)
+    assert policy.act(inputs) == Scripted().act(inputs)
+    policy.close()
+
+
+def test_many_clients_are_answered_one_after_another(served: PolicyServer) -> None:
+    results: dict[int, list[Decision]] = {}
+
+    def ask(number: int) -> None:
+        policy: Any = connect(served.url, PATIENT)
+        for _ in range(5):
+            results[number] = policy.act(histories(number + 1, 1))
+        policy.close()
+
+    threads = [threading.Thread(target=ask, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for number in range(4):
+        assert results[number] == Scripted().act(histories(number + 1, 1))
+
+
+def free_port() -> int:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        return int(taken.getsockname()[1])
+
+
+def test_nobody_there_is_reported() -> None:
+    url = f"http://127.0.0.1:{free_port()}"
+    with pytest.raises(PolicyUnreachableError, match=url):
+        connect(url, Manners(1.0, 0.3, 0.3))
+
+
+def test_a_server_gone_for_good_is_no_fault_of_the_policy() -> None:
+    with PolicyServer(Scripted(), port=0) as server:
+        policy: Any = connect(server.url, Manners(1.0, 0.3, 0.3))
+        assert len(policy.act([given()])) == 1
+    with pytest.raises(PolicyUnreachableError, match="what was finished is kept"):
+        Guard(policy).decide([given(), given()])
+
+
+@pytest.mark.parametrize(
+    "url", ["http://", "127.0.0.1:8000", "http://host:port", "ftp://host:1", "ws://h:0"]
+)
+def test_addresses_are_checked(url: str) -> None:
+    with pytest.raises(InvalidConfigError, match=r"http://127\.0\.0\.1:8000"):
+        websocket_address(url)
+
+
+def test_addresses_may_be_written_in_four_ways() -> None:
+    assert websocket_address("http://a:1/x") == "ws://a:1/x"
+    assert websocket_address("https://a") == "wss://a"
+    assert websocket_address("ws://[::1]:8000") == "ws://[::1]:8000"
+
+
+@contextmanager
+def answering(*answers: Message) -> Iterator[str]:
+    """Run a server of somebody's own that says the same to everybody."""
+
+    def talk(connection: Any) -> None:
+        for answer in answers:
+            asked = unpack(connection.recv())
+            connection.send(pack({"id": asked["id"], **answer}))
+        connection.recv()
+
+    with raw.serve(talk, "127.0.0.1", 0) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.socket.getsockname()[1]}"
+    thread.join()
+
+
+HELLO = {"type": "hello", "protocol": 1, "methods": ["act"], "policy": {}}
+
+
+@pytest.mark.parametrize(
+    ("hello", "words"),
+    [
+        ({**HELLO, "protocol": 2}, "version 2"),
+        ({"type": "good day"}, "version None"),
+        ({"type": "error", "kind": "request", "message": "Go away."}, "Go away"),
+        ({**HELLO, "methods": ["dance"]}, "none of act, plan, ground"),
+        ({**HELLO, "methods": None}, "lacks 'methods'"),
+    ],
+)
+def test_another_language_is_reported(hello: Message, words: str) -> None:
+    with answering(hello) as url, pytest.raises(ProtocolError, match=words):
+        connect(url, PATIENT)
+
+
+def test_a_client_of_another_version_is_told_so(served: PolicyServer) -> None:
+    channel = WebSocketChannel(websocket_address(served.url))
+    channel.send({"type": "hello", "protocol": 99, "id": 1})
+    reply = channel.receive(60.0)
+    assert (reply["type"], reply["kind"]) == ("error", "request")
+    assert "version 99" in reply["message"]
+    for nonsense in ({"type": "dance"}, {"type": "act"}, {"type": "reset"}):
+        channel.send({**nonsense, "id": 2})
+        assert channel.receive(60.0)["type"] == "error"
+    channel.close()
+
+
+def test_a_server_that_always_misses_views_is_given_up() -> None:
+    missing: Message = {"type": "missing", "episodes": [0], "views": []}
+    ready: Message = {"type": "ready"}
+    with answering(HELLO, *([ready, missing] * 4)) as url:
+        policy: Any = connect(url, PATIENT)
+        with pytest.raises(ProtocolError, match="again and again"):
+            policy.act([given()])
+        policy.close()
+
+
+def test_browsers_are_told_what_this_is(served: PolicyServer) -> None:
+    with urllib.request.urlopen(served.url) as page:
+        assert b"policy server" in page.read()
+
+
+def test_a_taken_port_is_explained(served: PolicyServer) -> None:
+    with pytest.raises(InvalidConfigError, match="Choose another port"):
+        PolicyServer(Scripted(), port=served.port)
+    with pytest.raises(ProtocolError, match="no policy"):
+        PolicyServer(object(), port=0)
+
+
+def test_serving_needs_neither_simulator_nor_torch() -> None:
+    code = """
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("mujoco", "torch", "numba", "scipy", "pyarrow"):
+            raise ImportError(name)
+sys.meta_path.insert(0, Absent())
+from faulty_policies import Scripted
+from lemma.serve import PolicyServer
+with PolicyServer(Scripted(), port=0) as server:
+    print(server.url)
+"""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=HERE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("http://127.0.0.1:")
