@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lemma.core.poses import Pose2
-from lemma.dataset.engines import Processes, Serial
+from lemma.dataset.engines import Serial
 from lemma.evaluation.evaluate import EPISODES, EvaluationOrder, evaluate
 from lemma.evaluation.guarding import POLICY_ERROR, Fault, Guard, check
 from lemma.evaluation.rollout import Play, Player, play_all
@@ -294,11 +294,10 @@ class Confused:
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("engine", [Serial(), Processes(2)], ids=["here", "processes"])
-def test_a_run_goes_on_and_names_the_faults(tmp_path: Path, engine: Any) -> None:
+def test_a_run_goes_on_and_names_the_faults(tmp_path: Path) -> None:
     spec = PolicySpec(f"{Path(__file__).stem}:Confused")
     order = EvaluationOrder(out=tmp_path, policy=spec, tasks=("stack",), episodes=12)
-    rows = evaluate(order, engine)
+    rows = evaluate(order, Serial())
     assert len(rows) == 12
     wrong = [row for row in rows if row["policy_error"]]
     assert 0 < len(wrong) < 12

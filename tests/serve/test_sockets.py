@@ -1,7 +1,6 @@
 """Policies behind real sockets, which die, hang, forget, and come back."""
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from faulty_policies import BAD, MOVE, Hangs, Raises, Scripted, given, moved, view
+from serving_processes import end, start
 from websockets.sync import server as raw
 
 from lemma.core.errors import InvalidConfigError
@@ -156,24 +156,6 @@ def test_a_server_that_lost_views_asks_for_them(served: PolicyServer) -> None:
     policy.close()
 
 
-def start(name: str, port: int = 0) -> tuple[subprocess.Popen[str], str]:
-    process = subprocess.Popen(
-        [sys.executable, str(HERE / "faulty_policies.py"), name, str(port)],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-    assert process.stdout is not None
-    return process, process.stdout.readline().strip()
-
-
-def end(process: subprocess.Popen[str]) -> None:
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert process.stdout is not None
-    process.stdout.close()
-
-
 def test_a_server_killed_and_started_again_changes_nothing() -> None:
     process, url = start("Scripted")
     policy: Any = connect(url, PATIENT)
@@ -233,7 +215,7 @@ def test_a_request_that_kills_the_server_costs_its_episode_alone() -> None:
 
 def test_a_server_that_hangs_costs_its_episode_alone() -> None:
     with PolicyServer(Hangs(), port=0) as server:
-        policy: Any = connect(server.url, Manners(0.5))
+        policy: Any = connect(server.url, Manners(0.3))
         answers = Guard(policy).decide([given("a"), given(BAD), given("b")])
         assert [isinstance(a, Decision) for a in answers] == [True, False, True]
         assert isinstance(answers[1], Fault)

@@ -1,0 +1,197 @@
+"""A policy behind a socket plays the same episodes as in this process, to the byte."""
+
+import json
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from faulty_policies import Scripted
+from serving_processes import end, start
+
+from lemma.cli.evaluate import Questions
+from lemma.cli.evaluate import evaluate as verb
+from lemma.cli.serve import serve as serve_verb
+from lemma.cli.workers import Workers
+from lemma.core.errors import InvalidConfigError
+from lemma.dataset.engines import Job, Processes, Serial
+from lemma.evaluation import loading
+from lemma.evaluation.evaluate import (
+    ABOUT,
+    EPISODES,
+    EvaluationOrder,
+    evaluate,
+    read_rows,
+)
+from lemma.evaluation.result import Row
+from lemma.policies.specification import PolicySpec
+from lemma.serve.conversation import Manners
+from lemma.serve.faults import PolicyUnreachableError
+from lemma.serve.messages import Message
+from lemma.serve.server import PolicyServer
+
+pytestmark = pytest.mark.render
+
+
+class Here(Workers):
+    """Works in this process."""
+
+    def make_engine(self) -> Serial:
+        return Serial()
+
+
+NAME = "faulty_policies:Scripted"
+
+
+def order(out: Path, policy: str, **changes: Any) -> EvaluationOrder:
+    wanted = {"tasks": ("pass", "stack"), "episodes": 3, **changes}
+    spec = PolicySpec(policy, timeout_s=changes.pop("timeout_s", 60.0))
+    wanted.pop("timeout_s", None)
+    return EvaluationOrder(out=out, policy=spec, **wanted)
+
+
+def lines(folder: Path) -> list[Row]:
+    rows = [json.loads(text) for text in (folder / EPISODES).read_text().splitlines()]
+    return [{k: v for k, v in row.items() if k != "wall_s"} for row in rows]
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+    folder = tmp_path_factory.mktemp("here")
+    evaluate(order(folder, NAME, timeout_s=0.0), Serial())
+    found = lines(folder)
+    assert len(found) == 6
+    assert all(len(row["subtasks"]) == 2 for row in found)
+    assert {row["failure"] for row in found} != {None}
+    return found
+
+
+@pytest.mark.slow
+def test_a_socket_gives_the_same_lines_to_two_processes(
+    tmp_path: Path, here: list[Row]
+) -> None:
+    with PolicyServer(Scripted(), port=0, about={"weights": "abc"}) as server:
+        evaluate(order(tmp_path, server.url), Processes(2))
+        about = json.loads((tmp_path / ABOUT).read_text())
+        assert about["served"] == {
+            server.url: {"name": "Scripted", "weights": "abc"},
+        }
+    assert lines(tmp_path) == here
+
+
+def test_a_process_gives_the_same_lines(tmp_path: Path, here: list[Row]) -> None:
+    evaluate(order(tmp_path, NAME), Serial())
+    assert lines(tmp_path) == here
+
+
+class Restarts:
+    """An engine that kills the server while the first group plays, and starts it."""
+
+    workers = 1
+
+    def __init__(self, url: str, process: Any) -> None:
+        self.port, self.process = int(url.rpartition(":")[2]), process
+
+    def run(self, function: Any, jobs: Sequence[Job]) -> Iterator[Any]:
+        for job in jobs:
+            killing = threading.Thread(target=self.restart)
+            killing.start()
+            yield function(*job)
+            killing.join()
+
+    def restart(self) -> None:
+        # Somewhere in the middle: a group takes a second and more.
+        threading.Event().wait(0.6)
+        end(self.process)
+        self.process, _ = start("Scripted", self.port)
+
+
+def test_a_server_killed_in_the_middle_gives_the_same_lines(
+    tmp_path: Path, here: list[Row]
+) -> None:
+    process, url = start("Scripted")
+    engine = Restarts(url, process)
+    try:
+        evaluate(order(tmp_path, url), engine)
+    finally:
+        end(engine.process)
+    assert lines(tmp_path) == here
+
+
+def test_a_server_gone_for_good_ends_the_run_and_keeps_what_was_done(
+    tmp_path: Path, here: list[Row], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    impatient = Manners(60.0, patience_s=0.3, first_patience_s=0.3)
+    monkeypatch.setattr(loading, "Manners", lambda timeout_s: impatient)
+    with PolicyServer(Scripted(), port=0) as server:
+
+        class Closes(Serial):
+            def run(self, function: Any, jobs: Any) -> Iterator[Any]:
+                yield function(*jobs[0])
+                server.close()
+                yield from super().run(function, jobs[1:])
+
+        with pytest.raises(PolicyUnreachableError, match="same command again"):
+            evaluate(order(tmp_path, server.url), Closes())
+    assert read_rows(tmp_path) == []
+    with PolicyServer(Scripted(), port=server.port) as again:
+        assert again.url == server.url
+        evaluate(order(tmp_path, again.url), Serial())
+    assert lines(tmp_path) == here
+
+
+class Mirrors(Scripted):
+    """Says that a yaw of 0.3 is one of -0.3."""
+
+    def describe(self, message: Message) -> Message:
+        return {"poses": [[0.31, -0.42, -0.3], [-0.55, 0.17, 0.9], [0.08, 0.64, -1.2]]}
+
+
+def test_evaluate_tests_the_server_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ask = {"tasks": "stack", "episodes": 1}
+    with PolicyServer(Mirrors(), port=0) as server:
+        with pytest.raises(InvalidConfigError, match="Yaw sign: It reads the pose"):
+            verb(server.url, tmp_path, Questions(**ask), Here())  # type: ignore[arg-type]
+        assert not (tmp_path / EPISODES).exists()
+        skipping = Questions(**ask, skip_check=True)  # type: ignore[arg-type]
+        assert verb(server.url, tmp_path, skipping, Here()) == 0
+        assert len(read_rows(tmp_path)) == 1
+        assert serve_verb(check=server.url) == 1
+        shown = capsys.readouterr().out
+        assert "WRONG" in shown
+        assert "counter-clockwise" in shown
+        assert serve_verb(check=server.url, as_json=True) == 1
+        told = json.loads(capsys.readouterr().out)
+        assert not told["ok"]
+        assert [name for name, text in told["checks"].items() if text] == ["yaw sign"]
+
+
+def test_a_right_server_passes_and_the_verb_says_who_answered(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with PolicyServer(Scripted(), port=0) as server:
+        assert serve_verb(check=server.url) == 0
+        assert "describe()" in capsys.readouterr().out
+
+
+def test_the_verb_says_what_it_cannot_serve() -> None:
+    for policy in ("oracle", "reachnet+oracle"):
+        with pytest.raises(InvalidConfigError, match="truth"):
+            serve_verb(policy)
+    both: tuple[Any, Any] = ("reachnet", "http://127.0.0.1:1")
+    for words in (both, (None, None)):
+        with pytest.raises(InvalidConfigError, match="either"):
+            serve_verb(words[0], check=words[1])
+
+
+def test_faults_are_named_on_the_screen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ask = Questions(tasks="stack", episodes=2, timeout_s=60.0)
+    assert verb("faulty_policies:AnswersNothing", tmp_path, ask, Here()) == 0
+    told = capsys.readouterr().err
+    assert "stack 0: malformed: The policy's answer cannot be used" in told
+    assert "2 of 2 episodes failed because the policy did" in told
