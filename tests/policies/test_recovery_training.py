@@ -13,6 +13,7 @@ from batches import drawn_batch, labels_of
 from painted_keyframes import write_painted
 from safetensors.torch import load_file
 from test_episodic_transformer import tiny
+from test_training import finish, start, state
 from tiny_model import NAME, Tiny, TinyConfig
 
 from lemma.core.errors import DatasetError, InvalidConfigError
@@ -181,6 +182,30 @@ def test_processes_together_draw_what_one_does(config: TrainingConfig) -> None:
             found += map(tuple, rows)
         assert len({len(feed.make(step)) for feed in ranks}) == 1
     assert sorted(both) == sorted(one)
+
+
+@pytest.mark.slow
+def test_two_processes_learn_what_one_does_with_twice_the_batch(
+    config: TrainingConfig, tmp_path: Path
+) -> None:
+    # What is drawn at random belongs to a process, so nothing is.
+    options = ("dropout=0.0",)
+    share, steps = 0.5, 8
+    one = replace(config, out=tmp_path / "one", options=options, batch_size=8,
+                  steps=steps, val_every=4, recovery_share=share,
+                  learning_rate=1e-2)  # fmt: skip
+    train(one)
+    off = [f"--augmentation.no-{name}" for name in ("palette", "templates", "turn")]
+    for name in ("paraphrases", "translate-cells", "brightness", "pixel-noise",
+                 "height-noise-m", "dropouts"):  # fmt: skip
+        off += [f"--augmentation.{name}", "0"]
+    words = ("--options", *options, "--steps", str(steps), "--val-every", "4")
+    words += ("--recovery", str(config.recovery), "--recovery-share", str(share))
+    finish(start(config.data, tmp_path / "two", *words, *off, processes=2))
+    ours, theirs = (state(tmp_path / n)["trainer"]["model"] for n in ("one", "two"))
+    for name, value in ours.items():
+        if value.is_floating_point():
+            assert torch.allclose(value, theirs[name], atol=1e-5), name
 
 
 def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(

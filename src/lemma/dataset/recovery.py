@@ -70,11 +70,11 @@ def record_perturbed(instance: Instance, perturbation: Perturbation) -> Perturbe
         result = episode.execute(done.grounded)
         keeper.keep(Step(done.subtask, done.grounded, result, start))
         kinds.append(done.kind)
+        if episode.is_over:
+            break
         if done.kind == NONE and not result.ok:
             # Nobody shall learn what does not work.
             expert[-1] = None
-            break
-        if episode.is_over:
             break
     expert += [None] * (len(kinds) + 1 - len(expert))
     episode.stop()

@@ -224,8 +224,8 @@ class PerturbedRecord(EpisodeRecord):
     """
 
     expert: tuple[ExpertRecord | None, ...]
-    """What the expert would do at each keyframe; None where it has no plan, its own
-    sub-task failed there, or the time was up."""
+    """What the expert would do at each keyframe; None where it has no plan, where its
+    own sub-task failed, and behind the last one if the time was up."""
     perturbation: tuple[str, ...]
     """Of each sub-task; see :data:`lemma.expert.perturbation.KINDS`."""
 
