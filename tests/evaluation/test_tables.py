@@ -57,6 +57,16 @@ def test_a_seed_counts_once() -> None:
         entries_of([result(6), result(4)])
 
 
+def test_seeds_share_their_data() -> None:
+    other = result(6, seed=1)
+    weights = {
+        "reachnet": {**other.about["weights"]["reachnet"], "data": {"digest": 1}}
+    }
+    other = replace(other, about={**other.about, "weights": weights})
+    with pytest.raises(DatasetError, match="other data"):
+        entries_of([result(6), other])
+
+
 def test_the_paper_stands_below_the_same_row() -> None:
     table = tables.by_task(entries_of([], complete=True), "high_level")
     assert table.header == ("success [%]", *SUITE, "mean")
@@ -137,7 +147,7 @@ def test_the_verb_writes_a_page(
     result(5).write(tmp_path / "seed-0.json")
     assert verb((tmp_path,), tmp_path / "report") == 0
     text = (tmp_path / "report" / "results.md").read_text()
-    assert "1 policies" in capsys.readouterr().out
+    assert "results: 1." in capsys.readouterr().out
     assert "50.0 (24–76)" in text
     assert tables.NOT_RUN not in text.split("## ", 1)[1]
 

@@ -7,7 +7,7 @@ import tyro
 
 from lemma.cli.terminal import Flag, output
 from lemma.dataset.files import write_text
-from lemma.evaluation.entries import entries_of, read_results
+from lemma.evaluation.entries import Entry, entries_of, read_results
 from lemma.evaluation.report import REPORT, page
 
 ResultPaths = Annotated[
@@ -35,5 +35,11 @@ def report(
     entries = entries_of(read_results(results), complete=complete)
     path = out / REPORT
     write_text(path, page(entries))
-    output().print(f"Tables of {len(entries)} policies: {path}", soft_wrap=True)
+    print_written(path, entries)
     return 0
+
+
+def print_written(path: Path, entries: list[Entry]) -> None:
+    """Say where the tables are, and of how many policies they have results."""
+    count = sum(bool(entry.results) for entry in entries)
+    output().print(f"Policies with results: {count}. Tables: {path}", soft_wrap=True)

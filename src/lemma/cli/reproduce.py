@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from lemma.cli.report import print_written
 from lemma.cli.terminal import Flag, Number, messages, output
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.dataset.files import write_text
@@ -85,6 +86,5 @@ def reproduce(
             plan.run(experiment, engine, advance)
     entries = entries_of(read_results([out]) if out.exists() else [], complete=True)
     write_text(out / REPORT, page(entries))
-    count = sum(bool(entry.results) for entry in entries)
-    output().print(f"Tables of {count} policies: {out / REPORT}", soft_wrap=True)
+    print_written(out / REPORT, entries)
     return 0

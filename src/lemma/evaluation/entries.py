@@ -131,7 +131,8 @@ def entries_of(results: Iterable[Result], *, complete: bool = False) -> list[Ent
         complete: Whether experiments without results have an entry too.
 
     Raises:
-        DatasetError: A policy has two results with the same seed.
+        DatasetError: A policy has two results with the same seed, or its seeds were
+            trained on different data.
     """
     named: dict[str, list[Result]] = {}
     for result in results:
@@ -175,4 +176,17 @@ def _by_seed(results: list[Result]) -> tuple[Result, ...]:
                 f"There are {len(found)} results of {title_of(found[0])} with training "
                 f"seed {seed}. Report one of them."
             )
+    for result in ordered:
+        if _data_of(result) != _data_of(ordered[0]):
+            raise DatasetError(
+                f"{title_of(result)} was trained on other data with seed {result.seed} "
+                f"than with seed {ordered[0].seed}: their spread would say nothing. "
+                "Report them apart."
+            )
     return tuple(ordered)
+
+
+def _data_of(result: Result) -> dict[str, str | None]:
+    """Return the digest of the data that each part of a policy was trained on."""
+    weights = result.about["weights"]
+    return {name: told["data"].get("digest") for name, told in weights.items()}
