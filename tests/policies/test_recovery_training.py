@@ -200,8 +200,8 @@ def test_two_processes_learn_what_one_does_with_twice_the_batch(
                  "height-noise-m", "dropouts"):  # fmt: skip
         off += [f"--augmentation.{name}", "0"]
     words = ("--options", *options, "--steps", str(steps), "--val-every", "4")
-    words += ("--recovery", str(config.recovery), "--recovery-share", str(share))
-    finish(start(config.data, tmp_path / "two", *words, *off, processes=2))
+    mixed = ("--recovery", str(config.recovery), "--recovery-share", str(share))
+    finish(start(config.data, tmp_path / "two", *words, *mixed, *off, processes=2))
     ours, theirs = (state(tmp_path / n)["trainer"]["model"] for n in ("one", "two"))
     for name, value in ours.items():
         if value.is_floating_point():
