@@ -1,7 +1,7 @@
 """What the expert would do in the state that a policy is in, and how far off it is.
 
 The expert plans anew from the true state before every sub-task of a policy, which takes
-about a millisecond and changes nothing. The length of its plan measures whether a
+some milliseconds and changes nothing. The length of its plan measures whether a
 sub-task served the goal, whichever of several good ones it was.
 """
 

@@ -5,8 +5,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from lemma.evaluation import tables
 from lemma.evaluation.entries import Entry
 from lemma.evaluation.experiments import SEEDS, SUITES
+from lemma.evaluation.result import Result
 from lemma.evaluation.tables import Table, markdown
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
+from lemma.tasks.suite import SUITE
 
 REPORT = "results.md"
 _INTRODUCTION = """\
@@ -98,8 +100,8 @@ def _own_sections(
     )
     yield (
         "Ablations",
-        "One thing of ReachNet's training changed each, and two controls. Training "
-        "seed 0.",
+        "One thing of ReachNet's training changed each, and two controls; training "
+        "seed 0, but for the first row, which has all seeds.",
         tables.ablations(entries),
     )
     yield (
@@ -146,6 +148,14 @@ def _protocol(entries: Iterable[Entry]) -> str:
     return f"{text}."
 
 
+def _extent(result: Result) -> str:
+    """Return of how many episodes a result is, and whether there should be more."""
+    episodes = sum(cell.episodes for cell in result.cells)
+    kinds = {cell.kind for cell in result.cells}
+    every = len(kinds) * len(SUITE) * SPLITS[result.about["split"]]
+    return str(episodes) if episodes == every else f"{episodes} of {every}"
+
+
 def _provenance(entries: Iterable[Entry]) -> str:
     """Return how each result is made, and of which weights."""
     rows: list[tuple[str, ...]] = []
@@ -158,10 +168,9 @@ def _provenance(entries: Iterable[Entry]) -> str:
                 f"{name} `{told['sha256'][:12]}`"
                 for name, told in result.about["weights"].items()
             )
-            episodes = sum(cell.episodes for cell in result.cells)
             seed = str(result.seed) if hashes else "none"
             rows.append(
-                (entry.title, f"`{result.command}`", hashes, seed, str(episodes))
+                (entry.title, f"`{result.command}`", hashes, seed, _extent(result))
             )
     header = ("row", "command", "SHA-256 of the weights", "training seed", "episodes")
     return _section(

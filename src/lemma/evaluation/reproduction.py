@@ -17,7 +17,7 @@ from lemma.evaluation.experiments import (
     Training,
 )
 from lemma.evaluation.provenance import learned_parts, training_seed, weights_of
-from lemma.evaluation.result import Result, summarise
+from lemma.evaluation.result import summarise
 from lemma.policies.specification import PolicySpec
 
 _FILE = "weights.safetensors"
@@ -81,11 +81,9 @@ class Reproduction:
         rows = evaluate(order, engine, advance)
         # Names of weights, not where they lay on this machine.
         about = read_json(order.out / ABOUT) | {"policy": asdict(experiment.policy)}
-        result: Result = summarise(
-            rows, about, self._command(experiment, seed), experiment.name
-        )
+        command = self._command(experiment, seed)
         path = experiment.summary_path(self.out, seed)
-        result.write(path)
+        summarise(rows, about, command, experiment.name).write(path)
         return path
 
     def _found(self, experiment: Experiment) -> PolicySpec:

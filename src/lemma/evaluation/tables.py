@@ -88,7 +88,7 @@ def by_team(entries: Iterable[Entry], kind: str) -> Table:
 
 
 def ablations(entries: Sequence[Entry]) -> Table:
-    """Return the success of ReachNet with one thing of its training left out each."""
+    """Return the success of ReachNet with one thing of its training changed each."""
     rows = [
         (
             "ReachNet as it ships" if _is_base(entry) else entry.title,
@@ -129,7 +129,7 @@ def losses_by_task(entry: Entry) -> Table:
 
 
 def precision(entries: Iterable[Entry], kind: str) -> Table:
-    """Return how far off poses are, by task: median over an episode's poses [mm]."""
+    """Return how far off poses are [mm], and how many are missed, by task."""
     rows = []
     for entry in entries:
         for end in ("pick", "place"):
@@ -184,7 +184,7 @@ def _breakdown(
         (
             entry.title,
             *(shown(entry.select(kind, **where), pooled) for where in columns),
-            _all(entry, kind),
+            shown(entry.select(kind), pooled) if entry.results else NOT_RUN,
         )
         for entry in _reporting(entries, kind)
     ]
@@ -217,10 +217,6 @@ def _is_base(entry: Entry) -> bool:
 
 def _mean(entry: Entry, kind: str) -> str:
     return shown(entry.select(kind), mean_over_tasks) if entry.results else NOT_RUN
-
-
-def _all(entry: Entry, kind: str) -> str:
-    return shown(entry.select(kind), pooled) if entry.results else NOT_RUN
 
 
 def _paper_mean(entry: Entry, kind: str) -> str:
