@@ -1,0 +1,98 @@
+"""A policy behind a socket, and the benchmark asking it.
+
+python examples/04_policy_server.py         both in one process, for one episode
+python examples/04_policy_server.py 8000    serve until Ctrl-C; then, elsewhere:
+lemma evaluate --policy http://127.0.0.1:8000 --tasks stack --out out/by_colour
+
+What serves needs NumPy, Gymnasium, msgpack and websockets, and neither MuJoCo nor
+torch. It may run in another environment, in a container, or on another machine.
+"""
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from lemma.core.poses import Pose2
+from lemma.policies.interfaces import Decision, PolicyInput, View
+from lemma.scene.palette import OBJECT_COLOURS
+from lemma.serve import PolicyServer, serve
+from lemma.tasks.language import parse
+from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
+
+CELL_M = 0.008
+CUBE_M = 0.05
+
+
+class ByColour:
+    """Stacks the cubes of the instruction in the middle, wherever it sees their colors.
+
+    Two moves and no learning: a frame to put a model into.
+    """
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the next decision of each episode."""
+        return [self.decide(given) for given in inputs]
+
+    def decide(self, given: PolicyInput) -> Decision:
+        """Return the next decision of one episode; its past says what was done."""
+        goal = parse(given.instruction)
+        if goal is None or len(given.past) == 2:
+            return Decision(STOP, None)
+        [(top, bottom)] = sorted(goal)[:1]
+        entity = top if given.past else bottom
+        pick = find(given.view, entity.partition("_")[0])
+        if pick is None:
+            return Decision(STOP, None)
+        # The first robot stands at -x.
+        robot = "robot_0" if pick.x < 0 else "robot_1"
+        subtask = SubTask(robot, Primitive.MOVE, entity, "shared")
+        place = Pose2(0.0, 0.0, 0.0)
+        return Decision(
+            subtask, GroundedSubTask(robot, Primitive.MOVE, pick, place), "by color"
+        )
+
+
+def find(view: View, colour: str) -> Pose2 | None:
+    """Return the middle of the cube of a color on the map."""
+    rgb = view.rgb / (view.rgb.sum(-1, keepdims=True) + 1.0)
+    names = list(OBJECT_COLOURS)
+    shades = np.array([OBJECT_COLOURS[name][:3] for name in names])
+    shades = shades / shades.sum(-1, keepdims=True)
+    nearest = np.linalg.norm(rgb[..., None, :] - shades, axis=-1).argmin(-1)
+    tall = np.abs(view.height_m - CUBE_M) < 0.01
+    rows, columns = np.nonzero(tall & (nearest == names.index(colour)))
+    if len(rows) == 0:
+        return None
+    height, width = view.height_m.shape
+    # Row 0 lies at +y, column 0 at -x.
+    return Pose2(
+        float(np.median(columns) + 0.5 - width / 2) * CELL_M,
+        float(height / 2 - np.median(rows) - 0.5) * CELL_M,
+    )
+
+
+def ask(url: str) -> None:
+    """Play one episode with the policy that answers at an address."""
+    # What asks is the benchmark, which has the simulator.
+    from lemma.evaluation.loading import check_server  # noqa: PLC0415
+    from lemma.evaluation.rollout import Play, Player, play_all  # noqa: PLC0415
+    from lemma.policies.specification import PolicySpec  # noqa: PLC0415
+    from lemma.tasks.suite import load_instance  # noqa: PLC0415
+
+    print(check_server(url))
+    [play] = play_all(
+        [Play(load_instance("stack", "test", 0))], Player.load(PolicySpec(url))
+    )
+    print(play.instruction)
+    for step in play.steps:
+        print(f"  {step.subtask}: {step.result.outcome}")
+    print("success" if play.success else f"failure: {play.failure}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        serve(ByColour(), port=int(sys.argv[1]), on_ready=print)
+    else:
+        with PolicyServer(ByColour(), port=0) as server:
+            ask(server.url)
