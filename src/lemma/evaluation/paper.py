@@ -34,6 +34,8 @@ SINGLE_STEP_GTA = {
     "high_level": Figures(74.8, _by_task(100, 85, 91, 72, 47, 32, 98, 74)),
     "human": Figures(None, _by_task(63, 6, 59, 1, 25, 9, 30, 20)),
 }
+# Of multi-step planning with human instructions we know two means: GTA lifts the first
+# to the second.
 MULTI_STEP = {"high_level": Figures(39.8), "human": Figures(16.6)}
 MULTI_STEP_GTA = {"human": Figures(27.3)}
 M_CLIPORT = {"high_level": Figures(11.2)}

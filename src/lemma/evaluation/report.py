@@ -12,7 +12,7 @@ from lemma.tasks.suite import SUITE
 
 REPORT = "results.md"
 _INTRODUCTION = """\
-# {title}
+# Results
 
 Success rates of policies on the frozen lists, skills executed in the simulator. This
 page is written by a command, from {source} and from nothing else.
@@ -22,10 +22,10 @@ page is written by a command, from {source} and from nothing else.
 - **Intervals.** With one training seed: the rate and its 95 % Wilson interval over the
   episodes. With several: mean ± standard deviation over the seeds. The simulator is
   deterministic, so a second run of the same weights gives the same episodes.
-- **The paper's figures** are from Isaac Sim, with other models of the robots, another
-  gripper and other sentences; ours are from MuJoCo. Simulators differ: the same row is
-  the same kind of policy, not the same experiment. Means are as printed there; figures
-  by task (≈) are worked back from rates per sub-task and good to about one per cent.
+- **The paper's figures** are from Isaac Sim, with its own scenes and sentences; ours
+  are from MuJoCo. Simulators differ: the same row is the same kind of policy, not the
+  same experiment. Means are as printed there; figures by task (≈) are worked back from
+  rates per sub-task and good to about one per cent.
 - *{not_run}* says that there is no result: the weights do not ship yet, or nobody has
   evaluated them.
 
@@ -36,7 +36,6 @@ it prints how the weights are trained.
 
 def page(
     entries: Sequence[Entry],
-    title: str = "Results",
     source: str = "the files named below",
     guide: str = "docs/evaluation.md",
 ) -> str:
@@ -44,12 +43,10 @@ def page(
 
     Args:
         entries: What it reports.
-        title: Its heading.
         source: Where the results are from, as the page says it.
         guide: The page about evaluation, as the page names it.
     """
     text = _INTRODUCTION.format(
-        title=title,
         source=source,
         guide=guide,
         protocol=_protocol(entries),
@@ -65,25 +62,25 @@ def _paper_sections(entries: Sequence[Entry]) -> Iterator[tuple[str, str, Table]
     yield "What was aimed at", "", tables.targets(entries)
     yield (
         "High-level instructions",
-        "The paper's first table.",
+        "As in the paper.",
         tables.by_task(entries, "high_level"),
     )
     yield (
         "Human instructions",
-        "The paper's second table. Templates of this kind are seen in training; ours "
+        "As in the paper. Templates of this kind are seen in training; ours "
         "are not crowd-sourced.",
         tables.by_task(entries, "human"),
     )
     yield (
         "Distractors",
-        "The paper's third table: high-level instructions, by number of objects that "
-        "the goal does not need. The tasks have different ranges of it, so the columns "
-        "hold different mixtures of tasks. We do not have the paper's figures.",
+        "As in the paper: by number of objects that the goal does not need; here with "
+        "high-level instructions. The tasks have different ranges of it, so the "
+        "columns hold different mixtures of tasks. We do not have the paper's figures.",
         tables.by_distractors(entries, "high_level"),
     )
     yield (
         "Robot types",
-        "The paper's fourth table: high-level instructions, by team. We do not have "
+        "As in the paper: by team; here with high-level instructions. We do not have "
         "the paper's figures.",
         tables.by_team(entries, "high_level"),
     )
