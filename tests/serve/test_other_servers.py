@@ -1,16 +1,20 @@
 """Servers and clients of other versions, or of somebody's own making."""
 
+import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from faulty_policies import Scripted, given
+from serving_processes import end, start
 from websockets.sync import server as raw
 
+from lemma.serve import websocket
 from lemma.serve.conversation import Manners
-from lemma.serve.faults import ProtocolError
+from lemma.serve.faults import PolicyUnreachableError, ProtocolError
 from lemma.serve.messages import Message
 from lemma.serve.packing import pack, unpack
 from lemma.serve.server import PolicyServer
@@ -80,3 +84,23 @@ def test_a_server_that_always_misses_views_is_given_up() -> None:
         with pytest.raises(ProtocolError, match="again and again"):
             policy.act([given()])
         policy.close()
+
+
+@pytest.mark.slow
+def test_a_server_that_reads_nothing_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(websocket, "_SEND_S", 1)
+    monkeypatch.setattr(websocket, "_CONNECT_S", 0.3)
+    process, url = start("Scripted")
+    try:
+        policy: Any = connect(url, Manners(60.0, patience_s=0.3))
+        assert len(policy.act([given()])) == 1
+        process.send_signal(signal.SIGSTOP)
+        # The buffers of the system are full long before all of this is sent.
+        robots = tuple("r" * 1_000_000 for _ in range(50))
+        with pytest.raises(PolicyUnreachableError, match="Nobody answers"):
+            policy.act([replace(given(), robots=robots)])
+        policy.close()
+    finally:
+        end(process)
