@@ -75,7 +75,7 @@ def find(view: View, colour: str) -> Pose2 | None:
 def ask(url: str) -> None:
     """Play one episode with the policy that answers at an address."""
     # What asks is the benchmark, which has the simulator.
-    from lemma.evaluation.loading import check_server  # noqa: PLC0415
+    from lemma.evaluation.preflight import check_server  # noqa: PLC0415
     from lemma.evaluation.rollout import Play, Player, play_all  # noqa: PLC0415
     from lemma.policies.specification import PolicySpec  # noqa: PLC0415
     from lemma.tasks.suite import load_instance  # noqa: PLC0415

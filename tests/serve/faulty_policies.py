@@ -56,6 +56,10 @@ class Scripted:
         height = np.where(one.view.height_m < 0.07, one.view.height_m, 0.0)
         row, column = np.unravel_index(int(height.argmax()), height.shape)
         rows, columns = height.shape
+        first = max(0, int(column) - 8)
+        around = np.nonzero(height[row : row + 9, first : column + 9] > 0.04)
+        if len(around[0]):
+            row, column = row + around[0].mean(), first + around[1].mean()
         x, y = (column + 0.5 - columns / 2) * 0.008, (rows / 2 - row - 0.5) * 0.008
         pick = Pose2(float(x), float(y), float(one.view.joints[number, 0]))
         place = Pose2(0.05 * math.sin(total), 0.1, 0.0)

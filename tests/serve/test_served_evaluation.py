@@ -3,11 +3,12 @@
 import json
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from faulty_policies import Scripted
+from faulty_policies import Scripted, given
 from serving_processes import end, start
 
 from lemma.cli.evaluate import Questions
@@ -24,7 +25,9 @@ from lemma.evaluation.evaluate import (
     evaluate,
     read_rows,
 )
+from lemma.evaluation.preflight import check_server
 from lemma.evaluation.result import Row
+from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.specification import PolicySpec
 from lemma.serve.conversation import Manners
 from lemma.serve.faults import PolicyUnreachableError
@@ -174,7 +177,9 @@ def test_a_right_server_passes_and_the_verb_says_who_answered(
 ) -> None:
     with PolicyServer(Scripted(), port=0) as server:
         assert serve_verb(check=server.url) == 0
-        assert "describe()" in capsys.readouterr().out
+        shown = capsys.readouterr().out
+        assert "describe()" in shown
+        assert "In 8 scenes" in shown
 
 
 def test_the_verb_says_what_it_cannot_serve() -> None:
@@ -185,6 +190,33 @@ def test_the_verb_says_what_it_cannot_serve() -> None:
     for words in (both, (None, None)):
         with pytest.raises(InvalidConfigError, match="either"):
             serve_verb(words[0], check=words[1])
+
+
+def test_a_server_may_take_any_time() -> None:
+    with PolicyServer(Scripted(), port=0) as server:
+        policy: Any = loading.load_policy(PolicySpec(server.url, timeout_s=0.0))
+        assert len(policy.act([given()])) == 1
+        policy.close()
+
+
+class MovesMirrored(Scripted):
+    """Sees rightly, and writes y with the other sign."""
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        return [self._mirrored(decision) for decision in super().act(inputs)]
+
+    def _mirrored(self, decision: Decision) -> Decision:
+        assert decision.grounded is not None
+        pick = decision.grounded.pick
+        mirrored = replace(decision.grounded, pick=replace(pick, y=-pick.y))
+        return replace(decision, grounded=mirrored)
+
+
+def test_what_the_policy_does_is_tested_as_well() -> None:
+    with PolicyServer(MovesMirrored(), port=0) as server:
+        report = check_server(server.url)
+    assert list(report.mistakes) == ["axes"]
+    assert "y is mirrored" in report.mistakes["axes"]
 
 
 def test_faults_are_named_on_the_screen(

@@ -12,7 +12,7 @@ from lemma.cli.terminal import Flag, JsonFlag, Number, complain, output, print_j
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.evaluation.evaluate import SUMMARY, EvaluationOrder, summary_of
 from lemma.evaluation.evaluate import evaluate as run
-from lemma.evaluation.loading import check_served
+from lemma.evaluation.preflight import check_served
 from lemma.evaluation.result import Cell, Row
 from lemma.evaluation.summary import Rate, mean_over_tasks, rates_by
 from lemma.policies.specification import TIMEOUT_S, PolicySpec

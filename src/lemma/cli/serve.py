@@ -6,7 +6,7 @@ import tyro
 
 from lemma.cli.terminal import Flag, JsonFlag, Word, output, print_json
 from lemma.core.errors import InvalidConfigError
-from lemma.evaluation.loading import check_server
+from lemma.evaluation.preflight import check_server
 from lemma.evaluation.provenance import weights_of
 from lemma.policies.specification import ORACLE, PolicySpec
 from lemma.serve.golden import CHECKS, Report
@@ -15,10 +15,9 @@ from lemma.serve.server import serve as run
 
 _HOST = "127.0.0.1"
 _WHO = {
-    "helper": "answered by the server of lemma-bench; what the policy makes of its "
-    "inputs was not tested: give it a method describe(), see docs/serving.md",
-    "nobody": "nothing was tested: the server does not know the message 'check', see "
-    "docs/serving.md",
+    "helper": "The server of lemma-bench answered for its own decoding. A policy with "
+    "a method describe() answers for itself; see docs/serving.md.",
+    "nobody": "The server does not know the message 'check'; see docs/serving.md.",
 }
 
 
@@ -77,6 +76,7 @@ def _report(report: Report, as_json: Flag) -> int:
             {
                 "ok": report.ok,
                 "by": report.by,
+                "acts": report.acts,
                 "checks": {name: report.mistakes.get(name) for name in CHECKS},
             }
         )
@@ -88,6 +88,8 @@ def _report(report: Report, as_json: Flag) -> int:
         console.print(f"{name:<18} {verdict}")
         if mistake is not None:
             console.print(f"    {mistake}", markup=False, soft_wrap=True)
+    if report.acts:
+        console.print(report.acts, markup=False, soft_wrap=True)
     if report.by in _WHO:
-        console.print(f"({_WHO[report.by]})", markup=False, soft_wrap=True)
+        console.print(_WHO[report.by], markup=False, soft_wrap=True)
     return 0 if report.ok else 1

@@ -75,6 +75,8 @@ class Report:
     ``"policy"``, the policy itself; or ``"nobody"``, if the server cannot."""
     mistakes: dict[str, str] = field(default_factory=dict)
     """Which of :data:`CHECKS` failed, and what was seen."""
+    acts: str = ""
+    """What its policy did in real scenes, if it was shown any."""
 
     @property
     def ok(self) -> bool:
