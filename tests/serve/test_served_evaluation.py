@@ -14,6 +14,7 @@ from serving_processes import end, start
 from lemma.cli.evaluate import Questions
 from lemma.cli.evaluate import evaluate as verb
 from lemma.cli.serve import serve as serve_verb
+from lemma.cli.terminal import complain
 from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.engines import Job, Processes, Serial
@@ -217,6 +218,13 @@ def test_what_the_policy_does_is_tested_as_well() -> None:
         report = check_server(server.url)
     assert list(report.mistakes) == ["axes"]
     assert "y is mirrored" in report.mistakes["axes"]
+
+
+def test_names_of_classes_are_shown_as_they_are(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    complain("There is no nope:X: it is missing.")
+    assert "nope:X: it" in capsys.readouterr().err
 
 
 def test_faults_are_named_on_the_screen(
