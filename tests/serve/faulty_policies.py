@@ -100,6 +100,8 @@ class HangsForGood(_Faulty):
 class Crashes(_Faulty):
     def fail(self) -> None:
         os.kill(os.getpid(), signal.SIGSEGV)
+        # The signal may hit another thread; this one must not go on until then.
+        time.sleep(1000.0)
 
 
 class Leaves(_Faulty):
