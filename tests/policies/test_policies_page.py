@@ -14,9 +14,9 @@ NAMES = ("episodic-transformer", "cliport", "m-cliport", "reachnet")
 
 
 def row_of(page: str, name: str) -> list[str]:
-    """Return the cells behind the name in the one table that has such a row."""
+    """Return the cells behind the name in the first table that has such a row."""
     text = (DOCS / page).read_text(encoding="utf-8")
-    (row,) = re.findall(rf"^\| `{name}` \|(.*)\|$", text, re.MULTILINE)
+    row, *_ = re.findall(rf"^\| `{name}` \|(.*)\|$", text, re.MULTILINE)
     return [cell.strip() for cell in row.split("|")]
 
 
