@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import lemma
 from lemma.core import errors
 from lemma.core.errors import LemmaError, UnknownNameError
+from lemma.serve.faults import FaultKind, PolicyFailedError
 
 KINDS = [
     record
@@ -101,7 +102,8 @@ def test_errors_go_from_process_to_process(module: str, data: st.DataObject) -> 
     arguments: dict[type[LemmaError], st.SearchStrategy[tuple[Any, ...]]] = {
         UnknownNameError: st.tuples(
             texts, st.one_of(texts, st.integers()), st.sets(texts)
-        )
+        ),
+        PolicyFailedError: st.tuples(st.sampled_from(FaultKind), texts),
     }
     for kind in errors_in(module):
         given_to = data.draw(arguments.get(kind, st.tuples(texts)))
@@ -109,5 +111,6 @@ def test_errors_go_from_process_to_process(module: str, data: st.DataObject) -> 
         there = pickle.loads(pickle.dumps(error))
         assert type(there) is kind
         assert str(there) == str(error)
+        assert vars(there) == vars(error)
         # And on, to a third process.
         assert str(pickle.loads(pickle.dumps(there))) == str(error)
