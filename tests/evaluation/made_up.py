@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from lemma.evaluation.coordination import count_steps
 from lemma.evaluation.result import Result, summarise
 
 STEP = {
@@ -16,7 +17,9 @@ ABOUT = {
     "policy": {"name": "oracle", "planning": "single-step", "gta": False},
     "weights": {},
     "language": "full",
+    "perturb_start": False,
     "split": "test",
+    "protocol": "5" * 64,
     "horizon_s": 100.0,
     "benchmark": "v1",
     "format": "1",
@@ -31,12 +34,15 @@ def step(
     outcome: str = "success",
     pick_mm: float | None = None,
     place_mm: float | None = None,
+    *,
+    able: bool | None = True,
 ) -> dict[str, Any]:
     """Return one sub-task of an episode, before which the expert needed so many."""
     said = {
         "expected": {k: v for k, v in STEP.items() if k != "outcome"},
         "left": left,
         "departure": departure,
+        "able": able,
         "pick_error_mm": pick_mm,
         "place_error_mm": place_mm,
     }
@@ -62,9 +68,18 @@ def row(
         "distractors": 1,
         "instruction_kind": "high_level",
         "instruction": "Stack the red cube on the blue cube",
+        "asked": None,
+        "asked_holds": None,
         "success": success,
         "progress": float(success),
         "failure": None if success else failure,
+        "elapsed_s": 30.0,
+        "idle_s": {"robot_0": 5.0, "robot_1": 25.0},
+        "coordination": {
+            "expert_s": 20.0,
+            **count_steps(steps, left),
+            "clearance_mm": 80.0,
+        },
         "subtasks": list(steps),
         "left": left,
         "wall_s": 0.1,

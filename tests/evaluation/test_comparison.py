@@ -68,7 +68,7 @@ def test_the_same_twice_does_not_differ(tmp_path: Path) -> None:
     assert low <= 0.0 <= high
 
 
-@pytest.mark.parametrize("name", ["split", "benchmark", "mujoco", "horizon_s"])
+@pytest.mark.parametrize("name", ["split", "lemma", "protocol"])
 def test_other_worlds_are_refused(tmp_path: Path, name: str) -> None:
     first = written(tmp_path / "a", {1})
     second = written(tmp_path / "b", {1}, **{name: "other"})

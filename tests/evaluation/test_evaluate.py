@@ -13,10 +13,12 @@ from lemma.cli.workers import Workers
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.dataset.engines import Job, Processes, Serial
 from lemma.evaluation.evaluate import ABOUT, EPISODES, EvaluationOrder, evaluate
+from lemma.evaluation.protocol import quote
 from lemma.evaluation.result import Row, cells_of
 from lemma.evaluation.statistics import wilson_interval
 from lemma.evaluation.summary import rates_by
 from lemma.policies.specification import PolicySpec
+from lemma.tasks.suite import load_instance
 
 TASKS = ("stack", "pass")
 
@@ -88,6 +90,48 @@ def test_results_of_different_policies_are_not_mixed(tmp_path: Path) -> None:
     assert json.loads((tmp_path / ABOUT).read_text())["split"] == "test"
 
 
+def test_another_protocol_is_refused(tmp_path: Path) -> None:
+    evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
+    note = tmp_path / ABOUT
+    about = json.loads(note.read_text())
+    assert about["protocol"] == quote()
+    note.write_text(json.dumps({**about, "protocol": "6" * 64}))
+    with pytest.raises(DatasetError, match="follows 666"):
+        evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
+
+
+def test_the_expert_is_as_fast_as_the_expert(whole: list[Row]) -> None:
+    for row in whole:
+        told = row["coordination"]
+        assert row["elapsed_s"] == told["expert_s"]
+        assert told["able"] == told["doable"] == told["as_expert"] == told["planned"]
+        assert told["doable"] == len(row["subtasks"])
+        assert told["order_violations"] == 0
+        assert 0.0 < told["clearance_mm"] < 2000.0
+        assert (row["asked"], row["asked_holds"]) == (None, None)
+
+
+def test_the_expert_ignores_what_is_said(tmp_path: Path) -> None:
+    rows = evaluate(order(tmp_path, episodes=2, language="swapped"), Serial())
+    assert all(row["success"] for row in rows)
+    assert [row["asked_holds"] for row in rows if row["asked"]] == [False] * sum(
+        row["asked"] is not None for row in rows
+    )
+    for row in rows:
+        own = load_instance(row["task"], "test", row["index"])
+        assert row["instruction"] != own.instructions["high_level"]
+
+
+def test_perturbed_starts_are_solved_too(tmp_path: Path) -> None:
+    wanted = order(tmp_path, episodes=2, perturb_start=True)
+    assert wanted.command().endswith("--episodes 2 --perturb-start")
+    rows = evaluate(wanted, Serial())
+    assert all(row["success"] for row in rows)
+    assert [row["elapsed_s"] for row in rows] == [
+        row["coordination"]["expert_s"] for row in rows
+    ]
+
+
 def test_damaged_lines_are_named(tmp_path: Path) -> None:
     evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
     (tmp_path / EPISODES).write_text("{not json\n")
@@ -97,7 +141,14 @@ def test_damaged_lines_are_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"tasks": ("juggle",)}, {"split": "exam"}, {"kinds": ("sung",)}, {"episodes": 0}],
+    [
+        {"tasks": ("juggle",)},
+        {"split": "exam"},
+        {"kinds": ("sung",)},
+        {"episodes": 0},
+        {"language": "whispered"},
+        {"split": "train", "perturb_start": True},
+    ],
 )
 def test_orders_are_checked(tmp_path: Path, wrong: dict[str, Any]) -> None:
     with pytest.raises((UnknownNameError, InvalidConfigError)):

@@ -13,7 +13,7 @@ from lemma.core.errors import DatasetError
 from lemma.evaluation import tables
 from lemma.evaluation.entries import Entry, entries_of, read_results
 from lemma.evaluation.report import page
-from lemma.evaluation.result import Result
+from lemma.evaluation.result import Asked, Result
 from lemma.policies.specification import PolicySpec
 from lemma.tasks.suite import SUITE
 
@@ -138,6 +138,62 @@ def test_protocols_are_not_mixed(tmp_path: Path) -> None:
         tmp_path / "seed-1.json"
     )
     with pytest.raises(DatasetError, match="split"):
+        read_results([tmp_path])
+
+
+def control(language: str, successes: int, **about: object) -> Result:
+    """Return ReachNet under a control of language, or from perturbed starts."""
+    made = result(successes, experiment="")
+    policy = asdict(PolicySpec("reachnet"))
+    told = {**made.about, "policy": policy, "language": language, **about}
+    return replace(made, about=told)
+
+
+def test_controls_of_language_stand_in_one_row() -> None:
+    swapped = replace(
+        control("swapped", 1),
+        asked=(Asked("high_level", "pass", 8, 6), Asked("high_level", "stack", 10, 9)),
+    )
+    entries = entries_of([control("full", 9), control("none", 3), swapped])
+    assert len(entries) == 3
+    (line,) = tables.language(entries).rows
+    assert line[:3] == ("ReachNet (ours)", "high-level", "90.0 (70–97)")
+    assert [cell.split(" ")[0] for cell in line[3:6]] == ["30.0", "–", "10.0"]
+    assert line[6] == "83.3 of 18"
+    assert tables.language(entries_of([control("full", 9)])).rows == ()
+
+
+def test_perturbed_starts_stand_beside_the_others() -> None:
+    entries = entries_of([control("full", 9), control("full", 7, perturb_start=True)])
+    assert [entry.title for entry in entries] == [
+        "ReachNet (ours)",
+        "ReachNet, perturbed starts",
+    ]
+    (line,) = tables.starts(entries).rows
+    assert line == ("ReachNet (ours)", "high-level", "90.0 (70–97)", "70.0 (48–85)")
+    # What was said is another question.
+    assert tables.language(entries).rows == ()
+
+
+def test_coordination_is_of_sums_over_all_tasks() -> None:
+    entry = entry_of(result(5))
+    found = cells(tables.coordination([entry], "high_level"), entry.title)
+    assert found["time / expert's"] == "1.50"
+    assert (found["idle, left [%]"], found["idle, right [%]"]) == ("16.7", "83.3")
+    assert (found["able robot [%]"], found["expert's robot [%]"]) == ("100.0", "0.0")
+    assert (found["nearest arms [mm]"], found["touching"]) == ("80", "0")
+    several = entry_of(result(5), result(6, seed=1))
+    spread = cells(tables.coordination([several], "high_level"), entry.title)
+    assert spread["time / expert's"] == "1.50 ± 0.00"
+
+
+def test_other_protocols_are_refused(tmp_path: Path) -> None:
+    result(5).write(tmp_path / "seed-0.json")
+    other = result(5, seed=1)
+    replace(other, about={**other.about, "protocol": "6" * 64}).write(
+        tmp_path / "seed-1.json"
+    )
+    with pytest.raises(DatasetError, match=r"666.*555"):
         read_results([tmp_path])
 
 

@@ -45,8 +45,11 @@ class Questions:
     """Time for a decision of your own class or server [s]; 0: any, and unguarded."""
     skip_check: Flag = False
     """Leave out the self-test of a policy behind a socket."""
-    language: Literal["full", "none", "shuffled"] = "full"
-    """Controls. none: nothing is said; shuffled: what belongs to the next instance."""
+    language: Literal["full", "none", "shuffled", "swapped"] = "full"
+    """Controls. none: nothing is said; shuffled: what belongs to the next instance;
+    swapped: other colours, which ask for another goal on the same table."""
+    perturb_start: Flag = False
+    """Objects begin up to 3 cm and 15 degrees from where the instances say."""
 
 
 EVERYTHING = Questions()
@@ -84,6 +87,7 @@ def evaluate(
         kinds=_names(ask.instructions.replace("-", "_"), KINDS),
         episodes=ask.episodes,
         language=ask.language,
+        perturb_start=ask.perturb_start,
     )
     if not ask.skip_check:
         check_served(order.policy)

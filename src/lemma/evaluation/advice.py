@@ -43,6 +43,8 @@ class Advice:
     left: int | None
     """Sub-tasks of the expert's plan; None where there is no plan."""
     departure: Departure
+    able: bool | None
+    """Whether the robot could do it now; None where none of the robots could."""
     pick_error_m: float | None = None
     """Distance of the pick from the middle of the cube that is meant [m]; None for the
     stick, which can be grasped along its handle."""
@@ -56,6 +58,7 @@ class Advice:
             "expected": self.expected.to_dict(),
             "left": self.left,
             "departure": str(self.departure),
+            "able": self.able,
             "pick_error_mm": _millimetres(self.pick_error_m),
             "place_error_mm": _millimetres(self.place_error_m),
         }
@@ -63,15 +66,18 @@ class Advice:
 
 def left_in(episode: Episode) -> int | None:
     """Return how many sub-tasks the expert needs from here; None if it has no plan."""
-    plan = _plan(episode, Situation.observe(episode.simulation.scene))
+    now = Situation.observe(episode.simulation.scene)
+    plan = _plan(episode, now, OracleGrounder(now.spec))
     return None if plan is None else len(plan)
 
 
 def advise(episode: Episode, decision: Decision) -> Advice:
     """Return what the expert says of a decision in the state that an episode is in."""
     now = Situation.observe(episode.simulation.scene)
-    plan = _plan(episode, now)
+    geometry = OracleGrounder(now.spec)
+    plan = _plan(episode, now, geometry)
     subtask = decision.subtask
+    departed = departure(subtask, plan or ())
     pick = place = None
     if decision.grounded is not None:
         if subtask.pick in now.poses and subtask.pick != STICK:
@@ -81,7 +87,8 @@ def advise(episode: Episode, decision: Decision) -> Advice:
     return Advice(
         expected=plan[0] if plan else STOP,
         left=None if plan is None else len(plan),
-        departure=departure(subtask, plan or ()),
+        departure=departed,
+        able=departed is Departure.NONE or _is_able(subtask, now, geometry),
         pick_error_m=pick,
         place_error_m=place,
     )
@@ -106,9 +113,18 @@ def departure(subtask: SubTask, plan: tuple[SubTask, ...]) -> Departure:
     return Departure.OBJECT
 
 
-def _plan(episode: Episode, now: Situation) -> tuple[SubTask, ...] | None:
-    goal = episode.instance.goal
-    plan = find_plan(now, goal, OracleGrounder(now.spec))
+def _is_able(subtask: SubTask, now: Situation, geometry: OracleGrounder) -> bool | None:
+    if geometry.ground(subtask, now) is not None:
+        return True
+    others = (replace(subtask, robot=robot) for robot in geometry.robots)
+    can_others = any(geometry.ground(other, now) is not None for other in others)
+    return False if can_others else None
+
+
+def _plan(
+    episode: Episode, now: Situation, geometry: OracleGrounder
+) -> tuple[SubTask, ...] | None:
+    plan = find_plan(now, episode.instance.goal, geometry)
     return None if plan is None else plan.subtasks
 
 

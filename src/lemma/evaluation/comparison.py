@@ -8,12 +8,13 @@ from typing import Any
 from lemma.core.errors import DatasetError
 from lemma.dataset.files import read_json
 from lemma.evaluation.evaluate import ABOUT, EPISODES, read_rows
+from lemma.evaluation.protocol import check_protocol
 from lemma.evaluation.result import Row
 from lemma.evaluation.statistics import mcnemar_p, paired_interval
 from lemma.tasks.suite import SUITE
 from lemma.tasks.template import KINDS
 
-_SAME = ("split", "horizon_s", "benchmark", "format", "lemma", "mujoco")
+_SAME = ("split", "lemma")
 """What decides the episodes and the world, and not the policy."""
 
 
@@ -128,6 +129,7 @@ def _successes(folder: Path) -> dict[_Name, bool]:
 
 def _check_same_world(first: Path, second: Path) -> None:
     abouts = [read_json(folder / ABOUT) for folder in (first, second)]
+    check_protocol(abouts[0], abouts[1], first, second)
     for name in _SAME:
         values = [about.get(name) for about in abouts]
         if values[0] != values[1]:

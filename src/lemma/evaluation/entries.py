@@ -9,12 +9,13 @@ from statistics import fmean, stdev
 from lemma.core.errors import DatasetError
 from lemma.evaluation.evaluate import SUMMARY
 from lemma.evaluation.experiments import ABLATIONS, EXPERIMENTS, Experiment
+from lemma.evaluation.protocol import check_protocol
 from lemma.evaluation.result import Cell, Result, read_result
+from lemma.evaluation.said import FULL
 from lemma.evaluation.statistics import wilson_interval
 from lemma.evaluation.summary import mean_over_tasks, rate_of
 
 NOTHING = "–"
-_SAME = ("split", "horizon_s", "benchmark", "format", "mujoco")
 
 
 @dataclass(frozen=True)
@@ -94,13 +95,12 @@ def read_results(paths: Iterable[Path]) -> list[Result]:
     for path in dict.fromkeys(file for each in paths for file in _files(each)):
         result = read_result(path)
         first = results[0] if results else result
-        for name in _SAME:
-            if result.about[name] != first.about[name]:
-                raise DatasetError(
-                    f"{path} was made with {name} {result.about[name]}, and others "
-                    f"with {first.about[name]}: they cannot be compared. Report them "
-                    "apart."
-                )
+        check_protocol(result.about, first.about, path, "what was read before")
+        if result.about["split"] != first.about["split"]:
+            raise DatasetError(
+                f"{path} is of split {result.about['split']}, and others are of "
+                f"{first.about['split']}: they cannot be compared. Report them apart."
+            )
         results.append(result)
     return results
 
@@ -150,9 +150,16 @@ def title_of(result: Result) -> str:
     policy = result.about["policy"]
     parts = [policy["name"], policy["planning"] * (policy["planning"] != "single-step")]
     parts += ["GTA" * policy["gta"]]
-    if result.about["language"] != "full":
+    if result.about["language"] != FULL:
         parts.append(f"language {result.about['language']}")
+    if starts_perturbed(result):
+        parts.append("perturbed starts")
     return ", ".join(part for part in parts if part)
+
+
+def starts_perturbed(result: Result) -> bool:
+    """Whether objects began a little elsewhere than the instances say."""
+    return bool(result.about.get("perturb_start", False))
 
 
 def _row_of(result: Result) -> str:
@@ -161,8 +168,9 @@ def _row_of(result: Result) -> str:
         return result.experiment
     for name in EXPERIMENTS:
         one = EXPERIMENTS[name]
-        asked = (asdict(one.policy), one.language)
-        if asked == (result.about["policy"], result.about["language"]):
+        wanted = (asdict(one.policy), one.language, one.perturb_start)
+        about = result.about
+        if wanted == (about["policy"], about["language"], starts_perturbed(result)):
             return name
     return title_of(result)
 

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from math import inf
 from multiprocessing import parent_process
 from pathlib import Path
 from shutil import rmtree
@@ -28,10 +29,14 @@ from lemma.dataset.files import (
     write_text,
 )
 from lemma.evaluation.advice import left_in
+from lemma.evaluation.coordination import count_steps
+from lemma.evaluation.expert_times import TIMED_SPLITS, expert_s, perturbed_start
 from lemma.evaluation.loading import served_parts
+from lemma.evaluation.protocol import GROUP, check_protocol, quote
 from lemma.evaluation.provenance import weights_of
 from lemma.evaluation.result import Result, Row, place_of, summarise
 from lemma.evaluation.rollout import Play, Player, play_all, subtasks_of
+from lemma.evaluation.said import FULL, LANGUAGES, say
 from lemma.policies.specification import PLANNINGS, PolicySpec
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import SUITE, load_instance
@@ -40,10 +45,6 @@ from lemma.tasks.template import KINDS
 EPISODES = "episodes.jsonl"
 ABOUT = "about.json"
 SUMMARY = "summary.json"
-LANGUAGES = ("full", "none", "shuffled")
-"""What is said: all of it; nothing; what belongs to the next instance of the list."""
-GROUP = 10
-"""Episodes that are played together."""
 _PARTS = ".parts"
 
 
@@ -60,8 +61,10 @@ class EvaluationOrder:
     """Kinds of instructions."""
     episodes: int | None = None
     """Only the first so many of every task; all if None."""
-    language: str = LANGUAGES[0]
-    """How much is said; all but the first of :data:`LANGUAGES` are controls."""
+    language: str = FULL
+    """What is said, one of :data:`lemma.evaluation.said.LANGUAGES`."""
+    perturb_start: bool = False
+    """Whether objects begin a little elsewhere (:mod:`lemma.evaluation.starts`)."""
 
     def __post_init__(self) -> None:
         """Check the names and the number."""
@@ -75,6 +78,11 @@ class EvaluationOrder:
                 raise UnknownNameError("kind of instruction", kind, KINDS)
         if self.language not in LANGUAGES:
             raise UnknownNameError("control of language", self.language, LANGUAGES)
+        if self.perturb_start and self.split not in TIMED_SPLITS:
+            raise InvalidConfigError(
+                f"Split {self.split!r} has no perturbed starts; "
+                f"{' and '.join(TIMED_SPLITS)} have."
+            )
         if self.episodes is not None and self.episodes < 1:
             raise InvalidConfigError(
                 f"Episodes per task are 1 or more, not {self.episodes}."
@@ -98,7 +106,9 @@ class EvaluationOrder:
             "weights": weights_of(self.policy),
             "served": served_parts(self.policy),
             "language": self.language,
+            "perturb_start": self.perturb_start,
             "split": self.split,
+            "protocol": quote(),
             "horizon_s": Play.horizon_s,
             **versions(BENCHMARK_VERSION),
         }
@@ -116,8 +126,10 @@ class EvaluationOrder:
             words.append(f"--planning {self.policy.planning}")
         if self.policy.gta:
             words.append("--gta")
-        if self.language != LANGUAGES[0]:
+        if self.language != FULL:
             words.append(f"--language {self.language}")
+        if self.perturb_start:
+            words.append("--perturb-start")
         return " ".join(words)
 
     def groups(self) -> Iterator[tuple[str, str, range]]:
@@ -153,7 +165,9 @@ def evaluate(
         clear_drafts(order.out)
         note = order.out / ABOUT
         if note.exists():
-            check_same(note, read_json(note), about)
+            found = read_json(note)
+            check_protocol(about, found, "What is asked for", order.out)
+            check_same(note, found, about)
         else:
             write_json(note, about)
         parts = (order.out / _PARTS).absolute()
@@ -165,17 +179,7 @@ def evaluate(
             if there or path.exists():
                 advance(len(indices))
             else:
-                jobs.append(
-                    (
-                        order.policy,
-                        kind,
-                        task,
-                        order.split,
-                        order.language,
-                        indices,
-                        path,
-                    )
-                )
+                jobs.append((order, kind, task, indices, path))
         for count in engine.run(play_group, jobs):
             advance(count)
         for path in sorted(parts.glob("*.jsonl")):
@@ -207,28 +211,20 @@ def summary_of(order: EvaluationOrder, rows: list[Row]) -> Result:
 
 
 def play_group(
-    spec: PolicySpec,
-    kind: str,
-    task: str,
-    split: str,
-    language: str,
-    indices: range,
-    path: Path,
+    order: EvaluationOrder, kind: str, task: str, indices: range, path: Path
 ) -> int:
     """Play some episodes, write them, and return how many they are."""
-    player = _player(spec)
-    plays = [
-        Play(
-            load_instance(task, split, i),
-            kind,
-            says=_said(language, kind, task, split, i),
-        )
-        for i in indices
-    ]
+    player = _player(order.policy)
+    plays = []
+    for index in indices:
+        instance = load_instance(task, order.split, index)
+        if order.perturb_start:
+            instance = perturbed_start(instance)
+        plays.append(Play(instance, kind, said=say(order.language, instance, kind)))
     start = perf_counter()
     over = list(play_all(plays, player, len(plays)))
     wall_s = (perf_counter() - start) / len(over)
-    rows = sorted((_row(play, kind, wall_s) for play in over), key=place_of)
+    rows = sorted((_row(play, order, wall_s) for play in over), key=place_of)
     _write(path, rows)
     return len(rows)
 
@@ -243,35 +239,42 @@ def _player(spec: PolicySpec) -> Player:
     return player
 
 
-def _row(play: Play, kind: str, wall_s: float) -> Row:
+def _row(play: Play, order: EvaluationOrder, wall_s: float) -> Row:
     instance, episode = play.instance, play.episode
     info = episode.info()
+    subtasks, left = subtasks_of(play.steps), left_in(episode)
+    asks = play.said.asks
+    least_m = play.clearance.least_m
     return {
         "task": instance.task,
         "split": instance.split,
         "index": instance.index,
         "team": instance.team,
         "distractors": len(instance.distractors),
-        "instruction_kind": kind,
+        "instruction_kind": play.kind,
         "instruction": play.instruction,
+        "asked": None if asks is None else [list(pair) for pair in asks],
+        "asked_holds": play.asked_holds,
         "success": play.success,
         "progress": info["progress"],
         "failure": play.failure,
         "policy_error": play.fault.to_dict() if play.fault else None,
         "elapsed_s": round(info["elapsed_s"], 3),
         "idle_s": {name: round(idle, 3) for name, idle in info["idle_s"].items()},
-        "subtasks": subtasks_of(play.steps),
-        "left": left_in(episode),
+        "coordination": {
+            "expert_s": expert_s(
+                instance.task,
+                instance.split,
+                instance.index,
+                perturbed_start=order.perturb_start,
+            ),
+            **count_steps(subtasks, left),
+            "clearance_mm": round(1000.0 * least_m, 1) if least_m < inf else None,
+        },
+        "subtasks": subtasks,
+        "left": left,
         "wall_s": round(wall_s, 3),
     }
-
-
-def _said(language: str, kind: str, task: str, split: str, index: int) -> str | None:
-    """Return what is said instead of the instruction; None for nothing else."""
-    if language == "shuffled":
-        other = load_instance(task, split, (index + 1) % SPLITS[split])
-        return other.instructions[kind]
-    return "" if language == "none" else None
 
 
 def _name(row: Row) -> tuple[str, str, int]:

@@ -34,7 +34,9 @@ class Experiment:
     kinds: tuple[str, ...] = KINDS
     """Of instructions."""
     language: str = "full"
-    """How much is said; see :class:`lemma.evaluation.evaluate.EvaluationOrder`."""
+    """What is said, one of :data:`lemma.evaluation.said.LANGUAGES`."""
+    perturb_start: bool = False
+    """Whether objects begin a little elsewhere."""
     paper: Mapping[str, Figures] = field(default_factory=dict)
     """By kind; what the paper reports for this row."""
     targets: Mapping[str, float] = field(default_factory=dict)
@@ -167,6 +169,7 @@ for _name, _title, _policy in (
 for _language, _title in (
     ("none", "ReachNet, told nothing"),
     ("shuffled", "ReachNet, told what belongs to another instance"),
+    ("swapped", "ReachNet, told other colours"),
 ):
     _add(
         Experiment(
@@ -177,6 +180,16 @@ for _language, _title in (
             language=_language,
         )
     )
+
+_add(
+    Experiment(
+        name="reachnet-perturbed-start",
+        title="ReachNet, perturbed starts",
+        suite="controls",
+        policy=PolicySpec("reachnet"),
+        perturb_start=True,
+    )
+)
 
 for _model in ("episodic-transformer", "cliport", "m-cliport", "reachnet"):
     TRAININGS.add(_model, Training(_model, _model))

@@ -55,6 +55,7 @@ class Reproduction:
             kinds=experiment.kinds,
             episodes=self.episodes,
             language=experiment.language,
+            perturb_start=experiment.perturb_start,
         )
         return order, seed
 

@@ -6,14 +6,16 @@ The same episodes give the same bytes: there is no clock in a result.
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import groupby
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from lemma.core.errors import DatasetError
 from lemma.dataset.files import read_json, write_text
+from lemma.evaluation.coordination import Coordination, coordination_of
 from lemma.evaluation.diagnosis import POSE_TOLERANCE_MM, cause_of
 from lemma.evaluation.provenance import training_seed
 from lemma.tasks.suite import SUITE
@@ -67,6 +69,18 @@ class Precision:
     """Of them more than 20 mm off."""
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What became of other goals that controls of language asked for."""
+
+    kind: str
+    task: str
+    episodes: int
+    """In which the sentence asked for another goal that the table allows."""
+    held: int
+    """In which that goal held at the end."""
+
+
 @dataclass(frozen=True)
 class Result:
     """What one policy, trained with one seed, made of the episodes of a split."""
@@ -80,6 +94,8 @@ class Result:
     cells: tuple[Cell, ...]
     losses: tuple[Loss, ...] = ()
     precisions: tuple[Precision, ...] = ()
+    coordination: tuple[Coordination, ...] = ()
+    asked: tuple[Asked, ...] = ()
     experiment: str = ""
     """Name of the experiment it belongs to, if any."""
     version: str = field(default=RESULT_VERSION)
@@ -92,12 +108,22 @@ class Result:
     def write(self, path: Path) -> None:
         """Write it, the same bytes for the same result; a line for every entry."""
         data = asdict(self)
-        lists = {name: data.pop(name) for name in ("cells", "losses", "precisions")}
+        lists = {name: data.pop(name) for name in _LISTS}
         text = json.dumps(data, indent=1, sort_keys=True).removesuffix("\n}")
         for name, entries in lists.items():
             lines = ",\n".join(f"  {json.dumps(entry)}" for entry in entries)
             text += f',\n "{name}": [\n{lines}\n ]'
         write_text(path, text + "\n}\n")
+
+
+_LISTS: dict[str, Callable[..., Any]] = {
+    "cells": Cell,
+    "losses": Loss,
+    "precisions": Precision,
+    "coordination": Coordination,
+    "asked": Asked,
+}
+"""Fields with an entry in each line, and what the entries are."""
 
 
 def read_result(path: Path) -> Result:
@@ -116,9 +142,8 @@ def read_result(path: Path) -> Result:
         return Result(
             **data
             | {
-                "cells": tuple(Cell(**entry) for entry in data["cells"]),
-                "losses": tuple(Loss(**entry) for entry in data["losses"]),
-                "precisions": tuple(Precision(**e) for e in data["precisions"]),
+                name: tuple(kind(**entry) for entry in data[name])
+                for name, kind in _LISTS.items()
             }
         )
     except (KeyError, TypeError) as error:
@@ -152,6 +177,10 @@ def summarise(
         cells=cells_of(ordered),
         losses=_losses(ordered),
         precisions=tuple(_precisions(ordered)),
+        coordination=tuple(
+            coordination_of(listed, *name) for name, listed in _questions(ordered)
+        ),
+        asked=tuple(_asked(ordered)),
         experiment=experiment,
     )
 
@@ -181,6 +210,18 @@ def place_of(row: Row) -> tuple[int, int, int]:
 
 def _question(row: Row) -> tuple[str, str]:
     return row["instruction_kind"], row["task"]
+
+
+def _questions(rows: Iterable[Row]) -> Iterable[tuple[tuple[str, str], list[Row]]]:
+    """Return rows by kind and task; they are in that order already."""
+    return [(name, list(listed)) for name, listed in groupby(rows, key=_question)]
+
+
+def _asked(rows: Iterable[Row]) -> Iterable[Asked]:
+    for name, listed in _questions(rows):
+        held = [row["asked_holds"] for row in listed if row["asked"] is not None]
+        if held:
+            yield Asked(*name, len(held), sum(held))
 
 
 def _order(name: Sequence[Any]) -> tuple[Any, ...]:

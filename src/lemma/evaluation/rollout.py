@@ -10,14 +10,17 @@ from lemma.dataset.capture import RASTER, see
 from lemma.env.episode import Episode
 from lemma.env.simulation import HORIZON_S
 from lemma.evaluation.advice import Advice, advise
+from lemma.evaluation.clearance import ClearanceWatch
 from lemma.evaluation.guarding import POLICY_ERROR, Fault, Guard
 from lemma.evaluation.loading import load_policy
+from lemma.evaluation.said import OWN_SENTENCE, Said
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.policies.interfaces import Decision, Policy, PolicyInput, Step, View
 from lemma.policies.specification import PolicySpec
 from lemma.scene.layout import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.rendering import Renderer
 from lemma.scene.scene import Scene
+from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language import robot_phrases
 from lemma.tasks.subtask import GroundedSubTask, SubTask
@@ -80,7 +83,7 @@ class Play:
     kind: str = "high_level"
     """Which of its instructions is given."""
     horizon_s: float = HORIZON_S
-    says: str | None = None
+    said: Said = OWN_SENTENCE
     """What is said instead of that instruction."""
     steps: list[TakenStep] = field(default_factory=list)
     past: list[Step] = field(default_factory=list)
@@ -90,6 +93,7 @@ class Play:
     def __post_init__(self) -> None:
         """Set the table."""
         self.episode = Episode(self.instance, horizon_s=self.horizon_s)
+        self.clearance = ClearanceWatch(self.episode.simulation)
         colours = tuple(robot.colour for robot in self.instance.scene.robots)
         self._phrases = robot_phrases(colours)
 
@@ -97,12 +101,21 @@ class Play:
     def instruction(self) -> str:
         """What the policy is told."""
         own = self.instance.instructions[self.kind]
-        return own if self.says is None else self.says
+        return own if self.said.sentence is None else self.said.sentence
 
     @property
     def success(self) -> bool:
         """Whether the goal holds, and the policy brought it to an end."""
         return self.fault is None and self.episode.is_success
+
+    @property
+    def asked_holds(self) -> bool | None:
+        """Whether the other goal holds that was asked for; None if none was."""
+        if self.said.asks is None:
+            return None
+        simulation = self.episode.simulation
+        asked = Goal.from_pairs(self.said.asks)
+        return asked.progress(simulation.scene) == 1.0 and not simulation.held()
 
     @property
     def failure(self) -> str | None:

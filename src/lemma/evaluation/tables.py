@@ -1,13 +1,24 @@
 """The tables: rows and columns made from results, and from nothing else."""
 
+import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import fmean
+from statistics import fmean, stdev
 
+from lemma.evaluation.coordination import Coordination
 from lemma.evaluation.diagnosis import Cause
-from lemma.evaluation.entries import NOTHING, Entry, mean_of, pooled, shown
+from lemma.evaluation.entries import (
+    NOTHING,
+    Entry,
+    mean_of,
+    pooled,
+    shown,
+    starts_perturbed,
+)
 from lemma.evaluation.experiments import ABLATION_BASE, ABLATIONS, SUITES
+from lemma.evaluation.result import Result
+from lemma.evaluation.said import FULL, LANGUAGES
 from lemma.evaluation.summary import mean_over_tasks
 from lemma.tasks.suite import SUITE
 from lemma.tasks.template import KINDS
@@ -139,6 +150,68 @@ def precision(entries: Iterable[Entry], kind: str) -> Table:
     return Table(("median error [mm] (missed)", "end", *SUITE), tuple(rows), labels=2)
 
 
+def coordination(entries: Iterable[Entry], kind: str) -> Table:
+    """Return how well robots work together, over all tasks.
+
+    What is counted is defined in :mod:`lemma.evaluation.coordination`.
+    """
+    rows = []
+    for entry in entries:
+        seeds = [
+            found
+            for result in entry.results
+            for found in [[one for one in result.coordination if one.kind == kind]]
+            if found
+        ]
+        if seeds and not _is_ablation(entry):
+            rows.append((entry.title, *_coordination(seeds)))
+    header = (
+        "time / expert's",
+        "idle, left [%]",
+        "idle, right [%]",
+        "able robot [%]",
+        "expert's robot [%]",
+        "order violations per 100",
+        "nearest arms [mm]",
+        "touching",
+    )
+    return Table(("", *header), tuple(rows))
+
+
+def language(entries: Iterable[Entry]) -> Table:
+    """Return how much each policy needs the sentence, where a control was run.
+
+    The success is at the goal of the instance, whatever is said. The last column is how
+    often the other goal holds that swapped colours ask for, where the table allows it.
+    """
+    families = _families(entries, lambda result: not starts_perturbed(result))
+    rows = []
+    for title, results in families.items():
+        said = {told: _by_language(results, told) for told in LANGUAGES}
+        for kind in KINDS:
+            each = [_mean_of(said[told], kind) for told in LANGUAGES]
+            if any(cell != NOTHING for cell in each[1:]):
+                held = _asked(said["swapped"], kind)
+                rows.append((title, words(kind, "-"), *each, held))
+    header = ("mean over the tasks [%]", "instructions", *LANGUAGES, "swapped goal")
+    return Table(header, tuple(rows), labels=2)
+
+
+def starts(entries: Iterable[Entry]) -> Table:
+    """Return success from perturbed starts beside that from the instances' own."""
+    families = _families(entries, lambda result: result.about["language"] == FULL)
+    rows = []
+    for title, results in families.items():
+        own = [one for one in results if not starts_perturbed(one)]
+        moved = [one for one in results if starts_perturbed(one)]
+        for kind in KINDS:
+            both = _mean_of(own, kind), _mean_of(moved, kind)
+            if both[1] != NOTHING:
+                rows.append((title, words(kind, "-"), *both))
+    header = ("mean over the tasks [%]", "instructions", "own start", "perturbed start")
+    return Table(header, tuple(rows), labels=2)
+
+
 _CAUSES_HEADER = ("failed", "of", *(words(cause) for cause in Cause))
 
 
@@ -172,6 +245,83 @@ def _precision(entry: Entry, kind: str, task: str, end: str) -> str:
         return NOTHING
     missed = sum(one.missed for one in found) / sum(one.poses for one in found)
     return f"{fmean(one.median_mm for one in found):.1f} ({100 * missed:.1f} %)"
+
+
+def _coordination(seeds: Sequence[Sequence[Coordination]]) -> tuple[str, ...]:
+    """Return the cells of a row: means over the seeds, extremes of all."""
+
+    def ratio(part: str, whole: str, scale: float = 100.0) -> str:
+        values = [
+            scale * sum(getattr(one, part) for one in found) / below
+            for found in seeds
+            if (below := sum(getattr(one, whole) for one in found))
+        ]
+        return _spread(values, 2 if scale == 1.0 else 1)
+
+    def idle(robot: str) -> str:
+        values = [
+            100.0
+            * sum(one.idle_s.get(robot, 0.0) for one in found)
+            / sum(one.elapsed_s for one in found)
+            for found in seeds
+        ]
+        return _spread(values, 1)
+
+    every = [one for found in seeds for one in found]
+    gaps = [one.nearest_mm for one in every if one.nearest_mm is not None]
+    return (
+        ratio("timed_s", "expert_s", 1.0),
+        idle("robot_0"),
+        idle("robot_1"),
+        ratio("able", "doable"),
+        ratio("as_expert", "planned"),
+        ratio("order_violations", "episodes"),
+        f"{min(gaps):.0f}" if gaps else NOTHING,
+        str(sum(one.touching for one in every)),
+    )
+
+
+def _spread(values: Sequence[float], places: int) -> str:
+    """Return a mean, with the standard deviation over seeds if there are several."""
+    if not values:
+        return NOTHING
+    mean = f"{fmean(values):.{places}f}"
+    return f"{mean} ± {stdev(values):.{places}f}" if len(values) > 1 else mean
+
+
+def _families(
+    entries: Iterable[Entry], wanted: Callable[[Result], bool]
+) -> dict[str, list[Result]]:
+    """Return some results of each policy, whatever was said and wherever it began."""
+    titles: dict[str, str] = {}
+    found: dict[str, list[Result]] = {}
+    for entry in entries:
+        for result in () if _is_ablation(entry) else entry.results:
+            name = json.dumps(result.about["policy"], sort_keys=True)
+            plain = result.about["language"] == FULL and not starts_perturbed(result)
+            if plain or name not in titles:
+                titles[name] = entry.title
+            if wanted(result):
+                found.setdefault(name, []).append(result)
+    return {titles[name]: results for name, results in found.items()}
+
+
+def _by_language(results: Iterable[Result], told: str) -> list[Result]:
+    return [result for result in results if result.about["language"] == told]
+
+
+def _mean_of(results: Iterable[Result], kind: str) -> str:
+    seeds = [[cell for cell in one.cells if cell.kind == kind] for one in results]
+    return shown(seeds, mean_over_tasks)
+
+
+def _asked(results: Iterable[Result], kind: str) -> str:
+    """Return how often another goal holds that was asked for [%], of how many."""
+    listed = [one for result in results for one in result.asked if one.kind == kind]
+    episodes = sum(one.episodes for one in listed)
+    if not episodes:
+        return NOTHING
+    return f"{100 * sum(one.held for one in listed) / episodes:.1f} of {episodes}"
 
 
 def _breakdown(

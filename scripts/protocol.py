@@ -1,0 +1,73 @@
+"""Freeze the protocol, and write docs/protocol.md from it.
+
+Run from the repository: ``python scripts/protocol.py``. A protocol that has results is
+changed under a new name, ``NAME`` in ``lemma.evaluation.protocol``.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from lemma.evaluation.protocol import PROTOCOL, flat, in_force, sha256_of_protocol
+
+ROOT = Path(__file__).parents[1]
+FILE = ROOT / "src" / "lemma" / "evaluation" / PROTOCOL
+PAGE = ROOT / "docs" / "protocol.md"
+_INTRODUCTION = """\
+# Protocol
+
+Everything that fixes a number, as one frozen file: `lemma/evaluation/protocol.json` in
+the package. This page is written from it, by `python scripts/protocol.py`.
+
+| protocol | SHA-256 |
+|:---|:---|
+| `{name}` | `{sha256}` |
+
+- **Results quote it.** What is in force is computed from the code, the data and the
+  version of MuJoCo when an evaluation begins; `about.json` and every summary hold the
+  hash. With another release of MuJoCo it is another one.
+- **Protocols are not mixed.** `lemma evaluate` refuses a folder of another protocol;
+  `lemma report`, `lemma reproduce` and `lemma compare` refuse results of different
+  ones.
+- **What is free** stands beside it in `about.json`: the policy with its weights, the
+  split, what is said (`--language`), and where objects begin (`--perturb-start`).
+- **Skills are held by their effect.** The expert's time for every frozen instance of
+  val and test is part of the protocol: whoever changes skills, physics or the expert
+  changes it.
+
+[](evaluation.md) explains the words.
+"""
+
+
+def text(protocol: Mapping[str, Any]) -> str:
+    """Return the page of a protocol."""
+    page = _INTRODUCTION.format(
+        name=protocol["name"], sha256=sha256_of_protocol(protocol)
+    )
+    simple = {k: v for k, v in protocol.items() if not isinstance(v, Mapping)}
+    page += _table("In general", {k: v for k, v in simple.items() if k != "name"})
+    for title, part in protocol.items():
+        if isinstance(part, Mapping):
+            heading = title.replace("_", " ").replace("sha256", "by SHA-256")
+            page += _table(heading[0].upper() + heading[1:], dict(flat(part)))
+    return page
+
+
+def _table(title: str, values: Mapping[str, Any]) -> str:
+    lines = [f"| `{name}` | {_shown(v)} |" for name, v in values.items()]
+    return f"\n## {title}\n\n| what | value |\n|:---|:---|\n" + "\n".join(lines) + "\n"
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, list):
+        return ", ".join(f"`{one}`" for one in value)
+    if isinstance(value, str) and " " not in value:
+        return f"`{value}`"
+    return str(value)
+
+
+if __name__ == "__main__":
+    now = in_force()
+    FILE.write_text(json.dumps(now, indent=1) + "\n", encoding="utf-8")
+    PAGE.write_text(text(now), encoding="utf-8")
