@@ -66,6 +66,7 @@ def row(
         "index": index,
         "team": "ur5+ur10",
         "distractors": 1,
+        "perturb_start": False,
         "instruction_kind": "high_level",
         "instruction": "Stack the red cube on the blue cube",
         "asked": None,

@@ -38,7 +38,7 @@ from lemma.evaluation.result import Result, Row, place_of, summarise
 from lemma.evaluation.rollout import Play, Player, play_all, subtasks_of
 from lemma.evaluation.said import FULL, LANGUAGES, say
 from lemma.policies.specification import PLANNINGS, PolicySpec
-from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.suite import SUITE, load_instance
 from lemma.tasks.template import KINDS
 
@@ -210,6 +210,19 @@ def summary_of(order: EvaluationOrder, rows: list[Row]) -> Result:
     return summarise(rows, read_json(order.out / ABOUT), order.command())
 
 
+def start_of(task: str, split: str, index: int, *, moved: bool) -> Instance:
+    """Return what an episode begins with, such as one that a line is of.
+
+    Args:
+        task: Name of the task.
+        split: Of the list.
+        index: Number in the list.
+        moved: Whether from its perturbed start, ``perturb_start`` in the line.
+    """
+    instance = load_instance(task, split, index)
+    return perturbed_start(instance) if moved else instance
+
+
 def play_group(
     order: EvaluationOrder, kind: str, task: str, indices: range, path: Path
 ) -> int:
@@ -217,9 +230,7 @@ def play_group(
     player = _player(order.policy)
     plays = []
     for index in indices:
-        instance = load_instance(task, order.split, index)
-        if order.perturb_start:
-            instance = perturbed_start(instance)
+        instance = start_of(task, order.split, index, moved=order.perturb_start)
         plays.append(Play(instance, kind, said=say(order.language, instance, kind)))
     start = perf_counter()
     over = list(play_all(plays, player, len(plays)))
@@ -251,6 +262,7 @@ def _row(play: Play, order: EvaluationOrder, wall_s: float) -> Row:
         "index": instance.index,
         "team": instance.team,
         "distractors": len(instance.distractors),
+        "perturb_start": order.perturb_start,
         "instruction_kind": play.kind,
         "instruction": play.instruction,
         "asked": None if asks is None else [list(pair) for pair in asks],
