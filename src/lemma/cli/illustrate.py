@@ -38,7 +38,7 @@ def illustrate_all(
         max(1, min(usable_cores(), len(order))),
         # OpenGL does not survive a fork.
         mp_context=get_context("spawn"),
-        initializer=_draw_in_one_thread,
+        initializer=draw_in_one_thread,
     ) as pool:
         futures = {
             recording.instance.key: pool.submit(illustrate, recording, folder, style)
@@ -53,7 +53,7 @@ def illustrate_all(
         return [futures[recording.instance.key].result() for recording in recordings]
 
 
-def _draw_in_one_thread() -> None:
+def draw_in_one_thread() -> None:
     """Keep Mesa from starting as many threads as there are cores, in each process."""
     os.environ.setdefault("LP_NUM_THREADS", "0")
 

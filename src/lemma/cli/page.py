@@ -72,7 +72,8 @@ def _template(name: str) -> Template:
     return Template((files("lemma.cli") / name).read_text(encoding="utf-8"))
 
 
-def _data_uri(kind: str, content: bytes) -> str:
+def data_uri(kind: str, content: bytes) -> str:
+    """Return a file's content as an address, so that a page needs no other file."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
@@ -120,9 +121,9 @@ def _card(recording: Recording, illustration: Illustration, speed: int) -> str:
         human=escape(instance.instructions["human"]),
         unseen=escape(instance.instructions["unseen"]),
         chips="".join(f'<span class="chip">{chip}</span>' for chip in chips),
-        poster=_data_uri("image/jpeg", illustration.poster),
-        video=_data_uri("video/mp4", illustration.video.read_bytes()),
-        map=_data_uri("image/jpeg", illustration.map),
+        poster=data_uri("image/jpeg", illustration.poster),
+        video=data_uri("video/mp4", illustration.video.read_bytes()),
+        map=data_uri("image/jpeg", illustration.map),
         speed=speed,
         lanes="".join(_lane(recording, name) for name in instance.scene.robot_names),
         steps="".join(_item(step) for step in recording.steps),

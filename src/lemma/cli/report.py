@@ -1,41 +1,97 @@
-"""`lemma report`: tables of results, as a page."""
+"""`lemma report`: results as tables, figures and failures, in one page."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from lemma.cli.terminal import Flag, output
+from lemma.cli.machine import usable_cores
+from lemma.cli.report_figures import FIGURES, figures_of, write_figures
+from lemma.cli.report_page import PAGE, Findings, write_report_page
+from lemma.cli.report_pictures import Pictures, picture_all
+from lemma.cli.terminal import Flag, Number, Word, complain, output
+from lemma.cli.workers import progress_bar
+from lemma.core.errors import InvalidConfigError, RenderingError
 from lemma.dataset.files import write_text
 from lemma.evaluation.entries import Entry, entries_of, read_results
 from lemma.evaluation.report import REPORT, page
+from lemma.evaluation.report_episodes import Case, cases_of, spread
+from lemma.scene.opengl import choose_backend
 
 ResultPaths = Annotated[
     tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RESULT ...")
 ]
 """Folders or files of results."""
 
+MOST_MB = 20.0
+"""All pictures of a page [MB]; as text in the page they take a third more."""
+VIDEOS = "videos"
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """Which failures are shown in pictures."""
+
+    failures: Annotated[int, tyro.conf.arg(metavar="N")] = 20
+    """Failed episodes per policy that get pictures; 0 for none."""
+    episode: Word = None
+    """Only this one of each policy: KIND/TASK/NUMBER, such as unseen/stack/12."""
+    videos: Flag = False
+    """Also a video of each episode that gets pictures; some seconds for each."""
+    workers: Number = None
+    """Processes that draw; one per core by default."""
+
+
+DEFAULT = Wishes()
+"""Pictures of some failures, no videos."""
+
+WishOptions = Annotated[Wishes, tyro.conf.arg(name="")]
+"""The fields as options of the verb."""
+
 
 def report(
     results: ResultPaths,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("report"),
     complete: Flag = False,
+    wishes: WishOptions = DEFAULT,
 ) -> int:
-    """Write the tables of some results as a page in Markdown.
+    """Write results as a page with tables, figures and failures, and as Markdown.
 
     The paper's four tables with its figures below ours, unseen templates, ablations,
-    causes of failure and how exact poses are; made from the summaries alone.
+    causes of failure and how exact poses are; made from the summaries alone. Where the
+    lines of the episodes are at hand, failed episodes are done again from them, which
+    needs no policy, and drawn.
 
     Args:
         results: What lemma evaluate or lemma reproduce wrote: files, or folders that
             hold some at any depth.
-        out: Folder of the page.
+        out: Folder of the page index.html, of results.md and of the figures.
         complete: Also name the experiments that were not run.
+        wishes: Which failures are shown in pictures.
     """
+    if wishes.failures < 0:
+        raise InvalidConfigError(
+            f"--failures is 0 or more per policy, not {wishes.failures}."
+        )
     entries = entries_of(read_results(results), complete=complete)
-    path = out / REPORT
-    write_text(path, page(entries))
-    print_written(path, entries)
+    cases = cases_of(entries, results)
+    found = _findings(cases, wishes, out)
+    write_text(out / REPORT, page(entries))
+    write_figures(out / FIGURES, figures_of(entries))
+    write_report_page(out / PAGE, entries, found)
+    print_written(out / REPORT, entries)
+    console = output()
+    console.print(f"Page: {out / PAGE}. Figures: {out / FIGURES}", soft_wrap=True)
+    if found.missing:
+        console.print(found.missing, soft_wrap=True)
+    differing = sum(bool(one.differs) for one in found.pictures.values())
+    if differing:
+        complain(
+            f"{differing} of {len(found.pictures)} episodes went differently when they "
+            "were done again: they are of other versions or another kind of machine."
+        )
     return 0
 
 
@@ -43,3 +99,64 @@ def print_written(path: Path, entries: list[Entry]) -> None:
     """Say where the tables are, and of how many policies they have results."""
     count = sum(bool(entry.results) for entry in entries)
     output().print(f"Policies with results: {count}. Tables: {path}", soft_wrap=True)
+
+
+def choose(cases: Sequence[Case], wishes: Wishes) -> list[tuple[int, Case]]:
+    """Return number and episode of those that get pictures.
+
+    Raises:
+        InvalidConfigError: An episode was named that is not there or did not fail.
+    """
+    if wishes.episode is not None:
+        name = wishes.episode.replace("-", "_")
+        chosen = [case for case in cases if case.name == name and case.cause]
+        if not chosen:
+            raise InvalidConfigError(
+                f"No episode {wishes.episode} failed in these results. Episodes are "
+                "named KIND/TASK/NUMBER, such as high_level/stack/12, and their lines "
+                "must be there."
+            )
+    else:
+        groups: dict[str, list[Case]] = {}
+        for case in cases:
+            groups.setdefault(case.policy, []).append(case)
+        chosen = [
+            case for group in groups.values() for case in spread(group, wishes.failures)
+        ]
+    wanted = {id(case) for case in chosen if case.is_known}
+    return [(i, case) for i, case in enumerate(cases) if id(case) in wanted]
+
+
+def _findings(cases: Sequence[Case], wishes: Wishes, out: Path) -> Findings:
+    failed = sum(case.cause is not None for case in cases)
+    chosen = choose(cases, wishes)
+    if not chosen:
+        return Findings(cases, {}, _left_out(failed, 0))
+    try:
+        choose_backend()
+    except RenderingError as error:
+        complain(str(error))
+        return Findings(cases, {}, "There are no pictures: OpenGL does not work here.")
+    videos = out / VIDEOS if wishes.videos else None
+    with progress_bar("failures", len(chosen)) as advance:
+        drawn = picture_all(chosen, videos, wishes.workers or usable_cores(), advance)
+    kept = within(drawn, MOST_MB * 1e6)
+    return Findings(cases, kept, _left_out(failed, len(kept)))
+
+
+def within(drawn: dict[int, Pictures], most_bytes: float) -> dict[int, Pictures]:
+    """Return pictures, thinned out evenly if they are too many for a page."""
+    numbers = sorted(drawn)
+    total = sum(one.size for one in drawn.values())
+    room = min(len(numbers), int(len(numbers) * most_bytes / max(total, 1)))
+    picked = {numbers[i * len(numbers) // room] for i in range(room)}
+    return {number: drawn[number] for number in numbers if number in picked}
+
+
+def _left_out(failed: int, pictured: int) -> str:
+    if failed == pictured:
+        return ""
+    return (
+        f"{pictured} of {failed} failed episodes have pictures; left out: "
+        f"{failed - pictured}. 'lemma report --failures N' draws up to N per policy."
+    )

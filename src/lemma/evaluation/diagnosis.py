@@ -74,14 +74,24 @@ def cause_of(row: Mapping[str, Any]) -> Cause | None:
         return None
     if row["failure"] == POLICY_ERROR:
         return Cause.POLICY_ERROR
-    steps = row["subtasks"]
-    left = [_number(step["expert"]["left"]) for step in steps] + [_number(row["left"])]
-    for i, step in enumerate(steps):
-        if min(left[i + 1 :]) >= left[i]:
-            return _of_mistake(step)
+    mistake = mistake_of(row)
+    if mistake is not None:
+        return _of_mistake(row["subtasks"][mistake])
     if row["failure"] == Outcome.OUT_OF_TIME:
         return Cause.OUT_OF_TIME
-    return Cause.STOPPED_EARLY if left[-1] else Cause.EXECUTION
+    return Cause.STOPPED_EARLY if _number(row["left"]) else Cause.EXECUTION
+
+
+def mistake_of(row: Mapping[str, Any]) -> int | None:
+    """Return which sub-task is the first mistake, from 0; None if none is.
+
+    Args:
+        row: A line of ``episodes.jsonl``.
+    """
+    steps = row["subtasks"]
+    left = [_number(step["expert"]["left"]) for step in steps] + [_number(row["left"])]
+    found = (i for i in range(len(steps)) if min(left[i + 1 :]) >= left[i])
+    return next(found, None)
 
 
 def _number(left: int | None) -> float:

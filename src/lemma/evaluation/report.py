@@ -1,6 +1,10 @@
-"""The page of results: Markdown, made from results and from nothing else."""
+"""The report of results: its sections, and the page in Markdown.
+
+Made from results and from nothing else.
+"""
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 from lemma.evaluation import tables
 from lemma.evaluation.entries import Entry
@@ -34,6 +38,22 @@ it prints how the weights are trained.
 """
 
 
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One table of the report, and what to say of it."""
+
+    title: str
+    note: str
+    """In Markdown; may be empty."""
+    table: Table
+
+    @property
+    def name(self) -> str:
+        """A name for links and files: lower case, words joined by dashes."""
+        kept = (c if c.isalnum() else " " for c in self.title.lower())
+        return "-".join("".join(kept).split())
+
+
 def page(
     entries: Sequence[Entry],
     source: str = "the files named below",
@@ -49,12 +69,23 @@ def page(
     text = _INTRODUCTION.format(
         source=source,
         guide=guide,
-        protocol=_protocol(entries),
+        protocol=protocol_words(entries),
         not_run=tables.NOT_RUN,
     )
-    sections = [*_paper_sections(entries), *_own_sections(entries, guide)]
-    text += "".join(_section(*section) for section in sections)
-    return text + _provenance(entries)
+    return text + "".join(map(_written, sections(entries, guide)))
+
+
+def sections(
+    entries: Sequence[Entry], guide: str = "docs/evaluation.md"
+) -> list[Section]:
+    """Return all tables, in the order of the report.
+
+    Args:
+        entries: What it reports.
+        guide: The page about evaluation, as notes name it.
+    """
+    every = (*_paper_sections(entries), *_own_sections(entries, guide))
+    return [*(Section(*one) for one in every), _provenance(entries)]
 
 
 def _paper_sections(entries: Sequence[Entry]) -> Iterator[tuple[str, str, Table]]:
@@ -96,6 +127,18 @@ def _own_sections(
         tables.by_task(entries, "unseen"),
     )
     yield (
+        "Other sentences",
+        "How much a policy needs the sentence: success at the goal of the instance "
+        "when something else is said, or nothing. Last: how often the goal holds that "
+        "swapped colours ask for.",
+        tables.language(entries),
+    )
+    yield (
+        "Perturbed starts",
+        f"Objects begin a little elsewhere; {guide} says how.",
+        tables.starts(entries),
+    )
+    yield (
         "Ablations",
         "One thing of ReachNet's training changed each, and two controls; training "
         "seed 0, but for the first row, which has all seeds.",
@@ -119,9 +162,18 @@ def _own_sections(
         "are a matter of choice, so they are not here.",
         tables.precision(entries, "high_level"),
     )
+    yield (
+        "Coordination",
+        "High-level instructions. Time against the expert's where both succeed, the "
+        "part of it in which each robot is idle, sub-tasks given to a robot that is "
+        "able to do them and to the expert's, those that came too soon, and how near "
+        f"the arms came to each other; {guide} defines them.",
+        tables.coordination(entries, "high_level"),
+    )
 
 
-def _section(title: str, note: str, table: Table) -> str:
+def _written(section: Section) -> str:
+    title, note, table = section.title, section.note, section.table
     body = markdown(table) if table.rows else "There are no results yet.\n"
     return f"\n## {title}\n\n{note}\n\n{body}" if note else f"\n## {title}\n\n{body}"
 
@@ -132,7 +184,8 @@ def _is_detailed(entry: Entry) -> bool:
     return detailed and any(result.losses for result in entry.results)
 
 
-def _protocol(entries: Iterable[Entry]) -> str:
+def protocol_words(entries: Iterable[Entry]) -> str:
+    """Return what was played, in a sentence."""
     abouts = [result.about for entry in entries for result in entry.results]
     told = abouts[0] if abouts else {"split": "test", "benchmark": BENCHMARK_VERSION}
     split, benchmark = told["split"], told["benchmark"]
@@ -153,7 +206,7 @@ def _extent(result: Result) -> str:
     return str(episodes) if episodes == every else f"{episodes} of {every}"
 
 
-def _provenance(entries: Iterable[Entry]) -> str:
+def _provenance(entries: Iterable[Entry]) -> Section:
     """Return how each result is made, and of which weights."""
     rows: list[tuple[str, ...]] = []
     for entry in entries:
@@ -170,7 +223,7 @@ def _provenance(entries: Iterable[Entry]) -> str:
                 (entry.title, f"`{result.command}`", hashes, seed, _extent(result))
             )
     header = ("row", "command", "SHA-256 of the weights", "training seed", "episodes")
-    return _section(
+    return Section(
         "How each row is made",
         f"Reported models are trained with seeds {', '.join(map(str, SEEDS))}; "
         "the weights of the first ship.",
