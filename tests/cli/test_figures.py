@@ -64,11 +64,11 @@ def test_values_rise_upwards() -> None:
 
 
 def test_series_differ_without_colours() -> None:
-    series = [Series(f"P{i}", (Mark(0.5, 0.4, 0.6, "half"),)) for i in range(9)]
+    series = [Series(f"P{i}", (Mark(0.5, 0.4, 0.6, "half"),)) for i in range(18)]
     svg = standalone(dots(["x"], series, "success [%]"))
     grey = re.sub(r"#(?!ffffff)[0-9a-f]{6}", "#000000", svg)
     keys = re.findall(r'<g transform="translate[^>]*>(<[^>]*>)', grey)
-    assert len(keys) == len(set(keys)) == 9
+    assert len(keys) == len(set(keys)) == 18
 
 
 def test_parts_differ_without_colours_and_fill_their_share() -> None:
@@ -97,7 +97,7 @@ def test_a_file_needs_nothing_else() -> None:
 
 def test_figures_show_results_and_the_paper(tmp_path: Path) -> None:
     figures = {
-        one.name: one for one in figures_of([entry(5), entry(10, name="oracle")])
+        one.name: one for one in figures_of([entry(5), entry(10, name="reachnet")])
     }
     assert list(figures) == [
         "success-by-task-high-level",
@@ -110,7 +110,7 @@ def test_figures_show_results_and_the_paper(tmp_path: Path) -> None:
     title = "ET + CLIPort, single-step"
     assert f"{title}, pass: 50.0% (24%–76%), 5 of 10; the paper: 87 %" in said
     assert f"{title}, mean: 75.0% (53%–89%), 15 of 20; the paper: 43.2 %" in said
-    assert "the expert, pass: 100.0% (72%–100%), 10 of 10" in said
+    assert "ReachNet (ours), pass: 100.0% (72%–100%), 10 of 10" in said
     said = words_of(figures["success-by-distractors-high-level"].svg)
     assert f"{title}, 2: 100.0% (72%–100%), 10 of 10" in said
     assert words_of(figures["causes-high-level"].svg) == [f"{title}: wrong robot 25.0%"]
@@ -128,3 +128,9 @@ def test_several_seeds_have_a_spread() -> None:
 
 def test_nothing_is_plotted_of_what_was_not_run() -> None:
     assert figures_of([entry(), entry(5, name="no-palette")]) == []
+
+
+def test_controls_are_plotted_where_nothing_else_is() -> None:
+    expert, policy = entry(10, name="oracle"), entry(5)
+    assert "the expert" in figures_of([expert])[0].svg
+    assert "the expert" not in figures_of([expert, policy])[0].svg

@@ -219,7 +219,7 @@ def _legend(entries: Iterable[tuple[str, str]]) -> tuple[list[str], float]:
 
 
 def _shape(number: int, x: float, y: float) -> str:
-    """Return the mark of a series; hollow from the seventh on."""
+    """Return the mark of a series: filled, then hollow, then with thick edges."""
     r = 4.6
     wide, low = 1.5 * r, 0.6 * r
     points = {
@@ -230,8 +230,9 @@ def _shape(number: int, x: float, y: float) -> str:
         5: ((-wide, -low), (wide, -low), (wide, low), (-wide, low)),
     }
     hue, kind = _hue(number), number % 6
-    inside = _PAPER if (number // 6) % 2 else hue
-    style = f"fill:{inside};stroke:{hue};stroke-width:1.6"
+    inside = _PAPER if number >= 6 else hue
+    edge = 1.6 if number < 12 else 3.2
+    style = f"fill:{inside};stroke:{hue};stroke-width:{edge}"
     if kind == 0:
         return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r}" style="{style}"/>'
     corners = " ".join(f"{x + dx:.1f},{y + dy:.1f}" for dx, dy in points[kind])

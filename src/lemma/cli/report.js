@@ -158,8 +158,10 @@ function picture(source, words, caption, kind) {
 }
 function media(c) {
   const moment = c.mistake === null ? "at the end" : `before sub-task ${c.mistake + 1}`;
+  const posed = c.mistake === null || c.steps[c.mistake].posed;
+  const drawn = posed ? "" : " The policy found no poses, so the expert's stand alone.";
   const box = make("div", { class: "media" },
-    picture(c.map, "Map of the table with both choices", `What the cameras saw, ${moment}.`, "map"),
+    picture(c.map, "Map of the table with both choices", `What the cameras saw, ${moment}.${drawn}`, "map"),
     make("div", { class: "pair" },
       picture(c.before, "View of the table " + moment, moment[0].toUpperCase() + moment.slice(1) + "."),
       picture(c.after, "View of the table at the end", "At the end.")));
@@ -250,7 +252,7 @@ document.addEventListener("keydown", (event) => {
 function follow() {
   const part = readHash();
   show();
-  if (part) document.getElementById(part)?.scrollIntoView();
+  if (part) document.getElementById(part)?.scrollIntoView({ behavior: "instant" });
 }
 document.addEventListener("click", (event) => {
   const link = event.target.closest('a[href^="#"]');

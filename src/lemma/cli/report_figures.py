@@ -17,6 +17,7 @@ from lemma.tasks.suite import SUITE
 from lemma.tasks.template import KINDS
 
 FIGURES = "figures"
+_CONTROLS = "controls"
 _MEAN = "mean"
 _INTERVALS = (
     "Whiskers: 95 % Wilson intervals where there is one training seed, else ± one "
@@ -25,12 +26,18 @@ _INTERVALS = (
 
 
 def figures_of(entries: Sequence[Entry]) -> list[Figure]:
-    """Return all figures that there is something to show in; ablations left out."""
-    shown = [
-        one
-        for one in entries
-        if one.results and not (one.experiment and one.experiment.suite == ABLATIONS)
-    ]
+    """Return all figures that there is something to show in.
+
+    Ablations have a table; controls too, and are plotted only where nothing else is.
+    """
+    suites = [one.experiment.suite if one.experiment else "" for one in entries]
+    shown: list[Entry] = []
+    for left_out in ((ABLATIONS, _CONTROLS), (ABLATIONS,)):
+        shown = shown or [
+            entry
+            for entry, suite in zip(entries, suites, strict=True)
+            if entry.results and suite not in left_out
+        ]
     return [figure for kind in KINDS for figure in _of_kind(shown, kind)]
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
 from pathlib import Path
+from shlex import quote
 from string import Template
 from typing import Any
 
@@ -42,6 +43,8 @@ _INLINE = (
     (re.compile(r"\*([^*]+)\*"), r"<em>\1</em>"),
 )
 _RATE = re.compile(r"^(?:≈ )?([\d.]+)(?: |$)")
+_BRACKETS = re.compile(r" (\([^)]*\)|± [\d.]+)$")
+"""Intervals and spreads, which stand back behind what they are of."""
 _PAPER = "*paper*"
 
 
@@ -131,7 +134,7 @@ def demo_command(case: Case) -> str:
     same = (
         row["instruction_kind"] == KINDS[0]
         and case.about["language"] == FULL
-        and not case.about.get("perturb_start", False)
+        and not row.get("perturb_start", False)
         and policy["planning"] == PLANNINGS[0]
         and not policy["gta"]
         and not is_address(policy["name"])
@@ -140,13 +143,14 @@ def demo_command(case: Case) -> str:
         return ""
     return (
         f"lemma demo {row['task']} --split {row['split']} --index {row['index']} "
-        f"--policy {policy['name']}"
+        f"--policy {quote(policy['name'])}"
     )
 
 
 def video_command(case: Case) -> str:
     """Return the command that films an episode as it was, whatever the policy."""
-    return f"lemma report {case.folder} --episode {case.name} --videos --out out/film"
+    folder = quote(str(case.folder))
+    return f"lemma report {folder} --episode {case.name} --videos --out out/film"
 
 
 def _case_data(case: Case, policy: int, pictures: Pictures | None) -> dict[str, Any]:
@@ -195,6 +199,7 @@ def _step_data(case: Case, step: Mapping[str, Any]) -> dict[str, Any]:
     ]
     return {
         "words": subtask_words(case, step),
+        "posed": step.get("grounded") is not None,
         "outcome": step["outcome"],
         "explanation": step.get("explanation", ""),
         "duration_s": step.get("duration_s"),
@@ -275,7 +280,10 @@ def _row(table: Table, row: tuple[str, ...], *, rates: bool) -> str:
         found = _RATE.match(cell) if rates and i >= table.labels else None
         share = f' style="--share:{found[1]}%"' if found else ""
         kind = _kind(table, i)
-        cells.append(f"<td{kind}{share}>{_inline(cell)}</td>")
+        shown_cell = _inline(cell)
+        if i >= table.labels:
+            shown_cell = _BRACKETS.sub(r" <small>\1</small>", shown_cell)
+        cells.append(f"<td{kind}{share}>{shown_cell}</td>")
     style = ' class="paper"' if paper else ""
     return f"<tr{style}>{''.join(cells)}</tr>"
 

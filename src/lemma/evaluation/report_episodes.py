@@ -10,14 +10,12 @@ from typing import Any
 from lemma.evaluation.advice import Departure
 from lemma.evaluation.diagnosis import Cause, cause_of, mistake_of
 from lemma.evaluation.entries import Entry
-from lemma.evaluation.evaluate import EPISODES, read_rows
-from lemma.evaluation.expert_times import perturbed_start
+from lemma.evaluation.evaluate import EPISODES, read_rows, start_of
 from lemma.evaluation.result import Result, Row, summarise
 from lemma.motion.outcome import Outcome
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language import robot_phrases, sub_instruction
 from lemma.tasks.subtask import Primitive
-from lemma.tasks.suite import load_instance
 
 
 @dataclass(frozen=True)
@@ -53,9 +51,8 @@ class Case:
     def instance(self) -> Instance:
         """What was to be done, as this installation has it."""
         row = self.row
-        instance = load_instance(row["task"], row["split"], row["index"])
-        moved = self.about.get("perturb_start", False)
-        return perturbed_start(instance) if moved else instance
+        moved = row.get("perturb_start", False)
+        return start_of(row["task"], row["split"], row["index"], moved=moved)
 
     @property
     def is_known(self) -> bool:
