@@ -252,6 +252,9 @@ def test_demo_is_offered_where_it_plays_the_same(cases: list[Case]) -> None:
     policy = {**cases[1].about["policy"], "gta": True}
     told = Case("x", cases[1].row, {**cases[1].about, "policy": policy}, Path())
     assert demo_command(told) == ""
+    weights = {"reachnet": {"sha256": "", "seed": 1, "data": {}}}
+    told = Case("x", cases[1].row, {**cases[1].about, "weights": weights}, Path())
+    assert demo_command(told) == ""
 
 
 def test_one_episode_can_be_asked_for(cases: list[Case]) -> None:

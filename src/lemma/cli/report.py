@@ -25,8 +25,8 @@ ResultPaths = Annotated[
 ]
 """Folders or files of results."""
 
-MOST_MB = 20.0
-"""All pictures of a page [MB]; as text in the page they take a third more."""
+MOST_MB = 16.0
+"""All pictures of a page [MB]. In it they take a third more, and episodes some MB."""
 VIDEOS = "videos"
 
 

@@ -131,8 +131,11 @@ def failures_data(found: Findings) -> dict[str, Any]:
 def demo_command(case: Case) -> str:
     """Return the command that lets the policy play again; ``""`` if none does."""
     row, policy = case.row, case.about["policy"]
+    seeds = {told["seed"] for told in case.about["weights"].values()}
     same = (
-        row["instruction_kind"] == KINDS[0]
+        # Weights of other training seeds are found by their path alone.
+        (seeds <= {0} or "/" in policy["name"])
+        and row["instruction_kind"] == KINDS[0]
         and case.about["language"] == FULL
         and not row.get("perturb_start", False)
         and policy["planning"] == PLANNINGS[0]
