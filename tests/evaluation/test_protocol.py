@@ -6,7 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from made_up import result
 
+from lemma.cli.evaluate import Questions, evaluate
+from lemma.cli.reproduce import reproduce
+from lemma.cli.workers import Workers
 from lemma.core.errors import DatasetError
 from lemma.evaluation import protocol
 from lemma.evaluation.protocol import (
@@ -53,6 +57,28 @@ def test_another_release_of_mujoco_is_another_protocol(
     assert quote() != before
     (departure,) = departures()
     assert departure.startswith("physics.mujoco 9.9.9 instead of ")
+
+
+def test_who_departs_is_told(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    told = {**frozen(), "name": "mine"}
+    monkeypatch.setattr(protocol, "in_force", lambda: told)
+    ask = Questions(tasks="stack", episodes=1)
+    assert evaluate("oracle", tmp_path, ask, Workers(workers=1)) == 0
+    assert "name mine instead of lemma-v1" in capsys.readouterr().err
+    about = json.loads((tmp_path / "about.json").read_text())
+    assert about["protocol"] == sha256_of_protocol(told)
+
+
+def test_nothing_is_played_beside_results_of_another_protocol(tmp_path: Path) -> None:
+    made = result(3)
+    made.write(tmp_path / "reachnet" / "seed-0.json")
+    with pytest.raises(DatasetError, match="follows 555"):
+        reproduce("oracle", tmp_path, working=Workers(workers=1))
+    assert not (tmp_path / "oracle").exists()
 
 
 @pytest.mark.parametrize("missing", [True, False])

@@ -13,6 +13,7 @@ from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.evaluation.evaluate import SUMMARY, EvaluationOrder, summary_of
 from lemma.evaluation.evaluate import evaluate as run
 from lemma.evaluation.preflight import check_served
+from lemma.evaluation.protocol import NAME, departures
 from lemma.evaluation.result import Cell, Row
 from lemma.evaluation.summary import Rate, mean_over_tasks, rates_by
 from lemma.policies.specification import TIMEOUT_S, PolicySpec
@@ -89,6 +90,8 @@ def evaluate(
         language=ask.language,
         perturb_start=ask.perturb_start,
     )
+    for departure in departures():
+        complain(f"This is not protocol {NAME}, and its result says so: {departure}.")
     if not ask.skip_check:
         check_served(order.policy)
     with progress_bar("evaluate", order.total) as advance:

@@ -12,6 +12,7 @@ from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.dataset.files import write_text
 from lemma.evaluation.entries import entries_of, read_results
 from lemma.evaluation.experiments import selected
+from lemma.evaluation.protocol import check_protocol, quote
 from lemma.evaluation.report import REPORT, page
 from lemma.evaluation.reproduction import (
     MissingWeightsError,
@@ -75,6 +76,8 @@ def reproduce(
     plan = Reproduction(
         out=out, weights=extent.weights, split=extent.split, episodes=extent.episodes
     )
+    for result in read_results([out]) if out.exists() else []:
+        check_protocol({"protocol": quote()}, result.about, "What is asked for", out)
     engine = working.make_engine()
     for experiment in experiments:
         try:
