@@ -83,6 +83,7 @@ def test_a_policy_has_one_training_seed() -> None:
         ("episodic-transformer+oracle", ["episodic-transformer"]),
         ("package.module:Class", []),
         ("http://127.0.0.1:8000", []),
+        ("http://127.0.0.1:8000+cliport", ["cliport"]),
     ],
 )
 def test_only_our_own_weights_are_looked_at(policy: str, parts: list[str]) -> None:

@@ -12,8 +12,9 @@ Weights = dict[str, dict[str, Any]]
 
 def learned_parts(policy: str) -> list[str]:
     """Return the parts of a policy's name that mean weights of ours."""
-    whole = ":" in policy
-    return [] if whole else [part for part in policy.split("+") if part != ORACLE]
+    # A colon is in addresses and in names of classes.
+    parts = policy.split("+")
+    return [part for part in parts if part != ORACLE and ":" not in part]
 
 
 def weights_of(spec: PolicySpec) -> Weights:

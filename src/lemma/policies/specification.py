@@ -63,7 +63,7 @@ class PolicySpec:
     @property
     def blind(self) -> bool:
         """Whether it needs no images."""
-        return set(self.name.split("+")) == {ORACLE}
+        return set(self.parts) == {ORACLE}
 
     def load(self, load: Callable[[str], Any] | None = None) -> Policy:
         """Return the policy, ready to act.
