@@ -56,7 +56,7 @@ def noise(count: int) -> list[dict[str, Any]]:
 
     def value(name: str, kind: pa.DataType, row: int) -> Any:
         if isinstance(kind, pa.FixedShapeTensorType):
-            dtype = np.dtype(kind.value_type.to_pandas_dtype())
+            dtype = pa.array([], kind.value_type).to_numpy().dtype
             if dtype.kind == "u":
                 return random.integers(0, np.iinfo(dtype).max, kind.shape, dtype)
             return random.normal(size=kind.shape)

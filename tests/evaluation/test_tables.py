@@ -103,10 +103,16 @@ def test_losses_are_summed_over_seeds() -> None:
     assert [line[1] for line in by_task.rows] == ["pass", "stack"]
 
 
-def test_ablations_begin_with_what_ships() -> None:
-    entries = entries_of([result(9), result(3, experiment="no-palette")])
+def test_ablations_have_a_table_of_their_own() -> None:
+    entries = entries_of(
+        [
+            result(9),
+            result(3, experiment="no-palette"),
+            result(8, experiment="complete"),
+        ]
+    )
     assert [line[:2] for line in tables.ablations(entries).rows] == [
-        ("ReachNet as it ships", "90.0 (70–97)"),
+        ("nothing left out", "80.0 (58–92)"),
         ("no palette swap", "30.0 (15–52)"),
     ]
     titles = [line[0] for line in tables.by_task(entries, "high_level").rows]

@@ -75,9 +75,14 @@ def _array(value: Any, kind: pa.DataType) -> pa.Array:
     """Return an Arrow array of one element."""
     if not isinstance(kind, pa.FixedShapeTensorType):
         return pa.array([value], kind)
-    flat = np.ascontiguousarray(value, kind.value_type.to_pandas_dtype()).reshape(-1)
+    flat = np.ascontiguousarray(value, _dtype(kind.value_type)).reshape(-1)
     storage = pa.FixedSizeListArray.from_arrays(pa.array(flat), math.prod(kind.shape))
     return pa.ExtensionArray.from_storage(kind, storage)
+
+
+def _dtype(scalar: pa.DataType) -> np.dtype[Any]:
+    """Return NumPy's name for a type of numbers; pyarrow's own way may need pandas."""
+    return pa.array([], scalar).to_numpy().dtype
 
 
 def mapped(path: Path) -> pa.NativeFile:
@@ -172,7 +177,7 @@ class _Tensor:
     def of(cls, kind: pa.DataType) -> "_Tensor | None":
         if not isinstance(kind, pa.FixedShapeTensorType):
             return None
-        return cls(np.dtype(kind.value_type.to_pandas_dtype()), tuple(kind.shape))
+        return cls(_dtype(kind.value_type), tuple(kind.shape))
 
     def decode(self, column: pa.ExtensionArray) -> NDArray[Any]:
         """Return an array that can be written to, without copying if possible."""

@@ -97,8 +97,10 @@ _EXPERT = pa.struct(
         pa.field("pick", pa.string(), nullable=False),
         pa.field("place", pa.string(), nullable=False),
         pa.field("instruction", pa.string(), nullable=False),
-        pa.field("pick_pose", pa.list_(pa.float64(), 3)),
-        pa.field("place_pose", pa.list_(pa.float64(), 3)),
+        # Of any length, though they have three numbers: Parquet files in which a list
+        # of fixed length is null cannot be read by every pyarrow.
+        pa.field("pick_pose", pa.list_(pa.float64())),
+        pa.field("place_pose", pa.list_(pa.float64())),
     ]
 )
 

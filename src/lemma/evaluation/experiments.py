@@ -17,6 +17,7 @@ SEEDS = (0, 1, 2)
 """Of training; the weights of the first ship."""
 ABLATIONS = "ablations"
 DATA = "data/lemma-v1-keyframes"
+RECOVERY = "data/lemma-v1-recovery-keyframes"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +63,11 @@ class Training:
     model: str
     """As ``lemma train`` knows it."""
     arguments: str = ""
-    """Besides data, folder and seed."""
+    """Besides data, folder, seed and number of samples."""
+    recovery: bool = True
+    """Whether recovery states are mixed in."""
+    samples: int | None = None
+    """If others than the model's own."""
 
     def command(self, runs: str, seed: int) -> str:
         """Return the command line.
@@ -71,9 +76,15 @@ class Training:
             runs: Folder of the runs; each has the name of its weights.
             seed: Of the training.
         """
-        folders = f"--data {DATA} --out {runs}/{self.name}"
-        command = f"lemma train {self.model} {folders} --seed {seed} {self.arguments}"
-        return command.rstrip()
+        words = [f"lemma train {self.model} --data {DATA}"]
+        if self.recovery:
+            words.append(f"--recovery {RECOVERY}")
+        words.append(f"--out {runs}/{self.name} --seed {seed}")
+        if self.samples:
+            words.append(f"--samples {self.samples}")
+        if self.arguments:
+            words.append(self.arguments)
+        return " ".join(words)
 
 
 EXPERIMENTS: Registry[Experiment] = Registry("experiment")
@@ -198,8 +209,9 @@ TRAININGS.add(
     Training("reachnet-demonstrations", "reachnet", "--options reach=demonstrations"),
 )
 
-ABLATION_BASE = "reachnet"
-"""Experiment that the ablations are compared with."""
+_ABLATED = "reachnet"
+_ABLATION_SAMPLES = 200_000
+"""Of each; half of the model's own, because there are many."""
 _AUGMENTATIONS = {
     "no-palette": ("no palette swap", "--augmentation.no-palette"),
     "no-templates": ("no template resampling", "--augmentation.no-templates"),
@@ -217,10 +229,16 @@ _AUGMENTATIONS = {
 
 
 def _add_ablation(
-    name: str, title: str, arguments: str, language: str = "full"
+    name: str,
+    title: str,
+    arguments: str = "",
+    *,
+    recovery: bool = True,
+    language: str = "full",
 ) -> None:
-    weights = f"{ABLATION_BASE}-{name}"
-    TRAININGS.add(weights, Training(weights, ABLATION_BASE, arguments))
+    weights = f"{_ABLATED}-{name}"
+    training = Training(weights, _ABLATED, arguments, recovery, _ABLATION_SAMPLES)
+    TRAININGS.add(weights, training)
     _add(
         Experiment(
             name=name,
@@ -232,6 +250,7 @@ def _add_ablation(
     )
 
 
+_add_ablation("complete", "nothing left out")
 for _name, (_title, _arguments) in _AUGMENTATIONS.items():
     _add_ablation(_name, _title, _arguments)
 _add_ablation(
@@ -239,12 +258,12 @@ _add_ablation(
     "no augmentation at all",
     " ".join(arguments for _, arguments in _AUGMENTATIONS.values()),
 )
-_add_ablation(
-    "recovery", "recovery states as well", "--recovery data/lemma-v1-recovery-keyframes"
-)
+_add_ablation("no-recovery", "no recovery states", recovery=False)
 _add_ablation(
     "no-recolouring", "no other colours in sentences", "--options recolour=false"
 )
 _add_ablation("no-reach", "no reach", "--options reach=none")
-_add_ablation("no-language", "control: no language", "--language none", "none")
+_add_ablation(
+    "no-language", "control: no language", "--language none", language="none"
+)
 _add_ablation("shuffled-language", "control: shuffled language", "--language shuffled")

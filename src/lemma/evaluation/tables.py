@@ -16,7 +16,7 @@ from lemma.evaluation.entries import (
     shown,
     starts_perturbed,
 )
-from lemma.evaluation.experiments import ABLATION_BASE, ABLATIONS, SUITES
+from lemma.evaluation.experiments import ABLATIONS, SUITES
 from lemma.evaluation.result import Result
 from lemma.evaluation.said import FULL, LANGUAGES
 from lemma.evaluation.summary import mean_over_tasks
@@ -101,13 +101,9 @@ def by_team(entries: Iterable[Entry], kind: str) -> Table:
 def ablations(entries: Sequence[Entry]) -> Table:
     """Return the success of ReachNet with one thing of its training changed each."""
     rows = [
-        (
-            "ReachNet as it ships" if _is_base(entry) else entry.title,
-            *(_mean(entry, kind) for kind in KINDS),
-        )
-        for wanted in (_is_base, _is_ablation)
+        (entry.title, *(_mean(entry, kind) for kind in KINDS))
         for entry in entries
-        if wanted(entry)
+        if _is_ablation(entry)
     ]
     header = ("mean over the tasks [%]", *(words(kind, "-") for kind in KINDS))
     return Table(header, tuple(rows))
@@ -359,10 +355,6 @@ def _is_asked(entry: Entry, kind: str) -> bool:
 
 def _is_ablation(entry: Entry) -> bool:
     return entry.experiment is not None and entry.experiment.suite == ABLATIONS
-
-
-def _is_base(entry: Entry) -> bool:
-    return entry.experiment is not None and entry.experiment.name == ABLATION_BASE
 
 
 def _mean(entry: Entry, kind: str) -> str:

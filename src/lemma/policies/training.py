@@ -123,7 +123,7 @@ class TrainingConfig:
     device: Literal["auto", "cuda", "cpu"] = "auto"
     """Where to train; auto: on a GPU where there is one."""
     images: Literal["auto", "device", "host"] = "auto"
-    """Where images are kept; auto: on the device if half of its memory holds them."""
+    """Where images are kept; auto: on the device if a tenth of its memory holds them."""
 
     val_every: Count = None
     """Steps between validations. By default twenty in all."""
@@ -243,9 +243,10 @@ class Defaults:
 DEFAULTS: dict[str, Defaults] = {
     # Thirty passes over 5,600 episodes, as the paper's thirty epochs.
     "episodic-transformer": Defaults(samples=168_000, batch_size=32),
-    "cliport": Defaults(samples=384_000, learning_rate=5e-4),
-    "m-cliport": Defaults(samples=384_000, learning_rate=5e-4),
-    "reachnet": Defaults(samples=512_000, batch_size=128, learning_rate=1e-3),
+    # As many as the paper's 300,000 steps of one frame each.
+    "cliport": Defaults(samples=300_000, learning_rate=1e-3),
+    "m-cliport": Defaults(samples=300_000, learning_rate=1e-3),
+    "reachnet": Defaults(samples=400_000, batch_size=128, learning_rate=1e-3),
 }
 """By the name of the model."""
 
