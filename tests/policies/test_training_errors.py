@@ -153,6 +153,17 @@ def run_command(*words: object) -> int | str | None:
     return end.value.code
 
 
+def test_the_command_is_kept_as_it_was_typed(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = f"lemma train {NAME} --data {data} --out {tmp_path} --steps 2"
+    monkeypatch.setattr(sys, "argv", command.split())
+    with pytest.raises(SystemExit):
+        main()
+    report = json.loads((tmp_path / "report.json").read_text("utf-8"))
+    assert report["command"] == command
+
+
 def test_the_command_trains_and_reports(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -263,7 +263,5 @@ _add_ablation(
     "no-recolouring", "no other colours in sentences", "--options recolour=false"
 )
 _add_ablation("no-reach", "no reach", "--options reach=none")
-_add_ablation(
-    "no-language", "control: no language", "--language none", language="none"
-)
+_add_ablation("no-language", "control: no language", "--language none", language="none")
 _add_ablation("shuffled-language", "control: shuffled language", "--language shuffled")

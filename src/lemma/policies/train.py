@@ -114,7 +114,7 @@ def train(
     Args:
         config: What to train, on what, how.
         restart: Whether to begin anew where a run was begun before.
-        command: The command line; that of this process if None.
+        command: The command line; if None, that of this process, which is ``lemma``.
 
     Returns:
         How it went. The best weights are ``weights.safetensors`` in the run's folder.
@@ -126,7 +126,7 @@ def train(
         WeightsError: The checkpoint is damaged.
         TrainingError: The GPU's memory is too small, or training diverged.
     """
-    command = command or shlex.join(["lemma", "train", *sys.argv[1:]])
+    command = command or shlex.join(["lemma", *sys.argv[1:]])
     with processes(config.device) as team:
         config = config.resolved(team.count)
         held = only_writer(config.out) if team.first else nullcontext()
