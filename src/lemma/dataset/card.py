@@ -5,7 +5,7 @@ from pathlib import Path
 from lemma.dataset.files import write_text
 from lemma.dataset.schema import describe, perturbed_as
 
-_CARD = """---
+_HEAD = """---
 license: cc-by-4.0
 task_categories:
 - robotics
@@ -16,7 +16,9 @@ tags:
 - language-conditioned
 - manipulation
 - mujoco
-pretty_name: LEMMA Bench demonstrations
+"""
+
+_CARD = """pretty_name: LEMMA Bench demonstrations
 configs:
 - config_name: default
   data_files:
@@ -58,18 +60,7 @@ crowd-sourced. Do not train on `unseen`.
 """
 
 
-_PERTURBED_CARD = """---
-license: cc-by-4.0
-task_categories:
-- robotics
-language:
-- en
-tags:
-- multi-robot
-- language-conditioned
-- manipulation
-- mujoco
-pretty_name: LEMMA Bench recovery states
+_PERTURBED_CARD = """pretty_name: LEMMA Bench recovery states
 ---
 
 # LEMMA Bench recovery states
@@ -102,4 +93,4 @@ def write_card(folder: Path, about: dict[str, str]) -> None:
         text = _PERTURBED_CARD.format(columns=describe(), more=more, **about)
     else:
         text = _CARD.format(columns=describe(), **about)
-    write_text(folder / "README.md", text)
+    write_text(folder / "README.md", _HEAD + text)

@@ -123,7 +123,7 @@ class TrainingConfig:
     device: Literal["auto", "cuda", "cpu"] = "auto"
     """Where to train; auto: on a GPU where there is one."""
     images: Literal["auto", "device", "host"] = "auto"
-    """Where images are kept; auto: on the device if a tenth of its memory holds them."""
+    """Where images are kept; auto: on the device if a tenth of its memory is enough."""
 
     val_every: Count = None
     """Steps between validations. By default twenty in all."""
