@@ -82,7 +82,8 @@ def _array(value: Any, kind: pa.DataType) -> pa.Array:
 
 def _dtype(scalar: pa.DataType) -> np.dtype[Any]:
     """Return NumPy's name for a type of numbers; pyarrow's own way may need pandas."""
-    return pa.array([], scalar).to_numpy().dtype
+    dtype: np.dtype[Any] = pa.array([], scalar).to_numpy().dtype
+    return dtype
 
 
 def mapped(path: Path) -> pa.NativeFile:
