@@ -51,10 +51,15 @@ def result(rows: list[dict[str, Any]], **about: object) -> Result:
 @pytest.fixture
 def board(tmp_path: Path) -> Path:
     """Return a leaderboard with one entry, called mine."""
+    return submitted(tmp_path, "result/summary.json")
+
+
+def submitted(tmp_path: Path, summary: str) -> Path:
+    """Return a leaderboard with one entry whose summary lay in a file of that name."""
     folder = tmp_path / "result"
     folder.mkdir()
     made = result(lines())
-    made.write(folder / "summary.json")
+    made.write(tmp_path / summary)
     (folder / "about.json").write_text(json.dumps(made.about))
     text = "".join(json.dumps(one) + "\n" for one in lines())
     (folder / "episodes.jsonl").write_text(text)
@@ -83,6 +88,10 @@ def test_an_entry_passes_its_check(board: Path) -> None:
     (line,) = leaders(read_board(board), "high_level").rows
     assert line[:3] == ("[Mine](https://example.org)", "Me", "50.0")
     assert leaders(read_board(board), "human").rows == ()
+
+
+def test_what_reproduce_wrote_can_be_handed_in_too(tmp_path: Path) -> None:
+    check_submission(submitted(tmp_path, "result.json"), "mine")
 
 
 def test_figures_that_were_improved_are_found(board: Path) -> None:

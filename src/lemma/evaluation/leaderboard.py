@@ -85,7 +85,7 @@ def submit(folder: Path, board: Path, name: str, **told: str) -> Path:
     """Add a result to a leaderboard.
 
     Args:
-        folder: What ``lemma evaluate`` wrote.
+        folder: What ``lemma evaluate`` wrote, or ``lemma reproduce`` for a seed.
         board: Folder of the leaderboard.
         name: Of the entry's files.
         told: Title, who and link; see :class:`Submission`.
@@ -97,7 +97,9 @@ def submit(folder: Path, board: Path, name: str, **told: str) -> Path:
         DatasetError: The result is missing or damaged.
         InvalidConfigError: It cannot be an entry.
     """
-    command = read_result(folder / SUMMARY).command
+    # A reproduction keeps its summary beside the folder: only the summary is committed.
+    beside = folder.with_name(f"{folder.name}.json")
+    command = read_result(beside if beside.exists() else folder / SUMMARY).command
     rows = [_without_clock(row) for row in read_rows(folder)]
     result = summarise(rows, read_json(folder / ABOUT), command)
     entry = board / f"{name}.json"

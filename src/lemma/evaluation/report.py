@@ -140,8 +140,8 @@ def _own_sections(
     )
     yield (
         "Ablations",
-        "One thing of ReachNet's training changed each, and two controls; training "
-        "seed 0, but for the first row, which has all seeds.",
+        "One thing left out of ReachNet's training each, and two controls; all are "
+        f"trained alike long, with seed 0: {guide} lists them.",
         tables.ablations(entries),
     )
     yield (
