@@ -83,7 +83,10 @@ def test_figures_of_the_paper_are_of_the_suite() -> None:
 
 def test_every_seed_is_trained_once_for_each_part() -> None:
     lines = commands(selected("paper"))
-    assert len(lines) == len(set(lines)) == 3 * (3 + 5)
+    assert len(lines) == len(set(lines)) == 4 + 3 * (3 + 5)
+    assert all(
+        each.startswith("lemma reproduce") for each in commands(selected("oracle"))
+    )
     assert sum("train cliport" in line for line in lines) == 3
     assert "lemma reproduce m-cliport --weights runs/seed-1" in lines
     assert all("--seed 0" in x for x in commands(selected(ABLATIONS)) if "train" in x)

@@ -18,6 +18,13 @@ SEEDS = (0, 1, 2)
 ABLATIONS = "ablations"
 DATA = "data/lemma-v1-keyframes"
 RECOVERY = "data/lemma-v1-recovery-keyframes"
+DATA_COMMANDS = (
+    "lemma generate --out data/lemma-v1",
+    f"lemma render data/lemma-v1 --form keyframes --out {DATA}",
+    "lemma generate --perturb 0.3 --episodes 150 --out data/lemma-v1-recovery",
+    f"lemma render data/lemma-v1-recovery --form keyframes --out {RECOVERY}",
+)
+"""Make what all trainings need."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from lemma.dataset.files import read_json
 from lemma.evaluation.evaluate import ABOUT, EvaluationOrder, evaluate
 from lemma.evaluation.experiments import (
     ABLATIONS,
+    DATA_COMMANDS,
     SEEDS,
     TRAININGS,
     Experiment,
@@ -119,8 +120,8 @@ class Reproduction:
 
 
 def commands(experiments: list[Experiment]) -> list[str]:
-    """Return the command lines that train and evaluate experiments with every seed."""
-    lines = []
+    """Return the command lines that make data, train and evaluate, with every seed."""
+    lines = list(DATA_COMMANDS) if _needed(experiments) else []
     ablations = bool(experiments) and experiments[0].suite == ABLATIONS
     for seed in SEEDS[:1] if ablations else SEEDS:
         runs = experiments[0].runs(seed)
