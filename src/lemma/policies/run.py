@@ -138,7 +138,7 @@ def _place(config: TrainingConfig, device: torch.device, size: int) -> torch.dev
     if device.type == "cpu" or config.images == "host":
         return host
     free, _ = torch.cuda.mem_get_info(device)
-    # From the host they come as fast; the device's memory has better uses.
+    # From the host they come nearly as fast, and the memory has better uses.
     if config.images == "device" or size < free / 10:
         return device
     return host
