@@ -2,6 +2,8 @@
 
 import shlex
 from dataclasses import replace
+from functools import wraps
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -49,6 +51,28 @@ def test_the_command_line_takes_the_training(name: str) -> None:
     assert (config.seed, config.out) == (2, Path("runs/seed-2") / name)
     _, options = MODELS[config.model]
     model_options(options, config.options)
+
+
+@pytest.mark.parametrize("verb", ["generate", "render", "reproduce"])
+def test_the_command_line_takes_what_is_printed(verb: str) -> None:
+    lines = {
+        line
+        for suite in (ALL, ABLATIONS)
+        for line in commands(selected(suite))
+        if line.startswith(f"lemma {verb} ")
+    }
+    assert len(lines) >= 2
+    function = getattr(import_module(f"lemma.cli.{verb}"), verb)
+
+    @wraps(function)
+    def accept(*_: object, **__: object) -> str:
+        return "taken"
+
+    for line in lines:
+        words = shlex.split(line)[2:]
+        assert tyro.cli(accept, args=words) == "taken"
+        with pytest.raises(SystemExit):
+            tyro.cli(accept, args=[*words, "--no-such-option", "1"])
 
 
 def test_ablations_differ_in_one_thing_each_and_not_in_their_length() -> None:
