@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 from batches import (
-    RASTER,
+    TINY_STREAMS,
     drawn_batch,
     gradients,
     inputs_of,
@@ -27,15 +27,7 @@ from lemma.policies.interfaces import Grounder
 from lemma.scene.entities import ENTITIES
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
-TINY = CLIPortConfig(
-    widths=(16, 16, 24, 32),
-    query_widths=(16, 16, 16, 16),
-    kernel_channels=4,
-    crop=16,
-    text_width=32,
-    text_layers=1,
-    cell_m=RASTER.cell_m,
-)
+TINY = CLIPortConfig(**TINY_STREAMS)
 
 
 def tiny(**changes: Any) -> CLIPort:

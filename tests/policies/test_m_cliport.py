@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import torch
 from batches import (
-    RASTER,
+    TINY_STREAMS,
     drawn_batch,
     gradients,
     inputs_of,
@@ -20,15 +20,7 @@ from lemma.policies.interfaces import Policy
 from lemma.policies.m_cliport import MCLIPort, MCLIPortConfig
 from lemma.tasks.subtask import Primitive
 
-TINY = MCLIPortConfig(
-    widths=(16, 16, 24, 32),
-    query_widths=(16, 16, 16, 16),
-    kernel_channels=4,
-    crop=16,
-    text_width=32,
-    text_layers=1,
-    cell_m=RASTER.cell_m,
-)
+TINY = MCLIPortConfig(**TINY_STREAMS)
 
 
 def tiny() -> MCLIPort:

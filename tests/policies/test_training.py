@@ -14,7 +14,7 @@ import tiny_model
 import torch
 from painted_keyframes import write_painted
 from safetensors.torch import load_file
-from tiny_model import NAME, Tiny, TinyConfig
+from tiny_model import NAME, Tiny, TinyConfig, config
 
 from lemma.core.errors import InvalidConfigError
 from lemma.policies import train as loop
@@ -37,19 +37,6 @@ tiny_model.register()
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("painted")
     return write_painted(folder, {"train": 10, "val": 4})
-
-
-def config(data: Path, out: Path, **options: Any) -> TrainingConfig:
-    given: dict[str, Any] = {
-        "model": NAME,
-        "steps": 24,
-        "batch_size": 4,
-        "val_every": 8,
-        "warmup_steps": 4,
-        "learning_rate": 1e-2,
-        **options,
-    }
-    return TrainingConfig(data=data, out=out, **given)
 
 
 def weights(out: Path) -> dict[str, torch.Tensor]:

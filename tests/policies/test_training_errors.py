@@ -7,14 +7,14 @@ import pytest
 import tiny_model
 import torch
 from painted_keyframes import write_painted
-from tiny_model import NAME, Tiny, TinyConfig
+from tiny_model import NAME, Tiny, TinyConfig, config
 
 from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.dataset.files import MANIFEST
 from lemma.policies.checkpoints import WeightsError
 from lemma.policies.train import Report, TrainingError, train
-from lemma.policies.training import TrainingConfig, model_options
+from lemma.policies.training import model_options
 
 tiny_model.register()
 
@@ -23,19 +23,6 @@ tiny_model.register()
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("painted")
     return write_painted(folder, {"train": 10, "val": 4})
-
-
-def config(data: Path, out: Path, **options: Any) -> TrainingConfig:
-    given: dict[str, Any] = {
-        "model": NAME,
-        "steps": 24,
-        "batch_size": 4,
-        "val_every": 8,
-        "warmup_steps": 4,
-        "learning_rate": 1e-2,
-        **options,
-    }
-    return TrainingConfig(data=data, out=out, **given)
 
 
 def test_another_run_in_the_folder_is_not_overwritten(

@@ -1,7 +1,8 @@
 """A model that is next to nothing, for tests of what surrounds models."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from pathlib import Path
+from typing import Any, ClassVar, Literal
 
 import torch
 from torch import Tensor, nn
@@ -9,6 +10,7 @@ from torch.nn import functional as F
 
 from lemma.policies.frames import PRIMITIVES, Batch
 from lemma.policies.model import MODELS, Model
+from lemma.policies.training import TrainingConfig
 
 NAME = "tiny"
 
@@ -74,6 +76,20 @@ class TinyEpisodes(Tiny):
     """The same, trained on episodes."""
 
     unit: ClassVar[Literal["frame", "episode"]] = "episode"
+
+
+def config(data: Path, out: Path, **options: Any) -> TrainingConfig:
+    """Return a short training of it, with other options where they are given."""
+    given: dict[str, Any] = {
+        "model": NAME,
+        "steps": 24,
+        "batch_size": 4,
+        "val_every": 8,
+        "warmup_steps": 4,
+        "learning_rate": 1e-2,
+        **options,
+    }
+    return TrainingConfig(data=data, out=out, **given)
 
 
 def register() -> None:
