@@ -19,7 +19,7 @@ from tiny_model import NAME, Tiny, TinyConfig, config
 from lemma.core.errors import InvalidConfigError
 from lemma.policies import train as loop
 from lemma.policies.feed import Feed, Order
-from lemma.policies.frames import Frames
+from lemma.policies.frames import Batch, Frames
 from lemma.policies.processes import Processes
 from lemma.policies.run import training_units
 from lemma.policies.train import train
@@ -67,12 +67,26 @@ def assert_same_run(first: Path, second: Path) -> None:
         assert one["so_far"][name] == other["so_far"][name]
 
 
+def test_it_says_how_long_the_model_waited_for_input(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = Feed.make
+
+    def slowly(feed: Feed, step: int) -> Batch:
+        time.sleep(0.2)
+        return make(feed, step)
+
+    monkeypatch.setattr(Feed, "make", slowly)
+    assert train(config(data, tmp_path, steps=6)).input_wait > 0.5
+
+
 def test_a_run_writes_what_it_did(data: Path, tmp_path: Path) -> None:
     report = train(config(data, tmp_path), command="lemma train tiny")
     assert report.status == "finished"
     assert report.steps == 24
     assert report.samples == 96
     assert report.samples_per_s > 0
+    assert 0 < report.input_wait < 1
     assert report.parameters == sum(v.numel() for v in Tiny(TinyConfig()).parameters())
     assert [entry["step"] for entry in report.history] == [8, 16, 24]
     assert set(report.scores_by_kind) == {"high_level", "human"}

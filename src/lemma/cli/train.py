@@ -74,6 +74,7 @@ def _print(config: TrainingConfig, report: object) -> None:
     output().print(
         f"{config.out / 'weights.safetensors'}: {told['parameters']:,} weights from "
         f"step {told['best_step']} of {told['steps']}, in {told['seconds']:.0f} s of "
-        f"training ({told['samples_per_s']:.0f} frames/s on {told['device']}).",
+        f"training ({told['samples_per_s']:.0f} frames/s on {told['device']}, which "
+        f"waited for input {told['input_wait']:.1%} of the time).",
         soft_wrap=True,
     )

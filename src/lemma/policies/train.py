@@ -79,6 +79,8 @@ class Report:
     """Of training, in all runs."""
     samples_per_s: float
     """Frames per second in this run, validation and checkpoints left out."""
+    input_wait: float
+    """Share of that time in which the model waited for its batch, 0 to 1."""
     gpu_memory_gb: float
     """Largest, of this run."""
     device: str
@@ -160,7 +162,7 @@ class _Run:
         self.so_far = _Progress()
         self.steps = config.steps or 0
         self._told: list[dict[str, Tensor]] = []
-        self._busy_s, self._here = 0.0, 0
+        self._busy_s, self._waited_s, self._here = 0.0, 0.0, 0
         if (config.out / CHECKPOINT).exists():
             state = read_state(config.out / CHECKPOINT, team.device)
             self.trainer.restore(state["trainer"])
@@ -209,7 +211,9 @@ class _Run:
                     saved = now
                 if done >= 1.0 or stopped:
                     break
+                asked = time.perf_counter()
                 batch = next(batches)
+                self._waited_s += time.perf_counter() - asked
                 self._told.append(trainer.train(batch, done))
                 self.so_far.samples += len(batch) * self.team.count
                 self._here += len(batch) * self.team.count
@@ -310,6 +314,7 @@ class _Run:
             passes=self.so_far.samples * (1 - share) / frames,
             seconds=self.so_far.elapsed_s,
             samples_per_s=self._here / self._busy_s if self._busy_s else 0.0,
+            input_wait=self._waited_s / self._busy_s if self._busy_s else 0.0,
             gpu_memory_gb=gpu_memory_gb(self.team.device),
             device=_device_name(self.team.device),
             scores=self.so_far.scores,
