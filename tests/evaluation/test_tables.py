@@ -181,6 +181,15 @@ def test_perturbed_starts_stand_beside_the_others() -> None:
     assert tables.language(entries).rows == ()
 
 
+def test_controls_do_not_crowd_the_tables_of_success() -> None:
+    alone = [control("none", 3), control("full", 7, perturb_start=True)]
+    beside = entries_of([control("full", 9), *alone])
+    for table in (tables.by_task, tables.by_team, tables.by_distractors):
+        (row,) = [r for r in table(beside, "high_level").rows if "ReachNet" in r[0]]
+        assert row[-1].startswith("90.0")
+        assert len(table(entries_of(alone), "high_level").rows) == 2
+
+
 def test_coordination_is_of_sums_over_all_tasks() -> None:
     entry = entry_of(result(5))
     found = cells(tables.coordination([entry], "high_level"), entry.title)

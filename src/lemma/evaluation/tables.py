@@ -293,13 +293,21 @@ def _families(
     found: dict[str, list[Result]] = {}
     for entry in entries:
         for result in () if _is_ablation(entry) else entry.results:
-            name = json.dumps(result.about["policy"], sort_keys=True)
-            plain = result.about["language"] == FULL and not starts_perturbed(result)
-            if plain or name not in titles:
+            name = _policy_of(result)
+            if _is_plain(result) or name not in titles:
                 titles[name] = entry.title
             if wanted(result):
                 found.setdefault(name, []).append(result)
     return {titles[name]: results for name, results in found.items()}
+
+
+def _policy_of(result: Result) -> str:
+    return json.dumps(result.about["policy"], sort_keys=True)
+
+
+def _is_plain(result: Result) -> bool:
+    """Whether everything was said and done as the instances have it."""
+    return result.about["language"] == FULL and not starts_perturbed(result)
 
 
 def _by_language(results: Iterable[Result], told: str) -> list[Result]:
@@ -338,11 +346,25 @@ def _breakdown(
 
 
 def _reporting(entries: Iterable[Entry], kind: str) -> list[Entry]:
-    """Return those that are rows of a table of a kind: not the ablations."""
+    """Return those that are rows of a table of a kind.
+
+    Not the ablations, nor a policy that was told other sentences or began elsewhere, if
+    it stands there without: :func:`language` and :func:`starts` compare the two.
+    """
+    entries = [entry for entry in entries if not _is_ablation(entry)]
+    results = [result for entry in entries for result in entry.results]
+    known = {_policy_of(result) for result in results if _is_plain(result)}
+
+    def stands_elsewhere(entry: Entry) -> bool:
+        return bool(entry.results) and all(
+            not _is_plain(result) and _policy_of(result) in known
+            for result in entry.results
+        )
+
     return [
         entry
         for entry in entries
-        if not _is_ablation(entry)
+        if not stands_elsewhere(entry)
         and (entry.has(kind) if entry.results else _is_asked(entry, kind))
     ]
 
