@@ -223,6 +223,17 @@ def test_the_verb_writes_a_page(
     assert tables.NOT_RUN not in text.split("## ", 1)[1]
 
 
+def test_the_verb_passes_over_tables_and_refuses_nothing(tmp_path: Path) -> None:
+    kept = tmp_path / "results"
+    result(5).write(kept / "reachnet" / "seed-0.json")
+    (kept / "results.md").write_text("# Results\n")
+    (kept / "begun").mkdir()
+    assert verb(tuple(sorted(kept.iterdir())), tmp_path / "report") == 0
+    with pytest.raises(DatasetError, match=r"no results in .*begun"):
+        verb((kept / "begun",), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
 def test_tables_are_even() -> None:
     text = page(entries_of([result(5)], complete=True))
     for block in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):

@@ -13,7 +13,7 @@ from lemma.cli.report_page import PAGE, Findings, write_report_page
 from lemma.cli.report_pictures import Pictures, picture_all
 from lemma.cli.terminal import Flag, Number, Word, complain, output
 from lemma.cli.workers import progress_bar
-from lemma.core.errors import InvalidConfigError, RenderingError
+from lemma.core.errors import DatasetError, InvalidConfigError, RenderingError
 from lemma.dataset.files import write_text
 from lemma.evaluation.entries import Entry, entries_of, read_results
 from lemma.evaluation.report import REPORT, page
@@ -75,7 +75,14 @@ def report(
         raise InvalidConfigError(
             f"--failures is 0 or more per policy, not {wishes.failures}."
         )
-    entries = entries_of(read_results(results), complete=complete)
+    read = read_results(results)
+    if not read and not complete:
+        named = ", ".join(map(str, results)) or "nothing"
+        raise DatasetError(
+            f"There are no results in {named}. Name what 'lemma evaluate' or 'lemma "
+            "reproduce' wrote; what was not finished has no result yet."
+        )
+    entries = entries_of(read, complete=complete)
     cases = cases_of(entries, results)
     found = _findings(cases, wishes, out)
     write_text(out / REPORT, page(entries))

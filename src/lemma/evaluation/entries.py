@@ -86,7 +86,8 @@ def read_results(paths: Iterable[Path]) -> list[Result]:
     """Read results.
 
     Args:
-        paths: Files, or folders that hold some, at any depth.
+        paths: Files, or folders that hold some, at any depth. What is no JSON is passed
+            over.
 
     Raises:
         DatasetError: One is missing or damaged, or they are of different protocols.
@@ -107,7 +108,8 @@ def read_results(paths: Iterable[Path]) -> list[Result]:
 
 def _files(path: Path) -> list[Path]:
     if path.is_file():
-        return [path]
+        # A shell's results/* also names the tables that stand beside the results.
+        return [path] if path.suffix == ".json" else []
     if not path.is_dir():
         raise DatasetError(
             f"There is no {path}. Name what 'lemma evaluate' or 'lemma reproduce' "
