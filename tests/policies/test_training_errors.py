@@ -13,7 +13,8 @@ from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.dataset.files import MANIFEST
 from lemma.policies.checkpoints import WeightsError
-from lemma.policies.train import Report, TrainingError, train
+from lemma.policies.run_report import Report
+from lemma.policies.train import TrainingError, train
 from lemma.policies.training import model_options
 
 tiny_model.register()
