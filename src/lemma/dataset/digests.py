@@ -6,6 +6,7 @@ authors' came to, episode by episode, without fetching anything.
 
 import hashlib
 import json
+from collections.abc import Iterable
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -30,7 +31,7 @@ def shorten(digest: str) -> str:
     return digest[:32]
 
 
-def content_digest(digests: list[str]) -> str:
+def content_digest(digests: Iterable[str]) -> str:
     """Return the SHA-256 of a list of digests: of what a file or a split says."""
     return hashlib.sha256("".join(digests).encode()).hexdigest()
 

@@ -14,6 +14,7 @@ from time import perf_counter
 from typing import Any, Protocol
 
 from lemma.core.errors import DatasetError, UnknownNameError
+from lemma.dataset.digests import content_digest
 from lemma.dataset.engines import Engine, is_worker
 from lemma.dataset.files import (
     CARD,
@@ -374,6 +375,7 @@ def _write_manifest(
             rows += found.rows
             files[path.relative_to(folder).as_posix()] = {
                 "sha256": sums.get(path) or sha256_of(path),
+                "content_sha256": content_digest(found.digests),
                 "bytes": path.stat().st_size,
                 "episodes": len(found.digests),
                 "rows": found.rows,

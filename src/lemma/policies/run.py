@@ -48,6 +48,9 @@ class Data:
 def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
     """Return version and digest of rendered keyframes.
 
+    The digest is of what decides every bit of them: the episodes of the recipe, the
+    form, the software and what drew them.
+
     Args:
         folder: Where they are.
         recovery: Whether they shall be recovery states, and not demonstrations.
@@ -81,7 +84,11 @@ def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
             f"{folder} holds {executions(found)}. They are mixed in with --recovery; "
             "--data takes demonstrations, by which the best weights are chosen."
         )
-    text = json.dumps({name: files[name]["sha256"] for name in sorted(files)})
+    # The files' own checksums would not do: the revision that drew them is in them.
+    decisive = {name: found[name] for name in found if name != "revision"}
+    content = {name: entry.get("content_sha256", entry["sha256"]) for name, entry in files.items()}
+    told = {"about": {**about, "versions": decisive}, "content": content}
+    text = json.dumps(told, sort_keys=True)
     return {
         "benchmark": BENCHMARK_VERSION,
         "digest": hashlib.sha256(text.encode()).hexdigest(),
