@@ -1,7 +1,6 @@
 from pathlib import Path
 
 import pytest
-from rendered_sets import SPLIT, TASKS, contents, recipe_folder
 
 from lemma.dataset.capture import KeyframeForm
 from lemma.dataset.engines import Serial
@@ -9,6 +8,7 @@ from lemma.dataset.files import REVISION_VARIABLE
 from lemma.dataset.generate import Order, generate
 from lemma.dataset.render import RenderOrder, render
 from lemma.policies.run import check_data
+from rendered_sets import SPLIT, TASKS, contents, recipe_folder
 
 
 @pytest.mark.render

@@ -86,7 +86,10 @@ def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
         )
     # The files' own checksums would not do: the revision that drew them is in them.
     decisive = {name: found[name] for name in found if name != "revision"}
-    content = {name: entry.get("content_sha256", entry["sha256"]) for name, entry in files.items()}
+    content = {
+        name: entry.get("content_sha256", entry["sha256"])
+        for name, entry in files.items()
+    }
     told = {"about": {**about, "versions": decisive}, "content": content}
     text = json.dumps(told, sort_keys=True)
     return {
