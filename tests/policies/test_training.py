@@ -39,6 +39,29 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_painted(folder, {"train": 10, "val": 4})
 
 
+def test_a_batch_is_wholly_on_the_device_that_is_asked_for(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What stands in for a GPU has no memory to be copied from.
+    monkeypatch.setattr(torch.Tensor, "pin_memory", lambda tensor: tensor)
+    frames = Frames.load(data)
+    here = frames.batch([0, 2])
+    there = frames.batch([0, 2], torch.device("meta"))
+    assert here.labels is not None
+    assert there.labels is not None
+    seen = 0
+    for one, other in ((here, there), (here.labels, there.labels)):
+        for name, value in vars(one).items():
+            if isinstance(value, torch.Tensor):
+                moved = getattr(other, name)
+                assert (value.device.type, moved.device.type) == ("cpu", "meta")
+                assert (value.shape, value.dtype) == (moved.shape, moved.dtype)
+                seen += 1
+            elif name != "labels":
+                assert value == getattr(other, name)
+    assert seen > 10
+
+
 def weights(out: Path) -> dict[str, torch.Tensor]:
     return load_file(out / "weights.safetensors")
 

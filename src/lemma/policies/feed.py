@@ -7,7 +7,7 @@ that was stopped goes on as if it had not been.
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from queue import Empty, Full, Queue
 from threading import Event, Thread
@@ -137,12 +137,12 @@ class Feed:
             if last > first:
                 units = recovery.order.between(first, last)
                 rows = [i for unit in units for i in recovery.units[unit]]
-                found.append(moved(recovery.frames.batch(rows), self._device))
+                found.append(recovery.frames.batch(rows, self._device))
         if after > before:
             rows = [
                 i for unit in order.between(before, after) for i in self._units[unit]
             ]
-            found.append(moved(self._frames.batch(rows), self._device))
+            found.append(self._frames.batch(rows, self._device))
         if len(found) == 1:
             return found[0]
         mixed_in, usual = found
@@ -209,22 +209,6 @@ class Feed:
                 ready.record(own)
                 if not _put(queue, stop, (batch, ready)):
                     return
-
-
-def moved(batch: Batch, device: torch.device) -> Batch:
-    """Return a batch whose tensors are on a device."""
-    if batch.rgb.device == device or (device.type == "cpu" == batch.rgb.device.type):
-        return batch
-
-    def there(part: Any) -> dict[str, Any]:
-        return {
-            f.name: getattr(part, f.name).pin_memory().to(device, non_blocking=True)
-            for f in fields(part)
-            if isinstance(getattr(part, f.name), Tensor)
-        }
-
-    labels = batch.labels and replace(batch.labels, **there(batch.labels))
-    return replace(batch, **there(batch), labels=labels)
 
 
 def _tensors(batch: Batch) -> list[Tensor]:

@@ -190,15 +190,21 @@ class Frames:
         """Robots of every scene."""
         return self._arms.shape[1]
 
-    def batch(self, indices: Tensor | Sequence[int]) -> Batch:
+    def batch(
+        self, indices: Tensor | Sequence[int], device: torch.device | None = None
+    ) -> Batch:
         """Return frames with labels, instructions as they were recorded.
 
         Args:
             indices: Which frames, (B,), in any order.
+            device: Where the batch shall be; where the frames are, if None.
         """
+        device = device or self.device
         rows = torch.as_tensor(indices, device=self.device)
         listed = rows.tolist()
-        height = self.height[rows]
+        # Heights travel as they are stored: in metres they have twice as many bytes.
+        rgb = _sent(self.rgb.index_select(0, rows), device)
+        height = _sent(self.height.index_select(0, rows), device)
         coverage = height != 0
         height_m = height.float() * UNIT_M + (self.raster.floor_m - UNIT_M)
         labels = Labels(
@@ -215,9 +221,9 @@ class Frames:
             robot_colours=[self.robot_colours[i] for i in listed],
             perturbed=torch.full_like(rows, self.perturbed, dtype=torch.bool),
         )
-        return with_sub_instructions(
+        batch = with_sub_instructions(
             Batch(
-                rgb=self.rgb[rows],
+                rgb=rgb,
                 height_m=torch.where(coverage, height_m, 0.0),
                 coverage=coverage,
                 joints=self._floats["joints"][rows],
@@ -229,6 +235,7 @@ class Frames:
                 labels=labels,
             )
         )
+        return _moved(batch, device)
 
     def _tensor(self, values: Any, dtype: torch.dtype) -> Tensor:
         return torch.as_tensor(np.asarray(values)).to(self.device, dtype)
@@ -269,6 +276,24 @@ def batch_of(
         sub_instructions=list(sub_instructions),
         raster=raster,
     )
+
+
+def _moved(batch: Batch, device: torch.device) -> Batch:
+    """Return a batch with all its tensors on a device."""
+
+    def there(part: Any) -> dict[str, Any]:
+        values = {f.name: getattr(part, f.name) for f in fields(part)}
+        return {n: _sent(v, device) for n, v in values.items() if isinstance(v, Tensor)}
+
+    labels = batch.labels and replace(batch.labels, **there(batch.labels))
+    return replace(batch, **there(batch), labels=labels)
+
+
+def _sent(tensor: Tensor, device: torch.device) -> Tensor:
+    """Return a tensor on a device, without waiting until it is there."""
+    if tensor.device.type == device.type:
+        return tensor
+    return tensor.pin_memory().to(device, non_blocking=True)
 
 
 def with_sub_instructions(batch: Batch) -> Batch:

@@ -7,7 +7,6 @@ from torch import Tensor
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
-from lemma.policies.feed import moved
 from lemma.policies.frames import Frames
 from lemma.policies.model import Model
 from lemma.policies.processes import Processes
@@ -40,7 +39,7 @@ def validate(
     starts = range(0, len(units), batch_size)
     for start in starts[team.rank :: team.count]:
         rows = [i for unit in units[start : start + batch_size] for i in unit]
-        batch = moved(frames.batch(rows), team.device)
+        batch = frames.batch(rows, team.device)
         batch = with_instructions(batch, 0, 0, kinds or config.kinds)
         batch = with_language(batch, config.language, stream("control", start))
         with torch.inference_mode(), autocast(config, team.device):
