@@ -111,9 +111,9 @@ def test_ablations_have_a_table_of_their_own() -> None:
             result(8, experiment="complete"),
         ]
     )
-    assert [line[:2] for line in tables.ablations(entries).rows] == [
-        ("nothing left out", "80.0 (58–92)"),
-        ("no palette swap", "30.0 (15–52)"),
+    assert [(*line[:2], line[-1]) for line in tables.ablations(entries).rows] == [
+        ("nothing left out", "80.0 (58–92)", "20"),
+        ("no palette swap", "30.0 (15–52)", "20"),
     ]
     titles = [line[0] for line in tables.by_task(entries, "high_level").rows]
     assert titles == ["ReachNet (ours)"]

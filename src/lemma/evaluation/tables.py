@@ -101,11 +101,16 @@ def by_team(entries: Iterable[Entry], kind: str) -> Table:
 def ablations(entries: Sequence[Entry]) -> Table:
     """Return the success of ReachNet with one thing of its training changed each."""
     rows = [
-        (entry.title, *(_mean(entry, kind) for kind in KINDS))
+        (
+            entry.title,
+            *(_mean(entry, kind) for kind in KINDS),
+            str(sum(_episodes(entry, kind) for kind in KINDS) or NOTHING),
+        )
         for entry in entries
         if _is_ablation(entry)
     ]
-    header = ("mean over the tasks [%]", *(words(kind, "-") for kind in KINDS))
+    kinds = (words(kind, "-") for kind in KINDS)
+    header = ("mean over the tasks [%]", *kinds, "episodes")
     return Table(header, tuple(rows))
 
 
