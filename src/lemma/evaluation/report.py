@@ -22,7 +22,8 @@ Success rates of policies on the frozen lists, skills executed in the simulator.
 page is written by a command, from {source} and from nothing else.
 
 - **What a number is.** {protocol}
-  An episode counts if its goal holds at the end. {guide} says what else fixes a number.
+  Some rows are of fewer: the table *How each row is made* says of how many. An episode
+  counts if its goal holds at the end. {guide} says what else fixes a number.
 - **Intervals.** With one training seed: the rate and its 95 % Wilson interval over the
   episodes. With several: mean ± standard deviation over the seeds. The simulator is
   deterministic, so a second run of the same weights gives the same episodes.
