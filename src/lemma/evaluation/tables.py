@@ -109,8 +109,7 @@ def ablations(entries: Sequence[Entry]) -> Table:
         for entry in entries
         if _is_ablation(entry)
     ]
-    kinds = (words(kind, "-") for kind in KINDS)
-    header = ("mean over the tasks [%]", *kinds, "episodes")
+    header = ("mean over the tasks [%]", *(words(k, "-") for k in KINDS), "episodes")
     return Table(header, tuple(rows))
 
 
