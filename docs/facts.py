@@ -19,18 +19,18 @@ from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from lemma.cli.recording import record, robot_titles
 from lemma.cli.tasks import describe
-from lemma.robots.envelope import sweep_radius_m
+from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
-from lemma.robots.ur import ARMS
-from lemma.scene.compose import compile_model
+from lemma.robots.ur.build import ARMS
+from lemma.scene.build import compile_model
 from lemma.scene.spec import STICK
+from lemma.tasks.drags import find_drag
 from lemma.tasks.instance import Instance
+from lemma.tasks.language.template import KINDS
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.suite import load_instance
-from lemma.tasks.template import KINDS
-from lemma.tasks.tool_use import find_drag
+from lemma.viz.recording import record, robot_titles
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 from make_pictures import MOMENTS

@@ -9,7 +9,7 @@ from pathlib import Path
 from PIL import Image
 
 import lemma
-from lemma.scene.rendering import Renderer
+from lemma.scene.rendering.renderer import Renderer
 
 instance = lemma.load_instance("hook_stack", "test", 3)
 print(instance.key, "|", instance.team, "|", instance.instructions["human"])

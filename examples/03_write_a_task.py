@@ -6,8 +6,8 @@ python examples/03_write_a_task.py [SEED]
 import sys
 
 import lemma
-from lemma.tasks.board import Board
 from lemma.tasks.goal import Goal, On
+from lemma.tasks.placement import Board
 
 
 def arrange(board: Board) -> Goal:

@@ -2,7 +2,7 @@
 
 python examples/04_policy_server.py         both in one process, for one episode
 python examples/04_policy_server.py 8000    serve until Ctrl-C; then, elsewhere:
-lemma evaluate --policy http://127.0.0.1:8000 --tasks stack --out out/by_colour
+lemma evaluate --policy http://127.0.0.1:8000 --tasks stack --out out/by_color
 
 What serves needs NumPy, Gymnasium, msgpack and websockets, and neither MuJoCo nor
 torch. It may run in another environment, in a container, or on another machine.
@@ -15,16 +15,16 @@ import numpy as np
 
 from lemma.core.poses import Pose2
 from lemma.policies.interfaces import Decision, PolicyInput, View
-from lemma.scene.palette import OBJECT_COLOURS
+from lemma.scene.palette import OBJECT_COLORS
 from lemma.serve import PolicyServer, serve
-from lemma.tasks.language import parse
+from lemma.tasks.language.bank import parse
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 CELL_M = 0.008
 CUBE_M = 0.05
 
 
-class ByColour:
+class ByColor:
     """Stacks the cubes of the instruction in the middle, wherever it sees their colors.
 
     Two moves and no learning: a frame to put a model into.
@@ -53,15 +53,15 @@ class ByColour:
         )
 
 
-def find(view: View, colour: str) -> Pose2 | None:
+def find(view: View, color: str) -> Pose2 | None:
     """Return the middle of the cube of a color on the map."""
     rgb = view.rgb / (view.rgb.sum(-1, keepdims=True) + 1.0)
-    names = list(OBJECT_COLOURS)
-    shades = np.array([OBJECT_COLOURS[name][:3] for name in names])
+    names = list(OBJECT_COLORS)
+    shades = np.array([OBJECT_COLORS[name][:3] for name in names])
     shades = shades / shades.sum(-1, keepdims=True)
     nearest = np.linalg.norm(rgb[..., None, :] - shades, axis=-1).argmin(-1)
     tall = np.abs(view.height_m - CUBE_M) < 0.01
-    rows, columns = np.nonzero(tall & (nearest == names.index(colour)))
+    rows, columns = np.nonzero(tall & (nearest == names.index(color)))
     if len(rows) == 0:
         return None
     height, width = view.height_m.shape
@@ -75,14 +75,14 @@ def find(view: View, colour: str) -> Pose2 | None:
 def ask(url: str) -> None:
     """Play one episode with the policy that answers at an address."""
     # What asks is the benchmark, which has the simulator.
-    from lemma.evaluation.preflight import check_server  # noqa: PLC0415
-    from lemma.evaluation.rollout import Play, Player, play_all  # noqa: PLC0415
-    from lemma.policies.specification import PolicySpec  # noqa: PLC0415
+    from lemma.evaluation.run.rollout import Player, Rollout, roll_out  # noqa: PLC0415
+    from lemma.evaluation.run.server_check import check_server  # noqa: PLC0415
+    from lemma.policies.spec import PolicySpec  # noqa: PLC0415
     from lemma.tasks.suite import load_instance  # noqa: PLC0415
 
     print(check_server(url))
-    [play] = play_all(
-        [Play(load_instance("stack", "test", 0))], Player.load(PolicySpec(url))
+    [play] = roll_out(
+        [Rollout(load_instance("stack", "test", 0))], Player.load(PolicySpec(url))
     )
     print(play.instruction)
     for step in play.steps:
@@ -92,7 +92,7 @@ def ask(url: str) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        serve(ByColour(), port=int(sys.argv[1]), on_ready=print)
+        serve(ByColor(), port=int(sys.argv[1]), on_ready=print)
     else:
-        with PolicyServer(ByColour(), port=0) as server:
+        with PolicyServer(ByColor(), port=0) as server:
             ask(server.url)

@@ -18,13 +18,13 @@ import numpy as np
 import torch
 
 from lemma.core.seeding import stream
-from lemma.policies.paraphrase import ParaphraseConfig, paraphrase
-from lemma.policies.reachnet_language import GoalReader, goal_numbers
-from lemma.policies.text import SENTENCE, TEXT_KINDS, TextConfig
-from lemma.scene.palette import OBJECT_COLOURS
-from lemma.tasks.language import templates
+from lemma.policies.models.reachnet.goal_reader import GoalReader, goal_numbers
+from lemma.policies.text.encoder import SENTENCE, TEXT_KINDS, TextConfig
+from lemma.policies.text.paraphrase import ParaphraseConfig, paraphrase
+from lemma.scene.palette import OBJECT_COLORS
+from lemma.tasks.language.bank import templates
+from lemma.tasks.language.template import GoalPairs, Template
 from lemma.tasks.suite import SUITE
-from lemma.tasks.template import GoalPairs, Template
 
 NATIVE = ParaphraseConfig(
     native=1.0, clause_dropped=0.0, clause_added=0.0, swapped=0.0, left_out=0.0
@@ -47,7 +47,7 @@ def draw_goal(template: Template, rng: np.random.Generator) -> GoalPairs:
     """Draw a goal of a template's shape; no entity occurs twice."""
     assert template.entity_kinds is not None
     left = {
-        kind: list(rng.permutation(list(OBJECT_COLOURS))) for kind in ("cube", "pad")
+        kind: list(rng.permutation(list(OBJECT_COLORS))) for kind in ("cube", "pad")
     }
     return tuple(
         (f"{left[top].pop()}_{top}", f"{left[bottom].pop()}_{bottom}")

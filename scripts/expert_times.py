@@ -9,13 +9,13 @@ import json
 import sys
 from pathlib import Path
 
-from lemma.dataset.engines import Processes
-from lemma.evaluation.expert_times import TIMES, time_all
+from lemma.core.parallel import ProcessPool
+from lemma.evaluation.run.expert_times import TIMES, time_all
 
 TABLE = Path(__file__).parents[1] / "src" / "lemma" / "evaluation" / TIMES
 
 if __name__ == "__main__":
-    table = time_all(Processes(int(sys.argv[1])))
+    table = time_all(ProcessPool(int(sys.argv[1])))
     lines = [
         f'"{split}": {{\n'
         + ",\n".join(

@@ -9,7 +9,7 @@ Run from the repository:
 import argparse
 from pathlib import Path
 
-from lemma.evaluation.leaderboard import (
+from lemma.evaluation.experiments.leaderboard import (
     board_page,
     check_submission,
     read_board,

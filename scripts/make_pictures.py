@@ -11,12 +11,12 @@ from pathlib import Path
 
 from PIL import Image
 
-from lemma.cli.caption import caption
-from lemma.cli.recording import record
-from lemma.cli.viewpoint import outline, overview
-from lemma.scene.rendering import Renderer
+from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import load_instance
+from lemma.viz.camera_fit import outline, overview
+from lemma.viz.caption import caption
+from lemma.viz.recording import record
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from lemma.dataset.digests import export
-from lemma.dataset.engines import Processes
-from lemma.dataset.generate import Order, generate
-from lemma.dataset.reader import load
-from lemma.dataset.replay import replay_all
+from lemma.core.parallel import ProcessPool
+from lemma.dataset.recipe.digests import export
+from lemma.dataset.recipe.generate import GenerateConfig, generate
+from lemma.dataset.recipe.reader import load
+from lemma.dataset.recipe.replay import replay_all
 
 STEPS = ("generate", "replay", "digests")
 
@@ -43,8 +43,8 @@ class Progress:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     """Do the steps and return the figures."""
-    order = Order(out=arguments.out, episodes=arguments.episodes)
-    engine = Processes(arguments.workers)
+    order = GenerateConfig(out=arguments.out, episodes=arguments.episodes)
+    engine = ProcessPool(arguments.workers)
     steps = (arguments.only,) if arguments.only else STEPS
     figures: dict[str, Any] = {
         "machine": platform.processor() or platform.machine(),

@@ -22,17 +22,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.policies.sentence_features import MODEL_NAME, digest, load_model
-from lemma.scene.palette import OBJECT_COLOURS
-from lemma.tasks.language import (
+from lemma.policies.text.sentence_features import MODEL_NAME, digest, load_model
+from lemma.scene.palette import OBJECT_COLORS
+from lemma.tasks.language.bank import (
     KINDS,
     robot_phrases,
     sub_instruction,
     templates,
     vocabulary,
 )
+from lemma.tasks.language.template import GoalPairs, Template
 from lemma.tasks.suite import SUITE
-from lemma.tasks.template import GoalPairs, Template
 
 DATA = Path(__file__).parents[1] / "src" / "lemma" / "policies" / "data"
 COMMON = 25_000
@@ -116,7 +116,7 @@ def eight_bits(values: Array) -> tuple[NDArray[np.int8], Array]:
 
 
 def sentences(kinds: Sequence[str]) -> Iterator[str]:
-    """Render every template of some kinds with every choice of colours."""
+    """Render every template of some kinds with every choice of colors."""
     for task, kind in product(SUITE, kinds):
         for template in templates(task, kind):
             for goal in goals(template):
@@ -129,10 +129,10 @@ def goals(template: Template) -> Iterator[GoalPairs]:
     kinds = [kind for pair in template.entity_kinds for kind in pair]
     cubes = [i for i, kind in enumerate(kinds) if kind == "cube"]
     pads = [i for i, kind in enumerate(kinds) if kind == "pad"]
-    for of_cubes in permutations(OBJECT_COLOURS, len(cubes)):
-        for of_pads in permutations(OBJECT_COLOURS, len(pads)):
-            colours = dict(zip([*cubes, *pads], [*of_cubes, *of_pads], strict=True))
-            names = [f"{colours[i]}_{kind}" for i, kind in enumerate(kinds)]
+    for of_cubes in permutations(OBJECT_COLORS, len(cubes)):
+        for of_pads in permutations(OBJECT_COLORS, len(pads)):
+            colors = dict(zip([*cubes, *pads], [*of_cubes, *of_pads], strict=True))
+            names = [f"{colors[i]}_{kind}" for i, kind in enumerate(kinds)]
             yield tuple(zip(names[::2], names[1::2], strict=True))
 
 
@@ -141,8 +141,8 @@ def sub_instructions() -> Iterator[str]:
     yield sub_instruction("", "stop")
     teams = product(("red", "white"), repeat=2)
     robots = sorted({name for team in teams for name in robot_phrases(team)})
-    cubes = [f"{colour}_cube" for colour in OBJECT_COLOURS]
-    places = [*cubes, *(f"{colour}_pad" for colour in OBJECT_COLOURS), "shared"]
+    cubes = [f"{color}_cube" for color in OBJECT_COLORS]
+    places = [*cubes, *(f"{color}_pad" for color in OBJECT_COLORS), "shared"]
     for robot in robots:
         for pick, place in product([*cubes, "stick"], places):
             if pick != place:

@@ -24,20 +24,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.cli.machine import describe_machine, usable_cores
-from lemma.dataset.capture import KeyframeForm
-from lemma.dataset.dense_form import DenseForm
-from lemma.dataset.engines import Processes, Serial, peak_memory_mb
-from lemma.dataset.generate import Order, generate
+from lemma.bench.machine import describe_machine
+from lemma.core.parallel import ProcessPool, Serial, peak_memory_mb, usable_cores
 from lemma.dataset.instructions import Language
-from lemma.dataset.keyframe_dataset import (
+from lemma.dataset.recipe.generate import GenerateConfig, generate
+from lemma.dataset.rendered.dense_form import DenseForm
+from lemma.dataset.rendered.keyframes.capture import KeyframeForm
+from lemma.dataset.rendered.keyframes.dataset import (
     CAMERA_COLUMNS,
     MAP_COLUMNS,
     POLICY_COLUMNS,
     KeyframeDataset,
 )
-from lemma.dataset.keyframe_loading import KeyframeLoader, MapsInMemory
-from lemma.dataset.render import RenderOrder, render
+from lemma.dataset.rendered.keyframes.loader import KeyframeLoader, MapsInMemory
+from lemma.dataset.rendered.render import RenderConfig, render
 
 BATCH = 32
 WORKERS = 2
@@ -52,8 +52,8 @@ def generation(folder: Path, episodes: int) -> dict[str, Any]:
     powers = (2**power for power in range(cores.bit_length()))
     for workers in sorted({*powers, cores}):
         out = folder / f"recipe-{workers}"
-        order = Order(out=out, splits=(SPLIT,), episodes=episodes)
-        made = generate(order, Processes(workers))
+        order = GenerateConfig(out=out, splits=(SPLIT,), episodes=episodes)
+        made = generate(order, ProcessPool(workers))
         rate = made.made / made.seconds
         figures[f"episodes_per_s_{workers}_workers"] = round(rate, 2)
         figures[f"worker_peak_mb_{workers}_workers"] = round(made.worker_mb)
@@ -65,10 +65,10 @@ def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
     figures: dict[str, Any] = {"machine": describe_machine()}
     frames, steps = folder / "keyframes", folder / "dense"
     # The first pictures compile and start things, which is not counted.
-    (first, *_) = RenderOrder(recipe=recipe, out=frames).groups()
-    warm = RenderOrder(recipe=recipe, out=frames, tasks=(first[0].stem,))
+    (first, *_) = RenderConfig(recipe=recipe, out=frames).groups()
+    warm = RenderConfig(recipe=recipe, out=frames, tasks=(first[0].stem,))
     before = render(warm, KeyframeForm(), Serial())
-    made = render(RenderOrder(recipe=recipe, out=frames), KeyframeForm(), Serial())
+    made = render(RenderConfig(recipe=recipe, out=frames), KeyframeForm(), Serial())
     counted = made.rows - before.rows
     figures["keyframes"] = made.rows
     figures["render_keyframes_per_s_and_core"] = round(counted / made.seconds, 1)
@@ -76,7 +76,7 @@ def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
     for part in ("maps", "cameras"):
         size = sum(path.stat().st_size for path in (frames / part).rglob("*.arrow"))
         figures[f"{part}_kb_per_keyframe"] = round(size / made.rows / 1e3, 1)
-    dense = render(RenderOrder(recipe=recipe, out=steps), DenseForm(), Serial())
+    dense = render(RenderConfig(recipe=recipe, out=steps), DenseForm(), Serial())
     figures["dense_steps_per_s_and_core"] = round(dense.rows / dense.seconds)
     figures["dense_bytes_per_step"] = round(dense.size_mb * 1e6 / dense.rows)
     maps = KeyframeDataset(frames, SPLIT, columns=(*MAP_COLUMNS, *POLICY_COLUMNS))

@@ -14,9 +14,9 @@ from collections.abc import Iterator
 
 import torch
 
-from lemma.dataset.keyframe_loading import MapsInMemory
-from lemma.expert.perturbation import NONE
-from lemma.policies.frames import Frames
+from lemma.dataset.rendered.keyframes.loader import MapsInMemory
+from lemma.expert.disturbances import NONE
+from lemma.policies.batch import Frames
 from lemma.policies.model import Model
 from lemma.policies.weights import load_model
 

@@ -1,7 +1,7 @@
 """Freeze the protocol, and write docs/protocol.md from it.
 
 Run from the repository: ``python scripts/protocol.py``. A protocol that has results is
-changed under a new name, ``NAME`` in ``lemma.evaluation.protocol``.
+changed under a new name, ``NAME`` in ``lemma.evaluation.run.protocol``.
 """
 
 import json
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lemma.evaluation.protocol import PROTOCOL, flat, in_force, sha256_of_protocol
+from lemma.evaluation.run.protocol import PROTOCOL, flat, in_force, sha256_of_protocol
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "src" / "lemma" / "evaluation" / PROTOCOL

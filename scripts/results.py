@@ -6,8 +6,8 @@ that nothing was run.
 
 from pathlib import Path
 
-from lemma.evaluation.entries import entries_of, read_results
-from lemma.evaluation.report import page
+from lemma.evaluation.report.policy_results import entries_of, read_results
+from lemma.evaluation.report.sections import page
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"

@@ -8,7 +8,7 @@ With --check nothing is written; the exit code says whether the page is up to da
 import sys
 from pathlib import Path
 
-from lemma.dataset.schema import describe
+from lemma.dataset.recipe.schema import describe
 
 PAGE = Path(__file__).parents[1] / "docs" / "dataset_format.md"
 BLOCKS = {"columns": describe(), "perturbed columns": describe(perturbed=True)}

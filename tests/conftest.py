@@ -24,7 +24,7 @@ def why_no_opengl() -> str:
     ``MUJOCO_GL`` stays as it is: the package does not need it, and setting it would
     hide the automatic choice from the tests.
     """
-    from lemma.scene.opengl import choose_backend
+    from lemma.scene.rendering.gl_backend import choose_backend
 
     try:
         choose_backend()

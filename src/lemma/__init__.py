@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from lemma.registration import make, parallel_env, register_environments
 
 if TYPE_CHECKING:
-    from lemma.dataset.reader import load
+    from lemma.dataset.recipe.reader import load
     from lemma.env.episode import Episode
     from lemma.expert.expert import Expert, solve
     from lemma.expert.policy import ExpertPolicy
     from lemma.tasks.instance import Instance
-    from lemma.tasks.language import LanguageBank
+    from lemma.tasks.language.bank import LanguageBank
     from lemma.tasks.suite import SUITE, load_instance
     from lemma.tasks.task import TASKS, Task
 
@@ -43,11 +43,11 @@ _HOMES = {
     "Expert": "lemma.expert.expert",
     "ExpertPolicy": "lemma.expert.policy",
     "Instance": "lemma.tasks.instance",
-    "LanguageBank": "lemma.tasks.language",
+    "LanguageBank": "lemma.tasks.language.bank",
     "SUITE": "lemma.tasks.suite",
     "TASKS": "lemma.tasks.suite",
     "Task": "lemma.tasks.task",
-    "load": "lemma.dataset.reader",
+    "load": "lemma.dataset.recipe.reader",
     "load_instance": "lemma.tasks.suite",
     "solve": "lemma.expert.expert",
 }

@@ -7,8 +7,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 if TYPE_CHECKING:
+    from lemma.env.base_env import LemmaEnv
     from lemma.env.control_env import ControlEnv
-    from lemma.env.gym_env import LemmaEnv
     from lemma.env.parallel_env import LemmaParallelEnv
     from lemma.env.skill_env import SkillEnv
     from lemma.expert.plan_env import PlanEnv

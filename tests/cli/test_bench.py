@@ -2,8 +2,8 @@ import json
 
 import pytest
 
+from lemma.bench.speed import Trial, expert_figures, peak_memory_mb, run_trials
 from lemma.cli.main import main
-from lemma.cli.measure import Trial, expert_figures, peak_memory_mb, run_trials
 
 SPEED = {
     *("realtime_factor", "camera_fps", "map_ms"),

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lemma.cli.caption import caption
 from lemma.cli.main import main
-from lemma.cli.page import Illustration, jpeg, write_page
-from lemma.cli.recording import Recording, record
-from lemma.cli.video import VideoStyle
 from lemma.tasks.suite import load_instance
+from lemma.viz.caption import caption
+from lemma.viz.pages.demo import Illustration, jpeg, write_page
+from lemma.viz.recording import Recording, record
+from lemma.viz.video import VideoStyle
 
 
 def run(*words: object) -> int | str | None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from lemma.cli import checks
+from lemma.bench import checks
 from lemma.cli.main import main
 from lemma.core.errors import RenderingError
 

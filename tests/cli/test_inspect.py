@@ -8,19 +8,21 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from lemma.cli.charts import Part, Range, histogram, ranges, rates, stacked
-from lemma.cli.dataset_page import p_words, verdict_words
 from lemma.cli.main import main
-from lemma.dataset.balance import Balance, Evenness
-from lemma.dataset.engines import Serial
-from lemma.dataset.generate import Order, generate
+from lemma.core.parallel import Serial
+from lemma.dataset.recipe.balance import Balance, Evenness
+from lemma.dataset.recipe.generate import GenerateConfig, generate
+from lemma.viz.charts import Part, Range, histogram, ranges, rates, stacked
+from lemma.viz.pages.dataset import p_words, verdict_words
 
 
 @pytest.fixture(scope="module")
 def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two episodes of pass and two of stack."""
     folder = tmp_path_factory.mktemp("recipe") / "<small> & odd"
-    order = Order(out=folder, tasks=("pass", "stack"), splits=("val",), episodes=2)
+    order = GenerateConfig(
+        out=folder, tasks=("pass", "stack"), splits=("val",), episodes=2
+    )
     generate(order, Serial())
     return folder
 

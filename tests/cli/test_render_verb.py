@@ -7,12 +7,12 @@ import pytest
 
 from lemma.cli import render as verb
 from lemma.cli.main import main
-from lemma.cli.render import Look, choose_form
+from lemma.cli.render import RenderOptions, choose_form
 from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.engines import Serial
-from lemma.dataset.lerobot import LeRobotOrder
-from lemma.dataset.render import RenderOrder, RenderSummary
+from lemma.core.parallel import Serial
+from lemma.dataset.lerobot.export import LeRobotConfig
+from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from rendered_sets import TASKS, recipe_folder
 
 FORMS = ("keyframes", "dense", "lerobot")
@@ -106,13 +106,13 @@ def test_depth_is_filmed_unless_it_is_left_out(
 ) -> None:
     orders: list[bool] = []
 
-    def keep(order: LeRobotOrder, *rest: object) -> None:
+    def keep(order: LeRobotConfig, *rest: object) -> None:
         orders.append(order.style.depth)
 
     monkeypatch.setattr(verb, "write_dataset", keep)
-    order = RenderOrder(recipe=tmp_path, out=tmp_path / "set")
-    for look in (Look(), Look(no_depth=True)):
+    order = RenderConfig(recipe=tmp_path, out=tmp_path / "set")
+    for look in (RenderOptions(), RenderOptions(no_depth=True)):
         choose_form("lerobot", order, look)(Serial(), lambda count: None)
     assert orders == [True, False]
     with pytest.raises(InvalidConfigError):
-        choose_form("dense", order, Look(no_depth=True))
+        choose_form("dense", order, RenderOptions(no_depth=True))

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from lemma.cli.main import main
-from lemma.cli.sheet import SHEET_HEIGHT_PX, SHEET_WIDTH_PX, depth_picture
+from lemma.viz.instance_sheet import SHEET_HEIGHT_PX, SHEET_WIDTH_PX, depth_picture
 
 
 @pytest.mark.render
@@ -23,7 +23,7 @@ def test_show_writes_one_picture(
         assert picture.format == "PNG"
         assert picture.size == (SHEET_WIDTH_PX, SHEET_HEIGHT_PX)
         pixels = np.asarray(picture).reshape(-1, 3)
-    # Cameras, depth and map bring many colours; a blank sheet would have few.
+    # Cameras, depth and map bring many colors; a blank sheet would have few.
     assert len(np.unique(pixels, axis=0)) > 2000
 
 

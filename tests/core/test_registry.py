@@ -7,8 +7,8 @@ from lemma.core.registry import Registry
 
 
 @pytest.fixture
-def colours() -> Registry[int]:
-    registry: Registry[int] = Registry("colour")
+def colors() -> Registry[int]:
+    registry: Registry[int] = Registry("color")
     for name, value in (("red", 1), ("white", 2), ("blue", 3)):
         registry.add(name, value)
     return registry
@@ -21,46 +21,46 @@ def test_add_returns_the_record() -> None:
     assert registry["a"] is record
 
 
-def test_names_come_in_the_order_of_registration(colours: Registry[int]) -> None:
-    assert list(colours) == ["red", "white", "blue"]
-    assert len(colours) == 3
-    assert "red" in colours
-    assert "green" not in colours
+def test_names_come_in_the_order_of_registration(colors: Registry[int]) -> None:
+    assert list(colors) == ["red", "white", "blue"]
+    assert len(colors) == 3
+    assert "red" in colors
+    assert "green" not in colors
 
 
-def test_a_name_can_be_taken_once_only(colours: Registry[int]) -> None:
-    with pytest.raises(InvalidConfigError, match="colour named 'red' is already"):
-        colours.add("red", 4)
-    assert colours["red"] == 1
+def test_a_name_can_be_taken_once_only(colors: Registry[int]) -> None:
+    with pytest.raises(InvalidConfigError, match="color named 'red' is already"):
+        colors.add("red", 4)
+    assert colors["red"] == 1
 
 
 @pytest.mark.parametrize(
     ("wrong", "meant"), [("blu", "blue"), ("wihte", "white"), ("rde", "red")]
 )
 def test_a_typing_error_is_understood(
-    colours: Registry[int], wrong: str, meant: str
+    colors: Registry[int], wrong: str, meant: str
 ) -> None:
     with pytest.raises(UnknownNameError) as caught:
-        colours[wrong]
+        colors[wrong]
     message = str(caught.value)
-    assert f"Unknown colour {wrong!r}." in message
+    assert f"Unknown color {wrong!r}." in message
     assert f"Did you mean {meant!r}?" in message
     assert "Valid: red, white, blue." in message
 
 
-def test_nothing_is_guessed_where_nothing_is_near(colours: Registry[int]) -> None:
+def test_nothing_is_guessed_where_nothing_is_near(colors: Registry[int]) -> None:
     with pytest.raises(UnknownNameError) as caught:
-        colours["quartz"]
+        colors["quartz"]
     assert "Did you mean" not in str(caught.value)
     assert "Valid: red, white, blue." in str(caught.value)
 
 
 @pytest.mark.parametrize("name", [3, None, ["red"], ("red",)])
 def test_what_is_no_name_is_refused_like_one(
-    colours: Registry[int], name: object
+    colors: Registry[int], name: object
 ) -> None:
     with pytest.raises(UnknownNameError, match="Valid: red, white, blue"):
-        colours[name]  # type: ignore[index]
+        colors[name]  # type: ignore[index]
 
 
 def test_an_empty_registry_says_so() -> None:

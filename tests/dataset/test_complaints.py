@@ -15,7 +15,7 @@ from recipes import (
     write_recipe,
 )
 
-from lemma.dataset.engines import Serial
+from lemma.core.parallel import Serial
 from lemma.dataset.files import (
     MANIFEST,
     open_table,
@@ -25,8 +25,8 @@ from lemma.dataset.files import (
     write_json,
     write_table,
 )
-from lemma.dataset.generate import generate
-from lemma.dataset.reader import load
+from lemma.dataset.recipe.generate import generate
+from lemma.dataset.recipe.reader import load
 
 NAME = "val/stack.parquet"
 GENERATE = (

@@ -33,7 +33,7 @@ from lemma.dataset.files import (
     write_text,
     write_whole,
 )
-from lemma.dataset.schema import SCHEMA, from_table, to_table
+from lemma.dataset.recipe.schema import SCHEMA, from_table, to_table
 
 ABOUT = versions("v1")
 

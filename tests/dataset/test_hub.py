@@ -18,7 +18,7 @@ from lemma.cli.main import main
 from lemma.core.errors import DatasetError
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.hub import pull, push
-from lemma.dataset.reader import load
+from lemma.dataset.recipe.reader import load
 
 NAME = "me/data"
 

@@ -14,7 +14,7 @@ from lemma.dataset.instructions import (
     draw_instruction,
 )
 from lemma.tasks.instance import SPLITS
-from lemma.tasks.language import templates
+from lemma.tasks.language.bank import templates
 from lemma.tasks.suite import SUITE, load_instance
 
 PAIRS = (("red_cube", "blue_cube"),)

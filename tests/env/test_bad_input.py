@@ -14,10 +14,10 @@ from lemma.core.errors import (
     UnknownNameError,
 )
 from lemma.core.poses import Pose2
-from lemma.env.gym_env import LemmaEnv
+from lemma.env.base_env import LemmaEnv
 from lemma.env.skill_env import SkillEnv
 from lemma.expert.plan_env import PlanEnv
-from lemma.scene.entities import ENTITIES
+from lemma.scene.spec import ENTITIES
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 LEVELS = ("control", "skill", "plan")

@@ -10,8 +10,8 @@ import lemma
 from lemma.core.errors import ResetNeededError
 from lemma.core.poses import FloatArray, Pose
 from lemma.env.control_env import ControlEnv
-from lemma.robots.kinematics import top_down
 from lemma.robots.reach import reach_of
+from lemma.robots.ur.kinematics import top_down
 from lemma.scene.objects import CUBE_EDGE_M
 from lemma.scene.scene import Scene
 

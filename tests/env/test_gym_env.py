@@ -16,9 +16,9 @@ from lemma.core.errors import (
     ResetNeededError,
 )
 from lemma.core.poses import Pose2
-from lemma.env.gym_env import LemmaEnv
+from lemma.env.action_spaces import PICKS, PLACES, PRIMITIVES
+from lemma.env.base_env import LemmaEnv
 from lemma.env.skill_env import SkillEnv
-from lemma.env.spaces import PICKS, PLACES, PRIMITIVES
 from lemma.expert.plan_env import PlanEnv
 from lemma.registration import TASK_IDS
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask

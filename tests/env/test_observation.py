@@ -9,8 +9,8 @@ from gymnasium import spaces
 import lemma
 from lemma.core.poses import matrix_from_quaternion
 from lemma.env.observation import OBSERVATIONS, read_text, write_text
-from lemma.scene.entities import ENTITIES
 from lemma.scene.objects import CUBE_EDGE_M
+from lemma.scene.spec import ENTITIES
 
 
 def observe(observation: str, **options: Any) -> tuple[dict[str, Any], Any]:

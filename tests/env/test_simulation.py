@@ -9,7 +9,7 @@ from lemma.core.poses import Pose, Pose2
 from lemma.env.simulation import STEPS_PER_TICK, TICK_S, Simulation
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.scene.compose import TIME_STEP_S
+from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 from lemma.tasks.suite import SUITE, load_instance

@@ -9,17 +9,17 @@ import pytest
 from lemma.core.poses import Pose, Pose2
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
-from lemma.expert.grounding import OracleGrounder
+from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.planner import find_plan
-from lemma.expert.situation import Situation
+from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.robots.reach import reach_of
-from lemma.scene.entities import STICK
 from lemma.scene.scene import Scene
+from lemma.scene.spec import STICK
+from lemma.tasks.drags import stick_gap
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import STOP, Primitive
 from lemma.tasks.suite import SUITE, load_instance, task_named
-from lemma.tasks.tool_use import stick_gap
 from recorded_episodes import EPISODES, first_instance, recorded
 
 TEAM = "ur5+ur10"
@@ -36,9 +36,9 @@ def test_every_team_solves_every_task_as_planned(task: str, team: str) -> None:
     assert episode.replans == 0
     scene = Scene(episode.instance.scene)
     plan = find_plan(
-        Situation.observe(scene),
+        SymbolicState.observe(scene),
         episode.instance.goal,
-        OracleGrounder(episode.instance.scene),
+        GeometricGrounder(episode.instance.scene),
     )
     assert plan is not None
     assert plan.subtasks == tuple(step.subtask for step in episode.steps)
@@ -125,8 +125,10 @@ def free(scene: Scene, name: str, at: Pose2) -> bool:
 
 def solvable(episode: Episode) -> bool:
     scene = episode.simulation.scene
-    now = Situation.observe(scene)
-    return find_plan(now, episode.instance.goal, OracleGrounder(scene.spec)) is not None
+    now = SymbolicState.observe(scene)
+    return (
+        find_plan(now, episode.instance.goal, GeometricGrounder(scene.spec)) is not None
+    )
 
 
 def shove(episode: Episode, name: str, distance_m: float) -> None:
@@ -201,7 +203,7 @@ def test_a_stick_kicked_aside_is_prepared_again(task: str) -> None:
         # Sideways, where it meets nothing.
         x, y = (scene.pose2(STICK) @ Pose2(0.0, -0.04)).xy
         scene.set_pose(STICK, Pose((x, y, pose.position[2]), pose.quaternion))
-        assert not Situation.observe(scene).is_prepared(
+        assert not SymbolicState.observe(scene).is_prepared(
             recorded(task, TEAM).steps[1].subtask.primitive, carried(task, 1)
         )
 

@@ -11,7 +11,7 @@ import pytest
 from lemma.core.errors import SamplingError
 from lemma.env.episode import Episode
 from lemma.expert import freeze as freezer
-from lemma.expert.expert import Expert, Step, solve
+from lemma.expert.expert import Expert, ExpertStep, solve
 from lemma.expert.freeze import MANIFEST, accept, accept_all, freeze, write_list
 from lemma.tasks.suite import SUITE, load_instance
 
@@ -33,7 +33,7 @@ def test_a_refused_draw_is_counted_and_replaced(
     assert first.refused == 0
     calls: list[Episode] = []
 
-    def refuse_once(episode: Episode, expert: Expert) -> Iterator[Step]:
+    def refuse_once(episode: Episode, expert: Expert) -> Iterator[ExpertStep]:
         calls.append(episode)
         return solve(episode, expert) if len(calls) > 1 else iter(())
 

@@ -8,22 +8,21 @@ import pytest
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose, Pose2
 from lemma.env.simulation import Simulation
-from lemma.expert.grounding import Grounding, OracleGrounder
-from lemma.expert.places import Places
+from lemma.expert.free_spots import FreeSpots
+from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.planner import find_plan
-from lemma.expert.situation import TABLE, Situation
+from lemma.expert.symbolic_state import TABLE, SymbolicState
 from lemma.robots.reach import reach_of
-from lemma.scene.entities import SHARED, STICK
 from lemma.scene.scene import Scene
-from lemma.scene.spec import SceneSpec
-from lemma.tasks.subtask import STOP, Primitive, SubTask
-from lemma.tasks.suite import SUITE, load_instance
-from lemma.tasks.tool_use import (
+from lemma.scene.spec import SHARED, STICK, SceneSpec
+from lemma.tasks.drags import (
     LARGEST_HEADING_RAD,
     grasp_on_stick,
     heading_from,
     stick_in_grasp,
 )
+from lemma.tasks.subtask import STOP, Primitive, SubTask
+from lemma.tasks.suite import SUITE, load_instance
 from recorded_episodes import EPISODES, recorded
 from small_tables import ARM_NAMES, cube, facing, pad, stick
 
@@ -37,8 +36,8 @@ SPEC = facing(
 )
 
 
-def look(spec: SceneSpec) -> tuple[Situation, OracleGrounder]:
-    return Situation.observe(Scene(spec)), OracleGrounder(spec)
+def look(spec: SceneSpec) -> tuple[SymbolicState, GeometricGrounder]:
+    return SymbolicState.observe(Scene(spec)), GeometricGrounder(spec)
 
 
 def move(robot: str, pick: str, place: str) -> SubTask:
@@ -92,7 +91,7 @@ def test_what_carries_something_is_left_alone() -> None:
 # --- What can ----------------------------------------------------------------------
 
 
-def ground(subtask: SubTask) -> tuple[Grounding, Situation, OracleGrounder]:
+def ground(subtask: SubTask) -> tuple[GroundedOption, SymbolicState, GeometricGrounder]:
     now, grounder = look(SPEC)
     step = grounder.ground(subtask, now)
     assert step is not None
@@ -198,14 +197,14 @@ def test_what_is_predicted_happens(task: str, team: str) -> None:
     """Places to 3 cm, what lies on what, and times to a third of a step."""
     episode = recorded(task, team)
     simulation = Simulation(episode.instance.scene)
-    grounder = OracleGrounder(episode.instance.scene)
+    grounder = GeometricGrounder(episode.instance.scene)
     for step in episode.steps:
-        now = Situation.observe(simulation.scene)
+        now = SymbolicState.observe(simulation.scene)
         predicted = grounder.ground(step.subtask, now)
         assert predicted is not None
         assert predicted.grounded == step.grounded
         result = simulation.execute(predicted.grounded)
-        then = Situation.observe(simulation.scene)
+        then = SymbolicState.observe(simulation.scene)
         assert then.supports == predicted.after.supports
         for name, pose in predicted.after.poses.items():
             # The stick is drawn back from the cube before it is let go.
@@ -217,7 +216,7 @@ def test_what_is_predicted_happens(task: str, team: str) -> None:
 @pytest.mark.parametrize("arm", ARM_NAMES)
 def test_a_full_shared_region_has_no_place_left(arm: str) -> None:
     spec = facing(arm)
-    places = Places(spec.robots)
+    places = FreeSpots(spec.robots)
     free = places.free_spot(())
     assert free is not None
     assert math.hypot(*free.xy) < 0.05
@@ -228,7 +227,7 @@ def test_a_full_shared_region_has_no_place_left(arm: str) -> None:
 
 
 def test_a_gap_between_the_robots_leaves_no_shared_place() -> None:
-    places = Places(facing("ur5", gap_m=0.05).robots)
+    places = FreeSpots(facing("ur5", gap_m=0.05).robots)
     assert places.free_spot(()) is None
     assert places.free_stick(()) is None
 
@@ -238,26 +237,26 @@ def test_grounding_changes_nothing(task: str) -> None:
     """A grounder looks: the same question has the same answer, and the world stays."""
     instance = load_instance(task, "val", 3)
     scene = Scene(instance.scene)
-    now = Situation.observe(scene)
+    now = SymbolicState.observe(scene)
     before = scene.state_hash()
-    plan = find_plan(now, instance.goal, OracleGrounder(instance.scene))
-    again = find_plan(now, instance.goal, OracleGrounder(instance.scene))
+    plan = find_plan(now, instance.goal, GeometricGrounder(instance.scene))
+    again = find_plan(now, instance.goal, GeometricGrounder(instance.scene))
     assert plan == again
     assert plan is not None
     assert scene.state_hash() == before
-    assert now.key == Situation.observe(scene).key
+    assert now.key == SymbolicState.observe(scene).key
 
 
 def test_a_stick_that_moved_a_little_is_used_as_it_lies() -> None:
     """The drag follows the stick as it was put down, not as it was meant to be."""
     episode = recorded("hook", "ur5+ur10")
     simulation = Simulation(episode.instance.scene)
-    grounder = OracleGrounder(episode.instance.scene)
+    grounder = GeometricGrounder(episode.instance.scene)
     simulation.execute(episode.steps[0].grounded)
     scene = simulation.scene
     x, y, z = scene.pose(STICK).position
     scene.set_pose(STICK, Pose((x + 0.004, y - 0.003, z), scene.pose(STICK).quaternion))
-    step = grounder.ground(episode.steps[1].subtask, Situation.observe(scene))
+    step = grounder.ground(episode.steps[1].subtask, SymbolicState.observe(scene))
     assert step is not None
     assert step.grounded.pick == grasp_on_stick(scene.pose2(STICK))
     way = step.grounded.pick.inverse() @ step.grounded.place

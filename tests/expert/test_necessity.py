@@ -3,9 +3,9 @@
 import pytest
 
 from lemma.env.episode import Episode
-from lemma.expert.grounding import OracleGrounder
+from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.planner import find_plan
-from lemma.expert.situation import Situation
+from lemma.expert.symbolic_state import SymbolicState
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import SubTask
@@ -15,12 +15,14 @@ COUNT = 20
 """Instances of each task."""
 
 
-def looked_at(task: str, index: int) -> tuple[Instance, Situation, OracleGrounder]:
+def looked_at(
+    task: str, index: int
+) -> tuple[Instance, SymbolicState, GeometricGrounder]:
     instance = load_instance(task, "test", index)
     return (
         instance,
-        Situation.observe(Scene(instance.scene)),
-        OracleGrounder(instance.scene),
+        SymbolicState.observe(Scene(instance.scene)),
+        GeometricGrounder(instance.scene),
     )
 
 
@@ -34,9 +36,9 @@ def plan_of(task: str, index: int) -> tuple[Instance, tuple[SubTask, ...]]:
 def attempt(instance: Instance, subtasks: tuple[SubTask, ...]) -> Episode:
     """Execute sub-tasks in this order; what cannot be grounded is left out."""
     episode = Episode(instance)
-    grounder = OracleGrounder(instance.scene)
+    grounder = GeometricGrounder(instance.scene)
     for subtask in subtasks:
-        now = Situation.observe(episode.simulation.scene)
+        now = SymbolicState.observe(episode.simulation.scene)
         step = grounder.ground(subtask, now)
         if step is not None and not episode.is_over:
             episode.execute(step.grounded)

@@ -6,31 +6,29 @@ from dataclasses import replace
 from itertools import permutations, product
 
 import pytest
+from recorded_episodes import first_instance
+from small_tables import cube, facing, pad
 
 from lemma.core.poses import Pose, Pose2
-from lemma.expert.allocation import allocate
-from lemma.expert.allocation_problem import pose_problem
-from lemma.expert.grounding import Grounding, OracleGrounder
+from lemma.expert.allocation import allocate, pose_problem
+from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.planner import Plan, find_plan, utility
-from lemma.expert.situation import Situation
-from lemma.scene.entities import SHARED, STICK
+from lemma.expert.symbolic_state import SymbolicState
 from lemma.scene.scene import Scene
-from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
+from lemma.scene.spec import SHARED, STICK, ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import Primitive, SubTask
 from lemma.tasks.suite import SUITE, load_instance, task_named
-from recorded_episodes import first_instance
-from small_tables import cube, facing, pad
 
 TEN = range(10)
 
 
-def look(spec: SceneSpec) -> tuple[Situation, OracleGrounder]:
-    return Situation.observe(Scene(spec)), OracleGrounder(spec)
+def look(spec: SceneSpec) -> tuple[SymbolicState, GeometricGrounder]:
+    return SymbolicState.observe(Scene(spec)), GeometricGrounder(spec)
 
 
-def planned(instance: Instance) -> tuple[Situation, OracleGrounder, Plan]:
+def planned(instance: Instance) -> tuple[SymbolicState, GeometricGrounder, Plan]:
     now, grounder = look(instance.scene)
     plan = find_plan(now, instance.goal, grounder)
     assert plan is not None
@@ -86,7 +84,7 @@ def test_who_does_what_is_the_exact_allocation(task: str) -> None:
 # --- Highest utility ---------------------------------------------------------------
 
 
-def all_subtasks(now: Situation, robots: tuple[str, ...]) -> Iterator[SubTask]:
+def all_subtasks(now: SymbolicState, robots: tuple[str, ...]) -> Iterator[SubTask]:
     """Everything that could be said: any robot, primitive, pick and place."""
     movable = tuple(now.labels)
     for robot, pick in product(robots, movable):
@@ -104,7 +102,7 @@ def all_subtasks(now: Situation, robots: tuple[str, ...]) -> Iterator[SubTask]:
 
 
 def best_of_all(
-    now: Situation, goal: Goal, grounder: OracleGrounder, steps: int
+    now: SymbolicState, goal: Goal, grounder: GeometricGrounder, steps: int
 ) -> float:
     """The highest utility of any plan of so many sub-tasks, by trying them all."""
     if all(now.supports[top] == bottom for top, bottom in goal.pairs):
@@ -200,7 +198,7 @@ def test_a_goal_that_holds_needs_nothing() -> None:
     scene = Scene(THREE)
     scene.set_pose("red_cube", Pose((-0.3, -0.2, 0.029)))
     goal = Goal.from_pairs((("red_cube", "white_pad"),))
-    plan = find_plan(Situation.observe(scene), goal, OracleGrounder(THREE))
+    plan = find_plan(SymbolicState.observe(scene), goal, GeometricGrounder(THREE))
     assert plan is not None
     assert plan.steps == ()
     assert plan.utility == 0.0
@@ -208,7 +206,7 @@ def test_a_goal_that_holds_needs_nothing() -> None:
 
 @pytest.mark.parametrize("order", list(permutations(["red", "blue", "green"])))
 def test_a_tower_of_three_is_built_from_below(order: tuple[str, str, str]) -> None:
-    top, middle, bottom = (f"{colour}_cube" for colour in order)
+    top, middle, bottom = (f"{color}_cube" for color in order)
     for pairs in permutations([(top, middle), (middle, bottom)]):
         plan = plan_for(*pairs)
         assert plan is not None
@@ -219,10 +217,10 @@ def test_a_tower_of_three_is_built_from_below(order: tuple[str, str, str]) -> No
 def test_what_stands_on_it_is_taken_off_first() -> None:
     scene = Scene(THREE)
     scene.set_pose("green_cube", Pose((0.0, -0.1, 0.075)))
-    now = Situation.observe(scene)
+    now = SymbolicState.observe(scene)
     assert now.supports["green_cube"] == "blue_cube"
     goal = Goal.from_pairs((("blue_cube", "white_pad"),))
-    plan = find_plan(now, goal, OracleGrounder(THREE))
+    plan = find_plan(now, goal, GeometricGrounder(THREE))
     assert plan is not None
     assert [subtask.pick for subtask in plan.subtasks] == ["green_cube", "blue_cube"]
 
@@ -232,7 +230,7 @@ def test_a_tower_is_turned_over() -> None:
     scene = Scene(THREE)
     scene.set_pose("red_cube", Pose((0.0, -0.1, 0.075)))
     goal = Goal.from_pairs((("blue_cube", "red_cube"),))
-    plan = find_plan(Situation.observe(scene), goal, OracleGrounder(THREE))
+    plan = find_plan(SymbolicState.observe(scene), goal, GeometricGrounder(THREE))
     assert plan is not None
     assert [(s.pick, s.place) for s in plan.subtasks] == [
         ("red_cube", SHARED),
@@ -244,7 +242,7 @@ def test_an_occupied_pad_is_cleared() -> None:
     scene = Scene(THREE)
     scene.set_pose("blue_cube", Pose((-0.3, -0.2, 0.029)))
     goal = Goal.from_pairs((("red_cube", "white_pad"),))
-    plan = find_plan(Situation.observe(scene), goal, OracleGrounder(THREE))
+    plan = find_plan(SymbolicState.observe(scene), goal, GeometricGrounder(THREE))
     assert plan is not None
     assert [subtask.pick for subtask in plan.subtasks] == ["blue_cube", "red_cube"]
 
@@ -334,7 +332,7 @@ def test_a_grounding_is_mirrored_to_the_pose() -> None:
     assert compared > 0
 
 
-def assert_turned(step: Grounding, there: Grounding) -> None:
+def assert_turned(step: GroundedOption, there: GroundedOption) -> None:
     for a, b in (
         (step.grounded.pick, there.grounded.pick),
         (step.grounded.place, there.grounded.place),

@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from lemma.dataset.dense import iterate_steps
-from lemma.dataset.engines import Serial
-from lemma.dataset.generate import Order, generate
-from lemma.dataset.labels import label
-from lemma.dataset.lerobot import LeRobotOrder, write_dataset
-from lemma.dataset.lerobot_format import Style
-from lemma.dataset.reader import load
-from lemma.dataset.render import RenderOrder
-from lemma.dataset.schema import EpisodeRecord
-from lemma.scene.rendering import Renderer
+from lemma.core.parallel import Serial
+from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
+from lemma.dataset.lerobot.layout import Style
+from lemma.dataset.recipe.generate import GenerateConfig, generate
+from lemma.dataset.recipe.reader import load
+from lemma.dataset.recipe.schema import EpisodeRecord
+from lemma.dataset.rendered.labels import label
+from lemma.dataset.rendered.render import RenderConfig
+from lemma.dataset.rendered.steps import iterate_steps
+from lemma.scene.rendering.renderer import Renderer
 
 # With files so small that the episodes need several.
 STYLE = Style(fps=10, width_px=320, height_px=240, data_file_mb=0.05, video_file_s=40)
@@ -36,9 +36,11 @@ def main() -> None:
     rmtree(out, ignore_errors=True)
     recipe = out / "recipe"
     tasks, splits = ("pass", "stack"), ("train", "val")
-    generate(Order(out=recipe, tasks=tasks, splits=splits, episodes=1), Serial())
-    source = RenderOrder(recipe=recipe, out=out / "dataset")
-    write_dataset(LeRobotOrder(source=source, style=STYLE), Serial())
+    generate(
+        GenerateConfig(out=recipe, tasks=tasks, splits=splits, episodes=1), Serial()
+    )
+    source = RenderConfig(recipe=recipe, out=out / "dataset")
+    write_dataset(LeRobotConfig(source=source, style=STYLE), Serial())
     expected = []
     for split in splits:
         for task in tasks:

@@ -17,15 +17,15 @@ from rmpflow_scenes import (
 )
 
 from lemma.core.poses import FloatArray
-from lemma.motion import leaves
-from lemma.motion.leaves import (
+from lemma.motion.rmpflow import leaves
+from lemma.motion.rmpflow.leaves import (
     AxisLeaf,
     CollisionLeaf,
     JointLimitLeaf,
     TargetLeaf,
     VelocityCapLeaf,
 )
-from lemma.motion.rmpflow import Goal, accelerate, make_root
+from lemma.motion.rmpflow.policy import ArmTarget, accelerate, make_root
 
 
 def evaluate_target(
@@ -258,7 +258,7 @@ def test_damping_takes_energy_out_and_more_so_when_fast() -> None:
     powers = []
     for speed in (0.1, 1.0, 2.0):
         out = np.empty(6)
-        goal = Goal(np.zeros(3), np.eye(3), np.zeros(6), 0.0, 0.0)
+        goal = ArmTarget(np.zeros(3), np.eye(3), np.zeros(6), 0.0, 0.0)
         accelerate(
             make_root(),
             arm_model("ur5"),

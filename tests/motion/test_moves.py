@@ -10,8 +10,8 @@ from lemma.env.simulation import Simulation
 from lemma.motion.moves import FLY_BY_M, RETREAT_M, Motion, Moves, Stand
 from lemma.motion.outcome import Outcome, SkillFailure
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.robots.kinematics import top_down
 from lemma.robots.reach import reach_of
+from lemma.robots.ur.kinematics import top_down
 from small_tables import ARM_NAMES, cube, facing
 
 ROBOT = "robot_0"

@@ -6,7 +6,7 @@ import pytest
 from lemma.core.poses import FloatArray, Pose2
 from lemma.env.simulation import Simulation
 from lemma.motion.obstacles import around
-from lemma.scene.entities import STICK
+from lemma.scene.spec import STICK
 from small_tables import cube, facing, pad, stick
 
 SPEC = facing(

@@ -11,10 +11,10 @@ from lemma.env.simulation import Simulation
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.robots.kinematics import top_down
 from lemma.robots.reach import reach_of
-from lemma.scene.entities import STICK
+from lemma.robots.ur.kinematics import top_down
 from lemma.scene.objects import CUBE_EDGE_M
+from lemma.scene.spec import STICK
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 from small_tables import (
     ARM_NAMES,

@@ -20,10 +20,16 @@ from rmpflow_scenes import (
 )
 
 from lemma.core.poses import FloatArray
-from lemma.motion import rmpflow
-from lemma.motion.leaves import Leaves
-from lemma.motion.rmpflow import ArmModel, Goal, accelerate, integrate, make_root
-from lemma.robots.kinematics import top_down
+from lemma.motion.rmpflow import policy as rmpflow
+from lemma.motion.rmpflow.leaves import Leaves
+from lemma.motion.rmpflow.policy import (
+    ArmModel,
+    ArmTarget,
+    accelerate,
+    integrate,
+    make_root,
+)
+from lemma.robots.ur.kinematics import top_down
 
 
 def some_states(count: int, seed: int = 0) -> FloatArray:
@@ -69,7 +75,7 @@ def test_solve_agrees_with_numpy() -> None:
 
 
 def textbook_tool_acceleration(
-    model: ArmModel, state: FloatArray, goal: Goal, parameters: Leaves
+    model: ArmModel, state: FloatArray, goal: ArmTarget, parameters: Leaves
 ) -> FloatArray:
     """Pull target, axes, posture and damping back with differenced kinematics."""
     (q, qd), step = state, 1e-4
@@ -185,7 +191,7 @@ def test_obstacle_pushes_harder_the_nearer_it_is() -> None:
     assert pushes[-1] > 1.0
 
 
-def scenario() -> tuple[ArmModel, FloatArray, Goal, FloatArray]:
+def scenario() -> tuple[ArmModel, FloatArray, ArmTarget, FloatArray]:
     q = ready("ur5", 0.5, 0.0, 0.3)
     pose = top_down(0.4, 0.3, 0.1, 0.5)
     goal = pose_goal(pose, nearest_posture("ur5", pose, q))
@@ -230,7 +236,7 @@ def test_root_notices_what_was_replaced() -> None:
     model, state, goal, _ = scenario()
     root, out = make_root(), np.empty(6)
 
-    def now(model: ArmModel, goal: Goal, parameters: Leaves) -> FloatArray:
+    def now(model: ArmModel, goal: ArmTarget, parameters: Leaves) -> FloatArray:
         accelerate(root, model, goal, parameters, state, NO_OBSTACLES, out)
         return out.copy()
 

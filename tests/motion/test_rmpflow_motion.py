@@ -23,11 +23,11 @@ from rmpflow_scenes import (
 )
 
 from lemma.core.poses import FloatArray
-from lemma.motion.leaves import Leaves
-from lemma.motion.rmpflow import ArmModel
-from lemma.robots.envelope import envelope_of
-from lemma.robots.kinematics import top_down
+from lemma.motion.rmpflow.leaves import Leaves
+from lemma.motion.rmpflow.policy import ArmModel
+from lemma.robots.collision_model import envelope_of
 from lemma.robots.reach import reach_of
+from lemma.robots.ur.kinematics import top_down
 
 
 @pytest.mark.parametrize("arm", ARM_NAMES)

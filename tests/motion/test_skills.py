@@ -9,17 +9,16 @@ from lemma.env.simulation import Simulation
 from lemma.motion.outcome import Outcome
 from lemma.motion.skills import SkillRunner
 from lemma.robots.reach import reach_of
-from lemma.scene.entities import STICK
 from lemma.scene.objects import CUBE_EDGE_M, PAD_THICKNESS_M
-from lemma.scene.spec import ObjectPlacement
-from lemma.tasks.subtask import GroundedSubTask, Primitive
-from lemma.tasks.tool_use import (
+from lemma.scene.spec import STICK, ObjectPlacement
+from lemma.tasks.drags import (
     Drag,
     find_drag,
     grasp_on_stick,
     is_prepared,
     stick_in_grasp,
 )
+from lemma.tasks.subtask import GroundedSubTask, Primitive
 from small_tables import (
     ARM_NAMES,
     assert_ready,

@@ -9,8 +9,15 @@ import pytest
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.policies.compose import MultiStep, PlannerWithGrounder
-from lemma.policies.interfaces import Grounder, Planner, Policy, PolicyInput, Step, View
-from lemma.policies.specification import PolicySpec
+from lemma.policies.interfaces import (
+    Grounder,
+    PastStep,
+    Planner,
+    Policy,
+    PolicyInput,
+    View,
+)
+from lemma.policies.spec import PolicySpec
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 MOVE = SubTask("robot_0", Primitive.MOVE, "red_cube", "blue_pad")
@@ -26,7 +33,7 @@ def view(shade: int = 0) -> View:
     )
 
 
-def given(instruction: str = "go", *past: Step) -> PolicyInput:
+def given(instruction: str = "go", *past: PastStep) -> PolicyInput:
     return PolicyInput(instruction, ("red robot", "white robot"), view(9), past)
 
 
@@ -82,7 +89,7 @@ def test_multi_step_sees_the_first_view_alone() -> None:
             seen.extend(inputs)
             return super().plan(inputs)
 
-    past = (Step(view(1), MOVE, "dropped"), Step(view(2), MOVE))
+    past = (PastStep(view(1), MOVE, "dropped"), PastStep(view(2), MOVE))
     MultiStep(Sees()).plan([given("go", *past), given("go")])
     first = past[0].view
     assert seen[0].view is first

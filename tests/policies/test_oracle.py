@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from lemma.core.errors import InvalidConfigError
-from lemma.evaluation.rollout import Play, Player, play_all
+from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.oracle import (
@@ -32,7 +32,7 @@ class Swaps:
 @pytest.mark.parametrize("task", SUITE)
 def test_the_oracle_solves_and_stops(task: str) -> None:
     player = Player(PlannerWithGrounder(OraclePlanner(), OracleGrounder()))
-    [play] = play_all([Play(load_instance(task, "test", 1))], player)
+    [play] = roll_out([Rollout(load_instance(task, "test", 1))], player)
     assert play.episode.is_success
     assert play.episode.stopped
     assert [step.result.outcome for step in play.steps] == ["success"] * len(play.steps)
@@ -43,14 +43,14 @@ def test_right_allocation_mends_a_planner_that_errs_in_it_alone(task: str) -> No
     instance = load_instance(task, "test", 2)
     wrong = PlannerWithGrounder(Swaps(), OracleGrounder())
     mended = PlannerWithGrounder(GroundTruthAllocation(Swaps()), OracleGrounder())
-    [failed] = play_all([Play(instance, horizon_s=20.0)], Player(wrong))
-    [solved] = play_all([Play(instance)], Player(mended))
+    [failed] = roll_out([Rollout(instance, horizon_s=20.0)], Player(wrong))
+    [solved] = roll_out([Rollout(instance)], Player(mended))
     assert not failed.episode.is_success
     assert solved.episode.is_success
 
 
 def test_the_same_question_has_the_same_answer() -> None:
-    play = Play(load_instance("stack", "test", 0))
+    play = Rollout(load_instance("stack", "test", 0))
     planner = OraclePlanner()
     inputs = [play.given(None)]
     first = planner.plan(inputs)
@@ -63,13 +63,13 @@ def test_what_no_robot_can_do_stays_with_the_planner() -> None:
         def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
             return [SubTask("robot_1", Primitive.HOOK, "stick", "no_cube")]
 
-    play = Play(load_instance("stack", "test", 0))
+    play = Rollout(load_instance("stack", "test", 0))
     [subtask] = GroundTruthAllocation(Wants()).plan([play.given(None)])
     assert subtask.robot == "robot_1"
 
 
 def test_oracles_need_the_truth() -> None:
-    play = Play(load_instance("stack", "test", 0))
+    play = Rollout(load_instance("stack", "test", 0))
     blind = replace(play.given(None), episode=None)
     with pytest.raises(InvalidConfigError, match="learned policy"):
         OraclePlanner().plan([blind])

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from lemma.policies.training import DEFAULTS
-from lemma.policies.zoo import MODELS, make_model
+from lemma.policies.models.catalog import MODELS, make_model
+from lemma.policies.training.config import DEFAULTS
 
 DOCS = Path(__file__).parents[2] / "docs"
 # Not all that is in the table: tests add models of their own.

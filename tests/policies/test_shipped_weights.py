@@ -3,9 +3,9 @@
 import pytest
 
 from lemma.cli.main import main
-from lemma.evaluation.experiments import TRAININGS
-from lemma.evaluation.rollout import Play, Player, play_all
-from lemma.policies.specification import PolicySpec
+from lemma.evaluation.experiments.catalog import TRAININGS
+from lemma.evaluation.run.rollout import Player, Rollout, roll_out
+from lemma.policies.spec import PolicySpec
 from lemma.policies.weights import (
     LARGEST_MB,
     SHIPPED,
@@ -43,8 +43,8 @@ def test_weights_are_small_and_what_is_said_of_them(name: str) -> None:
 @pytest.mark.parametrize("name", [n for n in NAMES if n.startswith("reachnet")])
 def test_ours_solves_an_episode_of_every_task(name: str) -> None:
     player = Player.load(PolicySpec(name))
-    plays = [Play(load_instance(task, "val", 0), "human") for task in SUITE]
-    over = list(play_all(plays, player))
+    plays = [Rollout(load_instance(task, "val", 0), "human") for task in SUITE]
+    over = list(roll_out(plays, player))
     # One failure in eight would be within what is claimed of it; two would not.
     assert sum(bool(play.episode.info()["success"]) for play in over) >= 7
 

@@ -6,12 +6,12 @@ import torch
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.seeding import stream
-from lemma.policies import sentence_features as sentences
-from lemma.policies.paraphrase import ParaphraseConfig, paraphrase
-from lemma.policies.text import TEXT_KINDS, TextConfig, TextEncoder
-from lemma.policies.vocabulary import UNKNOWN, Vocabulary, edit_distance
-from lemma.policies.word_vectors import neighbours, word_vectors
-from lemma.tasks.language import templates, vocabulary, words
+from lemma.policies.text import sentence_features as sentences
+from lemma.policies.text.encoder import TEXT_KINDS, TextConfig, TextEncoder
+from lemma.policies.text.paraphrase import ParaphraseConfig, paraphrase
+from lemma.policies.text.vocabulary import UNKNOWN, Vocabulary, edit_distance
+from lemma.policies.text.word_vectors import neighbours, word_vectors
+from lemma.tasks.language.bank import templates, vocabulary, words
 from lemma.tasks.suite import SUITE, load_instance
 
 SENTENCE = "Place the red cube on top of the blue pad"
@@ -90,7 +90,7 @@ def test_an_unknown_word_is_read_by_its_meaning() -> None:
     assert torch.equal(blind[0], blind[1])
 
 
-def test_word_dropout_spares_colours_and_use() -> None:
+def test_word_dropout_spares_colors_and_use() -> None:
     encode = encoder(word_dropout=1.0, dropout=0.0)
     other = "Grab the red tool in front of the blue robot"
     known, said = encode.pooled([SENTENCE, other])

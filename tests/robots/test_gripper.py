@@ -8,7 +8,7 @@ import pytest
 
 from lemma.core.poses import Pose2
 from lemma.robots.gripper import FINGER_OPENING_M, GRIP_FORCE_N, SKIN_M
-from lemma.robots.ur import ARMS, add_arm
+from lemma.robots.ur.build import ARMS, add_arm
 
 HELD = np.array([0.0, -1.9, 1.6, -1.27, -math.pi / 2, 0.0])
 CUBE = ((0.025, 0.025, 0.025), 0.09)

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lemma.core.poses import FloatArray, Pose2
-from lemma.robots.arms import ARMS, LINKS
-from lemma.robots.kinematics import (
+from lemma.robots.ur.arms import ARMS, LINKS
+from lemma.robots.ur.build import add_arm
+from lemma.robots.ur.kinematics import (
     forward,
     frames,
     inverse,
@@ -20,7 +21,6 @@ from lemma.robots.kinematics import (
     point_jacobian,
     top_down,
 )
-from lemma.robots.ur import add_arm
 
 ARM_NAMES = ("ur5", "ur10")
 

@@ -8,15 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lemma.core.poses import FloatArray, Pose2
-from lemma.robots.arms import ARMS
-from lemma.robots.envelope import (
+from lemma.robots.collision_model import (
     envelope_of,
     place_capsules,
     self_clearance,
     table_clearance,
 )
 from lemma.robots.gripper import TCP_OFFSET_M
-from lemma.robots.kinematics import frames, top_down
 from lemma.robots.reach import (
     GRASP_HEIGHT_M,
     TRAVEL_HEIGHT_M,
@@ -26,6 +24,8 @@ from lemma.robots.reach import (
     reach_map,
     reach_of,
 )
+from lemma.robots.ur.arms import ARMS
+from lemma.robots.ur.kinematics import frames, top_down
 
 ARM_NAMES = ("ur5", "ur10")
 YAWS = (-2.1, -math.pi / 2, 0.0, 0.7)

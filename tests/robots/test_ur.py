@@ -10,8 +10,8 @@ from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
 from lemma.robots.gripper import TCP_OFFSET_M
-from lemma.robots.lofts import Loft, mesh, rounded
-from lemma.robots.ur import ARMS, JOINTS, LINKS, ArmSpec, add_arm
+from lemma.robots.ur.build import ARMS, JOINTS, LINKS, ArmSpec, add_arm
+from lemma.robots.ur.lofts import Loft, mesh, rounded
 
 STRETCHED = np.array([0.0, 0.0, 0.0, 0.0, -1.57, 0.0])
 FOLDED = np.array([0.0, -1.9, 2.4, -2.07, -1.57, 0.0])
@@ -263,7 +263,7 @@ def test_arms_of_one_type_share_their_meshes_and_only_capsules_collide() -> None
     assert set(model.geom_group[collides & (model.geom_bodyid > 0)]) == {3}
 
 
-def test_an_unknown_colour_names_the_valid_ones() -> None:
+def test_an_unknown_color_names_the_valid_ones() -> None:
     with pytest.raises(UnknownNameError, match="red, white"):
         add_arm(empty_spec(), ARMS["ur5"], "robot_0", Pose2(0, 0), "green")
 

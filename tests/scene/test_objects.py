@@ -18,16 +18,16 @@ from lemma.scene.objects import (
     height_m,
     resting_quaternion,
 )
-from lemma.scene.palette import OBJECT_COLOURS, STICK
+from lemma.scene.palette import OBJECT_COLORS, STICK
 from lemma.scene.spec import ObjectPlacement
 
 POSE = Pose2(0.3, -0.2, 0.7)
 
 
-def compiled(kind: str, colour: str = "pink") -> tuple[mujoco.MjModel, mujoco.MjData]:
+def compiled(kind: str, color: str = "pink") -> tuple[mujoco.MjModel, mujoco.MjData]:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    add_object(spec, ObjectPlacement(kind, colour, POSE))
+    add_object(spec, ObjectPlacement(kind, color, POSE))
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -41,12 +41,12 @@ def test_sizes_are_those_of_the_design() -> None:
     assert [height_m(kind) for kind in ("cube", "pad", "stick")] == [0.05, 0.004, 0.03]
 
 
-@pytest.mark.parametrize("colour", OBJECT_COLOURS)
-def test_a_cube(colour: str) -> None:
-    model, data = compiled("cube", colour)
-    name = f"{colour}_cube"
+@pytest.mark.parametrize("color", OBJECT_COLORS)
+def test_a_cube(color: str) -> None:
+    model, data = compiled("cube", color)
+    name = f"{color}_cube"
     assert model.geom(name).size.tolist() == [0.025] * 3
-    assert model.geom(name).rgba == pytest.approx(OBJECT_COLOURS[colour])
+    assert model.geom(name).rgba == pytest.approx(OBJECT_COLORS[color])
     assert model.body(name).mass[0] == pytest.approx(CUBE_MASS_KG)
     assert model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_FREE
     assert data.body(name).xpos.tolist() == [0.3, -0.2, 0.025]

@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 
 from lemma.core.errors import RenderingError
-from lemma.scene import opengl
-from lemma.scene.opengl import Backend, choose_backend
+from lemma.scene.rendering import gl_backend as opengl
+from lemma.scene.rendering.gl_backend import Backend, choose_backend
 
 PICTURE = """
 import sys
 import mujoco
 from lemma.core.errors import RenderingError
 from lemma.scene.cameras import FreeCamera
-from lemma.scene.rendering import Renderer
+from lemma.scene.rendering.renderer import Renderer
 
 def picture():
     spec = mujoco.MjSpec()

@@ -13,7 +13,7 @@ from lemma.motion.moves import Moves, Stand
 from lemma.robots.gripper import GRIP_FORCE_N
 from lemma.scene.objects import CUBE_EDGE_M
 from lemma.scene.spec import ObjectPlacement
-from lemma.tasks.tool_use import grasp_on_stick
+from lemma.tasks.drags import grasp_on_stick
 from recorded_episodes import EPISODES, first_instance, recorded, run_expert
 from small_tables import facing
 

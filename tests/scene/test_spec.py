@@ -13,17 +13,17 @@ from lemma.tasks.suite import SUITE, load_instance
 HERE = Pose2(0.1, 0.2, 0.3)
 
 
-def test_entities_are_named_by_colour_and_kind() -> None:
+def test_entities_are_named_by_color_and_kind() -> None:
     assert ObjectPlacement("cube", "red", HERE).name == "red_cube"
     assert ObjectPlacement("pad", "white", HERE).name == "white_pad"
     assert ObjectPlacement("stick", "yellow", HERE).name == "stick"
 
 
-def test_an_unknown_colour_is_answered() -> None:
+def test_an_unknown_color_is_answered() -> None:
     with pytest.raises(UnknownNameError) as caught:
         ObjectPlacement("cube", "rad", HERE)
     assert str(caught.value) == (
-        "Unknown object colour 'rad'. Did you mean 'red'? "
+        "Unknown object color 'rad'. Did you mean 'red'? "
         "Valid: pink, red, white, blue, green."
     )
 
@@ -38,24 +38,24 @@ def test_an_unknown_arm_is_answered() -> None:
         RobotPlacement("ur50", "red", HERE)
 
 
-def test_an_unknown_robot_colour_is_answered() -> None:
-    with pytest.raises(UnknownNameError, match=r"robot colour 'blue'.*red, white"):
+def test_an_unknown_robot_color_is_answered() -> None:
+    with pytest.raises(UnknownNameError, match=r"robot color 'blue'.*red, white"):
         RobotPlacement("ur5", "blue", HERE)
 
 
 @pytest.mark.parametrize(
-    ("kind", "colour", "name"),
+    ("kind", "color", "name"),
     [("cube", "red", "red_cube"), ("stick", "yellow", "stick")],
 )
-def test_one_name_is_one_object(kind: str, colour: str, name: str) -> None:
-    twice = tuple(ObjectPlacement(kind, colour, Pose2(x, 0.0)) for x in (0.0, 0.5))
+def test_one_name_is_one_object(kind: str, color: str, name: str) -> None:
+    twice = tuple(ObjectPlacement(kind, color, Pose2(x, 0.0)) for x in (0.0, 0.5))
     with pytest.raises(InvalidConfigError) as caught:
         SceneSpec((), twice)
     assert f"named twice in one scene: {name}." in str(caught.value)
-    assert "choose another colour" in str(caught.value)
+    assert "choose another color" in str(caught.value)
 
 
-def test_a_cube_and_a_pad_may_share_a_colour() -> None:
+def test_a_cube_and_a_pad_may_share_a_color() -> None:
     spec = SceneSpec(
         (), tuple(ObjectPlacement(kind, "red", HERE) for kind in ("cube", "pad"))
     )

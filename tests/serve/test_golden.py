@@ -9,13 +9,19 @@ import numpy as np
 import pytest
 from faulty_policies import Scripted
 
-from lemma.env.topdown import TopDownMap
-from lemma.serve.conversation import Manners
-from lemma.serve.echo import CELL_M, cell_of, echo, position_of
-from lemma.serve.golden import CHECKS, Report, check, golden_message, golden_view
-from lemma.serve.messages import Message
-from lemma.serve.server import PolicyServer
-from lemma.serve.websocket import connect
+from lemma.scene.topdown_map import TopDownMap
+from lemma.serve.client.conversation import ProtocolMode
+from lemma.serve.client.websocket import connect
+from lemma.serve.protocol.messages import Message
+from lemma.serve.selftest.echo import CELL_M, cell_of, echo, position_of
+from lemma.serve.selftest.known_inputs import (
+    CHECKS,
+    SelfTestReport,
+    check,
+    golden_message,
+    golden_view,
+)
+from lemma.serve.server.server import PolicyServer
 
 
 class Describes(Scripted):
@@ -36,9 +42,9 @@ class Describes(Scripted):
         return answer
 
 
-def report_of(policy: object) -> Report:
+def report_of(policy: object) -> SelfTestReport:
     with PolicyServer(policy, port=0) as server:
-        remote = connect(server.url, Manners(30.0))
+        remote = connect(server.url, ProtocolMode(30.0))
         try:
             return check(remote.conversation)
         finally:
@@ -190,7 +196,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str, str]] = {
         "other robot's",
     ),
     "decides for the first": ({"writes": first_robot}, "robot order", "robot_1"),
-    "BGR": ({"reads": bgr}, "colour order", "BGR"),
+    "BGR": ({"reads": bgr}, "color order", "BGR"),
     "upside down": (
         {"reads": image(lambda a: a[::-1])},
         "image orientation",
@@ -244,7 +250,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str, str]] = {
         "cannot be read",
     ),
     "nothing": (
-        {"writes": lambda answer: answer.update(colours=None)},
+        {"writes": lambda answer: answer.update(colors=None)},
         "decision",
         "cannot be read",
     ),
@@ -269,7 +275,7 @@ def test_two_mistakes_are_both_named() -> None:
         image(lambda a: a[::-1])(message)
 
     report = report_of(Describes(reads=both, writes=each_pose(mirrored_yaw)))
-    assert set(report.mistakes) == {"colour order", "image orientation", "yaw sign"}
+    assert set(report.mistakes) == {"color order", "image orientation", "yaw sign"}
 
 
 def test_a_right_server_passes() -> None:

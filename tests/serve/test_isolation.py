@@ -8,17 +8,17 @@ import pytest
 from faulty_policies import BAD, MOVE, given, moved, view
 
 from lemma.core.errors import InvalidConfigError
-from lemma.evaluation.loading import load_policy
+from lemma.evaluation.run.loading import load_policy
 from lemma.policies.compose import PlannerWithGrounder
-from lemma.policies.interfaces import Grounder, Planner, Policy, Step
-from lemma.policies.specification import PolicySpec
-from lemma.serve.conversation import Manners
-from lemma.serve.faults import FaultKind, PolicyFailedError
-from lemma.serve.isolation import isolate
-from lemma.serve.remote import Remote
+from lemma.policies.interfaces import Grounder, PastStep, Planner, Policy
+from lemma.policies.spec import PolicySpec
+from lemma.serve.client.conversation import ProtocolMode
+from lemma.serve.client.isolation import isolate
+from lemma.serve.client.remote import Remote
+from lemma.serve.protocol.faults import FaultKind, PolicyFailedError
 
 LONG_S = 60.0
-LONG_PATIENCE = Manners(LONG_S)
+LONG_PATIENCE = ProtocolMode(LONG_S)
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +33,8 @@ def test_it_decides_as_it_would_here(sound: Policy) -> None:
     first = view(1, 20, 30)
     inputs = [
         given("go", now=first),
-        given("go on", Step(first, MOVE, "dropped"), now=view(2, 20, 30)),
-        given("go on", Step(first, MOVE), Step(view(3), MOVE), now=view(4)),
+        given("go on", PastStep(first, MOVE, "dropped"), now=view(2, 20, 30)),
+        given("go on", PastStep(first, MOVE), PastStep(view(3), MOVE), now=view(4)),
     ]
     assert sound.act(inputs) == here.act(inputs)
     assert not isinstance(here, Remote)
@@ -48,7 +48,7 @@ def test_it_has_the_methods_that_the_class_has(sound: Policy) -> None:
     assert isinstance(both.planner, Planner)
     assert isinstance(both.grounder, Grounder)
     assert not isinstance(both.planner, Policy)
-    found = both.act([given(), given("lost"), given("go", Step(view(), MOVE))])
+    found = both.act([given(), given("lost"), given("go", PastStep(view(), MOVE))])
     assert [d.grounded is None for d in found] == [False, True, True]
     assert [d.stops for d in found] == [False, False, True]
 

@@ -12,9 +12,8 @@ from hypothesis.extra import numpy as arrays
 
 from lemma.core.poses import Pose2
 from lemma.policies.interfaces import Decision
-from lemma.serve.faults import FaultKind, PolicyFailedError, ProtocolError
-from lemma.serve.golden import pose_message
-from lemma.serve.messages import (
+from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
+from lemma.serve.protocol.messages import (
     VIEW_TYPES,
     decision_from_message,
     decision_to_message,
@@ -22,7 +21,8 @@ from lemma.serve.messages import (
     view_from_message,
     view_to_message,
 )
-from lemma.serve.packing import DTYPES, pack, unpack
+from lemma.serve.protocol.packing import DTYPES, pack, unpack
+from lemma.serve.selftest.known_inputs import pose_message
 from lemma.tasks.subtask import STOP, GroundedSubTask
 
 

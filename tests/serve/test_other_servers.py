@@ -12,15 +12,15 @@ from faulty_policies import Scripted, given
 from serving_processes import end, start
 from websockets.sync import server as raw
 
-from lemma.serve import websocket
-from lemma.serve.conversation import Manners
-from lemma.serve.faults import PolicyUnreachableError, ProtocolError
-from lemma.serve.messages import Message
-from lemma.serve.packing import pack, unpack
-from lemma.serve.server import PolicyServer
-from lemma.serve.websocket import WebSocketChannel, connect, websocket_address
+from lemma.serve.client import websocket
+from lemma.serve.client.conversation import ProtocolMode
+from lemma.serve.client.websocket import WebSocketChannel, connect, websocket_address
+from lemma.serve.protocol.faults import PolicyUnreachableError, ProtocolError
+from lemma.serve.protocol.messages import Message
+from lemma.serve.protocol.packing import pack, unpack
+from lemma.serve.server.server import PolicyServer
 
-PATIENT = Manners(60.0, 60.0, 10.0)
+PATIENT = ProtocolMode(60.0, 60.0, 10.0)
 
 
 @contextmanager
@@ -94,7 +94,7 @@ def test_a_server_that_reads_nothing_is_not_waited_for(
     monkeypatch.setattr(websocket, "_CONNECT_S", 0.3)
     process, url = start("Scripted")
     try:
-        policy: Any = connect(url, Manners(60.0, patience_s=0.3))
+        policy: Any = connect(url, ProtocolMode(60.0, patience_s=0.3))
         assert len(policy.act([given()])) == 1
         process.send_signal(signal.SIGSTOP)
         # The buffers of the system are full long before all of this is sent.

@@ -11,29 +11,29 @@ import pytest
 from faulty_policies import Scripted, given
 from serving_processes import end, start
 
-from lemma.cli.evaluate import Questions
+from lemma.cli.evaluate import EvaluateOptions
 from lemma.cli.evaluate import evaluate as verb
+from lemma.cli.options import complain
 from lemma.cli.serve import serve as serve_verb
-from lemma.cli.terminal import complain
 from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.engines import Job, Processes, Serial
-from lemma.evaluation import loading
-from lemma.evaluation.evaluate import (
+from lemma.core.parallel import Job, ProcessPool, Serial
+from lemma.evaluation.analysis.result import Row
+from lemma.evaluation.run import loading
+from lemma.evaluation.run.evaluate import (
     ABOUT,
     EPISODES,
-    EvaluationOrder,
+    EvaluationConfig,
     evaluate,
     read_rows,
 )
-from lemma.evaluation.preflight import check_server
-from lemma.evaluation.result import Row
+from lemma.evaluation.run.server_check import check_server
 from lemma.policies.interfaces import Decision, PolicyInput
-from lemma.policies.specification import PolicySpec
-from lemma.serve.conversation import Manners
-from lemma.serve.faults import PolicyUnreachableError
-from lemma.serve.messages import Message
-from lemma.serve.server import PolicyServer
+from lemma.policies.spec import PolicySpec
+from lemma.serve.client.conversation import ProtocolMode
+from lemma.serve.protocol.faults import PolicyUnreachableError
+from lemma.serve.protocol.messages import Message
+from lemma.serve.server.server import PolicyServer
 
 pytestmark = pytest.mark.render
 
@@ -48,11 +48,11 @@ class Here(Workers):
 NAME = "faulty_policies:Scripted"
 
 
-def order(out: Path, policy: str, **changes: Any) -> EvaluationOrder:
+def order(out: Path, policy: str, **changes: Any) -> EvaluationConfig:
     wanted = {"tasks": ("pass", "stack"), "episodes": 3, **changes}
     spec = PolicySpec(policy, timeout_s=changes.pop("timeout_s", 60.0))
     wanted.pop("timeout_s", None)
-    return EvaluationOrder(out=out, policy=spec, **wanted)
+    return EvaluationConfig(out=out, policy=spec, **wanted)
 
 
 def lines(folder: Path) -> list[Row]:
@@ -76,7 +76,7 @@ def test_a_socket_gives_the_same_lines_to_two_processes(
     tmp_path: Path, here: list[Row]
 ) -> None:
     with PolicyServer(Scripted(), port=0, about={"weights": "abc"}) as server:
-        evaluate(order(tmp_path, server.url), Processes(2))
+        evaluate(order(tmp_path, server.url), ProcessPool(2))
         about = json.loads((tmp_path / ABOUT).read_text())
         assert about["served"] == {
             server.url: {"name": "Scripted", "weights": "abc"},
@@ -126,8 +126,8 @@ def test_a_server_killed_in_the_middle_gives_the_same_lines(
 def test_a_server_gone_for_good_ends_the_run_and_keeps_what_was_done(
     tmp_path: Path, here: list[Row], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    impatient = Manners(60.0, patience_s=0.3, first_patience_s=0.3)
-    monkeypatch.setattr(loading, "Manners", lambda timeout_s: impatient)
+    impatient = ProtocolMode(60.0, patience_s=0.3, first_patience_s=0.3)
+    monkeypatch.setattr(loading, "ProtocolMode", lambda timeout_s: impatient)
     with PolicyServer(Scripted(), port=0) as server:
 
         class Closes(Serial):
@@ -158,9 +158,9 @@ def test_evaluate_tests_the_server_first(
     ask = {"tasks": "stack", "episodes": 1}
     with PolicyServer(Mirrors(), port=0) as server:
         with pytest.raises(InvalidConfigError, match="Yaw sign: It reads the pose"):
-            verb(server.url, tmp_path, Questions(**ask), Here())  # type: ignore[arg-type]
+            verb(server.url, tmp_path, EvaluateOptions(**ask), Here())  # type: ignore[arg-type]
         assert not (tmp_path / EPISODES).exists()
-        skipping = Questions(**ask, skip_check=True)  # type: ignore[arg-type]
+        skipping = EvaluateOptions(**ask, skip_check=True)  # type: ignore[arg-type]
         assert verb(server.url, tmp_path, skipping, Here()) == 0
         assert len(read_rows(tmp_path)) == 1
         assert serve_verb(check=server.url) == 1
@@ -230,7 +230,7 @@ def test_names_of_classes_are_shown_as_they_are(
 def test_faults_are_named_on_the_screen(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ask = Questions(tasks="stack", episodes=2, timeout_s=60.0)
+    ask = EvaluateOptions(tasks="stack", episodes=2, timeout_s=60.0)
     assert verb("faulty_policies:AnswersNothing", tmp_path, ask, Here()) == 0
     told = capsys.readouterr().err
     assert "stack 0: malformed: The policy's answer cannot be used" in told

@@ -9,18 +9,24 @@ from typing import Any
 import pytest
 from faulty_policies import MOVE, given, moved, view
 
-from lemma.evaluation.guarding import FARTHEST_M
-from lemma.policies.interfaces import Decision, PolicyInput, Step
-from lemma.policies.specification import TIMEOUT_S
-from lemma.serve.conversation import Conversation, Manners
-from lemma.serve.echo import CELL_M
-from lemma.serve.faults import FaultKind
-from lemma.serve.golden import CHECKS, COLUMNS, ROWS, check, golden_message
-from lemma.serve.messages import PROTOCOL, VIEW_TYPES, Message
-from lemma.serve.packing import DTYPES
-from lemma.serve.remote import remote
-from lemma.serve.session import Session
-from lemma.serve.websocket import connect
+from lemma.evaluation.run.fault_isolation import FARTHEST_M
+from lemma.policies.interfaces import Decision, PastStep, PolicyInput
+from lemma.policies.spec import TIMEOUT_S
+from lemma.serve.client.conversation import Conversation, ProtocolMode
+from lemma.serve.client.remote import remote
+from lemma.serve.client.websocket import connect
+from lemma.serve.protocol.faults import FaultKind
+from lemma.serve.protocol.messages import PROTOCOL, VIEW_TYPES, Message
+from lemma.serve.protocol.packing import DTYPES
+from lemma.serve.selftest.echo import CELL_M
+from lemma.serve.selftest.known_inputs import (
+    CHECKS,
+    COLUMNS,
+    ROWS,
+    check,
+    golden_message,
+)
+from lemma.serve.server.session import Session
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 PAGE = (Path(__file__).parents[2] / "docs/serving.md").read_text()
@@ -51,7 +57,7 @@ def test_the_kinds_of_faults_are_listed() -> None:
     ]
     assert f"more than {FARTHEST_M:g} m away" in PAGE
     assert f"({TIMEOUT_S:g} s per decision" in PAGE
-    manners = Manners(1.0)
+    manners = ProtocolMode(1.0)
     assert f"for up to {manners.patience_s:g} s" in PAGE
     assert manners.deaths == 3
 
@@ -104,8 +110,8 @@ class Listens:
 
 def test_the_messages_are_described() -> None:
     log: list[Message] = []
-    policy: Any = remote(Conversation("here", lambda: Listens(log), Manners(60.0)))
-    past = Step(view(1), MOVE)
+    policy: Any = remote(Conversation("here", lambda: Listens(log), ProtocolMode(60.0)))
+    past = PastStep(view(1), MOVE)
     policy.act([given("go", past)])
     policy.plan([given()])
     policy.ground([given()], [MOVE])
@@ -146,7 +152,7 @@ def test_a_server_of_ones_own_passes_the_test_and_decides(tmp_path: Path) -> Non
     try:
         assert process.stdout is not None
         url = f"http://127.0.0.1:{int(process.stdout.readline())}"
-        policy: Any = connect(url, Manners(60.0))
+        policy: Any = connect(url, ProtocolMode(60.0))
         report = check(policy.conversation)
         assert report.ok, str(report)
         assert report.by == "my server"

@@ -19,21 +19,21 @@ from faulty_policies import BAD, MOVE, Hangs, Raises, Scripted, given, moved, vi
 from serving_processes import end, start
 
 from lemma.core.errors import InvalidConfigError
-from lemma.evaluation.guarding import Fault, Guard
-from lemma.policies.interfaces import Decision, PolicyInput, Step
-from lemma.serve.conversation import Conversation, Manners
-from lemma.serve.faults import (
+from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
+from lemma.policies.interfaces import Decision, PastStep, PolicyInput
+from lemma.serve.client.conversation import Conversation, ProtocolMode
+from lemma.serve.client.remote import remote
+from lemma.serve.client.websocket import WebSocketChannel, connect, websocket_address
+from lemma.serve.protocol.faults import (
     FaultKind,
     PolicyFailedError,
     PolicyUnreachableError,
     ProtocolError,
 )
-from lemma.serve.messages import Message
-from lemma.serve.remote import remote
-from lemma.serve.server import PolicyServer
-from lemma.serve.websocket import WebSocketChannel, connect, websocket_address
+from lemma.serve.protocol.messages import Message
+from lemma.serve.server.server import PolicyServer
 
-PATIENT = Manners(60.0, 60.0, 10.0)
+PATIENT = ProtocolMode(60.0, 60.0, 10.0)
 HERE = Path(__file__).parent
 
 
@@ -70,7 +70,8 @@ def histories(count: int, steps: int) -> list[PolicyInput]:
     found = []
     for number in range(count):
         past = tuple(
-            Step(view(10 * number + k, 20, 30), MOVE, "dropped") for k in range(steps)
+            PastStep(view(10 * number + k, 20, 30), MOVE, "dropped")
+            for k in range(steps)
         )
         now = view(10 * number + steps, 20, 30)
         found.append(given(f"episode {number}", *past, now=now))
@@ -82,7 +83,7 @@ def went_on(inputs: Sequence[PolicyInput]) -> list[PolicyInput]:
     return [
         replace(
             one,
-            past=(*one.past, Step(one.view, MOVE)),
+            past=(*one.past, PastStep(one.view, MOVE)),
             view=view(len(one.past) + 100, 20, 30),
         )
         for one in inputs
@@ -203,8 +204,10 @@ def supervised(name: str) -> Iterator[str]:
 @pytest.mark.slow
 def test_a_request_that_kills_the_server_costs_its_episode_alone() -> None:
     with supervised("Crashes") as url:
-        policy: Any = connect(url, Manners(60.0, deaths=2))
-        good, bad, other = Guard(policy).decide([given("a"), given(BAD), given("b")])
+        policy: Any = connect(url, ProtocolMode(60.0, deaths=2))
+        good, bad, other = IsolatedPolicy(policy).decide(
+            [given("a"), given(BAD), given("b")]
+        )
         assert good == other == moved()
         assert isinstance(bad, Fault)
         assert bad.kind is FaultKind.DIED
@@ -213,8 +216,8 @@ def test_a_request_that_kills_the_server_costs_its_episode_alone() -> None:
 
 def test_a_server_that_hangs_costs_its_episode_alone() -> None:
     with PolicyServer(Hangs(), port=0) as server:
-        policy: Any = connect(server.url, Manners(0.3))
-        answers = Guard(policy).decide([given("a"), given(BAD), given("b")])
+        policy: Any = connect(server.url, ProtocolMode(0.3))
+        answers = IsolatedPolicy(policy).decide([given("a"), given(BAD), given("b")])
         assert [isinstance(a, Decision) for a in answers] == [True, False, True]
         assert isinstance(answers[1], Fault)
         assert answers[1].kind is FaultKind.TIMEOUT
@@ -233,7 +236,7 @@ def test_a_slow_policy_is_waited_for() -> None:
 
     with PolicyServer(Slow(), port=0) as server:
         # Three decisions may take three times as long as one.
-        policy: Any = connect(server.url, Manners(0.5))
+        policy: Any = connect(server.url, ProtocolMode(0.5))
         assert len(policy.act([given("a"), given("b"), given("c")])) == 3
         policy.close()
 
@@ -286,15 +289,15 @@ def free_port() -> int:
 def test_nobody_there_is_reported() -> None:
     url = f"http://127.0.0.1:{free_port()}"
     with pytest.raises(PolicyUnreachableError, match=url):
-        connect(url, Manners(1.0, 0.3, 0.3))
+        connect(url, ProtocolMode(1.0, 0.3, 0.3))
 
 
 def test_a_server_gone_for_good_is_no_fault_of_the_policy() -> None:
     with PolicyServer(Scripted(), port=0) as server:
-        policy: Any = connect(server.url, Manners(1.0, 0.3, 0.3))
+        policy: Any = connect(server.url, ProtocolMode(1.0, 0.3, 0.3))
         assert len(policy.act([given()])) == 1
     with pytest.raises(PolicyUnreachableError, match="what was finished is kept"):
-        Guard(policy).decide([given(), given()])
+        IsolatedPolicy(policy).decide([given(), given()])
 
 
 @pytest.mark.parametrize(

@@ -11,29 +11,29 @@ from hypothesis import strategies as st
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
-from lemma.scene.palette import OBJECT_COLOURS
-from lemma.scene.spec import ROBOT_COLOURS, ObjectPlacement, RobotPlacement, SceneSpec
+from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.spec import ROBOT_COLORS, ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 
-COLOURS = tuple(OBJECT_COLOURS)
+COLORS = tuple(OBJECT_COLORS)
 poses = st.builds(
     Pose2, st.floats(-1.5, 1.5), st.floats(-1.1, 1.1), st.floats(-math.pi, math.pi)
 )
 robots = st.builds(
     RobotPlacement,
     st.sampled_from(["ur5", "ur10"]),
-    st.sampled_from(ROBOT_COLOURS),
+    st.sampled_from(ROBOT_COLORS),
     poses,
 )
 
 
 @st.composite
 def instances(draw: st.DrawFn) -> Instance:
-    cubes = draw(st.lists(st.sampled_from(COLOURS), min_size=2, unique=True))
-    pads = draw(st.lists(st.sampled_from(COLOURS), unique=True))
-    objects = [ObjectPlacement("cube", colour, draw(poses)) for colour in cubes]
-    objects += [ObjectPlacement("pad", colour, draw(poses)) for colour in pads]
+    cubes = draw(st.lists(st.sampled_from(COLORS), min_size=2, unique=True))
+    pads = draw(st.lists(st.sampled_from(COLORS), unique=True))
+    objects = [ObjectPlacement("cube", color, draw(poses)) for color in cubes]
+    objects += [ObjectPlacement("pad", color, draw(poses)) for color in pads]
     if draw(st.booleans()):
         objects.append(ObjectPlacement("stick", "yellow", draw(poses)))
     return Instance(
@@ -118,5 +118,5 @@ def test_a_spoilt_line_is_refused() -> None:
     goal = Goal.from_pairs((("red_cube", "blue_cube"),))
     data = Instance("stack", "free", 0, scene, goal, {}, ()).to_dict()
     data["objects"][0][1] = "purple"
-    with pytest.raises(UnknownNameError, match="object colour 'purple'"):
+    with pytest.raises(UnknownNameError, match="object color 'purple'"):
         Instance.from_dict(data)

@@ -8,12 +8,11 @@ import pytest
 
 from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
-from lemma.robots.envelope import sweep_radius_m
+from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import GRASP_HEIGHT_M, TRAVEL_HEIGHT_M, can_hold, reach_of
+from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
+from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX, camera_mount
 from lemma.scene.cameras import Camera, CameraIntrinsics
-from lemma.scene.compose import TABLE_HALF_X_M, TABLE_HALF_Y_M
-from lemma.scene.entities import STICK
-from lemma.scene.layout import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX, camera_mount
 from lemma.scene.objects import (
     CUBE_EDGE_M,
     HANDLE_LENGTH_M,
@@ -21,14 +20,14 @@ from lemma.scene.objects import (
     PAD_RADIUS_M,
     STICK_SECTION_M,
 )
-from lemma.scene.spec import ObjectPlacement
-from lemma.tasks.board import Board, PlacementError
+from lemma.scene.spec import STICK, ObjectPlacement
+from lemma.tasks.drags import grasp_on_stick
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.placement import Board, PlacementError
 from lemma.tasks.sampling import TEAMS, sample
 from lemma.tasks.suite import SUITE, load_instance, task_named
 from lemma.tasks.task import Task
-from lemma.tasks.tool_use import grasp_on_stick
 
 TEST = range(SPLITS["test"])
 Box = tuple[Pose2, float, float]

@@ -11,11 +11,10 @@ import pytest
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.seeding import stream
-from lemma.scene.entities import STICK
-from lemma.scene.palette import OBJECT_COLOURS
-from lemma.scene.spec import ROBOT_COLOURS
+from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.spec import ROBOT_COLORS, STICK
 from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.language import KINDS, parse, words
+from lemma.tasks.language.bank import KINDS, parse, words
 from lemma.tasks.sampling import TEAMS, sample
 from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance, task_named
 from lemma.tasks.task import TASKS
@@ -169,14 +168,14 @@ def test_a_refused_draw_is_followed_by_the_next() -> None:
 
 
 @pytest.mark.parametrize("task", SUITE)
-def test_every_team_robot_colour_and_number_of_distractors_occurs(task: str) -> None:
+def test_every_team_robot_color_and_number_of_distractors_occurs(task: str) -> None:
     found = instances(task, "test")
     assert {instance.team for instance in found} == TEAM_TYPES
     pairs = {tuple(r.arm for r in i.scene.robots) for i in found}
     assert pairs == {pair for team in TEAMS for pair in (team, team[::-1])}
     for which in (0, 1):
-        colours = {instance.scene.robots[which].colour for instance in found}
-        assert colours == set(ROBOT_COLOURS)
+        colors = {instance.scene.robots[which].color for instance in found}
+        assert colors == set(ROBOT_COLORS)
     counts = {len(instance.distractors) for instance in found}
     assert counts >= {0, 1}
     assert max(counts) >= 2
@@ -235,14 +234,14 @@ def test_one_instruction_may_mean_different_roles(task: str) -> None:
 
 
 @pytest.mark.parametrize("task", SUITE)
-def test_colours_are_balanced(task: str) -> None:
+def test_colors_are_balanced(task: str) -> None:
     counts: Counter[tuple[str, str]] = Counter()
     for instance in instances(task, "train"):
         for name in instance.goal.entities:
-            colour, kind = name.rsplit("_", 1)
-            counts[colour, kind] += 1
+            color, kind = name.rsplit("_", 1)
+            counts[color, kind] += 1
     for kind in {kind for _, kind in counts}:
-        each = [counts[colour, kind] for colour in OBJECT_COLOURS]
+        each = [counts[color, kind] for color in OBJECT_COLORS]
         # Five standard deviations of a fair draw at most.
         fair = sum(each) / len(each)
         assert max(abs(count - fair) for count in each) < 5.0 * fair**0.5
@@ -257,8 +256,8 @@ def test_teams_and_their_order_are_balanced(task: str) -> None:
     mixed = Counter(i.scene.robots[0].arm for i in found if i.team == "ur5+ur10")
     assert max(abs(n - fair / 2) for n in mixed.values()) < 5.0 * (fair / 2) ** 0.5
     for which in (0, 1):
-        colours = Counter(i.scene.robots[which].colour for i in found)
-        assert abs(colours["red"] - colours["white"]) < 5.0 * len(found) ** 0.5
+        colors = Counter(i.scene.robots[which].color for i in found)
+        assert abs(colors["red"] - colors["white"]) < 5.0 * len(found) ** 0.5
 
 
 @pytest.mark.parametrize("task", SUITE)

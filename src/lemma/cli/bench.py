@@ -6,8 +6,9 @@ import tyro
 from rich.progress import track
 from rich.table import Table
 
-from lemma.cli.machine import describe_machine, usable_cores
-from lemma.cli.measure import (
+from lemma.bench.machine import describe_machine
+from lemma.bench.policy import PolicyFigures, measure_policy
+from lemma.bench.speed import (
     ExpertFigures,
     Speed,
     expert_figures,
@@ -15,8 +16,7 @@ from lemma.cli.measure import (
     rounded,
     run_trials,
 )
-from lemma.cli.measure_policy import PolicyFigures, measure_policy
-from lemma.cli.terminal import (
+from lemma.cli.options import (
     Flag,
     JsonFlag,
     Number,
@@ -26,6 +26,7 @@ from lemma.cli.terminal import (
     print_json,
 )
 from lemma.core.errors import InvalidConfigError
+from lemma.core.parallel import usable_cores
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.suite import SUITE, load_instance, task_named
 

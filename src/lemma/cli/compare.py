@@ -7,9 +7,9 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.terminal import JsonFlag, output, print_json
-from lemma.evaluation.comparison import Comparison
-from lemma.evaluation.comparison import compare as run
+from lemma.cli.options import JsonFlag, output, print_json
+from lemma.evaluation.analysis.comparison import Comparison
+from lemma.evaluation.analysis.comparison import compare as run
 
 ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 """A folder that ``lemma evaluate`` wrote."""

@@ -9,23 +9,16 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from lemma.cli.illustrate import illustrate_all
-from lemma.cli.page import write_page
-from lemma.cli.recording import RecordedStep, Recording, record, warm_up
+from lemma.cli.options import Flag, JsonFlag, TaskNames, messages, output, print_json
 from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
-from lemma.cli.terminal import (
-    Flag,
-    JsonFlag,
-    TaskNames,
-    messages,
-    output,
-    print_json,
-)
-from lemma.cli.video import VideoStyle
-from lemma.evaluation.rollout import Player
-from lemma.policies.specification import ORACLE, PolicySpec
+from lemma.evaluation.run.rollout import Player
+from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE
+from lemma.viz.illustrate import illustrate_all
+from lemma.viz.pages.demo import write_page
+from lemma.viz.recording import RecordedStep, Recording, record, warm_up
+from lemma.viz.video import VideoStyle
 
 _OUT = Path("out/demo")
 

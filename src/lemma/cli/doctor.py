@@ -5,9 +5,9 @@ from dataclasses import asdict
 from rich.table import Table
 from rich.text import Text
 
-from lemma.cli.checks import Check, run_checks
-from lemma.cli.machine import describe_machine
-from lemma.cli.terminal import JsonFlag, messages, output, print_json
+from lemma.bench.checks import Check, run_checks
+from lemma.bench.machine import describe_machine
+from lemma.cli.options import JsonFlag, messages, output, print_json
 
 
 def doctor(as_json: JsonFlag = False) -> int:

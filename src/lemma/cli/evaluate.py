@@ -8,24 +8,24 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.terminal import Flag, JsonFlag, Number, complain, output, print_json
+from lemma.cli.options import Flag, JsonFlag, Number, complain, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
-from lemma.evaluation.evaluate import SUMMARY, EvaluationOrder, summary_of
-from lemma.evaluation.evaluate import evaluate as run
-from lemma.evaluation.preflight import check_served
-from lemma.evaluation.protocol import NAME, departures
-from lemma.evaluation.result import Cell, Row
-from lemma.evaluation.summary import Rate, mean_over_tasks, rates_by
-from lemma.policies.specification import TIMEOUT_S, PolicySpec
+from lemma.evaluation.analysis.intervals import Rate, mean_over_tasks, rates_by
+from lemma.evaluation.analysis.result import Cell, Row
+from lemma.evaluation.run.evaluate import SUMMARY, EvaluationConfig, summary_of
+from lemma.evaluation.run.evaluate import evaluate as run
+from lemma.evaluation.run.protocol import NAME, departures
+from lemma.evaluation.run.server_check import check_served
+from lemma.policies.spec import TIMEOUT_S, PolicySpec
+from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE
-from lemma.tasks.template import KINDS
 
 _ALL = "all"
 _COMPLAINTS = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Questions:
+class EvaluateOptions:
     """What is asked of the policy."""
 
     instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
@@ -48,15 +48,15 @@ class Questions:
     """Leave out the self-test of a policy behind a socket."""
     language: Literal["full", "none", "shuffled", "swapped"] = "full"
     """Controls. none: nothing is said; shuffled: what belongs to the next instance;
-    swapped: other colours, which ask for another goal on the same table."""
+    swapped: other colors, which ask for another goal on the same table."""
     perturb_start: Flag = False
     """Objects begin up to 3 cm and 15 degrees from where the instances say."""
 
 
-EVERYTHING = Questions()
+EVERYTHING = EvaluateOptions()
 """High-level instructions, all tasks, the whole test split."""
 
-QuestionOptions = Annotated[Questions, tyro.conf.arg(name="")]
+QuestionOptions = Annotated[EvaluateOptions, tyro.conf.arg(name="")]
 """The fields as options of the verb."""
 
 
@@ -80,7 +80,7 @@ def evaluate(
         working: Where to work.
         as_json: Print one JSON object instead of a table.
     """
-    order = EvaluationOrder(
+    order = EvaluationConfig(
         out=out,
         policy=PolicySpec(policy, ask.planning, ask.gta, ask.timeout_s),
         tasks=_names(ask.tasks, SUITE),

@@ -7,15 +7,15 @@ from typing import Annotated, Any
 import tyro
 from rich.table import Table
 
-from lemma.cli.terminal import JsonFlag, Number, Word, complain, output, print_json
+from lemma.cli.options import JsonFlag, Number, Word, complain, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.digests import differing
-from lemma.dataset.generate import Order, Summary
-from lemma.dataset.generate import generate as write_recipe
-from lemma.dataset.reader import load
-from lemma.dataset.recovery import RecoveryFigures, recovery_figures
-from lemma.expert.perturbation import Perturbation
+from lemma.dataset.recipe.digests import differing
+from lemma.dataset.recipe.generate import GenerateConfig, GenerateSummary
+from lemma.dataset.recipe.generate import generate as write_recipe
+from lemma.dataset.recipe.reader import load
+from lemma.dataset.recipe.recovery import RecoveryFigures, recovery_figures
+from lemma.expert.disturbances import Perturbation
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.suite import SUITE
 
@@ -25,7 +25,7 @@ _RECIPE, _RECOVERY = Path("data/lemma-v1"), Path("data/lemma-v1-recovery")
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class GenerateOptions:
     """Which episodes, and whether their sub-tasks go wrong to show what to do then."""
 
     tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
@@ -42,7 +42,7 @@ class Wanted:
     perturb_seed: int = 0
     """With --perturb: another one makes other mistakes in the same instances."""
 
-    def order(self, out: Path | None) -> Order:
+    def order(self, out: Path | None) -> GenerateConfig:
         """Return what is to be written, and where.
 
         Raises:
@@ -56,7 +56,7 @@ class Wanted:
             raise InvalidConfigError(
                 "--perturb-seed draws mistakes, but none are made. Add --perturb 0.3."
             )
-        return Order(
+        return GenerateConfig(
             out=out or (_RECOVERY if perturb else _RECIPE),
             tasks=SUITE if self.tasks == _ALL else words(self.tasks),
             splits=words(self.split or ("train" if perturb else _SPLITS)),
@@ -65,11 +65,11 @@ class Wanted:
         )
 
 
-_EVERYTHING = Wanted()
+_EVERYTHING = GenerateOptions()
 
 
 def generate(
-    wanted: Annotated[Wanted, tyro.conf.arg(name="")] = _EVERYTHING,
+    wanted: Annotated[GenerateOptions, tyro.conf.arg(name="")] = _EVERYTHING,
     out: Annotated[
         Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
     ] = None,
@@ -143,7 +143,7 @@ def words(listed: str) -> tuple[str, ...]:
     return found
 
 
-def figures(summary: Summary, workers: int) -> dict[str, float]:
+def figures(summary: GenerateSummary, workers: int) -> dict[str, float]:
     """Return what a run came to, with rates."""
     rate = summary.made / summary.seconds
     found = {**asdict(summary), "workers": workers, "episodes_per_s": rate}

@@ -5,29 +5,21 @@ from pathlib import Path
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.dataset_page import (
+from lemma.cli.options import File, JsonFlag, Number, Word, messages, output, print_json
+from lemma.cli.replay import Folder, choose
+from lemma.core.errors import InvalidConfigError
+from lemma.dataset.files import open_table
+from lemma.dataset.recipe.balance import ALL
+from lemma.dataset.recipe.reader import Recipe, load
+from lemma.dataset.recipe.schema import EpisodeRecord
+from lemma.dataset.recipe.statistics import Statistics, statistics_of
+from lemma.viz.keyframe_sheet import keyframe_strip
+from lemma.viz.pages.dataset import (
     p_words,
     table_cells,
     verdict_words,
     write_dataset_page,
 )
-from lemma.cli.replay import Folder, choose
-from lemma.cli.strip import keyframe_strip
-from lemma.cli.terminal import (
-    File,
-    JsonFlag,
-    Number,
-    Word,
-    messages,
-    output,
-    print_json,
-)
-from lemma.core.errors import InvalidConfigError
-from lemma.dataset.balance import ALL
-from lemma.dataset.files import open_table
-from lemma.dataset.reader import Recipe, load
-from lemma.dataset.schema import EpisodeRecord
-from lemma.dataset.statistics import Statistics, statistics_of
 
 _SPLIT = "test"
 

@@ -6,14 +6,14 @@ from typing import Literal
 import numpy as np
 from rich.table import Table
 
-from lemma.cli.terminal import JsonFlag, TaskName, output, print_json
+from lemma.cli.options import JsonFlag, TaskName, output, print_json
 from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
 from lemma.dataset.instructions import draw_instruction
 from lemma.expert.expert import Expert
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.language import instruct, robot_phrases, sub_instruction
+from lemma.tasks.language.bank import instruct, robot_phrases, sub_instruction
 from lemma.tasks.suite import load_instance, task_named
 
 Kind = Literal["training", "high_level", "human", "unseen", "sub"]
@@ -79,7 +79,7 @@ def _sentences(
 
 def _plan(instance: Instance) -> list[str]:
     """Return what the expert would tell the robots, in order."""
-    names = robot_phrases(tuple(robot.colour for robot in instance.scene.robots))
+    names = robot_phrases(tuple(robot.color for robot in instance.scene.robots))
     spoken = dict(zip(instance.scene.robot_names, names, strict=True))
     plan = Expert(Scene(instance.scene), instance.goal).plan()
     steps = plan.steps if plan is not None else ()

@@ -7,7 +7,7 @@ from importlib import import_module
 import tyro
 
 from lemma import __version__
-from lemma.cli.terminal import complain, output
+from lemma.cli.options import complain, output
 from lemma.core.errors import LemmaError
 
 VERBS = (

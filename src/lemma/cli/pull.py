@@ -6,8 +6,8 @@ from typing import Annotated
 import tyro
 
 from lemma.cli.generate import words
+from lemma.cli.options import Word, messages, output
 from lemma.cli.push_to_hub import Repository
-from lemma.cli.terminal import Word, messages, output
 from lemma.dataset.hub import pull as fetch
 
 Out = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]

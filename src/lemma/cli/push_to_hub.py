@@ -4,8 +4,8 @@ from typing import Annotated
 
 import tyro
 
+from lemma.cli.options import Flag, messages, output
 from lemma.cli.replay import Folder
-from lemma.cli.terminal import Flag, messages, output
 from lemma.dataset.hub import push
 
 Repository = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="OWNER/NAME")]

@@ -8,16 +8,16 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lemma.cli.terminal import Flag, JsonFlag, complain, output, print_json
+from lemma.cli.options import Flag, JsonFlag, complain, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.capture import KeyframeForm
-from lemma.dataset.dense_form import DenseForm
-from lemma.dataset.engines import Engine
-from lemma.dataset.lerobot import LeRobotOrder, write_dataset
-from lemma.dataset.lerobot_format import Style
-from lemma.dataset.render import RenderOrder, RenderSummary
-from lemma.dataset.render import render as render_form
+from lemma.core.parallel import Engine
+from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
+from lemma.dataset.lerobot.layout import Style
+from lemma.dataset.rendered.dense_form import DenseForm
+from lemma.dataset.rendered.keyframes.capture import KeyframeForm
+from lemma.dataset.rendered.render import RenderConfig, RenderSummary
+from lemma.dataset.rendered.render import render as render_form
 
 INTERRUPTED = 130
 _ALL = "all"
@@ -31,7 +31,7 @@ _ROWS = {"keyframes": "keyframes", "dense": "steps", "lerobot": "frames"}
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class RenderOptions:
     """What is made of which episodes."""
 
     tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
@@ -48,10 +48,10 @@ class Look:
     """Leave depth out of a LeRobotDataset. Readers before lerobot 0.6 need that."""
 
 
-EVERYTHING = Look()
+EVERYTHING = RenderOptions()
 """All episodes, at the usual size and rate."""
 
-LookOptions = Annotated[Look, tyro.conf.arg(name="")]
+LookOptions = Annotated[RenderOptions, tyro.conf.arg(name="")]
 """The fields as options of a verb."""
 
 
@@ -77,7 +77,7 @@ def render(
         working: Where to work.
         as_json: Print one JSON object instead of words.
     """
-    order = RenderOrder(
+    order = RenderConfig(
         recipe=data, out=out, tasks=words(look.tasks), splits=words(look.splits)
     )
     make = choose_form(form, order, look)
@@ -105,7 +105,7 @@ def render(
     return 0
 
 
-def choose_form(name: FormName, order: RenderOrder, look: Look) -> Make:
+def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Make:
     """Return what makes the form that a user asked for.
 
     Raises:
@@ -123,7 +123,7 @@ def choose_form(name: FormName, order: RenderOrder, look: Look) -> Make:
     style = Style(
         fps=look.fps, width_px=width, height_px=height, depth=not look.no_depth
     )
-    return partial(write_dataset, LeRobotOrder(source=order, style=style))
+    return partial(write_dataset, LeRobotConfig(source=order, style=style))
 
 
 def words(listed: str) -> tuple[str, ...]:

@@ -8,19 +8,11 @@ from typing import Annotated, Any
 import tyro
 from rich.table import Table
 
-from lemma.cli.terminal import (
-    Flag,
-    JsonFlag,
-    Number,
-    Word,
-    complain,
-    output,
-    print_json,
-)
+from lemma.cli.options import Flag, JsonFlag, Number, Word, complain, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.reader import Recipe, load
-from lemma.dataset.replay import Replay, replay_all
+from lemma.dataset.recipe.reader import Recipe, load
+from lemma.dataset.recipe.replay import Replay, replay_all
 
 INTERRUPTED = 130
 _SHOWN = 20

@@ -7,18 +7,22 @@ from typing import Annotated
 
 import tyro
 
-from lemma.cli.machine import usable_cores
-from lemma.cli.report_figures import FIGURES, figures_of, write_figures
-from lemma.cli.report_page import PAGE, Findings, write_report_page
-from lemma.cli.report_pictures import Pictures, picture_all
-from lemma.cli.terminal import Flag, Number, Word, complain, output
+from lemma.cli.options import Flag, Number, Word, complain, output
 from lemma.cli.workers import progress_bar
 from lemma.core.errors import DatasetError, InvalidConfigError, RenderingError
+from lemma.core.parallel import usable_cores
 from lemma.dataset.files import write_text
-from lemma.evaluation.entries import Entry, entries_of, read_results
-from lemma.evaluation.report import REPORT, page
-from lemma.evaluation.report_episodes import Case, cases_of, spread
-from lemma.scene.opengl import choose_backend
+from lemma.evaluation.report.episodes import Case, cases_of, spread
+from lemma.evaluation.report.policy_results import (
+    PolicyResults,
+    entries_of,
+    read_results,
+)
+from lemma.evaluation.report.sections import REPORT, page
+from lemma.scene.rendering.gl_backend import choose_backend
+from lemma.viz.pages.report import PAGE, Findings, write_report_page
+from lemma.viz.pages.report_figures import FIGURES, figures_of, write_figures
+from lemma.viz.pages.report_pictures import Pictures, picture_all
 
 ResultPaths = Annotated[
     tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RESULT ...")
@@ -31,7 +35,7 @@ VIDEOS = "videos"
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class ReportOptions:
     """Which failures are shown in pictures."""
 
     failures: Annotated[int, tyro.conf.arg(metavar="N")] = 20
@@ -44,10 +48,10 @@ class Wishes:
     """Processes that draw; one per core by default."""
 
 
-DEFAULT = Wishes()
+DEFAULT = ReportOptions()
 """Pictures of some failures, no videos."""
 
-WishOptions = Annotated[Wishes, tyro.conf.arg(name="")]
+WishOptions = Annotated[ReportOptions, tyro.conf.arg(name="")]
 """The fields as options of the verb."""
 
 
@@ -102,13 +106,13 @@ def report(
     return 0
 
 
-def print_written(path: Path, entries: list[Entry]) -> None:
+def print_written(path: Path, entries: list[PolicyResults]) -> None:
     """Say where the tables are, and of how many policies they have results."""
     count = sum(bool(entry.results) for entry in entries)
     output().print(f"Policies with results: {count}. Tables: {path}", soft_wrap=True)
 
 
-def choose(cases: Sequence[Case], wishes: Wishes) -> list[tuple[int, Case]]:
+def choose(cases: Sequence[Case], wishes: ReportOptions) -> list[tuple[int, Case]]:
     """Return number and episode of those that get pictures.
 
     Raises:
@@ -134,7 +138,7 @@ def choose(cases: Sequence[Case], wishes: Wishes) -> list[tuple[int, Case]]:
     return [(i, case) for i, case in enumerate(cases) if id(case) in wanted]
 
 
-def _findings(cases: Sequence[Case], wishes: Wishes, out: Path) -> Findings:
+def _findings(cases: Sequence[Case], wishes: ReportOptions, out: Path) -> Findings:
     failed = sum(case.cause is not None for case in cases)
     chosen = choose(cases, wishes)
     if not chosen:

@@ -6,19 +6,19 @@ from typing import Annotated
 
 import tyro
 
+from lemma.cli.options import Flag, Number, messages, output
 from lemma.cli.report import print_written
-from lemma.cli.terminal import Flag, Number, messages, output
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.dataset.files import write_text
-from lemma.evaluation.entries import entries_of, read_results
-from lemma.evaluation.experiments import selected
-from lemma.evaluation.protocol import check_protocol, quote
-from lemma.evaluation.report import REPORT, page
-from lemma.evaluation.reproduction import (
+from lemma.evaluation.experiments.catalog import selected
+from lemma.evaluation.experiments.reproduction import (
     MissingWeightsError,
     Reproduction,
     commands,
 )
+from lemma.evaluation.report.policy_results import entries_of, read_results
+from lemma.evaluation.report.sections import REPORT, page
+from lemma.evaluation.run.protocol import check_protocol, quote
 
 OptionalFolder = Annotated[
     Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
@@ -27,7 +27,7 @@ OptionalFolder = Annotated[
 
 
 @dataclass(frozen=True, slots=True)
-class Extent:
+class ReproduceOptions:
     """From which weights, and how many episodes."""
 
     weights: OptionalFolder = None
@@ -39,10 +39,10 @@ class Extent:
     """Only the first so many of every task; for trying."""
 
 
-EVERYTHING = Extent()
+EVERYTHING = ReproduceOptions()
 """All episodes of the test split, from the weights that ship."""
 
-ExtentOptions = Annotated[Extent, tyro.conf.arg(name="")]
+ExtentOptions = Annotated[ReproduceOptions, tyro.conf.arg(name="")]
 """The fields as options of the verb."""
 
 

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import tyro
 
-from lemma.cli.terminal import Number, Team, Word
+from lemma.cli.options import Number, Team, Word
 from lemma.core.errors import InvalidConfigError
-from lemma.robots.ur import ARMS
+from lemma.robots.ur.build import ARMS
 from lemma.tasks.instance import Instance
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, load_instance, task_named

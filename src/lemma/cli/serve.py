@@ -4,14 +4,14 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lemma.cli.terminal import Flag, JsonFlag, Word, output, print_json
+from lemma.cli.options import Flag, JsonFlag, Word, output, print_json
 from lemma.core.errors import InvalidConfigError
-from lemma.evaluation.preflight import check_server
-from lemma.evaluation.provenance import weights_of
-from lemma.policies.specification import ORACLE, PolicySpec
-from lemma.serve.golden import CHECKS, Report
-from lemma.serve.server import DEFAULT_PORT
-from lemma.serve.server import serve as run
+from lemma.evaluation.run.loading import weights_of
+from lemma.evaluation.run.server_check import check_server
+from lemma.policies.spec import ORACLE, PolicySpec
+from lemma.serve.selftest.known_inputs import CHECKS, SelfTestReport
+from lemma.serve.server.server import DEFAULT_PORT
+from lemma.serve.server.server import serve as run
 
 _HOST = "127.0.0.1"
 _WHO = {
@@ -70,7 +70,7 @@ def _announce(url: str) -> None:
     output().print(f"Ready: lemma evaluate --policy {url} --out DIR", soft_wrap=True)
 
 
-def _report(report: Report, as_json: Flag) -> int:
+def _report(report: SelfTestReport, as_json: Flag) -> int:
     if as_json:
         print_json(
             {

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
+from lemma.cli.options import File, TaskName, messages, output
 from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
-from lemma.cli.sheet import instance_sheet
-from lemma.cli.terminal import File, TaskName, messages, output
-from lemma.tasks.template import KINDS
+from lemma.tasks.language.template import KINDS
+from lemma.viz.instance_sheet import instance_sheet
 
 
 def show(

@@ -5,8 +5,8 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.terminal import JsonFlag, output, print_json
-from lemma.scene.entities import STICK
+from lemma.cli.options import JsonFlag, output, print_json
+from lemma.scene.spec import STICK
 from lemma.tasks.suite import SUITE, load_instance
 from lemma.tasks.task import TASKS
 

@@ -8,9 +8,9 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.terminal import Flag, JsonFlag, messages, output, print_json
+from lemma.cli.options import Flag, JsonFlag, messages, output, print_json
 from lemma.core.errors import InvalidConfigError
-from lemma.policies.training import TrainingConfig
+from lemma.policies.training.config import TrainingConfig
 
 INTERRUPTED = 130
 _EXTRA = ("torch", "safetensors", "tensorboard")
@@ -36,7 +36,7 @@ def train(
         Exit code: 130 if it was interrupted.
     """
     try:
-        loop = import_module("lemma.policies.train")
+        loop = import_module("lemma.policies.training.loop")
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] not in _EXTRA:
             raise

@@ -18,10 +18,9 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from lemma.cli.machine import usable_cores
-from lemma.cli.terminal import Number, messages
+from lemma.cli.options import Number, messages
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.engines import Engine, Processes, Ray
+from lemma.core.parallel import Engine, ProcessPool, RayCluster, usable_cores
 
 _RATE_PERIOD_S = 60.0
 
@@ -50,8 +49,8 @@ class Workers:
                     "--workers is for processes on this machine; Ray uses all cores "
                     "of its cluster. Leave out one of the two."
                 )
-            return Ray(self.ray_address)
-        return Processes(usable_cores() if self.workers is None else self.workers)
+            return RayCluster(self.ray_address)
+        return ProcessPool(usable_cores() if self.workers is None else self.workers)
 
 
 DEFAULT = Workers()

@@ -13,7 +13,7 @@ class LemmaError(Exception):
 
 
 class UnknownNameError(LemmaError, ValueError):
-    """A name that is not in a registry: a task, a robot, a colour, a camera."""
+    """A name that is not in a registry: a task, a robot, a color, a camera."""
 
     def __init__(self, kind: str, name: object, valid: Iterable[str]) -> None:
         """Build the message from the valid names.

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 from lemma import __version__
 from lemma.core.errors import DatasetError
-from lemma.dataset.schema import (
+from lemma.dataset.recipe.schema import (
     FORMAT_VERSION,
     PERTURBED_SCHEMA,
     SCHEMA,

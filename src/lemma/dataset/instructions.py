@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.seeding import stream
-from lemma.dataset.schema import EpisodeRecord
-from lemma.tasks.language import instruct
-from lemma.tasks.template import KINDS, GoalPairs
+from lemma.dataset.recipe.schema import EpisodeRecord
+from lemma.tasks.language.bank import instruct
+from lemma.tasks.language.template import KINDS, GoalPairs
 
 TRAINING_KINDS = ("high_level", "human")
 """Kinds of sentences that may be trained on: all but those held out."""

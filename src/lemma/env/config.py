@@ -5,12 +5,12 @@ from typing import Any, Self
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.env.simulation import HORIZON_S, TICK_S
-from lemma.robots.ur import ARMS
-from lemma.scene.layout import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.robots.ur.build import ARMS
+from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.tasks.instance import SPLITS
+from lemma.tasks.language.template import KINDS
 from lemma.tasks.sampling import TEAMS
 from lemma.tasks.suite import FREE_SPLIT, task_named
-from lemma.tasks.template import KINDS
 
 TEAM_SIZE = len(TEAMS[0])
 """Robots in every sampled instance."""
@@ -24,7 +24,7 @@ class EnvConfig:
     """Name of the task: ``"poke_stack"``."""
     control: str = "ee_pose"
     """Control level only: what an action commands; a name in
-    :data:`lemma.env.control.CONTROLS`."""
+    :data:`lemma.env.control.modes.CONTROLS`."""
     control_hz: float = 20.0
     """Control level only: actions per second; 100 divided by a whole number."""
     observation: str = "state"

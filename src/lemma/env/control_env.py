@@ -4,10 +4,10 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from lemma.env.base_env import LemmaEnv, StepResult
 from lemma.env.config import EnvConfig
-from lemma.env.control import CONTROLS, Controller, update_dynamics
+from lemma.env.control.modes import CONTROLS, Controller, update_dynamics
 from lemma.env.episode import Episode
-from lemma.env.gym_env import LemmaEnv, StepResult
 from lemma.env.simulation import TICK_S
 
 SETTLE_S = 0.5

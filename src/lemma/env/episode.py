@@ -6,7 +6,7 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError, ResetNeededError
 from lemma.env.simulation import HORIZON_S, Simulation, SimulationSnapshot
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.scene.compose import TIME_STEP_S
+from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask
 

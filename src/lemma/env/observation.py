@@ -11,13 +11,13 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray, Pose, wrap
 from lemma.core.registry import Registry
 from lemma.env.episode import Episode
-from lemma.env.topdown import MapImage, TopDownMap
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
-from lemma.robots.ur import ARMS
-from lemma.scene.entities import ENTITIES
-from lemma.scene.rendering import CameraImage, Renderer
+from lemma.robots.ur.build import ARMS
+from lemma.scene.rendering.renderer import CameraImage, Renderer
 from lemma.scene.scene import Scene
+from lemma.scene.spec import ENTITIES
+from lemma.scene.topdown_map import MapImage, TopDownMap
 
 Observation = dict[str, Any]
 
@@ -38,7 +38,7 @@ class Contents:
     depth: bool = False
     """``depth``: for each robot's camera, (height, width) [m]; 0 where nothing is."""
     topdown: bool = False
-    """``map``: what all cameras see, from above; see :mod:`lemma.env.topdown`."""
+    """``map``: what all cameras see, from above; see :mod:`lemma.scene.topdown_map`."""
     truth: bool = False
     """Poses of objects and robots, and the goal: not for a fair comparison."""
 

@@ -6,10 +6,10 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from lemma.core.errors import InvalidActionError
+from lemma.env.action_spaces import Action
 from lemma.env.control_env import ControlEnv
 from lemma.env.observation import Observation, Observer
-from lemma.env.spaces import Action
-from lemma.scene.rendering import RgbImage
+from lemma.scene.rendering.renderer import RgbImage
 
 _OPTIONS = ("split", "index", "instance")
 
@@ -65,7 +65,7 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
 
         Args:
             seed: Seeds the draws of instances.
-            options: As for :class:`~lemma.env.gym_env.LemmaEnv`; others are ignored.
+            options: As for :class:`~lemma.env.base_env.LemmaEnv`; others are ignored.
 
         Returns:
             Observations and infos by agent.

@@ -12,12 +12,12 @@ import numpy as np
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import FloatArray
-from lemma.motion.arm import ArmMotion
+from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.motion.rmpflow import Goal
+from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.motion.skills import Skill, SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.scene.compose import TIME_STEP_S
+from lemma.scene.build import TIME_STEP_S
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.subtask import GroundedSubTask
@@ -49,7 +49,7 @@ class ArmSnapshot:
 
     reference: FloatArray
     """Joint angles and velocities that the servos follow, (2, 6) [rad, rad/s]."""
-    goal: Goal
+    goal: ArmTarget
     opening_m: float
     """Commanded opening of the gripper [m]."""
     busy_s: float

@@ -2,10 +2,10 @@
 
 from typing import Any
 
+from lemma.env.action_spaces import Action, decode_skill, encode_skill, skill_space
+from lemma.env.base_env import LemmaEnv, StepResult
 from lemma.env.config import EnvConfig
 from lemma.env.episode import LEAST_STEP_S, Episode
-from lemma.env.gym_env import LemmaEnv, StepResult
-from lemma.env.spaces import Action, decode_skill, encode_skill, skill_space
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.tasks.subtask import GroundedSubTask
 

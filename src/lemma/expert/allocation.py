@@ -4,11 +4,17 @@ Maximise sum u_im v_im over binary v, with at most one robot per sub-task and
 sum tau_im v_im <= T_max; a robot that cannot execute a sub-task has u = -infinity.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray
+from lemma.expert.grounding import GeometricGrounder
+from lemma.expert.planner import Plan, utility
+from lemma.expert.symbolic_state import SymbolicState
+from lemma.tasks.goal import Goal
 
 
 def allocate(
@@ -57,3 +63,31 @@ def allocate(
     if not chosen.any(axis=0).all():
         return None
     return tuple(int(robot) for robot in chosen.argmax(axis=0))
+
+
+def pose_problem(
+    now: SymbolicState, plan: Plan, goal: Goal, grounder: GeometricGrounder
+) -> tuple[FloatArray, FloatArray]:
+    """Ask for every sub-task of a plan what each robot would make of it.
+
+    Args:
+        now: The situation that the plan begins in.
+        plan: The plan.
+        goal: Its goal.
+        grounder: Says what can be done.
+
+    Returns:
+        Utilities u, -inf where a robot cannot, and durations tau [s], each
+        (robots, sub-tasks), for :func:`lemma.expert.allocation.allocate`.
+    """
+    robots = tuple(grounder.robots)
+    utilities = np.full((len(robots), len(plan.steps)), -np.inf)
+    durations = np.zeros_like(utilities)
+    for m, step in enumerate(plan.steps):
+        for i, robot in enumerate(robots):
+            option = grounder.ground(replace(step.subtask, robot=robot), now)
+            if option is not None:
+                utilities[i, m] = utility(option, now, goal)
+                durations[i, m] = option.duration_s
+        now = step.after
+    return utilities, durations

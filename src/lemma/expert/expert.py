@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lemma.env.episode import Episode
-from lemma.expert.grounding import Grounding, OracleGrounder
+from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.planner import Plan, find_plan
-from lemma.expert.situation import Situation
+from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import SkillResult
-from lemma.scene.entities import STICK
 from lemma.scene.scene import Scene
+from lemma.scene.spec import STICK
 from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import STOP, GroundedSubTask, SubTask
 
@@ -19,7 +19,7 @@ _MAX_STEPS = 30
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ExpertStep:
     """One executed sub-task."""
 
     subtask: SubTask
@@ -49,15 +49,15 @@ class Expert:
         self._scene = scene
         self._goal = goal
         self._team = team
-        self._grounder = OracleGrounder(scene.spec)
-        self._queue: list[Grounding] = []
-        self._expected: Situation | None = None
+        self._grounder = GeometricGrounder(scene.spec)
+        self._queue: list[GroundedOption] = []
+        self._expected: SymbolicState | None = None
         self.replans = -1
         """How often the plan had to be made anew."""
 
     def plan(self) -> Plan | None:
         """Return the plan of highest utility from the present state."""
-        now = Situation.observe(self._scene)
+        now = SymbolicState.observe(self._scene)
         return find_plan(now, self._goal, self._grounder, team=self._team)
 
     def act(self) -> tuple[SubTask, GroundedSubTask | None]:
@@ -65,7 +65,7 @@ class Expert:
 
         ``STOP`` is also the answer where no plan exists.
         """
-        now = Situation.observe(self._scene)
+        now = SymbolicState.observe(self._scene)
         if self._expected is not None and not _agree(now, self._expected):
             self._queue = []
         if not self._queue and self._goal.progress(self._scene) < 1.0:
@@ -97,7 +97,7 @@ class Expert:
             self._queue, self._expected = [], None
 
 
-def solve(episode: Episode, expert: Expert) -> Iterator[Step]:
+def solve(episode: Episode, expert: Expert) -> Iterator[ExpertStep]:
     """Let an expert work on an episode to its end, yielding every sub-task.
 
     Args:
@@ -111,13 +111,13 @@ def solve(episode: Episode, expert: Expert) -> Iterator[Step]:
         start = episode.elapsed_s
         result = episode.execute(grounded)
         expert.notice(result)
-        yield Step(subtask, grounded, result, start)
+        yield ExpertStep(subtask, grounded, result, start)
         if episode.is_over:
             return
     episode.stop()
 
 
-def _agree(now: Situation, expected: Situation) -> bool:
+def _agree(now: SymbolicState, expected: SymbolicState) -> bool:
     """Whether cubes and supports are as predicted; the stick is looked at again."""
     return now.supports == expected.supports and all(
         now.poses[name].distance(pose) < _AS_PREDICTED_M

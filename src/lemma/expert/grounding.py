@@ -10,15 +10,13 @@ from functools import partial
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose2
-from lemma.expert.places import Places
-from lemma.expert.situation import TABLE, Situation
-from lemma.robots.envelope import sweep_radius_m
+from lemma.expert.free_spots import FreeSpots
+from lemma.expert.symbolic_state import TABLE, SymbolicState
+from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
-from lemma.scene.entities import SHARED, STICK
 from lemma.scene.objects import PAD_RADIUS_M
-from lemma.scene.spec import RobotPlacement, SceneSpec
-from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
-from lemma.tasks.tool_use import (
+from lemma.scene.spec import SHARED, STICK, RobotPlacement, SceneSpec
+from lemma.tasks.drags import (
     Disc,
     Drag,
     find_drag,
@@ -27,6 +25,7 @@ from lemma.tasks.tool_use import (
     stick_gap,
     stick_in_grasp,
 )
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _FINGER_CENTRE_M = 0.059
 """Of an open finger from the tool centre point."""
@@ -47,19 +46,19 @@ _DragKey = tuple[str, str, bool, Pose2, tuple[Disc, ...]]
 
 
 @dataclass(frozen=True)
-class Grounding:
+class GroundedOption:
     """A sub-task with poses, its predicted effect and its worth."""
 
     subtask: SubTask
     grounded: GroundedSubTask
-    after: Situation
+    after: SymbolicState
     quality: float
     """q in [0, 1]: how far inside reach it happens."""
     duration_s: float
     """tau: predicted time [s]."""
 
 
-class OracleGrounder:
+class GeometricGrounder:
     """Chooses grasp, place and tool poses from the true state."""
 
     def __init__(self, spec: SceneSpec) -> None:
@@ -69,7 +68,7 @@ class OracleGrounder:
             spec: The scene; robots do not move their bases.
         """
         self._robots = dict(zip(spec.robot_names, spec.robots, strict=True))
-        self._places = Places(spec.robots)
+        self._places = FreeSpots(spec.robots)
         self._drags: dict[_DragKey, Drag | None] = {}
 
     @property
@@ -82,7 +81,7 @@ class OracleGrounder:
         placed = self._robots[robot]
         return reach_of(placed.arm).margin(placed.base, pose.x, pose.y) > 0.0
 
-    def ground(self, subtask: SubTask, now: Situation) -> Grounding | None:
+    def ground(self, subtask: SubTask, now: SymbolicState) -> GroundedOption | None:
         """Ground a sub-task, or return None where its robot cannot do it.
 
         Raises:
@@ -104,7 +103,7 @@ class OracleGrounder:
             return self._prepare(subtask, now)
         return self._drag(subtask, now)
 
-    def _move(self, subtask: SubTask, now: Situation) -> Grounding | None:
+    def _move(self, subtask: SubTask, now: SymbolicState) -> GroundedOption | None:
         cube = subtask.pick
         if cube not in now.supports or now.on_top_of(cube) is not None:
             return None
@@ -137,7 +136,7 @@ class OracleGrounder:
             yaw = target.yaw + 0.5 * math.pi * round((yaw - target.yaw) * 2 / math.pi)
         place = Pose2(target.x, target.y, yaw)
         resting = Pose2(target.x, target.y, start.yaw + yaw - pick.yaw)
-        return Grounding(
+        return GroundedOption(
             subtask,
             GroundedSubTask(subtask.robot, subtask.primitive, pick, place),
             now.moved(cube, resting, support, label),
@@ -145,7 +144,9 @@ class OracleGrounder:
             self._duration(subtask.robot, pick, place),
         )
 
-    def _pass_stick(self, subtask: SubTask, now: Situation) -> Grounding | None:
+    def _pass_stick(
+        self, subtask: SubTask, now: SymbolicState
+    ) -> GroundedOption | None:
         if subtask.place != SHARED:
             return None
         pick = grasp_on_stick(now.poses[STICK])
@@ -155,7 +156,7 @@ class OracleGrounder:
         margin = self._margin(subtask.robot, pick, place)
         if margin <= 0.0:
             return None
-        return Grounding(
+        return GroundedOption(
             subtask,
             GroundedSubTask(subtask.robot, subtask.primitive, pick, place),
             now.moved(STICK, stick_in_grasp(place), TABLE, SHARED),
@@ -163,12 +164,12 @@ class OracleGrounder:
             self._duration(subtask.robot, pick, place),
         )
 
-    def _prepare(self, subtask: SubTask, now: Situation) -> Grounding | None:
+    def _prepare(self, subtask: SubTask, now: SymbolicState) -> GroundedOption | None:
         drag = self._find_drag(subtask, now)
         pick = grasp_on_stick(now.poses[STICK])
         if drag is None or not self.reaches(subtask.robot, pick):
             return None
-        return Grounding(
+        return GroundedOption(
             subtask,
             GroundedSubTask(subtask.robot, subtask.primitive, pick, drag.prepared),
             now.moved(
@@ -181,7 +182,7 @@ class OracleGrounder:
             self._duration(subtask.robot, pick, drag.prepared),
         )
 
-    def _drag(self, subtask: SubTask, now: Situation) -> Grounding | None:
+    def _drag(self, subtask: SubTask, now: SymbolicState) -> GroundedOption | None:
         """Ground ``hook`` or ``poke``: the stick lies prepared, pull or push it."""
         pick = grasp_on_stick(now.poses[STICK])
         if not now.is_prepared(subtask.primitive, subtask.place):
@@ -196,7 +197,7 @@ class OracleGrounder:
         after = now.moved(
             subtask.place, drag.cube, TABLE, f"{subtask.primitive} {subtask.robot}"
         ).moved(STICK, stick_in_grasp(end), TABLE, f"used {subtask.place}")
-        return Grounding(
+        return GroundedOption(
             subtask,
             GroundedSubTask(subtask.robot, subtask.primitive, pick, end),
             after,
@@ -204,7 +205,7 @@ class OracleGrounder:
             self._duration(subtask.robot, pick, end) + length / _DRAG_M_S,
         )
 
-    def _find_drag(self, subtask: SubTask, now: Situation) -> Drag | None:
+    def _find_drag(self, subtask: SubTask, now: SymbolicState) -> Drag | None:
         """Return the best drag for a cube: into one's own reach, or into another's."""
         cube = subtask.place
         hooking = subtask.primitive in (Primitive.PREHOOK, Primitive.HOOK)
@@ -230,7 +231,7 @@ class OracleGrounder:
                 return self._drags[key]
         return None
 
-    def _grasp(self, robot: str, cube: str, now: Situation) -> Pose2:
+    def _grasp(self, robot: str, cube: str, now: SymbolicState) -> Pose2:
         """Return the gripper pose that grasps a cube with most room for the fingers."""
         pose = now.poses[cube]
         natural = self._bearing(robot, pose)
@@ -244,7 +245,7 @@ class OracleGrounder:
         )
         return Pose2(pose.x, pose.y, best)
 
-    def _finger_room(self, grip: Pose2, cube: str, now: Situation) -> float:
+    def _finger_room(self, grip: Pose2, cube: str, now: SymbolicState) -> float:
         """Return the distance of the open fingers to what stands around [m]."""
         room = math.inf
         for side in (-1.0, 1.0):
@@ -259,7 +260,7 @@ class OracleGrounder:
                 room = min(room, gap - _FINGER_RADIUS_M)
         return room
 
-    def _discs(self, now: Situation, but: str) -> tuple[Disc, ...]:
+    def _discs(self, now: SymbolicState, but: str) -> tuple[Disc, ...]:
         """Return the bases and every object but one and the stick, as discs."""
         found = [
             (r.base.x, r.base.y, sweep_radius_m(r.arm)) for r in self._robots.values()

@@ -2,14 +2,14 @@
 
 from typing import Any
 
+from lemma.env.action_spaces import Action, decode_plan, encode_plan, plan_space
 from lemma.env.config import EnvConfig
 from lemma.env.episode import Episode
 from lemma.env.skill_env import SubTaskEnv
-from lemma.env.spaces import Action, decode_plan, encode_plan, plan_space
-from lemma.expert.grounding import OracleGrounder
-from lemma.expert.situation import Situation
+from lemma.expert.grounding import GeometricGrounder
+from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.scene.entities import SHARED, STICK
+from lemma.scene.spec import SHARED, STICK
 from lemma.tasks.subtask import Primitive, SubTask
 
 _TOOL = {
@@ -31,11 +31,11 @@ class PlanEnv(SubTaskEnv):
         """
         super().__init__(config, render_mode)
         self.action_space = plan_space(len(self.robot_names))
-        self._grounder: OracleGrounder | None = None
+        self._grounder: GeometricGrounder | None = None
 
     def _begin(self, episode: Episode) -> None:
         super()._begin(episode)
-        self._grounder = OracleGrounder(episode.simulation.scene.spec)
+        self._grounder = GeometricGrounder(episode.simulation.scene.spec)
 
     def encode(self, subtask: SubTask) -> dict[str, Any]:
         """Return the action for a sub-task.
@@ -58,7 +58,7 @@ class PlanEnv(SubTaskEnv):
         if subtask.primitive is Primitive.STOP:
             return self.episode.stop()
         assert self._grounder is not None
-        now = Situation.observe(self.episode.simulation.scene)
+        now = SymbolicState.observe(self.episode.simulation.scene)
         refusal = _why_senseless(subtask, now)
         if refusal is not None:
             return SkillResult(Outcome.INVALID, refusal, 0.0)
@@ -68,7 +68,7 @@ class PlanEnv(SubTaskEnv):
         return self.episode.execute(step.grounded)
 
 
-def _why_senseless(subtask: SubTask, now: Situation) -> str | None:
+def _why_senseless(subtask: SubTask, now: SymbolicState) -> str | None:
     """Return why nobody could do a sub-task, None if somebody might."""
     pick, place, primitive = subtask.pick, subtask.place, subtask.primitive
     for name in (pick, place):
@@ -98,7 +98,9 @@ def _why_senseless(subtask: SubTask, now: Situation) -> str | None:
     return f"The {pick} lies there already." if now.supports[pick] == place else None
 
 
-def _explain(subtask: SubTask, now: Situation, grounder: OracleGrounder) -> SkillResult:
+def _explain(
+    subtask: SubTask, now: SymbolicState, grounder: GeometricGrounder
+) -> SkillResult:
     """Return the result of a sub-task that makes sense but found no grounding."""
     robot = subtask.robot
     arm = grounder.robots[robot].arm

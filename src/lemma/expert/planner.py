@@ -11,9 +11,9 @@ import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from lemma.expert.grounding import Grounding, OracleGrounder
-from lemma.expert.situation import Situation
-from lemma.scene.entities import SHARED, STICK
+from lemma.expert.grounding import GeometricGrounder, GroundedOption
+from lemma.expert.symbolic_state import SymbolicState
+from lemma.scene.spec import SHARED, STICK
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.subtask import Primitive, SubTask
 
@@ -33,7 +33,7 @@ _MAX_EXPANSIONS = 4000
 class Plan:
     """A sequence of groundings that makes the goal true."""
 
-    steps: tuple[Grounding, ...]
+    steps: tuple[GroundedOption, ...]
     utility: float
     """Sum of u over the steps."""
 
@@ -48,7 +48,7 @@ class Plan:
         return sum(step.duration_s for step in self.steps)
 
 
-def utility(step: Grounding, before: Situation, goal: Goal) -> float:
+def utility(step: GroundedOption, before: SymbolicState, goal: Goal) -> float:
     """Return u = q - c of a step; see the constants of this module."""
     subject = step.subtask.pick
     if subject == STICK and step.subtask.place != SHARED:
@@ -63,12 +63,12 @@ def utility(step: Grounding, before: Situation, goal: Goal) -> float:
     return _QUALITY * step.quality - cost
 
 
-def _was_handled(name: str, now: Situation) -> bool:
+def _was_handled(name: str, now: SymbolicState) -> bool:
     """Whether an object lies where somebody has put it, not pushed or dragged it."""
     return now.labels[name] == SHARED or now.labels[name].startswith("on ")
 
 
-def conjunct_of(name: str, now: Situation, goal: Goal) -> int | None:
+def conjunct_of(name: str, now: SymbolicState, goal: Goal) -> int | None:
     """Return the first open conjunct that speaks of an object."""
     for i, on in enumerate(goal.conjuncts):
         if name in (on.top, on.bottom) and not _holds(on, now):
@@ -77,9 +77,9 @@ def conjunct_of(name: str, now: Situation, goal: Goal) -> int | None:
 
 
 def find_plan(
-    now: Situation,
+    now: SymbolicState,
     goal: Goal,
-    grounder: OracleGrounder,
+    grounder: GeometricGrounder,
     *,
     limit_s: float = 100.0,
     team: tuple[str, ...] | None = None,
@@ -97,7 +97,9 @@ def find_plan(
         The plan; empty where the goal holds already, None where there is none.
     """
     robots = team if team is not None else tuple(grounder.robots)
-    queue: list[tuple[float, int, float, Situation, tuple[Grounding, ...]]] = []
+    queue: list[
+        tuple[float, int, float, SymbolicState, tuple[GroundedOption, ...]]
+    ] = []
     count = 0
     heapq.heappush(queue, (_bound(now, goal), count, 0.0, now, ()))
     done: set[tuple[tuple[str, str], ...]] = set()
@@ -124,17 +126,17 @@ def find_plan(
     return None
 
 
-def _holds(on: On, now: Situation) -> bool:
+def _holds(on: On, now: SymbolicState) -> bool:
     return now.supports[on.top] == on.bottom
 
 
-def _bound(now: Situation, goal: Goal) -> float:
+def _bound(now: SymbolicState, goal: Goal) -> float:
     """Return a cost that no way to the goal undercuts: one step per open conjunct."""
     return _LEAST * sum(not _holds(on, now) for on in goal.conjuncts)
 
 
 def _candidates(
-    now: Situation, goal: Goal, robots: tuple[str, ...], grounder: OracleGrounder
+    now: SymbolicState, goal: Goal, robots: tuple[str, ...], grounder: GeometricGrounder
 ) -> Iterator[SubTask]:
     """Propose the sub-tasks that could serve the goal."""
     for cube, places in _wanted(now, goal).items():
@@ -150,7 +152,7 @@ def _candidates(
             yield SubTask(robot, Primitive.MOVE, STICK, SHARED)
 
 
-def _tool_steps(robot: str, cube: str, now: Situation) -> Iterator[SubTask]:
+def _tool_steps(robot: str, cube: str, now: SymbolicState) -> Iterator[SubTask]:
     for prepare, use in (
         (Primitive.PREHOOK, Primitive.HOOK),
         (Primitive.PREPOKE, Primitive.POKE),
@@ -161,7 +163,7 @@ def _tool_steps(robot: str, cube: str, now: Situation) -> Iterator[SubTask]:
             yield SubTask(robot, prepare, STICK, cube)
 
 
-def _wanted(now: Situation, goal: Goal) -> dict[str, list[str]]:
+def _wanted(now: SymbolicState, goal: Goal) -> dict[str, list[str]]:
     """Return the cubes worth moving, each with the places worth moving it to."""
     wanted: dict[str, list[str]] = {}
     for on in goal.conjuncts:

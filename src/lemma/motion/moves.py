@@ -10,12 +10,12 @@ from collections.abc import Generator
 import numpy as np
 
 from lemma.core.poses import FloatArray, wrap
-from lemma.motion.arm import ArmMotion
+from lemma.motion.arm_motion import ArmMotion
+from lemma.motion.joint_path import joint_path
 from lemma.motion.outcome import Outcome, SkillFailure
-from lemma.motion.paths import joint_path
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.robots.kinematics import top_down
 from lemma.robots.reach import TRAVEL_HEIGHT_M
+from lemma.robots.ur.kinematics import top_down
 
 Motion = Generator[None, None, None]
 Stand = tuple[float, float, float, float]

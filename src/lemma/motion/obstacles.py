@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from lemma.core.poses import FloatArray, Pose2
-from lemma.motion.arm import ArmMotion
-from lemma.scene.entities import STICK
+from lemma.motion.arm_motion import ArmMotion
 from lemma.scene.objects import CUBE_EDGE_M, HANDLE_LENGTH_M, STICK_SECTION_M
 from lemma.scene.scene import Scene
+from lemma.scene.spec import STICK
 
 _ARM_RANGE_M = 0.15
 _OBJECT_RANGE_M = 0.05

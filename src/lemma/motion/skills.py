@@ -13,14 +13,14 @@ import mujoco
 import numpy as np
 
 from lemma.core.poses import Pose2, wrap
-from lemma.motion.arm import ArmMotion
+from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand
 from lemma.motion.obstacles import around
 from lemma.motion.outcome import Outcome, SkillFailure, SkillResult
-from lemma.robots.kinematics import top_down
 from lemma.robots.reach import TRAVEL_HEIGHT_M
-from lemma.scene.entities import STICK
+from lemma.robots.ur.kinematics import top_down
 from lemma.scene.objects import height_m
+from lemma.scene.spec import STICK
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 Skill = Generator[None, None, SkillResult]

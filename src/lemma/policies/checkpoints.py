@@ -19,7 +19,7 @@ from torch import Tensor
 from lemma.core.errors import LemmaError
 from lemma.dataset.files import write_whole
 from lemma.policies.model import Model
-from lemma.policies.zoo import make_model
+from lemma.policies.models.catalog import make_model
 
 METADATA_KEY = "lemma"
 WEIGHTS_VERSION = "1"
@@ -166,7 +166,10 @@ def _read(path: Path) -> tuple[About, dict[str, Tensor]]:
             "train' wrote can be loaded."
         )
     try:
-        return About(**json.loads(text)), weights
+        about = About(**json.loads(text))
+        if "recolour" in about.options:  # as it was called before
+            about.options["recolor"] = about.options.pop("recolour")
+        return about, weights
     except (TypeError, ValueError) as error:
         raise WeightsError(
             f"{path} was written by another version of this package: {error}."

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lemma.core.poses import FloatArray
-from lemma.tasks.language import sub_instruction
+from lemma.tasks.language.bank import sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class View:
     """What is seen at a keyframe: the top-down map and the robots' joints.
 
-    Row 0 of the map lies at +y and column 0 at -x; see :mod:`lemma.env.topdown`.
+    Row 0 of the map lies at +y and column 0 at -x; see :mod:`lemma.scene.topdown_map`.
     """
 
     rgb: NDArray[np.uint8]
@@ -40,7 +40,7 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class PastStep:
     """One decision of the past."""
 
     view: View
@@ -58,7 +58,7 @@ class PolicyInput:
     robots: tuple[str, ...]
     """How people name the robots, from the first to the last: ``"red robot"``."""
     view: View
-    past: tuple[Step, ...] = ()
+    past: tuple[PastStep, ...] = ()
     """What was decided before, oldest first."""
     episode: "Episode | None" = field(default=None, repr=False)
     """The truth, for oracles only: learned policies never look at it."""
@@ -79,7 +79,7 @@ class PolicyInput:
             subtask.place or None,
         )
 
-    def with_past(self, past: tuple[Step, ...]) -> "PolicyInput":
+    def with_past(self, past: tuple[PastStep, ...]) -> "PolicyInput":
         """Return the same input with another past."""
         return replace(self, past=past)
 

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 from torch import Tensor, nn
 
 from lemma.core.registry import Registry
-from lemma.policies.frames import Batch
+from lemma.policies.batch import Batch
 
 
 class Model(nn.Module, ABC):

@@ -7,8 +7,8 @@ from weakref import WeakKeyDictionary
 from lemma.core.errors import InvalidConfigError
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert
-from lemma.expert.grounding import OracleGrounder as Geometry
-from lemma.expert.situation import Situation
+from lemma.expert.grounding import GeometricGrounder
+from lemma.expert.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Planner, PolicyInput
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
@@ -69,7 +69,9 @@ class OracleGrounder:
         found: list[GroundedSubTask | None] = []
         for given, subtask in zip(inputs, subtasks, strict=True):
             scene = _truth(given).simulation.scene
-            step = Geometry(scene.spec).ground(subtask, Situation.observe(scene))
+            step = GeometricGrounder(scene.spec).ground(
+                subtask, SymbolicState.observe(scene)
+            )
             found.append(None if step is None else step.grounded)
         return found
 
@@ -104,7 +106,7 @@ class GroundTruthAllocation:
         if replace(expected, robot=subtask.robot) == subtask:
             return expected
         scene = _truth(given).simulation.scene
-        geometry, now = Geometry(scene.spec), Situation.observe(scene)
+        geometry, now = GeometricGrounder(scene.spec), SymbolicState.observe(scene)
         steps = [
             geometry.ground(replace(subtask, robot=robot), now)
             for robot in geometry.robots

@@ -9,8 +9,7 @@ from functools import lru_cache
 
 import mujoco
 
-from lemma.robots.lofts import Loft, Surface, mesh
-from lemma.robots.shapes import (
+from lemma.robots.geometry import (
     DARK,
     METAL,
     Box,
@@ -19,6 +18,7 @@ from lemma.robots.shapes import (
     draw,
     set_inertia,
 )
+from lemma.robots.ur.lofts import Loft, Surface, mesh
 
 FINGER_OPENING_M = 0.1
 """Distance between the pads when fully open."""

@@ -18,15 +18,15 @@ import numpy as np
 from numba import njit
 
 from lemma.core.poses import FloatArray, Pose2
-from lemma.robots.envelope import (
+from lemma.robots.collision_model import (
     envelope_of,
     place_capsules,
     self_clearance,
     table_clearance,
 )
 from lemma.robots.gripper import TCP_OFFSET_M
-from lemma.robots.kinematics import frames, inverse, top_down
-from lemma.robots.ur import ARMS
+from lemma.robots.ur.build import ARMS
+from lemma.robots.ur.kinematics import frames, inverse, top_down
 
 GRASP_HEIGHT_M = 0.02
 """Height of the tool centre point when it grasps what lies on the table."""

@@ -5,7 +5,7 @@ import math
 import mujoco
 
 from lemma.core.poses import Pose2
-from lemma.scene.palette import OBJECT_COLOURS, STICK, Rgba
+from lemma.scene.palette import OBJECT_COLORS, STICK, Rgba
 from lemma.scene.spec import ObjectPlacement
 
 CUBE_EDGE_M = 0.05
@@ -57,7 +57,7 @@ def _add_cube(spec: mujoco.MjSpec, placed: ObjectPlacement) -> None:
         placed.name,
         (0.0, 0.0, 0.0),
         (half, half, half),
-        OBJECT_COLOURS[placed.colour],
+        OBJECT_COLORS[placed.color],
         CUBE_MASS_KG,
     )
 
@@ -74,7 +74,7 @@ def _add_pad(spec: mujoco.MjSpec, placed: ObjectPlacement) -> None:
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
         pos=[0, 0, half],
         size=[PAD_RADIUS_M, half, 0],
-        rgba=OBJECT_COLOURS[placed.colour],
+        rgba=OBJECT_COLORS[placed.color],
         friction=OBJECT_FRICTION,
         solref=CONTACT_SOLREF,
         solimp=CONTACT_SOLIMP,
@@ -121,7 +121,7 @@ def _add_box(
     name: str,
     position: tuple[float, float, float],
     half_size: tuple[float, float, float],
-    colour: Rgba,
+    color: Rgba,
     mass_kg: float,
 ) -> None:
     body.add_geom(
@@ -129,7 +129,7 @@ def _add_box(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=position,
         size=half_size,
-        rgba=colour,
+        rgba=color,
         mass=mass_kg,
         friction=OBJECT_FRICTION,
         solref=CONTACT_SOLREF,

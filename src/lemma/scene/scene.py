@@ -10,8 +10,8 @@ import numpy as np
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import FloatArray, Pose, Pose2
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.robots.ur import ARMS, JOINTS, ArmSpec
-from lemma.scene.compose import compile_model
+from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec
+from lemma.scene.build import compile_model
 from lemma.scene.spec import RobotPlacement, SceneSpec
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION

@@ -5,11 +5,10 @@ from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
-from lemma.robots.ur import ARMS
-from lemma.scene.entities import STICK
-from lemma.scene.palette import OBJECT_COLOURS
+from lemma.robots.ur.build import ARMS
+from lemma.scene.palette import OBJECT_COLORS
 
-ROBOT_COLOURS = ("red", "white")
+ROBOT_COLORS = ("red", "white")
 OBJECT_KINDS = ("cube", "pad", "stick")
 
 
@@ -18,8 +17,8 @@ class RobotPlacement:
     """One robot: what it is and where it stands."""
 
     arm: str
-    """Arm type, a name in ``lemma.robots.ur.ARMS``."""
-    colour: str
+    """Arm type, a name in ``lemma.robots.ur.build.ARMS``."""
+    color: str
     """``"red"`` or ``"white"``."""
     base: Pose2
     """World from base: the yaw points the robot's front at the table."""
@@ -27,8 +26,8 @@ class RobotPlacement:
     def __post_init__(self) -> None:
         """Check the names."""
         ARMS[self.arm]
-        if self.colour not in ROBOT_COLOURS:
-            raise UnknownNameError("robot colour", self.colour, ROBOT_COLOURS)
+        if self.color not in ROBOT_COLORS:
+            raise UnknownNameError("robot color", self.color, ROBOT_COLORS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +36,8 @@ class ObjectPlacement:
 
     kind: str
     """``"cube"``, ``"pad"`` or ``"stick"``."""
-    colour: str
-    """A name in ``lemma.scene.palette.OBJECT_COLOURS``; ``"yellow"`` for the stick."""
+    color: str
+    """A name in ``lemma.scene.palette.OBJECT_COLORS``; ``"yellow"`` for the stick."""
     pose: Pose2
     """World from object, lying on the table. The stick's origin is the free end of its
     handle, its x axis points along the handle to the hook, which bends to +y."""
@@ -48,12 +47,12 @@ class ObjectPlacement:
         if self.kind not in OBJECT_KINDS:
             raise UnknownNameError("object kind", self.kind, OBJECT_KINDS)
         if self.kind != "stick":
-            OBJECT_COLOURS[self.colour]
+            OBJECT_COLORS[self.color]
 
     @property
     def name(self) -> str:
         """Entity name: ``"red_cube"``, ``"white_pad"``, ``"stick"``."""
-        return STICK if self.kind == "stick" else f"{self.colour}_{self.kind}"
+        return STICK if self.kind == "stick" else f"{self.color}_{self.kind}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +69,7 @@ class SceneSpec:
         if twice:
             raise InvalidConfigError(
                 f"Objects named twice in one scene: {', '.join(twice)}. Each kind and "
-                "colour may occur once; choose another colour."
+                "color may occur once; choose another color."
             )
 
     @property
@@ -111,3 +110,15 @@ class SceneSpec:
                 for o in data["objects"]
             ),
         )
+
+
+STICK = "stick"
+"""Name of the one L-shaped stick."""
+SHARED = "shared"
+"""Place entity: the region that every robot of the team reaches."""
+ENTITIES = (
+    *(f"{color}_cube" for color in OBJECT_COLORS),
+    *(f"{color}_pad" for color in OBJECT_COLORS),
+    STICK,
+)
+"""Every object that may be on a table, in the order of their numbers."""

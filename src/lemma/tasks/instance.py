@@ -48,11 +48,11 @@ class Instance:
             "split": self.split,
             "index": self.index,
             "robots": [
-                [r.arm, r.colour, r.base.x, r.base.y, r.base.yaw]
+                [r.arm, r.color, r.base.x, r.base.y, r.base.yaw]
                 for r in self.scene.robots
             ],
             "objects": [
-                [o.kind, o.colour, o.pose.x, o.pose.y, o.pose.yaw]
+                [o.kind, o.color, o.pose.x, o.pose.y, o.pose.yaw]
                 for o in self.scene.objects
             ],
             "goal": [list(pair) for pair in self.goal.pairs],
@@ -64,12 +64,12 @@ class Instance:
     def from_dict(cls, data: dict[str, Any]) -> "Instance":
         """Make an instance from what :meth:`to_dict` returned."""
         robots = [
-            {"arm": arm, "colour": colour, "base": {"x": x, "y": y, "yaw": yaw}}
-            for arm, colour, x, y, yaw in data["robots"]
+            {"arm": arm, "colour": color, "base": {"x": x, "y": y, "yaw": yaw}}
+            for arm, color, x, y, yaw in data["robots"]
         ]
         objects = [
-            {"kind": kind, "colour": colour, "pose": {"x": x, "y": y, "yaw": yaw}}
-            for kind, colour, x, y, yaw in data["objects"]
+            {"kind": kind, "colour": color, "pose": {"x": x, "y": y, "yaw": yaw}}
+            for kind, color, x, y, yaw in data["objects"]
         ]
         return cls(
             task=data["task"],

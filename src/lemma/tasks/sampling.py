@@ -9,12 +9,12 @@ from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
 from lemma.robots.reach import reach_of
-from lemma.scene.spec import ROBOT_COLOURS, RobotPlacement, SceneSpec
-from lemma.tasks.board import Board, PlacementError
+from lemma.scene.spec import ROBOT_COLORS, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.placement import Board, PlacementError
 from lemma.tasks.task import Task
-from lemma.tasks.template import KINDS
 
 TEAMS = (("ur5", "ur5"), ("ur5", "ur10"), ("ur10", "ur10"))
 """The three team types; a mixed team stands in either order."""
@@ -115,15 +115,15 @@ def _place_team(
             rng.uniform(-_LATERAL_M, _LATERAL_M),
             facing + rng.uniform(-_YAW_RAD, _YAW_RAD),
         ).rounded()
-        colour = ROBOT_COLOURS[int(rng.integers(len(ROBOT_COLOURS)))]
-        robots.append(RobotPlacement(team[i], colour, base))
+        color = ROBOT_COLORS[int(rng.integers(len(ROBOT_COLORS)))]
+        robots.append(RobotPlacement(team[i], color, base))
     return tuple(robots)
 
 
 def _distract(board: Board) -> str:
     """Add an object that the goal does not need, where it is not in the way."""
     kind = "cube" if board.rng.random() < 0.5 else "pad"
-    if not board.has_colours(kind):
+    if not board.has_colors(kind):
         kind = "pad" if kind == "cube" else "cube"
     put = board.cube if kind == "cube" else board.pad
     return put(board.anywhere())

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
-from lemma.tasks.board import Board
 from lemma.tasks.goal import Goal
-from lemma.tasks.language import LanguageBank
+from lemma.tasks.language.bank import LanguageBank
+from lemma.tasks.placement import Board
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,8 +1,8 @@
 """Hook: a cube that nobody reaches is dragged closer with the stick."""
 
-from lemma.tasks.board import Board
 from lemma.tasks.goal import Goal, On
-from lemma.tasks.language import bank_for
+from lemma.tasks.language.bank import bank_for
+from lemma.tasks.placement import Board
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.task import TASKS, Task
 

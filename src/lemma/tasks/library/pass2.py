@@ -1,8 +1,8 @@
 """Pass2: two cubes cross the table in opposite directions."""
 
-from lemma.tasks.board import Board
 from lemma.tasks.goal import Goal, On
-from lemma.tasks.language import bank_for
+from lemma.tasks.language.bank import bank_for
+from lemma.tasks.placement import Board
 from lemma.tasks.task import TASKS, Task
 
 

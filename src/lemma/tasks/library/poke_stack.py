@@ -1,8 +1,8 @@
 """Poke and stack: two cubes are pushed over, then stacked."""
 
-from lemma.tasks.board import Board
 from lemma.tasks.goal import Goal, On
-from lemma.tasks.language import bank_for
+from lemma.tasks.language.bank import bank_for
+from lemma.tasks.placement import Board
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.task import TASKS, Task
 

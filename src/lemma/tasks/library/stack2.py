@@ -1,8 +1,8 @@
 """Stack2: two towers, each built by both robots."""
 
-from lemma.tasks.board import Board
 from lemma.tasks.goal import Goal, On
-from lemma.tasks.language import bank_for
+from lemma.tasks.language.bank import bank_for
+from lemma.tasks.placement import Board
 from lemma.tasks.task import TASKS, Task
 
 

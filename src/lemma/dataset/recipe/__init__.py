@@ -1,0 +1,1 @@
+"""Recipes: recorded episodes as Parquet, their generation and replay."""

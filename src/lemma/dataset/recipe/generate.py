@@ -1,0 +1,357 @@
+"""Write a recipe: resumable at any moment, the same bytes however it was interrupted.
+
+Every episode is first written as a part of its own, whole or not at all. When all parts
+of a file are there, they are put together in order, and the parts go. What a killed run
+leaves behind is therefore always a prefix of work, never a wrong file.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import rmtree
+from time import perf_counter
+from typing import Any
+
+import pyarrow as pa
+
+from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.parallel import Engine, peak_memory_mb
+from lemma.dataset.files import (
+    MANIFEST,
+    check_alike,
+    check_free,
+    check_same,
+    check_sum,
+    clear_drafts,
+    listed_files,
+    only_writer,
+    open_table,
+    read_json,
+    read_table,
+    sha256_of,
+    versions,
+    write_json,
+    write_table,
+)
+from lemma.dataset.recipe.card import write_card
+from lemma.dataset.recipe.digests import content_digest, shorten
+from lemma.dataset.recipe.record import record_episode
+from lemma.dataset.recipe.recovery import described, perturbation_of, record_perturbed
+from lemma.dataset.recipe.schema import EpisodeRecord, from_table, to_table
+from lemma.expert.disturbances import Perturbation
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
+from lemma.tasks.suite import SUITE, load_instance
+
+_PARTS = ".parts"
+_ABOUT = "about.json"
+_SHOWN = 5
+"""Failures that a message names."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenerateConfig:
+    """What to generate."""
+
+    out: Path
+    """Folder of the recipe."""
+    tasks: tuple[str, ...] = SUITE
+    """Names of tasks of the suite."""
+    splits: tuple[str, ...] = tuple(SPLITS)
+    """Names of splits."""
+    episodes: int | None = None
+    """Only the first so many of every list; all if None."""
+    perturb: Perturbation | None = None
+    """How sub-tasks are perturbed, for recovery states; None for demonstrations."""
+
+    def __post_init__(self) -> None:
+        """Check the names and the number."""
+        for task in self.tasks:
+            if task not in SUITE:
+                raise UnknownNameError("task", task, SUITE)
+        for split in self.splits:
+            if split not in SPLITS:
+                raise UnknownNameError("split", split, SPLITS)
+        if self.episodes is not None and self.episodes < 1:
+            raise InvalidConfigError(
+                f"Episodes per task and split are 1 or more, not {self.episodes}."
+            )
+
+    def count(self, split: str) -> int:
+        """Return how many episodes of a split are wanted; a list may be shorter."""
+        every = SPLITS[split]
+        return every if self.episodes is None else min(self.episodes, every)
+
+    @property
+    def total(self) -> int:
+        """Return how many episodes there will be."""
+        return len(self.tasks) * sum(self.count(split) for split in self.splits)
+
+
+@dataclass(frozen=True, slots=True)
+class GenerateSummary:
+    """What a run came to."""
+
+    episodes: int
+    """Episodes of the order; all are there."""
+    made: int
+    """Those that this run made."""
+    seconds: float
+    """Time that this run took [s]."""
+    size_mb: float
+    """Of the files of the order [MB]."""
+    worker_mb: float
+    """Most memory that any worker held [MB]; 0 where none worked."""
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    """One file of an order."""
+
+    task: str
+    split: str
+    path: Path
+    parts: Path
+    there: int
+    """Episodes that the file holds already."""
+    wanted: int
+
+    def part(self, index: int) -> Path:
+        """Return where one episode is until all are there."""
+        return part_file(self.parts, index)
+
+    def missing(self) -> list[int]:
+        """Return the numbers of episodes that are nowhere yet."""
+        indices = range(self.there, self.wanted)
+        return [index for index in indices if not self.part(index).exists()]
+
+
+def recipe_file(folder: Path, split: str, task: str) -> Path:
+    """Return where the episodes of one task and split are."""
+    return folder / split / f"{task}.parquet"
+
+
+def generate(
+    order: GenerateConfig,
+    engine: Engine,
+    advance: Callable[[int], None] = lambda count: None,
+) -> GenerateSummary:
+    """Write what is missing of a recipe.
+
+    Args:
+        order: What is wanted.
+        engine: Where to work.
+        advance: Told how many episodes were there at the beginning, and then of every
+            one that is done.
+
+    Returns:
+        What it came to.
+
+    Raises:
+        DatasetError: Something cannot be written, or what is there is damaged or of
+            another version, or somebody else is writing there, or the expert failed.
+    """
+    start = perf_counter()
+    about = {**versions(BENCHMARK_VERSION), **described(order.perturb)}
+    with only_writer(order.out):
+        known = _known(order.out, about)
+        clear_drafts(order.out)
+        note = order.out / _PARTS / _ABOUT
+        if note.exists():
+            check_same(note, read_json(note), about)
+        listed = [
+            _look(order, split, task, about)
+            for split in order.splits
+            for task in order.tasks
+        ]
+        _check_sums(order.out, known, listed, about)
+        missing = {(file.split, file.task): file.missing() for file in listed}
+        made = sum(len(indices) for indices in missing.values())
+        advance(order.total - made)
+        if made:
+            write_json(note, dict(about))
+        worker_mb = _work(listed, missing, engine, about, advance)
+        rmtree(order.out / _PARTS, ignore_errors=True)
+        _write_manifest(order.out, about)
+        write_card(order.out, about)
+    size = sum(file.path.stat().st_size for file in listed)
+    seconds = perf_counter() - start
+    return GenerateSummary(order.total, made, seconds, size / 1e6, worker_mb)
+
+
+def _work(
+    listed: list[_File],
+    missing: dict[tuple[str, str], list[int]],
+    engine: Engine,
+    about: dict[str, str],
+    advance: Callable[[int], None],
+) -> float:
+    """Make what is missing, put files together as soon as they can be.
+
+    Returns:
+        The most memory that any worker held [MB].
+    """
+    left = Counter({name: len(indices) for name, indices in missing.items()})
+    by_name = {(file.split, file.task): file for file in listed}
+    for name, file in by_name.items():
+        if not left[name]:
+            _put_together(file, about)
+    jobs = [
+        # Absolute, because workers of a cluster are at home elsewhere.
+        (task, split, index, str(by_name[split, task].parts.absolute()), about)
+        for (split, task), indices in missing.items()
+        for index in indices
+    ]
+    worker_mb, failures = 0.0, []
+    for made in engine.run(generate_part, jobs):
+        worker_mb = max(worker_mb, made.worker_mb)
+        if made.failure is not None:
+            failures.append(made.failure)
+            continue
+        left[made.split, made.task] -= 1
+        if not left[made.split, made.task]:
+            _put_together(by_name[made.split, made.task], about)
+        advance(1)
+    if failures:
+        raise DatasetError(
+            f"The expert failed on {len(failures)} instances: "
+            f"{'; '.join(sorted(failures)[:_SHOWN])}. Frozen instances are solved by "
+            "the version that froze them; see 'lemma doctor'. The other episodes are "
+            "kept."
+        )
+    return worker_mb
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What a worker says of one episode that it made."""
+
+    task: str
+    split: str
+    failure: str | None
+    """Which episode failed, and why; None where it was written."""
+    worker_mb: float
+    """Most memory that the worker ever held [MB]."""
+
+
+def generate_part(
+    task: str, split: str, index: int, parts: str, about: dict[str, str]
+) -> Made:
+    """Write one episode as a part, if the expert solves it, or if it was perturbed.
+
+    Raises:
+        DatasetError: It cannot be written.
+    """
+    instance, perturbation = load_instance(task, split, index), perturbation_of(about)
+    failure = None
+    record: EpisodeRecord
+    if perturbation is not None:
+        record = record_perturbed(instance, perturbation)
+    else:
+        record = record_episode(instance)
+        if not record.success:
+            failure = f"{record.key} ({record.failure})"
+    if failure is None:
+        write_table(part_file(Path(parts), index), to_table([record]), about)
+    return Made(task, split, failure, peak_memory_mb())
+
+
+def part_file(parts: Path, index: int) -> Path:
+    """Return where one episode is until all of its file are there."""
+    return parts / f"{index:05d}.parquet"
+
+
+def _look(order: GenerateConfig, split: str, task: str, about: dict[str, str]) -> _File:
+    """Look at what is there of a file.
+
+    Raises:
+        DatasetError: It is of another version, or holds more than is wanted.
+    """
+    path = recipe_file(order.out, split, task)
+    parts, wanted = order.out / _PARTS / f"{split}-{task}", order.count(split)
+    if not path.exists():
+        return _File(task, split, path, parts, 0, wanted)
+    file, found = open_table(path)
+    check_same(path, found, about)
+    there = file.metadata.num_rows
+    if there > wanted:
+        raise DatasetError(
+            f"{path} holds {there} episodes, but {wanted} are wanted. Choose a new "
+            "folder, or delete this file."
+        )
+    return _File(task, split, path, parts, there, wanted)
+
+
+def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
+    """Return what the manifest says of files, if there is one.
+
+    Raises:
+        DatasetError: The folder holds something else than such a recipe.
+    """
+    begun = (folder / _PARTS).exists() or any(folder.glob("*/*.parquet"))
+    check_free(folder, begun=begun)
+    if not (folder / MANIFEST).exists():
+        return {}
+    manifest = read_json(folder / MANIFEST)
+    if form := manifest.get("form"):
+        raise DatasetError(
+            f"{folder} holds {form!r}, which was rendered from a recipe. Choose "
+            "another folder."
+        )
+    check_alike(folder, manifest.get("versions", {}), about)
+    return listed_files(folder)
+
+
+def _check_sums(
+    folder: Path,
+    known: dict[str, dict[str, Any]],
+    listed: list[_File],
+    about: dict[str, str],
+) -> None:
+    """Check that files are what the manifest says, and forget those to be written.
+
+    A run that is killed after it wrote a file, and before the manifest, must not make
+    that file look damaged.
+
+    Raises:
+        DatasetError: One was changed since it was written.
+    """
+    for name in sorted(known):
+        if (folder / name).exists():
+            check_sum(folder / name, known[name], "lemma generate")
+    open_ended = {file.path for file in listed if file.there < file.wanted}
+    kept = {
+        name: entry
+        for name, entry in known.items()
+        if (folder / name).exists() and folder / name not in open_ended
+    }
+    if kept != known:
+        write_json(folder / MANIFEST, {"versions": about, "files": kept})
+
+
+def _put_together(file: _File, about: dict[str, str]) -> None:
+    if file.there == file.wanted:
+        return
+    tables = [read_table(file.path)] if file.there else []
+    indices = range(file.there, file.wanted)
+    if gone := [index for index in indices if not file.part(index).exists()]:
+        raise DatasetError(
+            f"{file.part(gone[0])} was made, but is not there. All machines of a "
+            "cluster must see the same folder: choose one on a shared file system."
+        )
+    tables += [read_table(file.part(index)) for index in indices]
+    write_table(file.path, pa.concat_tables(tables), about)
+    rmtree(file.parts, ignore_errors=True)
+
+
+def _write_manifest(folder: Path, about: dict[str, str]) -> None:
+    files = {}
+    for path in sorted(folder.glob("*/*.parquet")):
+        digests = [shorten(r.digest()) for r in from_table(read_table(path))]
+        files[path.relative_to(folder).as_posix()] = {
+            "sha256": sha256_of(path),
+            "content_sha256": content_digest(digests),
+            "episodes": len(digests),
+            "digests": digests,
+        }
+    write_json(folder / MANIFEST, {"versions": about, "files": files})

@@ -1,0 +1,1 @@
+"""Keyframes: images, maps and labels before each sub-task."""

@@ -1,0 +1,295 @@
+"""What the cameras see at the keyframes of an episode: the form ``keyframes``.
+
+Nothing is simulated: the recipe holds the state of every keyframe.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.dataset.recipe.schema import EpisodeRecord, PerturbedRecord
+from lemma.dataset.rendered.keyframes.files import KeyframeFile, write_keyframes
+from lemma.dataset.rendered.keyframes.schema import (
+    EXECUTED,
+    FORM,
+    KEYFRAMES_VERSION,
+    PARTS,
+    SUFFIX,
+    Header,
+    Raster,
+    Row,
+    decode_depth,
+    describe,
+    encode_depth,
+)
+from lemma.dataset.rendered.labels import entity_poses, expert_label, label
+from lemma.dataset.rendered.render import Found
+from lemma.env.observation import object_poses
+from lemma.expert.disturbances import NONE
+from lemma.motion.outcome import Outcome
+from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.rendering.gl_backend import choose_backend
+from lemma.scene.rendering.renderer import CameraImage, Renderer
+from lemma.scene.scene import Scene
+from lemma.scene.spec import ENTITIES
+from lemma.scene.topdown_map import TopDownMap
+from lemma.tasks.instance import Instance
+
+_MAP = TopDownMap()
+RASTER = Raster(_MAP.rows, _MAP.columns, _MAP.cell_m, _MAP.floor_m)
+"""The raster of rendered maps."""
+_STOPPED = str(Outcome.STOPPED)
+_DECISION = ("robot", "primitive", "pick", "place")
+_PER_FILE = ("part", "robots", "digests", "keyframes")
+
+
+@dataclass(frozen=True, slots=True)
+class KeyframeForm:
+    """Images of every keyframe, for policies that plan from one to the next."""
+
+    width: int = CAMERA_WIDTH_PX
+    """Of camera images [px]."""
+    height: int = CAMERA_HEIGHT_PX
+    """Of camera images [px]."""
+
+    def __post_init__(self) -> None:
+        """Check the size."""
+        Renderer(self.width, self.height)
+
+    @property
+    def name(self) -> str:
+        """Name of the form."""
+        return FORM
+
+    def paths(self, split: str, name: str) -> tuple[str, ...]:
+        """Return the files of a row group of the recipe, in the order of ``PARTS``."""
+        return tuple(f"{part}/{split}/{name}{SUFFIX}" for part in PARTS)
+
+    def about(self, versions: dict[str, str]) -> dict[str, Any]:
+        """Return what decides the bytes, beside the episodes."""
+        header = asdict(self._header(versions, choose_backend().renderer))
+        return {name: header[name] for name in header if name not in _PER_FILE}
+
+    def _header(self, versions: dict[str, str], renderer: str) -> Header:
+        return Header(
+            form=FORM,
+            part=PARTS[0],
+            version=KEYFRAMES_VERSION,
+            versions=versions,
+            renderer=renderer,
+            robots=2,
+            width=self.width,
+            height=self.height,
+            raster=RASTER,
+            entities=ENTITIES,
+        )
+
+    def look(self, path: Path) -> Found:
+        """Return what a file says about itself.
+
+        Raises:
+            DatasetError: It is damaged, or of another form or version.
+        """
+        file = KeyframeFile(path)
+        header = asdict(file.header)
+        return Found(
+            {name: header[name] for name in header if name not in _PER_FILE},
+            file.header.digests,
+            len(file),
+        )
+
+    def write(
+        self,
+        paths: Sequence[Path],
+        records: Sequence[EpisodeRecord],
+        digests: tuple[str, ...],
+        about: dict[str, Any],
+    ) -> None:
+        """Render the keyframes of some episodes.
+
+        Args:
+            paths: Files, in the order of :meth:`paths`.
+            records: The episodes.
+            digests: Their digests in the recipe.
+            about: What :meth:`about` returned.
+
+        Raises:
+            DatasetError: A state is not the one that was recorded.
+            RenderingError: OpenGL does not work here.
+        """
+        base = self._header(about["versions"], about["renderer"])
+        robots = {len(record.instance_data()["robots"]) for record in records}
+        if len(robots) != 1:
+            raise InvalidConfigError(
+                f"Teams of {sorted(robots)} robots do not fit into one file. Put them "
+                "into different tasks."
+            )
+        counts = tuple(_count(record) for record in records)
+        headers = [
+            replace(
+                base,
+                part=part,
+                robots=max(robots),
+                digests=digests,
+                keyframes=counts,
+            )
+            for part in PARTS
+        ]
+        rows = (row for record in records for row in self.rows(record))
+        write_keyframes(list(zip(paths, headers, strict=True)), rows)
+
+    def rows(self, record: EpisodeRecord) -> Iterator[Row]:
+        """Yield the keyframes of an episode, with all columns.
+
+        Args:
+            record: The episode.
+
+        Raises:
+            DatasetError: A state is not the one that was recorded.
+            RenderingError: OpenGL does not work here.
+        """
+        instance = Instance.from_dict(record.instance_data())
+        scene = Scene(instance.scene)
+        constant = _episode_columns(record, instance)
+        for keyframe in range(_count(record)):
+            _check_state(record, keyframe)
+            scene.restore(record.state(keyframe))
+            yield {
+                **constant,
+                "keyframe": keyframe,
+                "time_s": record.keyframe_time_s[keyframe],
+                **_labels(record, keyframe),
+                **_truth(scene),
+                **see(scene, _renderer(self.width, self.height)),
+            }
+
+    def card(self) -> str:
+        """Return what the folder's README says."""
+        return _CARD.format(columns=describe(), width=self.width, height=self.height)
+
+
+def see(scene: Scene, renderer: Renderer) -> Row:
+    """Return what the cameras of a scene see, and the map of it, as it is stored.
+
+    The map is fused from the depths as they are stored, so that what is read can be
+    fused again, with another raster for example.
+    """
+    images = [
+        renderer.rgbd(scene.model, scene.data, f"{name}/camera")
+        for name in scene.spec.robot_names
+    ]
+    depths = [encode_depth(image.depth_m) for image in images]
+    fused = _MAP.fuse(
+        [
+            CameraImage(image.rgb, decode_depth(depth), image.camera)
+            for image, depth in zip(images, depths, strict=True)
+        ]
+    )
+    return {
+        "intrinsics": np.array([i.camera.intrinsics.matrix() for i in images]),
+        "world_from_camera": np.array(
+            [image.camera.world_from_camera.matrix() for image in images]
+        ),
+        "rgb": np.array([image.rgb for image in images]),
+        "depth": np.array(depths),
+        "map_rgb": fused.rgb,
+        "map_height": RASTER.encode_height(fused.height_m, fused.coverage),
+    }
+
+
+@lru_cache(maxsize=1)
+def _renderer(width: int, height: int) -> Renderer:
+    """Return the renderer of this process: starting one takes longer than a picture."""
+    return Renderer(width, height)
+
+
+def _episode_columns(record: EpisodeRecord, instance: Instance) -> Row:
+    robots = instance.scene.robots
+    return {
+        "key": record.key,
+        "task": record.task,
+        "split": record.split,
+        "index": record.index,
+        "keyframes": _count(record),
+        "team": record.team,
+        "arms": "+".join(robot.arm for robot in robots),
+        "bases": np.array([[r.base.x, r.base.y, r.base.yaw] for r in robots]),
+        "high_level": record.high_level,
+        "human": record.human,
+        "unseen": record.unseen,
+        "goal": json.dumps(instance.goal.pairs, separators=(",", ":")),
+        "instance": record.instance,
+    }
+
+
+def _count(record: EpisodeRecord) -> int:
+    """Return how many keyframes there are to see: those that have a label."""
+    if isinstance(record, PerturbedRecord):
+        return record.labelled
+    return record.keyframes
+
+
+def _labels(record: EpisodeRecord, keyframe: int) -> Row:
+    """Return what comes next; in perturbed executions what should, and what came."""
+    done = {**label(record, keyframe), **_poses(record, keyframe)}
+    if not isinstance(record, PerturbedRecord):
+        return done
+    last = keyframe == len(record.subtasks)
+    return {
+        **{f"{EXECUTED}{name}": done[name] for name in _DECISION},
+        "perturbation": NONE if last else record.perturbation[keyframe],
+        "outcome": done["outcome"],
+        **expert_label(record, keyframe),
+    }
+
+
+def _poses(record: EpisodeRecord, keyframe: int) -> Row:
+    """Return the poses of the next sub-task; NaN at the end."""
+    if keyframe == len(record.subtasks):
+        nowhere = (math.nan,) * 3
+        return {"pick_pose": nowhere, "place_pose": nowhere, "outcome": _STOPPED}
+    row = record.subtasks[keyframe]
+    return {
+        "pick_pose": row.pick_pose,
+        "place_pose": row.place_pose,
+        "outcome": row.outcome,
+    }
+
+
+def _truth(scene: Scene) -> Row:
+    return {
+        "joints": np.array([scene.data.qpos[robot.qpos] for robot in scene.robots]),
+        "opening_m": np.array([scene.opening_m(robot) for robot in scene.robots]),
+        "objects": entity_poses(object_poses(scene)),
+    }
+
+
+def _check_state(record: EpisodeRecord, keyframe: int) -> None:
+    state = record.keyframe_state[keyframe]
+    if hashlib.sha256(state).hexdigest() != record.keyframe_sha256[keyframe]:
+        raise DatasetError(
+            f"The state of keyframe {keyframe} of {record.key} is damaged. Delete its "
+            "file of the recipe and run 'lemma generate' again."
+        )
+
+
+_CARD = """# Rendered keyframes of LEMMA Bench
+
+The scene before each sub-task and at the end of every episode of a recipe, as the
+robots' cameras ({width} x {height} px) see it, and from above. `lemma render --form
+keyframes` made this from the recipe; `manifest.json` holds the checksum of every file.
+
+Files are Arrow IPC, one record batch per keyframe; `maps/` and `cameras/` hold the same
+keyframes in the same order. Train on the sentences `high_level` and `human`, never on
+`unseen`.
+
+{columns}
+"""

@@ -1,0 +1,276 @@
+"""What files of rendered keyframes hold: the only place that says so.
+
+An Arrow file holds the keyframes of some episodes, one record batch for each, so that
+any keyframe is found at once. Images are Arrow tensors: any Arrow library reads them.
+What a policy needs of every keyframe (map, joints, labels, sentences) and what few need
+(camera images) are in files apart, side by side, with the same rows.
+
+Lengths are stored as ``uint16`` in units of 0.1 mm. No depth camera is that accurate,
+and a pixel of these sees some millimetres; a millimetre would show as steps in slanted
+surfaces, and finer units would not fit the room into 16 bits. 0 means that nothing was
+seen.
+
+Reading needs neither MuJoCo nor torch.
+"""
+
+import json
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike, NDArray
+
+from lemma.core.errors import DatasetError
+from lemma.dataset.files import METADATA_KEY
+from lemma.dataset.recipe.schema import perturbed_as
+
+FORM = "keyframes"
+KEYFRAMES_VERSION = "1"
+UNIT_M = 1e-4
+"""What 1 stands for in images of depth and height [m]."""
+PARTS = ("maps", "cameras")
+"""Kinds of files."""
+SUFFIX = ".arrow"
+
+EXECUTED = "executed_"
+"""What names of columns begin with that say what was done in perturbed executions."""
+
+_LARGEST = 65535
+
+
+@dataclass(frozen=True, slots=True)
+class Raster:
+    """Where the cells of a top-down map are; see :mod:`lemma.scene.topdown_map`."""
+
+    rows: int
+    """Cells along y; row 0 lies at +y."""
+    columns: int
+    """Cells along x; column 0 lies at -x."""
+    cell_m: float
+    """Side of a cell [m]."""
+    floor_m: float
+    """What a stored height of 1 stands for [m]."""
+
+    def pixel_from_world(self, x: float, y: float) -> tuple[int, int]:
+        """Return row and column of the cell that holds a point of the table [m]."""
+        row = math.floor(self.rows / 2 - y / self.cell_m)
+        return row, math.floor(self.columns / 2 + x / self.cell_m)
+
+    def world_from_pixel(self, row: float, column: float) -> tuple[float, float]:
+        """Return the position (x, y) of a cell's centre [m]."""
+        x = (column + 0.5 - self.columns / 2) * self.cell_m
+        return x, (self.rows / 2 - row - 0.5) * self.cell_m
+
+    def encode_height(
+        self, height_m: ArrayLike, coverage: NDArray[np.bool_]
+    ) -> NDArray[np.uint16]:
+        """Return heights [m] as they are stored; 0 where nothing was seen."""
+        above = np.asarray(height_m, np.float64) - self.floor_m
+        values = np.rint(above / UNIT_M) + 1.0
+        return np.where(coverage, values, 0.0).astype(np.uint16)
+
+    def decode_height(self, values: NDArray[np.uint16]) -> NDArray[np.float32]:
+        """Return stored heights above the table [m]; 0 where nothing was seen."""
+        height_m = values * np.float32(UNIT_M) + np.float32(self.floor_m - UNIT_M)
+        height_m[values == 0] = 0.0
+        return height_m
+
+
+def encode_depth(depth_m: ArrayLike) -> NDArray[np.uint16]:
+    """Return depths [m] as they are stored; 0 where nothing is within 6.5 m."""
+    values = np.rint(np.asarray(depth_m, np.float64) / UNIT_M)
+    return np.where(values <= _LARGEST, values, 0.0).astype(np.uint16)
+
+
+def decode_depth(values: NDArray[np.uint16]) -> NDArray[np.float32]:
+    """Return stored depths [m]; 0 where nothing was seen."""
+    return values * np.float32(UNIT_M)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a file says about itself."""
+
+    form: str
+    part: str
+    """One of :data:`PARTS`."""
+    version: str
+    versions: dict[str, str]
+    """Versions of what made it; see :func:`lemma.dataset.files.versions`."""
+    renderer: str
+    """What drew the images: other software may draw other pixels."""
+    robots: int
+    """Robots, and cameras, of every episode."""
+    width: int
+    """Of camera images [px]."""
+    height: int
+    """Of camera images [px]."""
+    raster: Raster
+    entities: tuple[str, ...]
+    """Names of objects, in the order of the column ``objects``."""
+    digests: tuple[str, ...] = ()
+    """Digests of the episodes in the recipe, in the order of the file."""
+    keyframes: tuple[int, ...] = ()
+    """Number of keyframes of each of them."""
+
+    @property
+    def first_rows(self) -> tuple[int, ...]:
+        """Rows at which the episodes begin."""
+        return tuple(np.cumsum([0, *self.keyframes])[:-1].tolist())
+
+    @property
+    def perturbed(self) -> bool:
+        """Whether executions were perturbed, so that labels are not what was done."""
+        return bool(perturbed_as(self.versions))
+
+    @classmethod
+    def from_json(cls, path: Path, text: bytes | None) -> "Header":
+        """Read what a file says about itself.
+
+        Raises:
+            DatasetError: It is no such file, or of another version.
+        """
+        data: dict[str, Any] = json.loads(text) if text else {}
+        if data.get("form") != FORM:
+            raise DatasetError(
+                f"{path} holds no rendered keyframes. 'lemma render --form keyframes' "
+                "makes them from a recipe."
+            )
+        if data["version"] != KEYFRAMES_VERSION:
+            raise DatasetError(
+                f"{path} has version {data['version']} of the keyframe format, and "
+                f"this package reads version {KEYFRAMES_VERSION}. Install the version "
+                f"that wrote it ({data['versions']['lemma']}), or render it again."
+            )
+        data["raster"] = Raster(**data["raster"])
+        for name in ("entities", "digests", "keyframes"):
+            data[name] = tuple(data[name])
+        return cls(**data)
+
+    def schema(self) -> pa.Schema:
+        """Return the columns of a file, with this header as metadata."""
+        columns = camera_columns(self) if self.part == "cameras" else map_columns(self)
+        text = json.dumps(asdict(self), sort_keys=True).encode()
+        return pa.schema(
+            [pa.field(n, kind, nullable=False) for n, (kind, _) in columns.items()],
+            metadata={METADATA_KEY: text},
+        )
+
+
+Columns = dict[str, tuple[pa.DataType, str]]
+"""Names of columns with type and meaning."""
+
+
+def _tensor(scalar: pa.DataType, *shape: int) -> pa.DataType:
+    return pa.fixed_shape_tensor(scalar, shape)
+
+
+def describe() -> str:
+    """Return all columns as Markdown, for ``docs/rendered_format.md``."""
+    raster = Raster(rows=288, columns=416, cell_m=0.008, floor_m=-0.1)
+    header = Header(FORM, "", "", {}, "", 2, 640, 480, raster, ("",) * 11)
+    lines = []
+    for part, columns in zip(
+        PARTS, (map_columns(header), camera_columns(header)), strict=True
+    ):
+        lines += [f"### `{part}/`", "", "| column | type | meaning |", "|---|---|---|"]
+        for name, (kind, meaning) in columns.items():
+            lines.append(f"| `{name}` | `{_type_name(kind)}` | {meaning} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _type_name(kind: pa.DataType) -> str:
+    if isinstance(kind, pa.FixedShapeTensorType):
+        return f"{kind.value_type}{list(kind.shape)}"
+    return str(kind)
+
+
+def map_columns(header: Header) -> Columns:
+    """Return the columns of files of maps."""
+    robots, raster = header.robots, header.raster
+    text, real = pa.string(), pa.float64()
+    executed = executed_columns() if header.perturbed else {}
+    return {
+        **executed,
+        "key": (text, "Unique name of the episode."),
+        "task": (text, "Task."),
+        "split": (text, "Split: train, val, test or free."),
+        "index": (pa.int32(), "Number of the episode in its split."),
+        "keyframe": (pa.int16(), "Number of the keyframe, from 0."),
+        "keyframes": (pa.int16(), "Number of keyframes of the episode."),
+        "time_s": (real, "Simulated time [s]."),
+        "team": (text, "Arm types from small to large, such as ur5+ur10."),
+        "arms": (text, "Arm types in the order of the robots, such as ur10+ur5."),
+        "bases": (_tensor(real, robots, 3), "Bases: x, y [m], yaw [rad]."),
+        "high_level": (text, "The high-level instruction."),
+        "human": (text, "The human-like instruction."),
+        "unseen": (text, "The instruction of the unseen split; never train on it."),
+        "goal": (text, "The goal as JSON: [[top, bottom], ...]."),
+        "robot": (text, "Robot of the next sub-task; empty at the end."),
+        "primitive": (text, "Primitive of the next sub-task; stop at the end."),
+        "pick": (text, "Entity that is picked; empty at the end."),
+        "place": (text, "Entity where it goes; empty at the end."),
+        "pick_pose": (_tensor(real, 3), "x, y [m], yaw [rad]; NaN at the end."),
+        "place_pose": (_tensor(real, 3), "x, y [m], yaw [rad]; NaN at the end."),
+        "sub_instruction": (text, "The next sub-task in words."),
+        "outcome": (text, "How the next sub-task went; stopped at the end."),
+        "joints": (_tensor(real, robots, 6), "Measured joint angles [rad]."),
+        "opening_m": (_tensor(real, robots), "Measured gripper openings [m]."),
+        "objects": (
+            _tensor(real, len(header.entities), 7),
+            "True position [m] and quaternion wxyz of every object of the header's "
+            "`entities`; NaN where it is not on the table.",
+        ),
+        "instance": (text, "The whole instance as canonical JSON."),
+        "map_rgb": (_tensor(pa.uint8(), raster.rows, raster.columns, 3), "Map: color."),
+        "map_height": (
+            _tensor(pa.uint16(), raster.rows, raster.columns),
+            "Map: 1 + height above `floor_m` [0.1 mm]; 0 where no camera sees.",
+        ),
+    }
+
+
+def executed_columns() -> Columns:
+    """Return the columns that only files of perturbed executions have.
+
+    There the label of a keyframe is what the expert would do, not what was done.
+    """
+    text = pa.string()
+    words = {
+        "robot": "Robot that acted next; empty at the end.",
+        "primitive": "Primitive that was executed next; stop at the end.",
+        "pick": "Entity that it was to pick; empty at the end.",
+        "place": "Entity where it was to go; empty at the end.",
+    }
+    return {
+        **{f"{EXECUTED}{name}": (text, meaning) for name, meaning in words.items()},
+        "perturbation": (text, "Kind of mistake that was made; none where none was."),
+    }
+
+
+def camera_columns(header: Header) -> Columns:
+    """Return the columns of files of camera images."""
+    robots, height, width = header.robots, header.height, header.width
+    real = pa.float64()
+    return {
+        "key": (pa.string(), "Unique name of the episode."),
+        "keyframe": (pa.int16(), "Number of the keyframe, from 0."),
+        "intrinsics": (_tensor(real, robots, 3, 3), "Matrix K of each camera [px]."),
+        "world_from_camera": (
+            _tensor(real, robots, 4, 4),
+            "Pose of each camera: x right, y down, z forward [m].",
+        ),
+        "rgb": (_tensor(pa.uint8(), robots, height, width, 3), "Color."),
+        "depth": (
+            _tensor(pa.uint16(), robots, height, width),
+            "Distance along the camera's z axis [0.1 mm]; 0 where nothing is.",
+        ),
+    }
+
+
+Row = dict[str, Any]
+"""One keyframe: values by the names of columns; tensors as NumPy arrays."""

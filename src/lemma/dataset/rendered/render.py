@@ -1,0 +1,384 @@
+"""From a recipe to what is computed from it: images, or steps between keyframes.
+
+The work is cut along the row groups of the recipe. A group's files are written by one
+job, each whole or not at all, so nothing has to be put together: a run that was killed
+loses what was being worked on, and the next one goes on there. The same recipe gives
+the same bytes, wherever it was interrupted; for images, on machines that draw alike.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Protocol
+
+from lemma.core.errors import DatasetError, UnknownNameError
+from lemma.core.parallel import Engine, is_worker
+from lemma.dataset.files import (
+    CARD,
+    MANIFEST,
+    check_files,
+    check_free,
+    clear_drafts,
+    listed_files,
+    only_writer,
+    open_table,
+    sha256_of,
+    versions,
+    write_json,
+    write_text,
+)
+from lemma.dataset.recipe.digests import content_digest
+from lemma.dataset.recipe.reader import load, read_group
+from lemma.dataset.recipe.replay import check_versions
+from lemma.dataset.recipe.schema import EpisodeRecord, perturbed_as
+from lemma.dataset.rendered.shards import changed, read_manifest
+from lemma.tasks.instance import BENCHMARK_VERSION
+
+LABELLED = ("keyframes",)
+"""Forms that hold what the expert would do, beside what was done."""
+_PERTURBED_NOTE = """
+## Perturbed executions
+
+These are no demonstrations and no part of the benchmark. Sub-tasks went wrong on
+purpose (`lemma generate --perturb {perturb} --perturb-seed {perturb_seed}`). Labels are
+what the expert would do in each state; what was done is in the columns `executed_*`.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What is known of a file that is there already."""
+
+    about: dict[str, Any]
+    """Versions and settings that decide its bytes."""
+    digests: tuple[str, ...]
+    """Digests of its episodes in the recipe."""
+    rows: int
+    """Keyframes or steps."""
+
+
+class Form(Protocol):
+    """A kind of files that are made from a recipe."""
+
+    @property
+    def name(self) -> str:
+        """Name of the form: ``"keyframes"``."""
+        ...
+
+    def paths(self, split: str, name: str) -> tuple[str, ...]:
+        """Return the files, relative to the folder, of a row group of the recipe."""
+        ...
+
+    def about(self, versions: dict[str, str]) -> dict[str, Any]:
+        """Return what decides the bytes, beside the episodes."""
+        ...
+
+    def look(self, path: Path) -> Found:
+        """Return what a file says about itself.
+
+        Raises:
+            DatasetError: It is damaged, or of another form or version.
+        """
+        ...
+
+    def write(
+        self,
+        paths: Sequence[Path],
+        records: Sequence[EpisodeRecord],
+        digests: tuple[str, ...],
+        about: dict[str, Any],
+    ) -> None:
+        """Write the files of some episodes.
+
+        Args:
+            paths: Files, in the order of :meth:`paths`.
+            records: The episodes.
+            digests: Their digests in the recipe.
+            about: What :meth:`about` returned.
+        """
+        ...
+
+    def card(self) -> str:
+        """Return what the folder's README says about its columns."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderConfig:
+    """What to render."""
+
+    recipe: Path
+    """Folder of the recipe."""
+    out: Path
+    """Folder of what is made."""
+    tasks: tuple[str, ...] = ()
+    """Names of tasks; all of the recipe if empty."""
+    splits: tuple[str, ...] = ()
+    """Names of splits; all of the recipe if empty."""
+
+    def groups(self) -> list[tuple[Path, int, tuple[int, ...]]]:
+        """Return the row groups of the recipe that are wanted: file, number, rows.
+
+        Raises:
+            DatasetError: There is no recipe.
+            UnknownNameError: It has no such task or split.
+        """
+        groups = load(self.recipe).groups()
+        for kind, names, valid in (
+            ("task in this recipe", self.tasks, {path.stem for path, *_ in groups}),
+            ("split in this recipe", self.splits, {p.parent.name for p, *_ in groups}),
+        ):
+            for name in names:
+                if name not in valid:
+                    raise UnknownNameError(kind, name, sorted(valid))
+        return [
+            (path, group, rows)
+            for path, group, rows in groups
+            if path.stem in (self.tasks or (path.stem,))
+            and path.parent.name in (self.splits or (path.parent.name,))
+        ]
+
+    def episodes(self) -> int:
+        """Return how many episodes are wanted."""
+        return sum(len(rows) for *_, rows in self.groups())
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    """The episodes of one row group of the recipe, and the files made from them."""
+
+    source: Path
+    group: int
+    paths: tuple[Path, ...]
+    digests: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RenderSummary:
+    """What a run came to."""
+
+    episodes: int
+    """Episodes of the order; all are there."""
+    rows: int
+    """Keyframes, steps or frames of the whole folder."""
+    made: int
+    """Episodes that this run made."""
+    seconds: float
+    """Time that this run took [s]."""
+    size_mb: float
+    """Of all files of the folder [MB]."""
+
+
+def render(
+    order: RenderConfig,
+    form: Form,
+    engine: Engine,
+    advance: Callable[[int], None] = lambda count: None,
+) -> RenderSummary:
+    """Make what is missing.
+
+    Args:
+        order: What is wanted.
+        form: In which form.
+        engine: Where to work.
+        advance: Told how many episodes were there at the beginning, and then of those
+            that are done.
+
+    Returns:
+        What it came to.
+
+    Raises:
+        DatasetError: The recipe cannot be read here, what is there was made from
+            another one or by another version, or something cannot be written.
+        UnknownNameError: The recipe has no such task or split.
+    """
+    start = perf_counter()
+    groups = order.groups()
+    perturbed: dict[str, str] = {}
+    for source in dict.fromkeys(source for source, *_ in groups):
+        found = open_table(source)[1]
+        check_versions(found)
+        perturbed = perturbed_as(found)
+    if perturbed and form.name not in LABELLED:
+        raise DatasetError(refusal(order.recipe, form.name))
+    check_files(order.recipe, partial=True)
+    about = form.about({**versions(BENCHMARK_VERSION), **perturbed})
+    chunks = list(_chunks(order, form, groups))
+    total = sum(len(chunk.digests) for chunk in chunks)
+    with only_writer(order.out):
+        known = _known_files(order.out, form)
+        clear_drafts(order.out)
+        there = _look(order.out, form, about)
+        sums = _check_sums(order.out, there, known)
+        missing = [chunk for chunk in chunks if not _is_there(chunk, there)]
+        made = sum(len(chunk.digests) for chunk in missing)
+        advance(total - made)
+        jobs = [(form, _at_home(chunk), about) for chunk in missing]
+        for episodes in engine.run(render_chunk, jobs):
+            advance(episodes)
+        for path in (path for chunk in missing for path in chunk.paths):
+            sums.pop(path, None)
+        rows, size = _write_manifest(order.out, form, about, sums)
+        note = _PERTURBED_NOTE.format(**perturbed) if perturbed else ""
+        write_text(order.out / CARD, form.card() + note)
+    seconds = perf_counter() - start
+    return RenderSummary(total, rows, made, seconds, size / 1e6)
+
+
+def refusal(recipe: Path, form: str) -> str:
+    """Return why perturbed executions are not rendered to a form."""
+    return (
+        f"{recipe} holds perturbed executions, in which what was done is not what is "
+        f"right, and the form {form!r} says what was done. Render {LABELLED[0]}, whose "
+        "labels are the expert's, or a recipe of demonstrations."
+    )
+
+
+def _at_home(chunk: _Chunk) -> _Chunk:
+    """Return a chunk whose paths hold wherever a worker is at home."""
+    paths = tuple(path.absolute() for path in chunk.paths)
+    return replace(chunk, source=chunk.source.absolute(), paths=paths)
+
+
+def render_chunk(form: Form, chunk: _Chunk, about: dict[str, Any]) -> int:
+    """Make the files of one row group; return how many episodes that were."""
+    if is_worker():
+        # Mesa would start as many threads as there are cores, in each process.
+        os.environ.setdefault("LP_NUM_THREADS", "0")
+    records = read_group(chunk.source, chunk.group)
+    form.write(chunk.paths, records, chunk.digests, about)
+    return len(records)
+
+
+def _chunks(
+    order: RenderConfig, form: Form, groups: list[tuple[Path, int, tuple[int, ...]]]
+) -> Iterator[_Chunk]:
+    """Yield what is to be made of each row group.
+
+    Raises:
+        DatasetError: The recipe is not complete.
+    """
+    files = listed_files(order.recipe)
+    taken: dict[Path, int] = {}
+    # Groups are numbered from the first of their file, whose rows come before.
+    for source, group, rows in groups:
+        name = source.relative_to(order.recipe).as_posix()
+        first = taken.get(source, 0)
+        taken[source] = first + len(rows)
+        digests = files.get(name, {}).get("digests", [])[first : taken[source]]
+        if len(digests) != len(rows):
+            raise DatasetError(
+                f"{MANIFEST} does not say what is in {source}: the recipe is not "
+                "complete. Run 'lemma generate' again."
+            )
+        split, stem = source.parent.name, f"{source.stem}-{group:03d}"
+        paths = tuple(order.out / path for path in form.paths(split, stem))
+        yield _Chunk(source, group, paths, tuple(digests))
+
+
+def _look(folder: Path, form: Form, about: dict[str, Any]) -> dict[Path, Found]:
+    """Return what is there already, and check that it was made alike.
+
+    Raises:
+        DatasetError: It was made otherwise, or is damaged.
+    """
+    there = {}
+    for pattern in form.paths("*", "*"):
+        for path in sorted(folder.glob(pattern)):
+            there[path] = form.look(path)
+            check_made_alike(path, there[path].about, about)
+    return there
+
+
+def _is_there(chunk: _Chunk, there: dict[Path, Found]) -> bool:
+    """Return whether the files of a chunk are there, with all its episodes.
+
+    Raises:
+        DatasetError: They were made from other episodes.
+    """
+    found = [there[path].digests for path in chunk.paths if path in there]
+    for path, digests in zip(chunk.paths, found, strict=False):
+        # A recipe may have grown since.
+        if digests != chunk.digests[: len(digests)]:
+            raise DatasetError(
+                f"{path} was made from other episodes. Choose a new folder, or delete "
+                "this one."
+            )
+    return len(found) == len(chunk.paths) and all(d == chunk.digests for d in found)
+
+
+def check_made_alike(path: Path, found: dict[str, Any], about: dict[str, Any]) -> None:
+    """Check that a file was made as another would be made now.
+
+    Raises:
+        DatasetError: It was made by another version, or with other settings.
+    """
+    theirs, ours = _flat(found), _flat(about)
+    differing = [
+        f"{name} is {theirs.get(name)} there, and {ours.get(name)} here"
+        for name in sorted({*theirs, *ours})
+        if theirs.get(name) != ours.get(name) and name != "revision"
+    ]
+    if differing:
+        raise DatasetError(
+            f"{path} was made otherwise: {'; '.join(differing)}. Choose a new folder, "
+            "or delete this one."
+        )
+
+
+def _flat(about: dict[str, Any]) -> dict[str, Any]:
+    return {**about, **about["versions"], "versions": None}
+
+
+def _known_files(folder: Path, form: Form) -> dict[str, dict[str, Any]]:
+    """Return what the manifest of an earlier run says of its files, if there is one.
+
+    Raises:
+        DatasetError: The folder holds something else.
+    """
+    if (folder / MANIFEST).exists():
+        return read_manifest(folder, form.name)
+    begun = any(any(folder.glob(pattern)) for pattern in form.paths("*", "*"))
+    check_free(folder, begun=begun)
+    return {}
+
+
+def _check_sums(
+    folder: Path, there: Iterable[Path], known: dict[str, dict[str, Any]]
+) -> dict[Path, str]:
+    """Return the SHA-256 of files, and check it where the manifest knows them.
+
+    Raises:
+        DatasetError: One was changed since it was written.
+    """
+    sums = {}
+    for path in there:
+        sums[path] = sha256_of(path)
+        entry = known.get(path.relative_to(folder).as_posix())
+        if entry is not None and entry["sha256"] != sums[path]:
+            raise DatasetError(changed(path))
+    return sums
+
+
+def _write_manifest(
+    folder: Path, form: Form, about: dict[str, Any], sums: dict[Path, str]
+) -> tuple[int, int]:
+    """Write the checksums of all files; return their rows and bytes."""
+    files: dict[str, dict[str, Any]] = {}
+    rows = 0
+    for pattern in form.paths("*", "*"):
+        rows = 0
+        for path in sorted(folder.glob(pattern)):
+            found = form.look(path)
+            rows += found.rows
+            files[path.relative_to(folder).as_posix()] = {
+                "sha256": sums.get(path) or sha256_of(path),
+                "content_sha256": content_digest(found.digests),
+                "bytes": path.stat().st_size,
+                "episodes": len(found.digests),
+                "rows": found.rows,
+            }
+    write_json(folder / MANIFEST, {"form": form.name, "about": about, "files": files})
+    return rows, sum(entry["bytes"] for entry in files.values())

@@ -1,0 +1,245 @@
+"""What actions look like: their layout, their bounds, and what is wrong with a bad one.
+
+Boxes are two-dimensional, one row per robot or pose, because each row means the same
+thing; their numbers are SI units, not fractions of a range.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from lemma.core.errors import InvalidActionError
+from lemma.core.poses import FloatArray, Pose2, wrap
+from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
+from lemma.scene.spec import ENTITIES, SHARED
+from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
+
+PRIMITIVES = tuple(Primitive)
+"""The primitives in the order of their numbers."""
+PICKS = ("", *ENTITIES)
+"""What a sub-task may pick; the first means nothing."""
+PLACES = (*PICKS, SHARED)
+"""Where a sub-task may put it."""
+POSE_FIELDS = ("x", "y", "yaw")
+
+Action = Mapping[str, Any]
+
+# Half a unit in the last place of a float32, and then some: what was clipped to the
+# bounds in single precision is inside.
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class ActionLayout:
+    """The meaning of a two-dimensional array of numbers."""
+
+    rows: tuple[str, ...]
+    """What each row belongs to."""
+    columns: tuple[str, ...]
+    """What each number of a row is."""
+    low: tuple[float, ...]
+    """Smallest value in each column."""
+    high: tuple[float, ...]
+    """Largest value in each column."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return (len(self.rows), len(self.columns))
+
+    def box(self, dtype: type[np.floating[Any]] = np.float32) -> spaces.Box:
+        """Return the space of these arrays."""
+        low, high = np.array(self.low, dtype), np.array(self.high, dtype)
+        count = len(self.rows)
+        return spaces.Box(
+            np.tile(low, (count, 1)), np.tile(high, (count, 1)), dtype=dtype
+        )
+
+    def row_box(self) -> spaces.Box:
+        """Return the space of one row."""
+        low, high = np.array(self.low, np.float32), np.array(self.high, np.float32)
+        return spaces.Box(low, high, dtype=np.float32)
+
+    def check(self, action: Any) -> FloatArray:
+        """Return a valid action as an array of the layout's shape.
+
+        Raises:
+            InvalidActionError: Not numbers, of another shape, not finite, or out of
+                bounds.
+        """
+        try:
+            values = np.array(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InvalidActionError(
+                f"The action {action!r:.80} is no array of numbers. {self._valid()}"
+            ) from None
+        if values.shape != self.shape:
+            same = values.size == self.shape[0] * self.shape[1]
+            hint = f" Try action.reshape({self.shape})." if same else ""
+            raise InvalidActionError(
+                f"The action has shape {values.shape}. {self._valid()}{hint}"
+            )
+        wrong = []
+        for i, row in enumerate(self.rows):
+            for j, name in enumerate(self.columns):
+                value, low, high = float(values[i, j]), self.low[j], self.high[j]
+                slack = _TOLERANCE * (1.0 + max(abs(low), abs(high)))
+                if not low - slack <= value <= high + slack:
+                    wrong.append(
+                        f"{name} of {row} is {value:g}, not in [{low:g}, {high:g}]"
+                    )
+                values[i, j] = min(max(value, low), high)
+        if wrong:
+            more = f" (and {len(wrong) - 1} more numbers)" if len(wrong) > 1 else ""
+            raise InvalidActionError(
+                f"In the action, {wrong[0]}{more}. Clip it to the bounds of the action "
+                "space, wrap the environment in gymnasium.wrappers.ClipAction, or let "
+                "gymnasium.wrappers.RescaleAction map [-1, 1] to the bounds."
+            )
+        return values
+
+    def _valid(self) -> str:
+        return (
+            f"Valid: shape {self.shape}, one row for each of {', '.join(self.rows)}, "
+            f"with {', '.join(self.columns)}."
+        )
+
+
+SKILL_POSES = ActionLayout(
+    rows=("pick", "place"),
+    columns=POSE_FIELDS,
+    low=(-TABLE_HALF_X_M, -TABLE_HALF_Y_M, -math.pi),
+    high=(TABLE_HALF_X_M, TABLE_HALF_Y_M, math.pi),
+)
+"""Poses of the gripper on the table [m, m, rad], see
+:class:`~lemma.tasks.subtask.GroundedSubTask`."""
+
+
+def skill_space(team_size: int) -> spaces.Dict:
+    """Return the space of grounded sub-tasks."""
+    return spaces.Dict(
+        {
+            "robot": spaces.Discrete(team_size),
+            "primitive": spaces.Discrete(len(PRIMITIVES)),
+            "poses": SKILL_POSES.box(np.float64),
+        }
+    )
+
+
+def plan_space(team_size: int) -> spaces.Dict:
+    """Return the space of symbolic sub-tasks."""
+    return spaces.Dict(
+        {
+            "robot": spaces.Discrete(team_size),
+            "primitive": spaces.Discrete(len(PRIMITIVES)),
+            "pick": spaces.Discrete(len(PICKS)),
+            "place": spaces.Discrete(len(PLACES)),
+        }
+    )
+
+
+def encode_skill(subtask: GroundedSubTask | None) -> dict[str, Any]:
+    """Return the skill-level action for a grounded sub-task, or ``stop`` for None."""
+    if subtask is None:
+        stop = PRIMITIVES.index(Primitive.STOP)
+        return {"robot": 0, "primitive": stop, "poses": np.zeros((2, 3))}
+    # Wrapping changes the last bits, so only what needs it is wrapped.
+    poses = [
+        [p.x, p.y, p.yaw if abs(p.yaw) <= math.pi else wrap(p.yaw)]
+        for p in (subtask.pick, subtask.place)
+    ]
+    return {
+        "robot": _robot_number(subtask.robot),
+        "primitive": PRIMITIVES.index(subtask.primitive),
+        "poses": np.array(poses),
+    }
+
+
+def decode_skill(action: Action, team_size: int) -> GroundedSubTask | None:
+    """Return the grounded sub-task that an action means, None for ``stop``.
+
+    Raises:
+        InvalidActionError: The action is not in the space.
+    """
+    keys = ("robot", "primitive", "poses")
+    _check_keys(action, keys)
+    robot = _number(action["robot"], "robot", _robot_names(team_size))
+    primitive = PRIMITIVES[_number(action["primitive"], "primitive", PRIMITIVES)]
+    pick, place = (Pose2(*row) for row in SKILL_POSES.check(action["poses"]).tolist())
+    if primitive is Primitive.STOP:
+        return None
+    return GroundedSubTask(f"robot_{robot}", primitive, pick, place)
+
+
+def encode_plan(subtask: SubTask) -> dict[str, Any]:
+    """Return the plan-level action for a symbolic sub-task.
+
+    Raises:
+        InvalidActionError: There is no such entity.
+    """
+    for entity, valid in ((subtask.pick, PICKS), (subtask.place, PLACES)):
+        if entity not in valid:
+            raise InvalidActionError(
+                f"No table ever has a {entity!r}. Valid: {', '.join(valid[1:])}."
+            )
+    return {
+        "robot": _robot_number(subtask.robot) if subtask.robot else 0,
+        "primitive": PRIMITIVES.index(subtask.primitive),
+        "pick": PICKS.index(subtask.pick),
+        "place": PLACES.index(subtask.place),
+    }
+
+
+def decode_plan(action: Action, team_size: int) -> SubTask:
+    """Return the symbolic sub-task that an action means.
+
+    Raises:
+        InvalidActionError: The action is not in the space.
+    """
+    _check_keys(action, ("robot", "primitive", "pick", "place"))
+    robot = _number(action["robot"], "robot", _robot_names(team_size))
+    primitive = PRIMITIVES[_number(action["primitive"], "primitive", PRIMITIVES)]
+    pick = PICKS[_number(action["pick"], "pick", PICKS)]
+    place = PLACES[_number(action["place"], "place", PLACES)]
+    if primitive is Primitive.STOP:
+        return STOP
+    return SubTask(f"robot_{robot}", primitive, pick, place)
+
+
+def _robot_names(team_size: int) -> list[str]:
+    return [f"robot_{i}" for i in range(team_size)]
+
+
+def _robot_number(name: str) -> int:
+    prefix, _, number = name.partition("_")
+    if prefix != "robot" or not number.isdigit():
+        raise InvalidActionError(
+            f"No robot is called {name!r}. Valid: robot_0, robot_1 and so on."
+        )
+    return int(number)
+
+
+def _check_keys(action: Any, keys: tuple[str, ...]) -> None:
+    if not isinstance(action, Mapping) or set(action) != set(keys):
+        found = sorted(action) if isinstance(action, Mapping) else repr(action)[:80]
+        raise InvalidActionError(
+            f"The action is {found}. Valid: a dictionary with {', '.join(keys)}; see "
+            "the environment's encode()."
+        )
+
+
+def _number(value: Any, name: str, meanings: Sequence[str]) -> int:
+    """Return a choice as a whole number in range."""
+    found: NDArray[Any] = np.asarray(value)
+    valid = found.size == 1 and found.dtype.kind in "iu"
+    if not valid or not 0 <= int(found.reshape(())) < len(meanings):
+        options = ", ".join(f"{i} {m or '(none)'}" for i, m in enumerate(meanings))
+        raise InvalidActionError(
+            f"{name!r} of the action is {value!r:.80}. Valid: whole numbers, {options}."
+        )
+    return int(found.reshape(()))

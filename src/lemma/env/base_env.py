@@ -1,0 +1,311 @@
+"""What every Gymnasium environment of the benchmark shares, whatever its actions are.
+
+An environment is one face of an :class:`~lemma.env.episode.Episode`. Rewards are
+sparse: 1 when the episode ends in success, else 0; ``info["progress"]`` says how much
+of the goal holds.
+"""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from lemma.core.errors import InvalidConfigError, ResetNeededError, UnknownNameError
+from lemma.env.config import TEAM_SIZE, EnvConfig
+from lemma.env.episode import Episode, EpisodeSnapshot
+from lemma.env.observation import (
+    MAX_INSTRUCTION_LENGTH,
+    Observation,
+    Observer,
+    object_poses,
+)
+from lemma.scene.cameras import Camera, FreeCamera, camera_from_model
+from lemma.scene.rendering.renderer import Renderer, RgbImage
+from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.sampling import sample
+from lemma.tasks.suite import FREE_SPLIT, load_instance, task_named
+
+OVERVIEW = FreeCamera(
+    lookat=(0.0, -0.05, 0.1), distance=3.6, azimuth_deg=90.0, elevation_deg=-36.0
+)
+"""What :meth:`LemmaEnv.render` looks through."""
+RENDER_SIZE = (960, 540)
+"""Width and height of its pictures [px]."""
+
+_OPTIONS = ("split", "index", "instance")
+_SEEDS = 2**31
+
+StepResult = tuple[Observation, float, bool, bool, dict[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class EnvSnapshot:
+    """An environment between two steps; plain data, can be pickled."""
+
+    episode: EpisodeSnapshot
+    level: dict[str, Any]
+    """What the level remembers besides."""
+
+
+@lru_cache(maxsize=256)
+def _sampled(task: str, index: int, team: tuple[str, str] | None) -> Instance:
+    """Sample a free instance; some take seconds, so the last ones are kept."""
+    return sample(task_named(task), FREE_SPLIT, index, team=team).instance
+
+
+class LemmaEnv(gymnasium.Env[Observation, Any]):
+    """A task as a Gymnasium environment.
+
+    Args that :func:`gymnasium.make` takes are the fields of
+    :class:`~lemma.env.config.EnvConfig`.
+    """
+
+    actuation = "position"
+    """How the motors are driven."""
+
+    def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
+        """Define the spaces; nothing is simulated before the first reset.
+
+        Args:
+            config: The options.
+            render_mode: ``"rgb_array"`` for :meth:`render`, or None.
+
+        Raises:
+            UnknownNameError: No such render mode.
+        """
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise UnknownNameError(
+                "render_mode", render_mode, self.metadata["render_modes"]
+            )
+        self.render_mode = render_mode
+        self.config = config
+        self.task = config.task
+        self.robot_names = tuple(f"robot_{i}" for i in range(TEAM_SIZE))
+        self._observer = Observer(
+            config.observation, tuple(range(TEAM_SIZE)), (config.width, config.height)
+        )
+        self.observation_space = self._observer.space
+        self._episode: Episode | None = None
+        self._renderer: Renderer | None = None
+
+    @property
+    def episode(self) -> Episode:
+        """The instance that is being worked on.
+
+        Raises:
+            ResetNeededError: There is none yet.
+        """
+        if self._episode is None:
+            raise ResetNeededError("There is no episode yet. Call reset() first.")
+        return self._episode
+
+    @property
+    def instance(self) -> Instance:
+        """The problem of this episode."""
+        return self.episode.instance
+
+    @property
+    def task_description(self) -> str:
+        """The instruction of this episode; before the first, what the task is about."""
+        if self._episode is None:
+            return task_named(self.task).summary
+        return self._episode.instance.instructions[self.config.instruction]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Set the table for a new episode.
+
+        Args:
+            seed: Seeds the draws of instances, of this and of later resets.
+            options: ``split`` and ``index`` choose an instance instead, and
+                ``instance`` is one. An instance depends on these alone, never on what
+                was sampled before.
+
+        Returns:
+            The first observation, and what is known besides.
+
+        Raises:
+            UnknownNameError: No such option or split.
+            InvalidConfigError: The index is out of range, or the team does not fit.
+        """
+        self.set_table(seed, options)
+        return self.observe(), self.info()
+
+    def set_table(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> None:
+        """Reset without looking."""
+        super().reset(seed=seed)
+        episode = Episode(
+            self._choose(options or {}),
+            horizon_s=self.config.horizon_s,
+            actuation=self.actuation,
+        )
+        self._begin(episode)
+
+    def _choose(self, options: dict[str, Any]) -> Instance:
+        for name in options:
+            if name not in _OPTIONS:
+                raise UnknownNameError("option of reset", name, _OPTIONS)
+        instance = options.get("instance")
+        if instance is None:
+            split = options.get("split", self.config.split)
+            index = options.get("index", self.config.index)
+            instance = self._draw(split) if index is None else self._load(split, index)
+        self._check(instance)
+        return instance
+
+    def _draw(self, split: str) -> Instance:
+        if split == FREE_SPLIT:
+            return self._load(split, int(self.np_random.integers(_SEEDS)))
+        for index in self.np_random.permutation(SPLITS.get(split, 1)):
+            instance = load_instance(self.task, split, int(index))
+            if self._has_team(instance):
+                return instance
+        raise InvalidConfigError(
+            f"Split {split!r} of {self.task!r} has no instance with the team "
+            f"{self.config.robots!r}. Use split {FREE_SPLIT!r}, or another team."
+        )
+
+    def _load(self, split: str, index: int) -> Instance:
+        if not isinstance(index, int | np.integer):
+            raise InvalidConfigError(
+                f"index={index!r} is no number of an instance. It must be a whole one."
+            )
+        robots = self.config.robots
+        if split == FREE_SPLIT:
+            team = None if robots is None else (robots[0], robots[1])
+            return _sampled(self.task, int(index), team)
+        return load_instance(self.task, split, int(index))
+
+    def _has_team(self, instance: Instance) -> bool:
+        robots = self.config.robots
+        arms = [robot.arm for robot in instance.scene.robots]
+        return robots is None or sorted(robots) == sorted(arms)
+
+    def _check(self, instance: Instance) -> None:
+        arms = tuple(robot.arm for robot in instance.scene.robots)
+        if len(arms) != TEAM_SIZE or not self._has_team(instance):
+            raise InvalidConfigError(
+                f"Instance {instance.key} has the team {arms}, but this environment is "
+                f"for {self.config.robots or f'{TEAM_SIZE} robots'}. Choose another "
+                "index, or make the environment with robots=None."
+            )
+        text = instance.instructions[self.config.instruction]
+        if len(text) > MAX_INSTRUCTION_LENGTH or not text.isascii():
+            raise InvalidConfigError(
+                f"The instruction {text!r:.60} cannot be observed. It must be ASCII "
+                f"and at most {MAX_INSTRUCTION_LENGTH} characters long."
+            )
+
+    def _begin(self, episode: Episode) -> None:
+        """Take a new episode."""
+        self._episode = episode
+
+    def _running(self) -> Episode:
+        """Return the episode, which must not be over.
+
+        Raises:
+            ResetNeededError: It is.
+        """
+        if self._is_done():
+            raise ResetNeededError(
+                f"The episode {self.instance.key} is over. Call reset() before step()."
+            )
+        return self.episode
+
+    def _is_done(self) -> bool:
+        return self.episode.is_over
+
+    @abstractmethod
+    def step(self, action: Any) -> StepResult:
+        """Act once."""
+        raise NotImplementedError
+
+    def observe(self) -> Observation:
+        """Return what is observed now."""
+        return self._observer.observe(self.episode, self.config.instruction)
+
+    def info(self) -> dict[str, Any]:
+        """Return what every step and reset reports."""
+        found = self.episode.info()
+        found["instruction"] = self.task_description
+        found["state"] = object_poses(self.episode.simulation.scene)
+        return found
+
+    def cameras(self) -> dict[str, Camera]:
+        """Return the calibrated camera of each robot: intrinsics and extrinsics."""
+        scene = self.episode.simulation.scene
+        scene.refresh()
+        size = (self.config.width, self.config.height)
+        return {
+            name: camera_from_model(scene.model, scene.data, f"{name}/camera", *size)
+            for name in self.robot_names
+        }
+
+    def render(self) -> RgbImage | None:
+        """Return a picture for people, (540, 960, 3); None without a render mode.
+
+        Raises:
+            ResetNeededError: There is no episode yet.
+            RenderingError: OpenGL does not work here.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                "render() was called without a render mode. Make the environment with "
+                'render_mode="rgb_array".'
+            )
+            return None
+        if self._renderer is None:
+            self._renderer = Renderer(*RENDER_SIZE, quality="video")
+        scene = self.episode.simulation.scene
+        scene.refresh()
+        return self._renderer.rgb(scene.model, scene.data, OVERVIEW)
+
+    def close(self) -> None:
+        """Free what rendering uses."""
+        self._observer.close()
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def state_hash(self) -> str:
+        """Return the SHA-256 of the full integration state of the physics."""
+        return self.episode.simulation.scene.state_hash()
+
+    def snapshot(self) -> EnvSnapshot:
+        """Return all that the rest of the episode depends on."""
+        return EnvSnapshot(self.episode.snapshot(), self._remember())
+
+    def restore(self, snapshot: EnvSnapshot) -> tuple[Observation, dict[str, Any]]:
+        """Go back to a snapshot, also one of another instance or environment.
+
+        What follows is equal to the bit, if the options are the same.
+
+        Returns:
+            The observation and the info of that moment.
+        """
+        instance = snapshot.episode.instance
+        if self._episode is None or self._episode.instance != instance:
+            self._check(instance)
+            self._begin(
+                Episode(
+                    instance,
+                    horizon_s=self.config.horizon_s,
+                    actuation=self.actuation,
+                )
+            )
+        self.episode.restore(snapshot.episode)
+        self._recall(snapshot.level)
+        return self.observe(), self.info()
+
+    def _remember(self) -> dict[str, Any]:
+        """Return what the level knows beside the episode."""
+        return {}
+
+    def _recall(self, memory: dict[str, Any]) -> None:
+        """Take back what :meth:`_remember` returned."""

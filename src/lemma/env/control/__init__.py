@@ -1,0 +1,1 @@
+"""Control modes, and what keeps motors inside their limits."""

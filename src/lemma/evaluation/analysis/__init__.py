@@ -1,0 +1,1 @@
+"""From lines of episodes to rates, causes and comparisons."""

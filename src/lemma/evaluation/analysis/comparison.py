@@ -1,0 +1,157 @@
+"""Two results on the same episodes, compared episode by episode."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lemma.core.errors import DatasetError
+from lemma.dataset.files import read_json
+from lemma.evaluation.analysis.intervals import mcnemar_p, paired_interval
+from lemma.evaluation.analysis.result import Row
+from lemma.evaluation.run.evaluate import ABOUT, EPISODES, read_rows
+from lemma.evaluation.run.protocol import check_protocol
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE
+
+_SAME = ("split", "lemma")
+"""What decides the episodes and the world, and not the policy."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """How two policies did on the same episodes."""
+
+    both: int
+    """Episodes that both solved."""
+    only_first: int
+    only_second: int
+    neither: int
+
+    @property
+    def episodes(self) -> int:
+        """How many there are."""
+        return self.both + self.only_first + self.only_second + self.neither
+
+    @property
+    def rates(self) -> tuple[float, float]:
+        """Success rates of the first and of the second."""
+        first, second = self.both + self.only_first, self.both + self.only_second
+        return first / self.episodes, second / self.episodes
+
+    @property
+    def difference(self) -> float:
+        """First rate minus second."""
+        return (self.only_first - self.only_second) / self.episodes
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the difference (Newcombe, paired)."""
+        return paired_interval(
+            self.both, self.only_first, self.only_second, self.neither
+        )
+
+    @property
+    def p_value(self) -> float:
+        """Of McNemar's exact test that both are as good."""
+        return mcnemar_p(self.only_first, self.only_second)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON."""
+        return {
+            "episodes": self.episodes,
+            "success_rates": self.rates,
+            "both": self.both,
+            "only_first": self.only_first,
+            "only_second": self.only_second,
+            "neither": self.neither,
+            "difference": self.difference,
+            "interval": self.interval,
+            "p_value": self.p_value,
+        }
+
+
+def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
+    """Compare two results that ``lemma evaluate`` wrote.
+
+    Args:
+        first: Folder of one.
+        second: Folder of the other.
+
+    Returns:
+        By kind of instructions, and then for ``"all"`` and by task.
+
+    Raises:
+        DatasetError: One is missing, or they are of other episodes or versions.
+    """
+    successes = [_successes(folder) for folder in (first, second)]
+    _check_same_world(first, second)
+    _check_same_episodes(first, second, successes)
+    pairs = {name: (won, successes[1][name]) for name, won in successes[0].items()}
+    found: dict[str, dict[str, Comparison]] = {}
+    for kind in KINDS:
+        of_kind = {name: pair for name, pair in pairs.items() if name[0] == kind}
+        if of_kind:
+            found[kind] = {"all": _count(of_kind.values())}
+            for task in SUITE:
+                of_task = [pair for name, pair in of_kind.items() if name[1] == task]
+                if of_task:
+                    found[kind][task] = _count(of_task)
+    return found
+
+
+_Name = tuple[str, str, int]
+
+
+def _count(pairs: Iterable[tuple[bool, bool]]) -> Comparison:
+    listed = list(pairs)
+    return Comparison(
+        both=listed.count((True, True)),
+        only_first=listed.count((True, False)),
+        only_second=listed.count((False, True)),
+        neither=listed.count((False, False)),
+    )
+
+
+def _successes(folder: Path) -> dict[_Name, bool]:
+    rows: Sequence[Row] = read_rows(folder)
+    if not rows:
+        raise DatasetError(
+            f"There are no episodes in {folder}: {EPISODES} is missing. 'lemma "
+            f"evaluate --out {folder}' writes it, and 'lemma reproduce' into a folder "
+            "for each training seed, as results/reachnet/seed-0."
+        )
+    return {
+        (row["instruction_kind"], row["task"], row["index"]): bool(row["success"])
+        for row in rows
+    }
+
+
+def _check_same_world(first: Path, second: Path) -> None:
+    abouts = [read_json(folder / ABOUT) for folder in (first, second)]
+    check_protocol(abouts[0], abouts[1], first, second)
+    for name in _SAME:
+        values = [about.get(name) for about in abouts]
+        if values[0] != values[1]:
+            raise DatasetError(
+                f"{first} was made with {name} {values[0]}, and {second} with "
+                f"{values[1]}: what differs may not be the policy. Evaluate one of "
+                "them again."
+            )
+
+
+def _check_same_episodes(
+    first: Path, second: Path, successes: Sequence[dict[_Name, bool]]
+) -> None:
+    for here, there, mine, others in (
+        (first, second, successes[0], successes[1]),
+        (second, first, successes[1], successes[0]),
+    ):
+        missing = sorted(mine.keys() - others.keys())
+        if missing:
+            kind, task, index = missing[0]
+            raise DatasetError(
+                f"{len(missing)} episodes of {here} are not in {there}, such as {kind} "
+                f"{task} {index}. Evaluate both with the same --instructions, --tasks "
+                "and --episodes."
+            )

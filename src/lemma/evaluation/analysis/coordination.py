@@ -1,0 +1,131 @@
+"""How well the robots of a team work together, counted from the lines of episodes.
+
+==================  ==================================================================
+makespan            simulated time until the episode ends, ``elapsed_s``. It is compared
+                    with the expert's on the same instance, over successful episodes
+                    alone: sum of the policy's over sum of the expert's.
+idle time           of one robot: makespan less the time in which it carries out
+                    sub-tasks. Robots take turns, so somebody always waits.
+allocation          share of sub-tasks whose robot could do them, as the expert judges
+                    by the true state before each; of those that any robot could do.
+                    ``stop`` is none. Besides: share whose robot is the expert's, of
+                    the sub-tasks that are in its plan, now or later, with any robot.
+order violation     a sub-task that is in the expert's plan, but further on, which could
+                    not be done yet, or was done and left as many sub-tasks to do as
+                    before. What may come in any order is none.
+clearance           smallest distance between the two arms, looked at ten times in a
+                    simulated second (:mod:`lemma.evaluation.run.clearance`).
+                    Signed: 0 or less is touching.
+==================  ==================================================================
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lemma.evaluation.run.expert_feedback import Departure
+from lemma.motion.outcome import Outcome
+
+Row = Mapping[str, Any]
+"""One episode, as it stands in ``episodes.jsonl``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coordination:
+    """Sums over the episodes of one kind of instructions and one task."""
+
+    kind: str
+    task: str
+    episodes: int
+    elapsed_s: float
+    """Sum of the makespans."""
+    idle_s: dict[str, float]
+    """Sum of the idle times by robot; ``robot_0`` stands at the left."""
+    timed: int
+    """Successful episodes whose expert's time is known."""
+    timed_s: float
+    """Sum of their makespans."""
+    expert_s: float
+    """Sum of the expert's on the same instances."""
+    doable: int
+    """Sub-tasks that some robot could do."""
+    able: int
+    """Of them those that were given to such a robot."""
+    planned: int
+    """Sub-tasks that are in the expert's plan, for this robot or another."""
+    as_expert: int
+    """Of them those with the expert's robot."""
+    order_violations: int
+    nearest_mm: float | None
+    """Smallest clearance in any episode; None where no scene has two arms."""
+    touching: int
+    """Episodes in which it was 0 or less."""
+
+
+def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:
+    """Count what the expert said of the sub-tasks of an episode.
+
+    Args:
+        steps: Sub-tasks of its line.
+        left: How many the expert needs after the last; None where it has no plan.
+
+    Returns:
+        ``doable``, ``able``, ``planned``, ``as_expert`` and ``order_violations``.
+    """
+    said = [step["expert"] for step in steps]
+    lefts = [_number(each["left"]) for each in said] + [_number(left)]
+    departures = [Departure(each["departure"]) for each in said]
+    as_expert = sum(d in (Departure.NONE, Departure.ORDER) for d in departures)
+    return {
+        "doable": sum(each["able"] is not None for each in said),
+        "able": sum(each["able"] is True for each in said),
+        "planned": as_expert + departures.count(Departure.ROBOT),
+        "as_expert": as_expert,
+        "order_violations": sum(
+            departures[i] is Departure.ORDER
+            and lefts[i + 1] >= lefts[i]
+            and (not said[i]["able"] or step["outcome"] == Outcome.SUCCESS)
+            for i, step in enumerate(steps)
+        ),
+    }
+
+
+def coordination_of(rows: Sequence[Row], kind: str, task: str) -> Coordination:
+    """Sum the figures of episodes of one kind and task; at least one."""
+    figures = [row["coordination"] for row in rows]
+    timed = [
+        row
+        for row in rows
+        if row["success"] and row["coordination"]["expert_s"] is not None
+    ]
+    clearances = [
+        each["clearance_mm"] for each in figures if each["clearance_mm"] is not None
+    ]
+    robots = sorted({name for row in rows for name in row["idle_s"]})
+    return Coordination(
+        kind=kind,
+        task=task,
+        episodes=len(rows),
+        elapsed_s=_sum(row["elapsed_s"] for row in rows),
+        idle_s={r: _sum(row["idle_s"].get(r, 0.0) for row in rows) for r in robots},
+        timed=len(timed),
+        timed_s=_sum(row["elapsed_s"] for row in timed),
+        expert_s=_sum(row["coordination"]["expert_s"] for row in timed),
+        doable=sum(each["doable"] for each in figures),
+        able=sum(each["able"] for each in figures),
+        planned=sum(each["planned"] for each in figures),
+        as_expert=sum(each["as_expert"] for each in figures),
+        order_violations=sum(each["order_violations"] for each in figures),
+        nearest_mm=min(clearances, default=None),
+        touching=sum(each <= 0.0 for each in clearances),
+    )
+
+
+def _number(left: int | None) -> float:
+    """Return how many sub-tasks are left; no number is enough where no plan exists."""
+    return math.inf if left is None else left
+
+
+def _sum(values: Iterable[float]) -> float:
+    return round(math.fsum(values), 3)

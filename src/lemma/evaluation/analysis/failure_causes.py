@@ -1,0 +1,128 @@
+"""Why an episode failed: one cause, read off its line.
+
+The expert was asked before every sub-task
+(:mod:`lemma.evaluation.run.expert_feedback`), and once more at the end, how many
+sub-tasks it would need from there. A sub-task is a *mistake* if that number never falls
+below what it was before it, in all the rest of the episode. So whatever serves the goal
+is none, though the expert would have done something else, and neither is what was made
+good later. The first mistake is the cause.
+"""
+
+import math
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Any
+
+from lemma.evaluation.run.expert_feedback import Departure
+from lemma.evaluation.run.fault_isolation import POLICY_ERROR
+from lemma.motion.outcome import Outcome
+
+POSE_TOLERANCE_MM = 20.0
+"""A pose further off than this is missed: a cube that is held, or laid on another, so
+far off its middle may fall."""
+
+
+class Cause(StrEnum):
+    """Causes of failure."""
+
+    WRONG_ROBOT = "wrong_robot"
+    """The mistake is right but for its robot: with another one it is the expert's
+    sub-task, the next or a later one."""
+    WRONG_ORDER = "wrong_order"
+    """The mistake is a later sub-task of the expert's plan: it came too soon."""
+    WRONG_PRIMITIVE = "wrong_primitive"
+    """The mistake has another primitive than the expert's next sub-task, which is
+    ``stop`` where the goal held already."""
+    WRONG_OBJECT = "wrong_object"
+    """The mistake has the expert's primitive, but picks something else or puts it
+    elsewhere."""
+    MISSED_PICK = "missed_pick"
+    """The mistake is the expert's sub-task. No pose was found, or the pick is more than
+    20 mm off the middle of the cube, or, where the stick is picked, there was nothing
+    between the fingers."""
+    MISSED_PLACE = "missed_place"
+    """The mistake is the expert's sub-task. The place is more than 20 mm off the middle
+    of the pad or cube, or, in the shared region and with tools, where no single pose is
+    right, it is out of reach, or the motion was carried out and did not help."""
+    EXECUTION = "execution"
+    """The mistake is the expert's sub-task with good poses, and the motion failed:
+    dropped, collided, did not end. Also where nothing was left to do, and the goal does
+    not hold at rest."""
+    OUT_OF_TIME = "out_of_time"
+    """No mistake, or the time was over during the first one."""
+    STOPPED_EARLY = "stopped_early"
+    """No mistake, and ``stop`` while there was something left to do."""
+    POLICY_ERROR = "policy_error"
+    """The policy raised, hung, or answered what is no decision: its own fault, named in
+    the line."""
+
+
+_OF_DEPARTURE = {
+    Departure.ROBOT: Cause.WRONG_ROBOT,
+    Departure.ORDER: Cause.WRONG_ORDER,
+    Departure.PRIMITIVE: Cause.WRONG_PRIMITIVE,
+    Departure.OBJECT: Cause.WRONG_OBJECT,
+}
+
+
+def cause_of(row: Mapping[str, Any]) -> Cause | None:
+    """Return why an episode failed; None if it succeeded.
+
+    Args:
+        row: A line of ``episodes.jsonl``.
+    """
+    if row["success"]:
+        return None
+    if row["failure"] == POLICY_ERROR:
+        return Cause.POLICY_ERROR
+    mistake = mistake_of(row)
+    if mistake is not None:
+        return _of_mistake(row["subtasks"][mistake])
+    if row["failure"] == Outcome.OUT_OF_TIME:
+        return Cause.OUT_OF_TIME
+    return Cause.STOPPED_EARLY if _number(row["left"]) else Cause.EXECUTION
+
+
+def mistake_of(row: Mapping[str, Any]) -> int | None:
+    """Return which sub-task is the first mistake, from 0; None if none is.
+
+    Args:
+        row: A line of ``episodes.jsonl``.
+    """
+    steps = row["subtasks"]
+    left = [_number(step["expert"]["left"]) for step in steps] + [_number(row["left"])]
+    found = (i for i in range(len(steps)) if min(left[i + 1 :]) >= left[i])
+    return next(found, None)
+
+
+def _number(left: int | None) -> float:
+    """Return how many sub-tasks are left; no number is enough where no plan exists."""
+    return math.inf if left is None else left
+
+
+def _of_mistake(step: Mapping[str, Any]) -> Cause:
+    departure = Departure(step["expert"]["departure"])
+    if departure is not Departure.NONE:
+        return _OF_DEPARTURE[departure]
+    outcome = Outcome(step["outcome"])
+    if outcome is Outcome.OUT_OF_TIME:
+        return Cause.OUT_OF_TIME
+    pick_mm = step["expert"]["pick_error_mm"]
+    place_mm = step["expert"]["place_error_mm"]
+    if _pick_is_missed(pick_mm, outcome):
+        return Cause.MISSED_PICK
+    if _place_is_missed(place_mm, outcome):
+        return Cause.MISSED_PLACE
+    return Cause.EXECUTION
+
+
+def _pick_is_missed(error_mm: float | None, outcome: Outcome) -> bool:
+    if error_mm is not None:
+        return error_mm > POSE_TOLERANCE_MM
+    return outcome in (Outcome.INVALID, Outcome.NOTHING_TO_PICK, Outcome.MISSED_GRASP)
+
+
+def _place_is_missed(error_mm: float | None, outcome: Outcome) -> bool:
+    if error_mm is not None:
+        return error_mm > POSE_TOLERANCE_MM
+    return outcome in (Outcome.SUCCESS, Outcome.UNREACHABLE)

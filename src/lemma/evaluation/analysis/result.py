@@ -1,0 +1,258 @@
+"""Results that are small enough to be committed: counts, causes, where they come from.
+
+The same episodes give the same bytes: there is no clock in a result.
+"""
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import groupby
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from lemma.core.errors import DatasetError
+from lemma.dataset.files import read_json, write_text
+from lemma.evaluation.analysis.coordination import Coordination, coordination_of
+from lemma.evaluation.analysis.failure_causes import POSE_TOLERANCE_MM, cause_of
+from lemma.evaluation.run.loading import training_seed
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE
+
+RESULT_VERSION = "1"
+WALL_CLOCK = ("wall_s",)
+"""Fields of an episode's line that depend on the machine."""
+
+Row = Mapping[str, Any]
+"""One episode, as it stands in ``episodes.jsonl``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Episodes of one kind, task, team and number of distractors."""
+
+    kind: str
+    """Of instruction."""
+    task: str
+    team: str
+    distractors: int
+    episodes: int
+    successes: int
+    progress: float
+    """Sum over the episodes of the fraction of the goal that holds at the end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """Failed episodes of one kind and task that have one cause."""
+
+    kind: str
+    task: str
+    cause: str
+    episodes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Precision:
+    """How far off the poses of one kind and task are, where it is defined."""
+
+    kind: str
+    task: str
+    end: str
+    """``"pick"`` or ``"place"``."""
+    poses: int
+    """Where the sub-task was the expert's."""
+    median_mm: float
+    missed: int
+    """Of them more than 20 mm off."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What became of other goals that controls of language asked for."""
+
+    kind: str
+    task: str
+    episodes: int
+    """In which the sentence asked for another goal that the table allows."""
+    held: int
+    """In which that goal held at the end."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What one policy, trained with one seed, made of the episodes of a split."""
+
+    about: dict[str, Any]
+    """Policy, split, horizon, versions and weights: what decides the result."""
+    command: str
+    """The command line that gives it."""
+    episodes_sha256: str
+    """Of the lines of the episodes without wall-clock fields."""
+    cells: tuple[Cell, ...]
+    losses: tuple[Loss, ...] = ()
+    precisions: tuple[Precision, ...] = ()
+    coordination: tuple[Coordination, ...] = ()
+    asked: tuple[Asked, ...] = ()
+    experiment: str = ""
+    """Name of the experiment it belongs to, if any."""
+    version: str = field(default=RESULT_VERSION)
+
+    @property
+    def seed(self) -> int:
+        """The seed of the training; 0 where nothing was trained."""
+        return training_seed(self.about["weights"])
+
+    def write(self, path: Path) -> None:
+        """Write it, the same bytes for the same result; a line for every entry."""
+        data = asdict(self)
+        lists = {name: data.pop(name) for name in _LISTS}
+        text = json.dumps(data, indent=1, sort_keys=True).removesuffix("\n}")
+        for name, entries in lists.items():
+            lines = ",\n".join(f"  {json.dumps(entry)}" for entry in entries)
+            text += f',\n "{name}": [\n{lines}\n ]'
+        write_text(path, text + "\n}\n")
+
+
+_LISTS: dict[str, Callable[..., Any]] = {
+    "cells": Cell,
+    "losses": Loss,
+    "precisions": Precision,
+    "coordination": Coordination,
+    "asked": Asked,
+}
+"""Fields with an entry in each line, and what the entries are."""
+
+
+def read_result(path: Path) -> Result:
+    """Read a result.
+
+    Raises:
+        DatasetError: It is missing, damaged, or of another version.
+    """
+    data = read_json(path)
+    if data.get("version") != RESULT_VERSION:
+        raise DatasetError(
+            f"{path} is no result of version {RESULT_VERSION}. 'lemma evaluate' writes "
+            "results as summary.json, 'lemma reproduce' as seed-N.json."
+        )
+    try:
+        return Result(
+            **data
+            | {
+                name: tuple(kind(**entry) for entry in data[name])
+                for name, kind in _LISTS.items()
+            }
+        )
+    except (KeyError, TypeError) as error:
+        raise DatasetError(
+            f"{path} is damaged: {error}. Delete it and evaluate again."
+        ) from error
+
+
+def summarise(
+    rows: Iterable[Row],
+    about: Mapping[str, Any],
+    command: str = "",
+    experiment: str = "",
+) -> Result:
+    """Count episodes.
+
+    Args:
+        rows: Lines of ``episodes.jsonl``, in any order.
+        about: What decided them.
+        command: The command line that gives them.
+        experiment: Name of the experiment, if any.
+
+    Returns:
+        The result, with nothing in it that depends on the machine or on the order.
+    """
+    ordered = sorted(rows, key=place_of)
+    return Result(
+        about=dict(about),
+        command=command,
+        episodes_sha256=_digest(ordered),
+        cells=cells_of(ordered),
+        losses=_losses(ordered),
+        precisions=tuple(_precisions(ordered)),
+        coordination=tuple(
+            coordination_of(listed, *name) for name, listed in _questions(ordered)
+        ),
+        asked=tuple(_asked(ordered)),
+        experiment=experiment,
+    )
+
+
+def cells_of(rows: Iterable[Row]) -> tuple[Cell, ...]:
+    """Count the successes of episodes, by all that tables ask for."""
+    groups: dict[tuple[str, str, str, int], list[Row]] = {}
+    for row in rows:
+        name = (*_question(row), row["team"], row["distractors"])
+        groups.setdefault(name, []).append(row)
+    return tuple(
+        Cell(
+            *name,
+            episodes=len(listed),
+            successes=sum(bool(row["success"]) for row in listed),
+            progress=round(sum(row["progress"] for row in listed), 6),
+        )
+        for name, listed in sorted(groups.items(), key=lambda item: _order(item[0]))
+    )
+
+
+def place_of(row: Row) -> tuple[int, int, int]:
+    """Return what lines are ordered by: kind, task, number."""
+    kind, task = _question(row)
+    return KINDS.index(kind), SUITE.index(task), row["index"]
+
+
+def _question(row: Row) -> tuple[str, str]:
+    return row["instruction_kind"], row["task"]
+
+
+def _questions(rows: Iterable[Row]) -> Iterable[tuple[tuple[str, str], list[Row]]]:
+    """Return rows by kind and task; they are in that order already."""
+    return [(name, list(listed)) for name, listed in groupby(rows, key=_question)]
+
+
+def _asked(rows: Iterable[Row]) -> Iterable[Asked]:
+    for name, listed in _questions(rows):
+        held = [row["asked_holds"] for row in listed if row["asked"] is not None]
+        if held:
+            yield Asked(*name, len(held), sum(held))
+
+
+def _order(name: Sequence[Any]) -> tuple[Any, ...]:
+    kind, task, *rest = name
+    return KINDS.index(kind), SUITE.index(task), *rest
+
+
+def _digest(rows: Iterable[Row]) -> str:
+    lines = (
+        json.dumps({k: v for k, v in row.items() if k not in WALL_CLOCK})
+        for row in rows
+    )
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def _losses(rows: Iterable[Row]) -> tuple[Loss, ...]:
+    causes = ((_question(row), cause_of(row)) for row in rows)
+    counted = Counter((*name, str(cause)) for name, cause in causes if cause)
+    return tuple(Loss(*name, counted[name]) for name in sorted(counted, key=_order))
+
+
+def _precisions(rows: Iterable[Row]) -> Iterable[Precision]:
+    errors: dict[tuple[str, str, str], list[float]] = {}
+    for row in rows:
+        for step in row["subtasks"]:
+            said = step["expert"]
+            for end in ("pick", "place"):
+                error = said[f"{end}_error_mm"]
+                if error is not None and not said["departure"]:
+                    errors.setdefault((*_question(row), end), []).append(error)
+    for name in sorted(errors, key=_order):
+        found = errors[name]
+        missed = sum(error > POSE_TOLERANCE_MM for error in found)
+        yield Precision(*name, len(found), round(median(found), 1), missed)

@@ -1,0 +1,1 @@
+"""The rows of the tables, the leaderboard, and the figures of the paper."""

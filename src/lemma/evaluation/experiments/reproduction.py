@@ -1,0 +1,136 @@
+"""Experiments carried out: from weights to the files that tables are made from."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from importlib import import_module
+from pathlib import Path
+
+from lemma.core.errors import DatasetError
+from lemma.core.parallel import Engine
+from lemma.dataset.files import read_json
+from lemma.evaluation.analysis.result import summarise
+from lemma.evaluation.experiments.catalog import (
+    ABLATIONS,
+    DATA_COMMANDS,
+    SEEDS,
+    TRAININGS,
+    Experiment,
+    Training,
+)
+from lemma.evaluation.run.evaluate import ABOUT, EvaluationConfig, evaluate
+from lemma.evaluation.run.loading import learned_parts, training_seed, weights_of
+from lemma.policies.spec import PolicySpec
+
+_FILE = "weights.safetensors"
+
+
+class MissingWeightsError(DatasetError):
+    """An experiment whose weights are not there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reproduction:
+    """How experiments are carried out."""
+
+    out: Path
+    """Folder of all results."""
+    weights: Path | None = None
+    """Folder with the run of each training, by name; weights that ship if None."""
+    split: str = "test"
+    episodes: int | None = None
+    """Only the first so many of every task; all if None."""
+
+    def order(self, experiment: Experiment) -> tuple[EvaluationConfig, int]:
+        """Return what to evaluate, and with which seed its weights were trained.
+
+        Raises:
+            MissingWeightsError: They are not there.
+            DatasetError: They were trained with different seeds.
+        """
+        policy = self._found(experiment)
+        seed = training_seed(weights_of(policy))
+        order = EvaluationConfig(
+            out=experiment.summary_path(self.out, seed).with_suffix(""),
+            policy=policy,
+            split=self.split,
+            kinds=experiment.kinds,
+            episodes=self.episodes,
+            language=experiment.language,
+            perturb_start=experiment.perturb_start,
+        )
+        return order, seed
+
+    def run(
+        self,
+        experiment: Experiment,
+        engine: Engine,
+        advance: Callable[[int], None] = lambda count: None,
+    ) -> Path:
+        """Play what is missing, and write the result.
+
+        Args:
+            experiment: What is wanted.
+            engine: Where to work.
+            advance: Told of episodes that are there.
+
+        Returns:
+            The file of the result.
+
+        Raises:
+            DatasetError: Something is missing, or cannot be written.
+        """
+        order, seed = self.order(experiment)
+        rows = evaluate(order, engine, advance)
+        # Names of weights, not where they lay on this machine.
+        about = read_json(order.out / ABOUT) | {"policy": asdict(experiment.policy)}
+        command = self._command(experiment, seed)
+        path = experiment.summary_path(self.out, seed)
+        summarise(rows, about, command, experiment.name).write(path)
+        return path
+
+    def _found(self, experiment: Experiment) -> PolicySpec:
+        """Return the policy with parts that can be loaded."""
+        policy = experiment.policy
+        parts = policy.name.split("+")
+        for part in learned_parts(policy.name):
+            if self.weights is not None:
+                path = self.weights / part
+                missing = not (path / _FILE).is_file()
+                where = f"are not in {self.weights}"
+                parts[parts.index(part)] = str(path)
+            else:
+                shipped = import_module("lemma.policies.weights").shipped_weights()
+                missing, where = part not in shipped, "do not ship yet"
+            if missing:
+                raise MissingWeightsError(
+                    f"The weights of {part} {where}. They are made by: "
+                    f"{TRAININGS[part].command(experiment.runs(0), 0)}"
+                )
+        return replace(policy, name="+".join(parts))
+
+    def _command(self, experiment: Experiment, seed: int) -> str:
+        words = [f"lemma reproduce {experiment.name}"]
+        if self.weights is not None:
+            words.append(f"--weights {experiment.runs(seed)}")
+        if self.split != Reproduction.split:
+            words.append(f"--split {self.split}")
+        if self.episodes is not None:
+            words.append(f"--episodes {self.episodes}")
+        return " ".join(words)
+
+
+def commands(experiments: list[Experiment]) -> list[str]:
+    """Return the command lines that make data, train and evaluate, with every seed."""
+    lines = list(DATA_COMMANDS) if _needed(experiments) else []
+    ablations = bool(experiments) and experiments[0].suite == ABLATIONS
+    for seed in SEEDS[:1] if ablations else SEEDS:
+        runs = experiments[0].runs(seed)
+        lines += [training.command(runs, seed) for training in _needed(experiments)]
+        lines += [f"lemma reproduce {one.name} --weights {runs}" for one in experiments]
+    return lines
+
+
+def _needed(experiments: list[Experiment]) -> list[Training]:
+    """Return the trainings of experiments, each once."""
+    parts = [part for one in experiments for part in learned_parts(one.policy.name)]
+    return [TRAININGS[part] for part in dict.fromkeys(parts)]

@@ -1,0 +1,1 @@
+"""The contents of a report: tables and failed episodes."""

@@ -1,0 +1,207 @@
+"""Episodes behind a report: which there are, and why they failed, in words."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain, zip_longest
+from pathlib import Path
+from typing import Any
+
+from lemma.evaluation.analysis.failure_causes import Cause, cause_of, mistake_of
+from lemma.evaluation.analysis.result import Result, Row, summarise
+from lemma.evaluation.report.policy_results import PolicyResults
+from lemma.evaluation.run.evaluate import EPISODES, read_rows, start_of
+from lemma.evaluation.run.expert_feedback import Departure
+from lemma.motion.outcome import Outcome
+from lemma.tasks.instance import BENCHMARK_VERSION, Instance
+from lemma.tasks.language.bank import robot_phrases, sub_instruction
+from lemma.tasks.subtask import Primitive
+
+
+@dataclass(frozen=True)
+class Case:
+    """One episode of one policy."""
+
+    policy: str
+    """What tables call the policy, and its training seed if there are several."""
+    row: Row
+    about: Mapping[str, Any]
+    """Of the result that counts it."""
+    folder: Path
+    """Where its line is."""
+
+    @property
+    def name(self) -> str:
+        """Which episode of the policy this is: ``"high_level/stack/12"``."""
+        row = self.row
+        return f"{row['instruction_kind']}/{row['task']}/{row['index']}"
+
+    @cached_property
+    def cause(self) -> Cause | None:
+        """Why it failed; None if it succeeded."""
+        return cause_of(self.row)
+
+    @cached_property
+    def mistake(self) -> int | None:
+        """Which sub-task decided it, from 0; None if none did."""
+        failed = self.cause not in (None, Cause.POLICY_ERROR)
+        return mistake_of(self.row) if failed else None
+
+    @cached_property
+    def instance(self) -> Instance:
+        """What was to be done, as this installation has it."""
+        row = self.row
+        moved = row.get("perturb_start", False)
+        return start_of(row["task"], row["split"], row["index"], moved=moved)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether this installation has the instance that was played."""
+        return bool(self.about["benchmark"] == BENCHMARK_VERSION)
+
+
+def cases_of(entries: Iterable[PolicyResults], paths: Iterable[Path]) -> list[Case]:
+    """Return the episodes that results count, where their lines are at hand.
+
+    Lines belong to a result if they have the digest that it quotes, wherever they lie.
+
+    Args:
+        entries: The results.
+        paths: Files and folders that were reported.
+    """
+    found = [(file.parent, read_rows(file.parent)) for file in _line_files(paths)]
+    cases = []
+    for entry in entries:
+        for result in entry.results:
+            name = entry.title
+            if len(entry.results) > 1:
+                name += f", seed {result.seed}"
+            for folder, rows in _lines_of(result, found):
+                cases += [Case(name, row, result.about, folder) for row in rows]
+    return cases
+
+
+def _line_files(paths: Iterable[Path]) -> list[Path]:
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            files += sorted(path.rglob(EPISODES))
+        else:
+            beside = (path.parent / EPISODES, path.with_suffix("") / EPISODES)
+            files += [file for file in beside if file.is_file()]
+    return list({file.resolve(): file for file in files}.values())
+
+
+def _lines_of(
+    result: Result, found: Iterable[tuple[Path, Sequence[Row]]]
+) -> list[tuple[Path, list[Row]]]:
+    """Return the lines of a result; a file may hold more kinds and tasks."""
+    counted = {(cell.kind, cell.task) for cell in result.cells}
+    episodes = sum(cell.episodes for cell in result.cells)
+    for folder, lines in found:
+        rows = [r for r in lines if (r["instruction_kind"], r["task"]) in counted]
+        if len(rows) == episodes and _digest(rows) == result.episodes_sha256:
+            return [(folder, rows)]
+    return []
+
+
+def _digest(rows: Sequence[Row]) -> str:
+    return summarise(rows, {}).episodes_sha256
+
+
+def spread(cases: Iterable[Case], most: int) -> list[Case]:
+    """Return some failed episodes, of as many causes and tasks as possible.
+
+    Args:
+        cases: Of one policy.
+        most: How many at most.
+    """
+    groups: dict[tuple[Cause | None, str], list[Case]] = {}
+    for case in cases:
+        if case.cause is not None:
+            groups.setdefault((case.cause, case.row["task"]), []).append(case)
+    turns = chain.from_iterable(zip_longest(*groups.values()))
+    return [case for case in turns if case is not None][:most]
+
+
+def subtask_words(case: Case, subtask: Mapping[str, str]) -> str:
+    """Return a sub-task in words: ``"red robot: move the blue cube ..."``."""
+    if subtask["primitive"] == Primitive.STOP:
+        return "stop"
+    robot = subtask["robot"]
+    if case.is_known:
+        robots = case.instance.scene.robots
+        phrases = robot_phrases(tuple(placed.color for placed in robots))
+        robot = phrases[case.instance.scene.robot_names.index(robot)]
+    pick, place = subtask["pick"], subtask["place"]
+    if not (pick and place):
+        # A model that acts from end to end names no objects.
+        return f"{robot}: {subtask['primitive']}"
+    return sub_instruction(robot, subtask["primitive"], pick, place)
+
+
+def explanation(case: Case) -> str:
+    """Return why an episode failed, in a sentence or two; ``""`` if it did not."""
+    cause, row = case.cause, case.row
+    if cause is None:
+        return ""
+    if cause is Cause.POLICY_ERROR:
+        error = row.get("policy_error") or {}
+        return f"The policy itself failed. {error.get('explanation', '')}".strip()
+    if case.mistake is None:
+        return _without_mistake(cause, row)
+    step = row["subtasks"][case.mistake]
+    number = case.mistake + 1
+    wanted = f"The expert would go on with “{subtask_words(case, _expected(step))}”."
+    if cause is Cause.WRONG_ROBOT:
+        return f"Sub-task {number} is given to the wrong robot. {wanted}"
+    if cause is Cause.WRONG_ORDER:
+        return f"Sub-task {number} comes too soon. {wanted}"
+    if cause is Cause.WRONG_PRIMITIVE:
+        if _expected(step)["primitive"] == Primitive.STOP:
+            return f"Sub-task {number} goes on where the goal held. {wanted}"
+        return f"Sub-task {number} has the wrong primitive. {wanted}"
+    if cause is Cause.WRONG_OBJECT:
+        return f"Sub-task {number} is about the wrong object or place. {wanted}"
+    return " ".join((f"Sub-task {number} is the expert's.", *_of_poses(cause, step)))
+
+
+def _without_mistake(cause: Cause, row: Row) -> str:
+    if cause is Cause.OUT_OF_TIME:
+        return "No sub-task was a mistake; the time was over."
+    if cause is Cause.STOPPED_EARLY:
+        return "No sub-task was a mistake, but the policy stopped with work left."
+    return "Nothing was left to do, but the goal did not hold at rest."
+
+
+def _expected(step: Mapping[str, Any]) -> Mapping[str, str]:
+    expected: Mapping[str, str] = step["expert"]["expected"]
+    return expected
+
+
+def _of_poses(cause: Cause, step: Mapping[str, Any]) -> Iterator[str]:
+    """Yield how the poses and the motion of the right sub-task went wrong."""
+    for end, found in (("pick", Cause.MISSED_PICK), ("place", Cause.MISSED_PLACE)):
+        if cause is found:
+            error_mm = step["expert"][f"{end}_error_mm"]
+            if step["grounded"] is None:
+                yield "No pose was found for it."
+            elif error_mm is not None:
+                yield f"Its {end} is {error_mm:.0f} mm off the middle."
+            else:
+                yield f"Its {end} is not good enough."
+    if cause is Cause.OUT_OF_TIME:
+        yield "The time was over during it."
+    if cause is Cause.EXECUTION:
+        yield "Its poses are good, but the motion failed."
+    if step["outcome"] != Outcome.SUCCESS:
+        yield step["explanation"]
+
+
+DEPARTURES = {
+    Departure.ROBOT: "wrong robot",
+    Departure.ORDER: "too soon",
+    Departure.PRIMITIVE: "wrong primitive",
+    Departure.OBJECT: "wrong object",
+}
+"""What is said of a sub-task that departs from the expert's."""

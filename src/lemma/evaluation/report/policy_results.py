@@ -1,0 +1,211 @@
+"""The results of one policy over its training seeds: what a row of a table is."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from itertools import groupby
+from pathlib import Path
+from statistics import fmean, stdev
+
+from lemma.core.errors import DatasetError
+from lemma.evaluation.analysis.intervals import (
+    mean_over_tasks,
+    rate_of,
+    wilson_interval,
+)
+from lemma.evaluation.analysis.result import Cell, Result, read_result
+from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS, Experiment
+from lemma.evaluation.run.evaluate import SUMMARY
+from lemma.evaluation.run.language_controls import FULL
+from lemma.evaluation.run.protocol import check_protocol
+
+NOTHING = "–"
+
+
+@dataclass(frozen=True)
+class PolicyResults:
+    """One policy, and what it made of the episodes with each training seed."""
+
+    title: str
+    results: tuple[Result, ...] = ()
+    """By seed; none if it was not run."""
+    experiment: Experiment | None = None
+    """None for anybody's own policy."""
+
+    def select(self, kind: str, **where: object) -> list[list[Cell]]:
+        """Return the cells of each seed that are of a kind, and of some values.
+
+        Args:
+            kind: Of instructions.
+            where: Fields of a cell and their values, such as ``task="stack"``.
+        """
+        return [
+            [
+                cell
+                for cell in result.cells
+                if cell.kind == kind
+                and all(getattr(cell, name) == value for name, value in where.items())
+            ]
+            for result in self.results
+        ]
+
+    def has(self, kind: str) -> bool:
+        """Whether there are episodes of a kind of instructions."""
+        return any(self.select(kind))
+
+
+def shown(seeds: list[list[Cell]], rate: Callable[[list[Cell]], float]) -> str:
+    """Return a success rate [%] as a table shows it.
+
+    Args:
+        seeds: The cells of each seed.
+        rate: Makes a success rate of the cells of one.
+
+    Returns:
+        With one seed the rate and its 95 % Wilson interval; with several their mean and
+        standard deviation.
+    """
+    rates = [100.0 * rate(cells) for cells in seeds if cells]
+    if not rates:
+        return NOTHING
+    if len(rates) > 1:
+        return f"{fmean(rates):.1f} ± {stdev(rates):.1f}"
+    counted = rate_of(next(cells for cells in seeds if cells))
+    low, high = wilson_interval(counted.successes, counted.episodes)
+    return f"{rates[0]:.1f} ({100 * low:.0f}–{100 * high:.0f})"
+
+
+def pooled(cells: list[Cell]) -> float:
+    """Return the success rate in all episodes."""
+    return rate_of(cells).success_rate
+
+
+def mean_of(entry: PolicyResults, kind: str) -> float | None:
+    """Return the mean over tasks and seeds [%]; None where it was not run."""
+    rates = [mean_over_tasks(cells) for cells in entry.select(kind) if cells]
+    return 100.0 * fmean(rates) if rates else None
+
+
+def read_results(paths: Iterable[Path]) -> list[Result]:
+    """Read results.
+
+    Args:
+        paths: Files, or folders that hold some, at any depth. What is no JSON is passed
+            over.
+
+    Raises:
+        DatasetError: One is missing or damaged, or they are of different protocols.
+    """
+    results: list[Result] = []
+    for path in dict.fromkeys(file for each in paths for file in _files(each)):
+        result = read_result(path)
+        first = results[0] if results else result
+        check_protocol(result.about, first.about, path, "what was read before")
+        if result.about["split"] != first.about["split"]:
+            raise DatasetError(
+                f"{path} is of split {result.about['split']}, and others are of "
+                f"{first.about['split']}: they cannot be compared. Report them apart."
+            )
+        results.append(result)
+    return results
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file():
+        # A shell's results/* also names the tables that stand beside the results.
+        return [path] if path.suffix == ".json" else []
+    if not path.is_dir():
+        raise DatasetError(
+            f"There is no {path}. Name what 'lemma evaluate' or 'lemma reproduce' "
+            "wrote."
+        )
+    return sorted(file for file in path.rglob("*.json") if _is_result(file))
+
+
+def _is_result(file: Path) -> bool:
+    name, folder = file.name, file.absolute().parent.name
+    return name == SUMMARY or name.startswith("seed-") or folder == ABLATIONS
+
+
+def entries_of(
+    results: Iterable[Result], *, complete: bool = False
+) -> list[PolicyResults]:
+    """Return results by policy, those of the registry first and in its order.
+
+    What ``lemma evaluate`` made of a policy of the registry belongs there, too.
+
+    Args:
+        results: Of any policies and seeds.
+        complete: Whether experiments without results have an entry too.
+
+    Raises:
+        DatasetError: A policy has two results with the same seed, or its seeds were
+            trained on different data.
+    """
+    named: dict[str, list[Result]] = {}
+    for result in results:
+        named.setdefault(_row_of(result), []).append(result)
+    entries = [
+        PolicyResults(
+            EXPERIMENTS[name].title, _by_seed(named.pop(name, [])), EXPERIMENTS[name]
+        )
+        for name in EXPERIMENTS
+        if complete or name in named
+    ]
+    return entries + [
+        PolicyResults(name, _by_seed(found)) for name, found in named.items()
+    ]
+
+
+def title_of(result: Result) -> str:
+    """Return what a policy is called that is no experiment."""
+    policy = result.about["policy"]
+    parts = [policy["name"], policy["planning"] * (policy["planning"] != "single-step")]
+    parts += ["GTA" * policy["gta"]]
+    if result.about["language"] != FULL:
+        parts.append(f"language {result.about['language']}")
+    if starts_perturbed(result):
+        parts.append("perturbed starts")
+    return ", ".join(part for part in parts if part)
+
+
+def starts_perturbed(result: Result) -> bool:
+    """Whether objects began a little elsewhere than the instances say."""
+    return bool(result.about.get("perturb_start", False))
+
+
+def _row_of(result: Result) -> str:
+    """Return the experiment that a result is of; else what its policy is called."""
+    if result.experiment in EXPERIMENTS:
+        return result.experiment
+    for name in EXPERIMENTS:
+        one = EXPERIMENTS[name]
+        wanted = (asdict(one.policy), one.language, one.perturb_start)
+        about = result.about
+        if wanted == (about["policy"], about["language"], starts_perturbed(result)):
+            return name
+    return title_of(result)
+
+
+def _by_seed(results: list[Result]) -> tuple[Result, ...]:
+    ordered = sorted(results, key=lambda result: result.seed)
+    for seed, same in groupby(ordered, key=lambda result: result.seed):
+        found = list(same)
+        if len(found) > 1:
+            raise DatasetError(
+                f"There are {len(found)} results of {title_of(found[0])} with training "
+                f"seed {seed}. Report one of them."
+            )
+    for result in ordered:
+        if _data_of(result) != _data_of(ordered[0]):
+            raise DatasetError(
+                f"{title_of(result)} was trained on other data with seed {result.seed} "
+                f"than with seed {ordered[0].seed}: their spread would say nothing. "
+                "Report them apart."
+            )
+    return tuple(ordered)
+
+
+def _data_of(result: Result) -> dict[str, str | None]:
+    """Return the digest of the data that each part of a policy was trained on."""
+    weights = result.about["weights"]
+    return {name: told["data"].get("digest") for name, told in weights.items()}

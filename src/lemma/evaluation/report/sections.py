@@ -1,0 +1,234 @@
+"""The report of results: its sections, and the page in Markdown.
+
+Made from results and from nothing else.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from lemma.evaluation.analysis.result import Result
+from lemma.evaluation.experiments.catalog import SEEDS, SUITES
+from lemma.evaluation.report import tables
+from lemma.evaluation.report.policy_results import PolicyResults
+from lemma.evaluation.report.tables import ResultTable, markdown
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
+from lemma.tasks.suite import SUITE
+
+REPORT = "results.md"
+_INTRODUCTION = """\
+# Results
+
+Success rates of policies on the frozen lists, skills executed in the simulator. This
+page is written by a command, from {source} and from nothing else.
+
+- **What a number is.** {protocol}
+  Some rows are of fewer: the table *How each row is made* says of how many. An episode
+  counts if its goal holds at the end. {guide} says what else fixes a number.
+- **Intervals.** With one training seed: the rate and its 95 % Wilson interval over the
+  episodes. With several: mean ± standard deviation over the seeds. The simulator is
+  deterministic, so a second run of the same weights gives the same episodes.
+- **The paper's figures** are from Isaac Sim, with its own scenes and sentences; ours
+  are from MuJoCo. Simulators differ: the same row is the same kind of policy, not the
+  same experiment. Means are as printed there; figures by task (≈) are worked back from
+  rates per sub-task and good to about one per cent.
+- *{not_run}* says that there is no result: the weights do not ship yet, or nobody has
+  evaluated them.
+
+`lemma reproduce NAME` makes a row, with the names that stand at the end; with `--print`
+it prints how the weights are trained.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One table of the report, and what to say of it."""
+
+    title: str
+    note: str
+    """In Markdown; may be empty."""
+    table: ResultTable
+
+    @property
+    def name(self) -> str:
+        """A name for links and files: lower case, words joined by dashes."""
+        kept = (c if c.isalnum() else " " for c in self.title.lower())
+        return "-".join("".join(kept).split())
+
+
+def page(
+    entries: Sequence[PolicyResults],
+    source: str = "the files named below",
+    guide: str = "docs/evaluation.md",
+) -> str:
+    """Return the page.
+
+    Args:
+        entries: What it reports.
+        source: Where the results are from, as the page says it.
+        guide: The page about evaluation, as the page names it.
+    """
+    text = _INTRODUCTION.format(
+        source=source,
+        guide=guide,
+        protocol=protocol_words(entries),
+        not_run=tables.NOT_RUN,
+    )
+    return text + "".join(map(_written, sections(entries, guide)))
+
+
+def sections(
+    entries: Sequence[PolicyResults], guide: str = "docs/evaluation.md"
+) -> list[Section]:
+    """Return all tables, in the order of the report.
+
+    Args:
+        entries: What it reports.
+        guide: The page about evaluation, as notes name it.
+    """
+    every = (*_paper_sections(entries), *_own_sections(entries, guide))
+    return [*(Section(*one) for one in every), _provenance(entries)]
+
+
+def _paper_sections(
+    entries: Sequence[PolicyResults],
+) -> Iterator[tuple[str, str, ResultTable]]:
+    """Yield title, note and table of what is in the paper, too."""
+    yield "What was aimed at", "", tables.targets(entries)
+    yield (
+        "High-level instructions",
+        "As in the paper.",
+        tables.by_task(entries, "high_level"),
+    )
+    yield (
+        "Human instructions",
+        "As in the paper. Templates of this kind are seen in training; ours "
+        "are not crowd-sourced.",
+        tables.by_task(entries, "human"),
+    )
+    yield (
+        "Distractors",
+        "As in the paper: by number of objects that the goal does not need; here with "
+        "high-level instructions. The tasks have different ranges of it, so the "
+        "columns hold different mixtures of tasks. We do not have the paper's figures.",
+        tables.by_distractors(entries, "high_level"),
+    )
+    yield (
+        "Robot types",
+        "As in the paper: by team; here with high-level instructions. We do not have "
+        "the paper's figures.",
+        tables.by_team(entries, "high_level"),
+    )
+
+
+def _own_sections(
+    entries: Sequence[PolicyResults], guide: str
+) -> Iterator[tuple[str, str, ResultTable]]:
+    """Yield title, note and table of what the paper does not have."""
+    yield (
+        "Unseen templates",
+        "Sentences of templates that training never sees; not in the paper.",
+        tables.by_task(entries, "unseen"),
+    )
+    yield (
+        "Other sentences",
+        "How much a policy needs the sentence: success at the goal of the instance "
+        "when something else is said, or nothing. Last: how often the goal holds that "
+        "swapped colors ask for.",
+        tables.language(entries),
+    )
+    yield (
+        "Perturbed starts",
+        f"Objects begin a little elsewhere; {guide} says how.",
+        tables.starts(entries),
+    )
+    yield (
+        "Ablations",
+        "One thing left out of ReachNet's training each, and two controls; all are "
+        f"trained alike long, with seed 0: {guide} lists them.",
+        tables.ablations(entries),
+    )
+    yield (
+        "Where the points are lost",
+        "Failed episodes by cause, over all seeds. The expert is asked before every "
+        f"sub-task what it would do in the same state; {guide} defines the causes.",
+        tables.losses(entries),
+    )
+    for entry in entries:
+        if _is_detailed(entry):
+            title = f"{entry.title}: losses by task"
+            yield title, "", tables.losses_by_task(entry)
+    yield (
+        "How exact the poses are",
+        "High-level instructions; distance from the middle of the cube, or of the pad "
+        "or cube below, where the sub-task was the expert's. In brackets the part that "
+        "is more than 20 mm off. Places in the shared region and poses of the stick "
+        "are a matter of choice, so they are not here.",
+        tables.precision(entries, "high_level"),
+    )
+    yield (
+        "Coordination",
+        "High-level instructions. Time against the expert's where both succeed, the "
+        "part of it in which each robot is idle, sub-tasks given to a robot that is "
+        "able to do them and to the expert's, those that came too soon, and how near "
+        f"the arms came to each other; {guide} defines them.",
+        tables.coordination(entries, "high_level"),
+    )
+
+
+def _written(section: Section) -> str:
+    title, note, table = section.title, section.note, section.table
+    body = markdown(table) if table.rows else "There are no results yet.\n"
+    return f"\n## {title}\n\n{note}\n\n{body}" if note else f"\n## {title}\n\n{body}"
+
+
+def _is_detailed(entry: PolicyResults) -> bool:
+    """Whether a page has room for the causes by task, if there are any."""
+    detailed = entry.experiment is None or entry.experiment.suite in SUITES[:2]
+    return detailed and any(result.losses for result in entry.results)
+
+
+def protocol_words(entries: Iterable[PolicyResults]) -> str:
+    """Return what was played, in a sentence."""
+    abouts = [result.about for entry in entries for result in entry.results]
+    told = abouts[0] if abouts else {"split": "test", "benchmark": BENCHMARK_VERSION}
+    split, benchmark = told["split"], told["benchmark"]
+    text = (
+        f"Split `{split}` of benchmark `{benchmark}`: {SPLITS[split]} episodes of each "
+        "of the eight tasks for each kind of instructions"
+    )
+    if abouts:
+        text += f"; {told['horizon_s']:.0f} simulated seconds; MuJoCo {told['mujoco']}"
+    return f"{text}."
+
+
+def _extent(result: Result) -> str:
+    """Return of how many episodes a result is, and whether there should be more."""
+    episodes = sum(cell.episodes for cell in result.cells)
+    kinds = {cell.kind for cell in result.cells}
+    every = len(kinds) * len(SUITE) * SPLITS[result.about["split"]]
+    return str(episodes) if episodes == every else f"{episodes} of {every}"
+
+
+def _provenance(entries: Iterable[PolicyResults]) -> Section:
+    """Return how each result is made, and of which weights."""
+    rows: list[tuple[str, ...]] = []
+    for entry in entries:
+        if not entry.results and entry.experiment is not None:
+            command = f"`lemma reproduce {entry.experiment.name}`"
+            rows.append((entry.title, command, tables.NOT_RUN, "", ""))
+        for result in entry.results:
+            hashes = ", ".join(
+                f"{name} `{told['sha256'][:12]}`"
+                for name, told in result.about["weights"].items()
+            )
+            seed = str(result.seed) if hashes else "none"
+            rows.append(
+                (entry.title, f"`{result.command}`", hashes, seed, _extent(result))
+            )
+    header = ("row", "command", "SHA-256 of the weights", "training seed", "episodes")
+    return Section(
+        "How each row is made",
+        f"Reported models are trained with seeds {', '.join(map(str, SEEDS))}; "
+        "the weights of the first ship.",
+        ResultTable(header, tuple(rows), labels=3),
+    )

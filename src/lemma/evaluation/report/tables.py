@@ -1,0 +1,402 @@
+"""The tables: rows and columns made from results, and from nothing else."""
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean, stdev
+
+from lemma.evaluation.analysis.coordination import Coordination
+from lemma.evaluation.analysis.failure_causes import Cause
+from lemma.evaluation.analysis.intervals import mean_over_tasks
+from lemma.evaluation.analysis.result import Result
+from lemma.evaluation.experiments.catalog import ABLATIONS, SUITES
+from lemma.evaluation.report.policy_results import (
+    NOTHING,
+    PolicyResults,
+    mean_of,
+    pooled,
+    shown,
+    starts_perturbed,
+)
+from lemma.evaluation.run.language_controls import FULL, LANGUAGES
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE
+
+NOT_RUN = "not run"
+TEAMS = ("ur5+ur5", "ur5+ur10", "ur10+ur10")
+DISTRACTORS = (0, 1, 2, 3, 4)
+
+
+@dataclass(frozen=True)
+class ResultTable:
+    """A table, ready to be written in any form."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    labels: int = 1
+    """Columns from the left that hold words, not numbers."""
+
+
+def markdown(table: ResultTable) -> str:
+    """Return a table in Markdown, numbers to the right."""
+    numbers = len(table.header) - table.labels
+    rule = [*[":---"] * table.labels, *["---:"] * numbers]
+    lines = (table.header, rule, *table.rows)
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def words(name: str, gap: str = " ") -> str:
+    """Return the name of a kind or cause as people write it."""
+    return name.replace("_", gap)
+
+
+def targets(entries: Iterable[PolicyResults]) -> ResultTable:
+    """Return what each policy should reach, and whether it does."""
+    rows = []
+    for entry in entries:
+        experiment = entry.experiment
+        for kind in experiment.targets if experiment else ():
+            assert experiment is not None
+            least, mean = experiment.targets[kind], mean_of(entry, kind)
+            if mean is None and entry.results:
+                continue
+            verdict = NOT_RUN if mean is None else "yes" if mean >= least else "**no**"
+            rows.append(
+                (
+                    entry.title,
+                    words(kind, "-"),
+                    _paper_mean(entry, kind),
+                    f"{least:.0f}",
+                    _mean(entry, kind),
+                    verdict,
+                )
+            )
+    header = ("mean over the tasks [%]", "instructions", "paper", "at least", "here")
+    return ResultTable((*header, "reached"), tuple(rows), labels=2)
+
+
+def by_task(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
+    """Return success by task with one kind of instructions; paper's figures below."""
+    rows = []
+    for entry in _reporting(entries, kind):
+        each = [shown(entry.select(kind, task=task), pooled) for task in SUITE]
+        rows.append((entry.title, *each, _mean(entry, kind)))
+        rows += _paper_rows(entry, kind)
+    return ResultTable(("success [%]", *SUITE, "mean"), tuple(rows))
+
+
+def by_distractors(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
+    """Return success by number of distractors, over all tasks."""
+    counts = [str(count) for count in DISTRACTORS]
+    columns = [{"distractors": count} for count in DISTRACTORS]
+    return _breakdown(entries, kind, counts, columns)
+
+
+def by_team(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
+    """Return success by types of the robots, over all tasks."""
+    return _breakdown(entries, kind, TEAMS, [{"team": team} for team in TEAMS])
+
+
+def ablations(entries: Sequence[PolicyResults]) -> ResultTable:
+    """Return the success of ReachNet with one thing of its training changed each."""
+    rows = [
+        (
+            entry.title,
+            *(_mean(entry, kind) for kind in KINDS),
+            str(sum(_episodes(entry, kind) for kind in KINDS) or NOTHING),
+        )
+        for entry in entries
+        if _is_ablation(entry)
+    ]
+    header = ("mean over the tasks [%]", *(words(k, "-") for k in KINDS), "episodes")
+    return ResultTable(header, tuple(rows))
+
+
+def losses(entries: Iterable[PolicyResults]) -> ResultTable:
+    """Return why episodes failed, by policy and kind of instructions."""
+    rows = []
+    for entry in entries:
+        for kind in KINDS:
+            if entry.has(kind):
+                counted = _causes(entry, kind)
+                episodes = _episodes(entry, kind)
+                rows.append(
+                    (entry.title, words(kind, "-"), *_counts(counted, episodes))
+                )
+    return ResultTable(("", "instructions", *_CAUSES_HEADER), tuple(rows), labels=2)
+
+
+def losses_by_task(entry: PolicyResults) -> ResultTable:
+    """Return why episodes of one policy failed, by kind and task; where any did."""
+    rows = []
+    for kind in KINDS:
+        for task in SUITE:
+            counted = _causes(entry, kind, task)
+            if counted:
+                episodes = _episodes(entry, kind, task=task)
+                rows.append((words(kind, "-"), task, *_counts(counted, episodes)))
+    return ResultTable(("instructions", "task", *_CAUSES_HEADER), tuple(rows), labels=2)
+
+
+def precision(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
+    """Return how far off poses are [mm], and how many are missed, by task."""
+    rows = []
+    for entry in entries:
+        for end in ("pick", "place"):
+            cells = [_precision(entry, kind, task, end) for task in SUITE]
+            if any(cell != NOTHING for cell in cells):
+                rows.append((entry.title, end, *cells))
+    return ResultTable(
+        ("median error [mm] (missed)", "end", *SUITE), tuple(rows), labels=2
+    )
+
+
+def coordination(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
+    """Return how well robots work together, over all tasks.
+
+    What is counted is defined in :mod:`lemma.evaluation.analysis.coordination`.
+    """
+    rows = []
+    for entry in entries:
+        seeds = [
+            found
+            for result in entry.results
+            for found in [[one for one in result.coordination if one.kind == kind]]
+            if found
+        ]
+        if seeds and not _is_ablation(entry):
+            rows.append((entry.title, *_coordination(seeds)))
+    header = (
+        "time / expert's",
+        "idle, left [%]",
+        "idle, right [%]",
+        "able robot [%]",
+        "expert's robot [%]",
+        "order violations per 100",
+        "nearest arms [mm]",
+        "touching",
+    )
+    return ResultTable(("", *header), tuple(rows))
+
+
+def language(entries: Iterable[PolicyResults]) -> ResultTable:
+    """Return how much each policy needs the sentence, where a control was run.
+
+    The success is at the goal of the instance, whatever is said. The last column is how
+    often the other goal holds that swapped colors ask for, where the table allows it.
+    """
+    families = _families(entries, lambda result: not starts_perturbed(result))
+    rows = []
+    for title, results in families.items():
+        said = {told: _by_language(results, told) for told in LANGUAGES}
+        for kind in KINDS:
+            each = [_mean_of(said[told], kind) for told in LANGUAGES]
+            if any(cell != NOTHING for cell in each[1:]):
+                held = _asked(said["swapped"], kind)
+                rows.append((title, words(kind, "-"), *each, held))
+    header = ("mean over the tasks [%]", "instructions", *LANGUAGES, "swapped goal")
+    return ResultTable(header, tuple(rows), labels=2)
+
+
+def starts(entries: Iterable[PolicyResults]) -> ResultTable:
+    """Return success from perturbed starts beside that from the instances' own."""
+    families = _families(entries, lambda result: result.about["language"] == FULL)
+    rows = []
+    for title, results in families.items():
+        own = [one for one in results if not starts_perturbed(one)]
+        moved = [one for one in results if starts_perturbed(one)]
+        for kind in KINDS:
+            both = _mean_of(own, kind), _mean_of(moved, kind)
+            if both[1] != NOTHING:
+                rows.append((title, words(kind, "-"), *both))
+    header = ("mean over the tasks [%]", "instructions", "own start", "perturbed start")
+    return ResultTable(header, tuple(rows), labels=2)
+
+
+_CAUSES_HEADER = ("failed", "of", *(words(cause) for cause in Cause))
+
+
+def _causes(entry: PolicyResults, kind: str, task: str | None = None) -> Counter[str]:
+    counted: Counter[str] = Counter()
+    for result in entry.results:
+        for loss in result.losses:
+            if loss.kind == kind and task in (None, loss.task):
+                counted[loss.cause] += loss.episodes
+    return counted
+
+
+def _episodes(entry: PolicyResults, kind: str, **where: object) -> int:
+    return sum(c.episodes for cells in entry.select(kind, **where) for c in cells)
+
+
+def _counts(counted: Counter[str], episodes: int) -> tuple[str, ...]:
+    each = (str(counted[cause]) if counted[cause] else NOTHING for cause in Cause)
+    return (str(counted.total()), str(episodes), *each)
+
+
+def _precision(entry: PolicyResults, kind: str, task: str, end: str) -> str:
+    """Return the median error [mm], mean over seeds, and the part that is missed."""
+    found = [
+        one
+        for result in entry.results
+        for one in result.precisions
+        if (one.kind, one.task, one.end) == (kind, task, end)
+    ]
+    if not found:
+        return NOTHING
+    missed = sum(one.missed for one in found) / sum(one.poses for one in found)
+    return f"{fmean(one.median_mm for one in found):.1f} ({100 * missed:.1f} %)"
+
+
+def _coordination(seeds: Sequence[Sequence[Coordination]]) -> tuple[str, ...]:
+    """Return the cells of a row: means over the seeds, extremes of all."""
+
+    def ratio(part: str, whole: str, scale: float = 100.0) -> str:
+        values = [
+            scale * sum(getattr(one, part) for one in found) / below
+            for found in seeds
+            if (below := sum(getattr(one, whole) for one in found))
+        ]
+        return _spread(values, 2 if scale == 1.0 else 1)
+
+    def idle(robot: str) -> str:
+        values = [
+            100.0
+            * sum(one.idle_s.get(robot, 0.0) for one in found)
+            / sum(one.elapsed_s for one in found)
+            for found in seeds
+        ]
+        return _spread(values, 1)
+
+    every = [one for found in seeds for one in found]
+    gaps = [one.nearest_mm for one in every if one.nearest_mm is not None]
+    return (
+        ratio("timed_s", "expert_s", 1.0),
+        idle("robot_0"),
+        idle("robot_1"),
+        ratio("able", "doable"),
+        ratio("as_expert", "planned"),
+        ratio("order_violations", "episodes"),
+        f"{min(gaps):.0f}" if gaps else NOTHING,
+        str(sum(one.touching for one in every)),
+    )
+
+
+def _spread(values: Sequence[float], places: int) -> str:
+    """Return a mean, with the standard deviation over seeds if there are several."""
+    if not values:
+        return NOTHING
+    mean = f"{fmean(values):.{places}f}"
+    return f"{mean} ± {stdev(values):.{places}f}" if len(values) > 1 else mean
+
+
+def _families(
+    entries: Iterable[PolicyResults], wanted: Callable[[Result], bool]
+) -> dict[str, list[Result]]:
+    """Return some results of each policy, whatever was said and wherever it began."""
+    titles: dict[str, str] = {}
+    found: dict[str, list[Result]] = {}
+    for entry in entries:
+        for result in () if _is_ablation(entry) else entry.results:
+            name = _policy_of(result)
+            if _is_plain(result) or name not in titles:
+                titles[name] = entry.title
+            if wanted(result):
+                found.setdefault(name, []).append(result)
+    return {titles[name]: results for name, results in found.items()}
+
+
+def _policy_of(result: Result) -> str:
+    return json.dumps(result.about["policy"], sort_keys=True)
+
+
+def _is_plain(result: Result) -> bool:
+    """Whether everything was said and done as the instances have it."""
+    return result.about["language"] == FULL and not starts_perturbed(result)
+
+
+def _by_language(results: Iterable[Result], told: str) -> list[Result]:
+    return [result for result in results if result.about["language"] == told]
+
+
+def _mean_of(results: Iterable[Result], kind: str) -> str:
+    seeds = [[cell for cell in one.cells if cell.kind == kind] for one in results]
+    return shown(seeds, mean_over_tasks)
+
+
+def _asked(results: Iterable[Result], kind: str) -> str:
+    """Return how often another goal holds that was asked for [%], of how many."""
+    listed = [one for result in results for one in result.asked if one.kind == kind]
+    episodes = sum(one.episodes for one in listed)
+    if not episodes:
+        return NOTHING
+    return f"{100 * sum(one.held for one in listed) / episodes:.1f} of {episodes}"
+
+
+def _breakdown(
+    entries: Iterable[PolicyResults],
+    kind: str,
+    names: Sequence[str],
+    columns: Sequence[Mapping[str, object]],
+) -> ResultTable:
+    rows = [
+        (
+            entry.title,
+            *(shown(entry.select(kind, **where), pooled) for where in columns),
+            shown(entry.select(kind), pooled) if entry.results else NOT_RUN,
+        )
+        for entry in _reporting(entries, kind)
+    ]
+    return ResultTable(("success [%]", *names, "all"), tuple(rows))
+
+
+def _reporting(entries: Iterable[PolicyResults], kind: str) -> list[PolicyResults]:
+    """Return those that are rows of a table of a kind.
+
+    Not the ablations, nor a policy that was told other sentences or began elsewhere, if
+    it stands there without: :func:`language` and :func:`starts` compare the two.
+    """
+    entries = [entry for entry in entries if not _is_ablation(entry)]
+    results = [result for entry in entries for result in entry.results]
+    known = {_policy_of(result) for result in results if _is_plain(result)}
+
+    def stands_elsewhere(entry: PolicyResults) -> bool:
+        return bool(entry.results) and all(
+            not _is_plain(result) and _policy_of(result) in known
+            for result in entry.results
+        )
+
+    return [
+        entry
+        for entry in entries
+        if not stands_elsewhere(entry)
+        and (entry.has(kind) if entry.results else _is_asked(entry, kind))
+    ]
+
+
+def _is_asked(entry: PolicyResults, kind: str) -> bool:
+    """Whether a policy without results belongs into a table all the same."""
+    one = entry.experiment
+    return one is not None and one.suite in SUITES[:2] and kind in one.kinds
+
+
+def _is_ablation(entry: PolicyResults) -> bool:
+    return entry.experiment is not None and entry.experiment.suite == ABLATIONS
+
+
+def _mean(entry: PolicyResults, kind: str) -> str:
+    return shown(entry.select(kind), mean_over_tasks) if entry.results else NOT_RUN
+
+
+def _paper_mean(entry: PolicyResults, kind: str) -> str:
+    figures = entry.experiment.paper.get(kind) if entry.experiment else None
+    return NOTHING if figures is None or figures.mean is None else f"{figures.mean:.1f}"
+
+
+def _paper_rows(entry: PolicyResults, kind: str) -> list[tuple[str, ...]]:
+    figures = entry.experiment.paper.get(kind) if entry.experiment else None
+    if figures is None:
+        return []
+    each = (f"≈ {figures.tasks[t]}" if t in figures.tasks else NOTHING for t in SUITE)
+    return [("*paper*", *each, _paper_mean(entry, kind))]

@@ -1,0 +1,1 @@
+"""Running policies: protocol, rollouts, lines of episodes."""

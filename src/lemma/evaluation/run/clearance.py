@@ -1,0 +1,94 @@
+"""How near the arms of a scene come to each other, watched at ten hertz."""
+
+import math
+from itertools import combinations
+
+import numpy as np
+from numba import njit
+
+from lemma.core.poses import FloatArray
+from lemma.env.simulation import TICK_S, Simulation
+from lemma.robots.collision_model import envelope_of, place_capsules, segment_distance
+from lemma.robots.ur.kinematics import frames
+from lemma.scene.scene import RobotIndex
+
+PERIOD_S = 0.1
+"""Simulated time between two looks [s]."""
+_TICKS = round(PERIOD_S / TICK_S)
+
+
+class ClearanceWatch:
+    """Watches the smallest distance between any two arms of a simulation.
+
+    The arms are the capsules that enclose their links and grippers, without what is
+    held, at the measured joint angles. The distance is signed: 0 or less says that two
+    capsules touch or overlap, which real links inside of them may not yet do. Watching
+    reads the joint angles and changes nothing.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Look for the first time, and go on whenever time passes."""
+        self._qpos = simulation.scene.data.qpos
+        arms = [_Arm(robot) for robot in simulation.scene.robots]
+        self._pairs = list(combinations(arms, 2))
+        self._ticks = 0
+        self.least_m = math.inf
+        """Smallest distance so far [m]; infinite where there is one arm."""
+        self._look()
+        simulation.observers.append(self._tick)
+
+    def _tick(self) -> None:
+        self._ticks += 1
+        if self._ticks % _TICKS == 0:
+            self._look()
+
+    def _look(self) -> None:
+        for first, second in self._pairs:
+            self.least_m = _nearest(
+                first.place(self._qpos), second.place(self._qpos), self.least_m
+            )
+
+
+class _Arm:
+    """The capsules of one arm, with room to place them."""
+
+    def __init__(self, robot: RobotIndex) -> None:
+        envelope = envelope_of(robot.arm.name)
+        self._robot = robot
+        self._links = envelope.capsule_links
+        self._capsules = envelope.capsules
+        self._frames = np.empty((7, 4, 4))
+        self._placed = np.empty((len(envelope.capsules), 7))
+
+    def place(self, qpos: FloatArray) -> FloatArray:
+        """Return the capsules at the present joint angles, (n, 7) [m]."""
+        robot = self._robot
+        frames(robot.arm.dh, robot.world_from_base, qpos[robot.qpos], self._frames)
+        place_capsules(self._frames, self._links, self._capsules, self._placed)
+        return self._placed
+
+
+@njit(cache=True)
+def _nearest(first: FloatArray, second: FloatArray, least: float) -> float:
+    """Return the smallest gap between capsules of two arms, if below ``least`` [m]."""
+    for i in range(first.shape[0]):
+        for j in range(second.shape[0]):
+            # What a ball around each segment says is cheaper, and mostly enough.
+            gap = _ball_gap(first[i], second[j])
+            if gap < least:
+                radii = first[i, 6] + second[j, 6]
+                least = min(least, segment_distance(first[i], second[j]) - radii)
+    return least
+
+
+@njit(cache=True)
+def _ball_gap(a: FloatArray, b: FloatArray) -> float:
+    """Return a lower bound of the gap between two capsules [m]."""
+    middle = length_a = length_b = 0.0
+    for i in range(3):
+        middle += (a[i] + a[3 + i] - b[i] - b[3 + i]) ** 2
+        length_a += (a[3 + i] - a[i]) ** 2
+        length_b += (b[3 + i] - b[i]) ** 2
+    lengths = math.sqrt(length_a) + math.sqrt(length_b)
+    gap: float = 0.5 * (math.sqrt(middle) - lengths) - a[6] - b[6]
+    return gap

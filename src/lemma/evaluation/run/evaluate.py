@@ -1,0 +1,306 @@
+"""A policy on a frozen split: one JSON line per episode, resumable.
+
+Episodes are played in groups of fixed composition, because a network's last bits depend
+on what else is in its batch. A group is written whole or not at all, so that a killed
+run, resumed, gives what an undisturbed one gives.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from math import inf
+from multiprocessing import parent_process
+from pathlib import Path
+from shutil import rmtree
+from time import perf_counter
+from typing import Any
+
+from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.parallel import Engine
+from lemma.dataset.files import (
+    check_same,
+    clear_drafts,
+    only_writer,
+    read_json,
+    versions,
+    write_json,
+    write_text,
+)
+from lemma.evaluation.analysis.coordination import count_steps
+from lemma.evaluation.analysis.result import Result, Row, place_of, summarise
+from lemma.evaluation.run.expert_feedback import left_in
+from lemma.evaluation.run.expert_times import TIMED_SPLITS, expert_s, perturbed_start
+from lemma.evaluation.run.language_controls import FULL, LANGUAGES, say
+from lemma.evaluation.run.loading import served_parts, weights_of
+from lemma.evaluation.run.protocol import GROUP, check_protocol, quote
+from lemma.evaluation.run.rollout import Player, Rollout, roll_out, subtasks_of
+from lemma.policies.spec import PLANNINGS, PolicySpec
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE, load_instance
+
+EPISODES = "episodes.jsonl"
+ABOUT = "about.json"
+SUMMARY = "summary.json"
+_PARTS = ".parts"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationConfig:
+    """What to evaluate."""
+
+    out: Path
+    """Folder of the result."""
+    policy: PolicySpec
+    tasks: tuple[str, ...] = SUITE
+    split: str = "test"
+    kinds: tuple[str, ...] = ("high_level",)
+    """Kinds of instructions."""
+    episodes: int | None = None
+    """Only the first so many of every task; all if None."""
+    language: str = FULL
+    """What is said, one of :data:`lemma.evaluation.run.language_controls.LANGUAGES`."""
+    perturb_start: bool = False
+    """Whether objects begin a little elsewhere, see
+    :mod:`lemma.evaluation.run.perturbed_starts`."""
+
+    def __post_init__(self) -> None:
+        """Check the names and the number."""
+        for task in self.tasks:
+            if task not in SUITE:
+                raise UnknownNameError("task", task, SUITE)
+        if self.split not in SPLITS:
+            raise UnknownNameError("split", self.split, SPLITS)
+        for kind in self.kinds:
+            if kind not in KINDS:
+                raise UnknownNameError("kind of instruction", kind, KINDS)
+        if self.language not in LANGUAGES:
+            raise UnknownNameError("control of language", self.language, LANGUAGES)
+        if self.perturb_start and self.split not in TIMED_SPLITS:
+            raise InvalidConfigError(
+                f"Split {self.split!r} has no perturbed starts; "
+                f"{' and '.join(TIMED_SPLITS)} have."
+            )
+        if self.episodes is not None and self.episodes < 1:
+            raise InvalidConfigError(
+                f"Episodes per task are 1 or more, not {self.episodes}."
+            )
+
+    @property
+    def per_task(self) -> int:
+        """Episodes per task and kind of instruction."""
+        every = SPLITS[self.split]
+        return every if self.episodes is None else min(self.episodes, every)
+
+    @property
+    def total(self) -> int:
+        """Episodes in all."""
+        return len(self.tasks) * len(self.kinds) * self.per_task
+
+    def about(self) -> dict[str, Any]:
+        """Return what decides the result."""
+        return {
+            "policy": asdict(self.policy),
+            "weights": weights_of(self.policy),
+            "served": served_parts(self.policy),
+            "language": self.language,
+            "perturb_start": self.perturb_start,
+            "split": self.split,
+            "protocol": quote(),
+            "horizon_s": Rollout.horizon_s,
+            **versions(BENCHMARK_VERSION),
+        }
+
+    def command(self) -> str:
+        """Return the command line that asks for the same, wherever it is written."""
+        words = ["lemma evaluate", f"--policy {self.policy.name}"]
+        kinds = ",".join(kind.replace("_", "-") for kind in self.kinds)
+        words += [f"--instructions {kinds}", f"--split {self.split}"]
+        if self.tasks != SUITE:
+            words.append(f"--tasks {','.join(self.tasks)}")
+        if self.episodes is not None:
+            words.append(f"--episodes {self.episodes}")
+        if self.policy.planning != PLANNINGS[0]:
+            words.append(f"--planning {self.policy.planning}")
+        if self.policy.gta:
+            words.append("--gta")
+        if self.language != FULL:
+            words.append(f"--language {self.language}")
+        if self.perturb_start:
+            words.append("--perturb-start")
+        return " ".join(words)
+
+    def groups(self) -> Iterator[tuple[str, str, range]]:
+        """Yield kind, task and numbers of the episodes that are played together."""
+        for kind in self.kinds:
+            for task in self.tasks:
+                for start in range(0, self.per_task, GROUP):
+                    end = min(start + GROUP, self.per_task)
+                    yield kind, task, range(start, end)
+
+
+def evaluate(
+    order: EvaluationConfig,
+    engine: Engine,
+    advance: Callable[[int], None] = lambda count: None,
+) -> list[Row]:
+    """Play what is missing, and write the result.
+
+    Args:
+        order: What is wanted.
+        engine: Where to work.
+        advance: Told of episodes that are there.
+
+    Returns:
+        All episodes, in the order of kinds, tasks and numbers.
+
+    Raises:
+        DatasetError: Something cannot be written, or what is there is of another
+            policy or version.
+    """
+    about = order.about()
+    with only_writer(order.out):
+        clear_drafts(order.out)
+        note = order.out / ABOUT
+        if note.exists():
+            found = read_json(note)
+            check_protocol(about, found, "What is asked for", order.out)
+            check_same(note, found, about)
+        else:
+            write_json(note, about)
+        parts = (order.out / _PARTS).absolute()
+        done = {_name(row): row for row in read_rows(order.out)}
+        jobs = []
+        for kind, task, indices in order.groups():
+            path = parts / f"{kind}-{task}-{indices.start}-{indices.stop}.jsonl"
+            there = all((kind, task, index) in done for index in indices)
+            if there or path.exists():
+                advance(len(indices))
+            else:
+                jobs.append((order, kind, task, indices, path))
+        for count in engine.run(play_group, jobs):
+            advance(count)
+        for path in sorted(parts.glob("*.jsonl")):
+            done.update((_name(row), row) for row in _read(path))
+        rows = sorted(done.values(), key=place_of)
+        _write(order.out / EPISODES, rows)
+        rmtree(parts, ignore_errors=True)
+    wanted = {
+        (kind, task, index)
+        for kind, task, indices in order.groups()
+        for index in indices
+    }
+    return [row for row in rows if _name(row) in wanted]
+
+
+def read_rows(folder: Path) -> list[Row]:
+    """Return the episodes of a result; none if there is none yet.
+
+    Raises:
+        DatasetError: The file is damaged.
+    """
+    path = folder / EPISODES
+    return _read(path) if path.exists() else []
+
+
+def summary_of(order: EvaluationConfig, rows: list[Row]) -> Result:
+    """Count what :func:`evaluate` returned, with the note that was made then."""
+    return summarise(rows, read_json(order.out / ABOUT), order.command())
+
+
+def start_of(task: str, split: str, index: int, *, moved: bool) -> Instance:
+    """Return what an episode begins with, such as one that a line is of.
+
+    Args:
+        task: Name of the task.
+        split: Of the list.
+        index: Number in the list.
+        moved: Whether from its perturbed start, ``perturb_start`` in the line.
+    """
+    instance = load_instance(task, split, index)
+    return perturbed_start(instance) if moved else instance
+
+
+def play_group(
+    order: EvaluationConfig, kind: str, task: str, indices: range, path: Path
+) -> int:
+    """Play some episodes, write them, and return how many they are."""
+    player = _player(order.policy)
+    plays = []
+    for index in indices:
+        instance = start_of(task, order.split, index, moved=order.perturb_start)
+        plays.append(Rollout(instance, kind, said=say(order.language, instance, kind)))
+    start = perf_counter()
+    over = list(roll_out(plays, player, len(plays)))
+    wall_s = (perf_counter() - start) / len(over)
+    rows = sorted((_row(play, order, wall_s) for play in over), key=place_of)
+    _write(path, rows)
+    return len(rows)
+
+
+@lru_cache(maxsize=1)
+def _player(spec: PolicySpec) -> Player:
+    """Return the policy of this process: loading one takes long."""
+    player = Player.load(spec)
+    if parent_process() is not None and "torch" in sys.modules:
+        # There is a process per core; more threads would fight for them.
+        sys.modules["torch"].set_num_threads(1)
+    return player
+
+
+def _row(play: Rollout, order: EvaluationConfig, wall_s: float) -> Row:
+    instance, episode = play.instance, play.episode
+    info = episode.info()
+    subtasks, left = subtasks_of(play.steps), left_in(episode)
+    asks = play.said.asks
+    least_m = play.clearance.least_m
+    return {
+        "task": instance.task,
+        "split": instance.split,
+        "index": instance.index,
+        "team": instance.team,
+        "distractors": len(instance.distractors),
+        "perturb_start": order.perturb_start,
+        "instruction_kind": play.kind,
+        "instruction": play.instruction,
+        "asked": None if asks is None else [list(pair) for pair in asks],
+        "asked_holds": play.asked_holds,
+        "success": play.success,
+        "progress": info["progress"],
+        "failure": play.failure,
+        "policy_error": play.fault.to_dict() if play.fault else None,
+        "elapsed_s": round(info["elapsed_s"], 3),
+        "idle_s": {name: round(idle, 3) for name, idle in info["idle_s"].items()},
+        "coordination": {
+            "expert_s": expert_s(
+                instance.task,
+                instance.split,
+                instance.index,
+                perturbed_start=order.perturb_start,
+            ),
+            **count_steps(subtasks, left),
+            "clearance_mm": round(1000.0 * least_m, 1) if least_m < inf else None,
+        },
+        "subtasks": subtasks,
+        "left": left,
+        "wall_s": round(wall_s, 3),
+    }
+
+
+def _name(row: Row) -> tuple[str, str, int]:
+    return row["instruction_kind"], row["task"], row["index"]
+
+
+def _read(path: Path) -> list[Row]:
+    try:
+        return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+    except (OSError, json.JSONDecodeError) as error:
+        raise DatasetError(
+            f"{path} cannot be read: {error}. Remove it and evaluate again."
+        ) from error
+
+
+def _write(path: Path, rows: list[Row]) -> None:
+    write_text(path, "".join(json.dumps(row) + "\n" for row in rows))

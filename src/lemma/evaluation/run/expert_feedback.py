@@ -1,0 +1,136 @@
+"""What the expert would do in the state that a policy is in, and how far off it is.
+
+The expert plans anew from the true state before every sub-task of a policy, which takes
+some milliseconds and changes nothing. The length of its plan measures whether a
+sub-task served the goal, whichever of several good ones it was.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+from lemma.env.episode import Episode
+from lemma.expert.grounding import GeometricGrounder
+from lemma.expert.planner import find_plan
+from lemma.expert.symbolic_state import SymbolicState
+from lemma.policies.interfaces import Decision
+from lemma.scene.spec import STICK
+from lemma.tasks.subtask import STOP, Primitive, SubTask
+
+
+class Departure(StrEnum):
+    """In what a sub-task departs from what the expert would do now."""
+
+    NONE = ""
+    """In nothing: it is the same in symbols."""
+    ROBOT = "robot"
+    """Another robot should do this; now or later in the expert's plan."""
+    ORDER = "order"
+    """It is in the expert's plan, but further on."""
+    PRIMITIVE = "primitive"
+    """Another primitive is due; acting where all is done counts here."""
+    OBJECT = "object"
+    """The primitive is right, what is picked or where it goes is not."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExpertFeedback:
+    """What the expert says of a decision, before it is carried out."""
+
+    expected: SubTask
+    """What the expert would do; ``stop`` where the goal holds, or no plan is left."""
+    left: int | None
+    """Sub-tasks of the expert's plan; None where there is no plan."""
+    departure: Departure
+    able: bool | None
+    """Whether the robot could do it now; None where none of the robots could."""
+    pick_error_m: float | None = None
+    """Distance of the pick from the middle of the cube that is meant [m]; None for the
+    stick, which can be grasped along its handle."""
+    place_error_m: float | None = None
+    """Distance of a ``move``'s place from the middle of the pad or cube that is meant
+    [m]; None for the shared region and for tools, which leave a choice."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON."""
+        return {
+            "expected": self.expected.to_dict(),
+            "left": self.left,
+            "departure": str(self.departure),
+            "able": self.able,
+            "pick_error_mm": _millimetres(self.pick_error_m),
+            "place_error_mm": _millimetres(self.place_error_m),
+        }
+
+
+def left_in(episode: Episode) -> int | None:
+    """Return how many sub-tasks the expert needs from here; None if it has no plan."""
+    now = SymbolicState.observe(episode.simulation.scene)
+    plan = _plan(episode, now, GeometricGrounder(now.spec))
+    return None if plan is None else len(plan)
+
+
+def advise(episode: Episode, decision: Decision) -> ExpertFeedback:
+    """Return what the expert says of a decision in the state that an episode is in."""
+    now = SymbolicState.observe(episode.simulation.scene)
+    geometry = GeometricGrounder(now.spec)
+    plan = _plan(episode, now, geometry)
+    subtask = decision.subtask
+    departed = departure(subtask, plan or ())
+    pick = place = None
+    if decision.grounded is not None:
+        if subtask.pick in now.poses and subtask.pick != STICK:
+            pick = decision.grounded.pick.distance(now.poses[subtask.pick])
+        if subtask.primitive is Primitive.MOVE and subtask.place in now.poses:
+            place = decision.grounded.place.distance(now.poses[subtask.place])
+    return ExpertFeedback(
+        expected=plan[0] if plan else STOP,
+        left=None if plan is None else len(plan),
+        departure=departed,
+        able=departed is Departure.NONE or _is_able(subtask, now, geometry),
+        pick_error_m=pick,
+        place_error_m=place,
+    )
+
+
+def departure(subtask: SubTask, plan: tuple[SubTask, ...]) -> Departure:
+    """Return in what a sub-task departs from a plan; the first that applies.
+
+    Args:
+        subtask: What a policy decided on, other than ``stop``.
+        plan: The expert's sub-tasks from now on; empty where all is done.
+    """
+    expected = plan[0] if plan else STOP
+    if subtask == expected:
+        return Departure.NONE
+    if subtask in plan:
+        return Departure.ORDER
+    if any(replace(planned, robot=subtask.robot) == subtask for planned in plan):
+        return Departure.ROBOT
+    if subtask.primitive is not expected.primitive:
+        return Departure.PRIMITIVE
+    return Departure.OBJECT
+
+
+def _is_able(
+    subtask: SubTask, now: SymbolicState, geometry: GeometricGrounder
+) -> bool | None:
+    if geometry.ground(subtask, now) is not None:
+        return True
+    others = (replace(subtask, robot=robot) for robot in geometry.robots)
+    can_others = any(geometry.ground(other, now) is not None for other in others)
+    return False if can_others else None
+
+
+def _plan(
+    episode: Episode, now: SymbolicState, geometry: GeometricGrounder
+) -> tuple[SubTask, ...] | None:
+    plan = find_plan(now, episode.instance.goal, geometry)
+    return None if plan is None else plan.subtasks
+
+
+def _millimetres(metres: float | None) -> float | None:
+    if metres is None or not math.isfinite(metres):
+        return None
+    return round(1000.0 * metres, 1)

@@ -1,0 +1,233 @@
+"""Faulty policies cost their own episodes: the one place where decisions are checked.
+
+Whatever a policy raises or answers becomes either a decision that can be carried out or
+a :class:`Fault`, which ends its episode and no other. What hangs or crashes is kept in
+other processes; see :mod:`lemma.serve.client.isolation`.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lemma.core.poses import Pose2
+from lemma.policies.interfaces import Decision, Policy, PolicyInput
+from lemma.scene.spec import ENTITIES, SHARED
+from lemma.serve.protocol.faults import (
+    FaultKind,
+    PolicyFailedError,
+    PolicyUnreachableError,
+)
+from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
+
+POLICY_ERROR = "policy_error"
+"""Why an episode failed whose policy did."""
+FARTHEST_M = 100.0
+"""A pose farther from the middle of the table was never meant in metres."""
+
+_LONGEST = 300
+_NAMES = (*ENTITIES, SHARED)
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Why a policy has no decision for an episode."""
+
+    kind: FaultKind
+    explanation: str
+    """One sentence."""
+
+    def to_dict(self) -> dict[str, str]:
+        """Return plain data, ready for JSON."""
+        return {"kind": str(self.kind), "explanation": self.explanation}
+
+
+class IsolatedPolicy:
+    """Asks a policy about many episodes and believes nothing."""
+
+    def __init__(self, policy: Policy) -> None:
+        """Keep the policy."""
+        self._policy = policy
+        self._one_by_one = False
+
+    def decide(self, inputs: Sequence[PolicyInput]) -> list[Decision | Fault]:
+        """Return the next decision of each episode, or why there is none.
+
+        When the policy fails at all episodes together, it is asked about each alone,
+        so that only the guilty one pays. After a batch that hung it stays at that.
+
+        Args:
+            inputs: One per episode; at least one.
+
+        Raises:
+            PolicyUnreachableError: Nobody answers any more: no fault of the policy.
+        """
+        if len(inputs) > 1 and not self._one_by_one:
+            answers = self._ask(inputs)
+            if not isinstance(answers, Fault):
+                return [
+                    check(answer, given)
+                    for answer, given in zip(answers, inputs, strict=True)
+                ]
+            self._one_by_one = answers.kind is FaultKind.TIMEOUT
+        return [self._decide_one(given) for given in inputs]
+
+    def _decide_one(self, given: PolicyInput) -> Decision | Fault:
+        answers = self._ask([given])
+        return answers if isinstance(answers, Fault) else check(answers[0], given)
+
+    def _ask(self, inputs: Sequence[PolicyInput]) -> list[object] | Fault:
+        try:
+            answers: object = self._policy.act(inputs)
+        except PolicyUnreachableError:
+            raise
+        except PolicyFailedError as error:
+            return Fault(error.kind, _cut(str(error)))
+        except Exception as error:
+            # Anybody's code: what it raises says nothing about other episodes.
+            text = f"{type(error).__name__}: {error}"
+            return Fault(FaultKind.RAISED, _cut(text))
+        if not isinstance(answers, list | tuple):
+            what = f"The policy returned a {type(answers).__name__}, not a list."
+            return Fault(FaultKind.MALFORMED, what)
+        if len(answers) != len(inputs):
+            return Fault(
+                FaultKind.MALFORMED,
+                f"The policy returned {len(answers)} decisions for {len(inputs)} "
+                "episodes.",
+            )
+        return list(answers)
+
+
+class _FaultError(Exception):
+    """Carries a fault out of the check."""
+
+    def __init__(self, kind: FaultKind, explanation: str) -> None:
+        super().__init__(explanation)
+        self.fault = Fault(kind, _cut(explanation))
+
+
+def check(answer: object, given: PolicyInput) -> Decision | Fault:
+    """Return a decision in plain Python types, or what is wrong with it.
+
+    An entity that is not on this table and a pose that the robot cannot reach are
+    wrong decisions, not faults: they are carried out, and fail with an outcome that
+    the policy can see.
+
+    Args:
+        answer: What the policy returned.
+        given: What it was given.
+    """
+    try:
+        return _checked(answer, len(given.robots))
+    except _FaultError as error:
+        return error.fault
+
+
+def _checked(answer: object, robots: int) -> Decision:
+    if not isinstance(answer, Decision):
+        raise _malformed(
+            f"The policy decided on a {type(answer).__name__}, no Decision"
+        )
+    subtask = _subtask(answer.subtask, robots)
+    explanation = str(answer.explanation)
+    if subtask.primitive is Primitive.STOP:
+        return Decision(STOP, None, explanation)
+    if answer.grounded is None:
+        if not (subtask.pick and subtask.place):
+            raise _FaultError(
+                FaultKind.UNKNOWN_NAME,
+                f"The decision has no poses, and names no entity: {subtask}.",
+            )
+        return Decision(subtask, None, explanation)
+    return Decision(subtask, _grounded(answer.grounded, subtask), explanation)
+
+
+def _subtask(subtask: object, robots: int) -> SubTask:
+    if not isinstance(subtask, SubTask):
+        raise _malformed(f"The sub-task is a {type(subtask).__name__}, no SubTask")
+    try:
+        primitive = Primitive(subtask.primitive)
+    except ValueError:
+        raise _unknown("primitive", subtask.primitive, list(Primitive)) from None
+    if primitive is Primitive.STOP:
+        return STOP
+    team = [f"robot_{number}" for number in range(robots)]
+    if subtask.robot not in team:
+        raise _unknown("robot", subtask.robot, team)
+    for entity in (subtask.pick, subtask.place):
+        if entity != "" and entity not in _NAMES:
+            raise _unknown("entity", entity, list(_NAMES))
+    return SubTask(subtask.robot, primitive, subtask.pick, subtask.place)
+
+
+def _grounded(grounded: object, subtask: SubTask) -> GroundedSubTask:
+    if not isinstance(grounded, GroundedSubTask):
+        name = type(grounded).__name__
+        raise _malformed(f"The grounded sub-task is a {name}, no GroundedSubTask")
+    symbols = (grounded.robot, grounded.primitive)
+    if symbols != (subtask.robot, subtask.primitive):
+        raise _malformed(
+            f"The poses are for {grounded.robot} {grounded.primitive}, but the "
+            f"decision is {subtask.robot} {subtask.primitive}"
+        )
+    return GroundedSubTask(
+        subtask.robot,
+        subtask.primitive,
+        _pose("pick", grounded.pick),
+        _pose("place", grounded.place),
+    )
+
+
+def _pose(end: str, pose: object) -> Pose2:
+    if not isinstance(pose, Pose2):
+        raise _malformed(f"The {end} pose is a {type(pose).__name__}, no Pose2")
+    numbers = [_number(end, value) for value in (pose.x, pose.y, pose.yaw)]
+    if not all(math.isfinite(number) for number in numbers):
+        raise _FaultError(
+            FaultKind.NOT_FINITE, f"The {end} pose is not finite: {numbers}."
+        )
+    if math.hypot(numbers[0], numbers[1]) > FARTHEST_M:
+        raise _FaultError(
+            FaultKind.NOT_FINITE,
+            f"The {end} pose is beyond every table, at ({numbers[0]:g}, "
+            f"{numbers[1]:g}) m; poses are in metres.",
+        )
+    return Pose2(*numbers)
+
+
+def _number(end: str, value: Any) -> float:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if not _is_real(value):
+        raise _malformed(
+            f"The {end} pose holds a {type(value).__name__} where a number belongs"
+        )
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, float | int | np.integer | np.floating) and not isinstance(
+        value, bool
+    )
+
+
+def _malformed(what: str) -> _FaultError:
+    return _FaultError(FaultKind.MALFORMED, f"{what}.")
+
+
+def _unknown(kind: str, name: object, valid: Sequence[str]) -> _FaultError:
+    return _FaultError(
+        FaultKind.UNKNOWN_NAME,
+        f"The policy names the {kind} {name!r:.60}. Valid: {', '.join(valid)}.",
+    )
+
+
+def _cut(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= _LONGEST else f"{line[:_LONGEST]}..."

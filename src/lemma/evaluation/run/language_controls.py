@@ -1,0 +1,138 @@
+"""What a policy is told, and what that asks for: the sentence, or a control of it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice, permutations, product
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.seeding import stream
+from lemma.expert.grounding import GeometricGrounder
+from lemma.expert.planner import find_plan
+from lemma.expert.symbolic_state import TABLE, SymbolicState
+from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.spec import STICK
+from lemma.tasks.goal import Goal
+from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.language.template import ENTITY_KINDS, GoalPairs
+from lemma.tasks.suite import load_instance, task_named
+
+LANGUAGES = {
+    "full": "the sentence of the instance",
+    "none": "nothing",
+    "shuffled": "the sentence of the next instance of the list",
+    "swapped": "the sentence with other colors: another goal on the same table",
+}
+"""What is said; all but the first are controls."""
+FULL = "full"
+"""The whole sentence."""
+_CANDIDATES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class LanguageControl:
+    """What a policy is told instead of the sentence of its instance."""
+
+    sentence: str | None = None
+    """None for that sentence itself."""
+    asks: GoalPairs | None = None
+    """Another goal that it asks for; None where there is none on this table."""
+
+
+OWN_SENTENCE = LanguageControl()
+"""What the instance says is said."""
+
+
+def say(language: str, instance: Instance, kind: str) -> LanguageControl:
+    """Return what is said in an episode.
+
+    Args:
+        language: One of :data:`LANGUAGES`.
+        instance: The problem.
+        kind: Of the instruction.
+    """
+    if language == "none":
+        return LanguageControl("")
+    if language == "shuffled":
+        task, split = instance.task, instance.split
+        other = load_instance(task, split, (instance.index + 1) % SPLITS[split])
+        there = set(other.goal.entities) <= set(instance.scene.object_names)
+        same = set(other.goal.pairs) == set(instance.goal.pairs)
+        asks = other.goal.pairs if there and not same else None
+        return LanguageControl(other.instructions[kind], asks)
+    if language == "swapped":
+        asks, is_there = _swapped(instance)
+        return LanguageControl(
+            _reworded(instance, kind, asks), asks if is_there else None
+        )
+    return OWN_SENTENCE
+
+
+def _reworded(instance: Instance, kind: str, asks: GoalPairs) -> str:
+    """Return the sentence of an instance in the same words, for another goal."""
+    for template in task_named(instance.task).language.templates(kind):
+        if template.render(instance.goal.pairs) == instance.instructions[kind]:
+            return template.render(asks)
+    raise InvalidConfigError(
+        f"No {kind} template of task {instance.task!r} says "
+        f"{instance.instructions[kind]!r}. Freeze the instances anew."
+    )
+
+
+def _swapped(instance: Instance) -> tuple[GoalPairs, bool]:
+    """Return another goal of the same form, and whether its objects are there.
+
+    Of the goals that exchange most entities, one for which the expert has a plan, if
+    there is one among the first; in an order that depends on the instance alone.
+    """
+    names = instance.scene.object_names
+    rng = stream(instance.key, "swapped colours")
+    goals = list(_goals(instance.goal.pairs, names))
+    order = rng.permutation(len(goals))
+    goals = [goals[int(i)] for i in order]
+    goals.sort(key=lambda goal: -_changes(goal, instance.goal.pairs))
+    if not goals:
+        everything = [f"{c}_{k}" for k in ENTITY_KINDS for c in OBJECT_COLORS]
+        absent = [name for name in everything if name not in names]
+        goals = list(_goals(instance.goal.pairs, absent))
+        return goals[int(rng.integers(len(goals)))], False
+    now = _situation(instance)
+    grounder = GeometricGrounder(instance.scene)
+    for goal in islice(goals, _CANDIDATES):
+        if find_plan(now, Goal.from_pairs(goal), grounder) is not None:
+            return goal, True
+    return goals[0], True
+
+
+def _goals(pairs: GoalPairs, names: tuple[str, ...] | list[str]) -> Iterator[GoalPairs]:
+    """Yield the goals of the form of ``pairs`` between some objects, but not itself."""
+    entities = Goal.from_pairs(pairs).entities
+    ways = []
+    for kind in ENTITY_KINDS:
+        needed = [name for name in entities if name.endswith(kind)]
+        there = [name for name in names if name.endswith(kind)]
+        drawn = permutations(there, len(needed))
+        ways.append([dict(zip(needed, found, strict=True)) for found in drawn])
+    for choice in product(*ways):
+        other = {old: new for part in choice for old, new in part.items()}
+        goal = tuple((other[top], other[bottom]) for top, bottom in pairs)
+        if set(goal) != set(pairs):
+            yield goal
+
+
+def _changes(goal: GoalPairs, pairs: GoalPairs) -> int:
+    """Return by how many conjuncts, and then by how many objects, they differ."""
+    ours, theirs = (Goal.from_pairs(each).entities for each in (goal, pairs))
+    places = sum(a != b for a, b in zip(ours, theirs, strict=True))
+    return 100 * len(set(goal) - set(pairs)) + places
+
+
+def _situation(instance: Instance) -> SymbolicState:
+    """Return the first state as its numbers say, without physics."""
+    poses = {placed.name: placed.pose for placed in instance.scene.objects}
+    movable = [name for name in poses if name == STICK or name.endswith("_cube")]
+    return SymbolicState(
+        instance.scene,
+        poses,
+        {name: TABLE for name in movable if name != STICK},
+        dict.fromkeys(movable, "start"),
+    )

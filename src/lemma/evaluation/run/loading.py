@@ -1,0 +1,100 @@
+"""Policies by name, with other people's kept at a distance."""
+
+from importlib import import_module
+from typing import Any
+
+from lemma.core.errors import DatasetError
+from lemma.policies.interfaces import Policy
+from lemma.policies.spec import ORACLE, PolicySpec, load_part
+from lemma.serve.client.conversation import ProtocolMode
+from lemma.serve.client.isolation import isolate
+from lemma.serve.client.websocket import connect, is_address
+
+FOREVER_S = 1e6
+"""What stands for any time [s]."""
+
+
+def load_policy(spec: PolicySpec) -> Policy:
+    """Return a policy that may be asked without fear.
+
+    Servers are asked over their sockets. Classes of other people live in processes of
+    their own, unless no timeout is wanted: then they live here, where a debugger finds
+    them and they see the truth. Everything else is ours.
+
+    Args:
+        spec: Which policy.
+
+    Raises:
+        LemmaError: There is no such policy, nobody answers where it should be, or its
+            weights are damaged.
+    """
+
+    def load(name: str) -> Any:
+        if is_address(name):
+            return connect(name, ProtocolMode(spec.timeout_s or FOREVER_S))
+        if ":" in name and spec.timeout_s > 0.0:
+            return isolate(name, spec.timeout_s)
+        return load_part(name)
+
+    return spec.load(load)
+
+
+def served_parts(spec: PolicySpec) -> dict[str, Any]:
+    """Return what the servers among a policy's parts say of themselves, by address.
+
+    Raises:
+        LemmaError: Nobody answers there, or in another language.
+    """
+    found = {}
+    for name in spec.parts:
+        if is_address(name):
+            part = connect(name, ProtocolMode(spec.timeout_s or FOREVER_S))
+            found[name] = part.about
+            part.close()
+    return found
+
+
+Weights = dict[str, dict[str, Any]]
+"""By name of the model: hash, seed of the training, digest of its data."""
+
+
+def learned_parts(policy: str) -> list[str]:
+    """Return the parts of a policy's name that mean weights of ours."""
+    # A colon is in addresses and in names of classes.
+    parts = policy.split("+")
+    return [part for part in parts if part != ORACLE and ":" not in part]
+
+
+def weights_of(spec: PolicySpec) -> Weights:
+    """Return the weights that a policy uses; none for oracles and others' policies.
+
+    Raises:
+        LemmaError: They are missing or damaged.
+    """
+    found: Weights = {}
+    for part in learned_parts(spec.name):
+        # torch is an extra, which the oracle and other people's policies do without.
+        path = import_module("lemma.policies.weights").find_weights(part)
+        about = import_module("lemma.policies.checkpoints").read_about(path)
+        found[about.model] = {
+            "sha256": import_module("lemma.dataset.files").sha256_of(path),
+            "seed": about.training.get("seed", 0),
+            "data": about.data,
+        }
+    return found
+
+
+def training_seed(weights: Weights) -> int:
+    """Return the seed that a policy was trained with; 0 without weights.
+
+    Raises:
+        DatasetError: Its parts were trained with different seeds.
+    """
+    seeds = {entry["seed"] for entry in weights.values()}
+    if len(seeds) > 1:
+        told = ", ".join(f"{name}: {entry['seed']}" for name, entry in weights.items())
+        raise DatasetError(
+            f"The parts of the policy were trained with different seeds ({told}), so "
+            "its result belongs to none of them. Take parts of the same seed."
+        )
+    return int(seeds.pop()) if seeds else 0

@@ -1,0 +1,160 @@
+"""The protocol: everything that fixes a number, in one frozen file with a hash.
+
+``protocol.json`` ships with the package. What is in force here and now is computed from
+the code, the data and the versions; where that is the file, results quote the file's
+hash, and otherwise their own. Results of different protocols are never mixed.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.metadata import version
+from importlib.resources import files
+from typing import Any
+
+from lemma.core.errors import DatasetError
+from lemma.dataset.rendered.keyframes.capture import RASTER
+from lemma.env.episode import LEAST_STEP_S
+from lemma.env.simulation import HORIZON_S, TICK_S
+from lemma.evaluation.analysis.failure_causes import POSE_TOLERANCE_MM
+from lemma.evaluation.analysis.result import RESULT_VERSION
+from lemma.evaluation.run.expert_times import times_sha256
+from lemma.evaluation.run.language_controls import LANGUAGES
+from lemma.evaluation.run.perturbed_starts import (
+    APART_M,
+    FROM_STICK_M,
+    SHIFT_M,
+    TURN_RAD,
+)
+from lemma.scene.build import TIME_STEP_S
+from lemma.tasks import goal
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE
+
+PROTOCOL = "protocol.json"
+"""File in the package."""
+NAME = "lemma-v1"
+GROUP = 10
+"""Episodes that are played together."""
+
+
+@cache
+def in_force() -> dict[str, Any]:
+    """Return the protocol that an evaluation follows here and now."""
+    lists = json.loads((files("lemma.tasks") / "frozen" / "manifest.json").read_bytes())
+    return {
+        "name": NAME,
+        "benchmark": BENCHMARK_VERSION,
+        "tasks": list(SUITE),
+        "episodes_per_task": dict(SPLITS),
+        "lists_sha256": {name: lists[name]["sha256"] for name in sorted(lists)},
+        "instructions": {
+            "kinds": list(KINDS),
+            "source": "the frozen lists: one sentence of each kind per instance",
+            "language": dict(LANGUAGES),
+        },
+        "episode": {
+            "horizon_s": HORIZON_S,
+            "least_step_s": LEAST_STEP_S,
+            "end": "the policy says stop, fails itself, or the horizon is reached",
+            "group": GROUP,
+        },
+        "success": {
+            "judged": "at the end of the episode",
+            "holds": "every On of the goal, and no gripper holds anything",
+            "on_pad_m": round(goal._ON_PAD_M, 6),
+            "on_cube_m": goal._ON_CUBE_M,
+            "height_tolerance_m": goal._HEIGHT_TOLERANCE_M,
+            "rest_m_s": goal._REST_M_S,
+        },
+        "view": {
+            "rows": RASTER.rows,
+            "columns": RASTER.columns,
+            "cell_m": RASTER.cell_m,
+        },
+        "perturbed_start": {
+            "shift_m": SHIFT_M,
+            "turn_rad": round(TURN_RAD, 6),
+            "apart_m": APART_M,
+            "from_stick_m": FROM_STICK_M,
+        },
+        "diagnosis": {"pose_tolerance_mm": POSE_TOLERANCE_MM},
+        "expert_times_sha256": times_sha256(),
+        "physics": {
+            "mujoco": version("mujoco"),
+            "time_step_s": TIME_STEP_S,
+            "servo_tick_s": TICK_S,
+        },
+        "results": RESULT_VERSION,
+    }
+
+
+@cache
+def frozen() -> dict[str, Any]:
+    """Return the protocol that ships."""
+    text = (files("lemma.evaluation.run") / PROTOCOL).read_text("utf-8")
+    told: dict[str, Any] = json.loads(text)
+    return told
+
+
+def sha256_of_protocol(protocol: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a protocol's canonical JSON."""
+    text = json.dumps(protocol, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def quote() -> str:
+    """Return what a result quotes: the hash of the protocol that is in force."""
+    return sha256_of_protocol(in_force())
+
+
+def departures() -> list[str]:
+    """Return in what the protocol in force is not the one that ships; mostly nothing.
+
+    Another release of MuJoCo is what makes the difference.
+    """
+    ours, theirs = dict(flat(in_force())), dict(flat(frozen()))
+    return [
+        f"{name} {ours.get(name)} instead of {theirs.get(name)}"
+        for name in sorted({*ours, *theirs})
+        if ours.get(name) != theirs.get(name)
+    ]
+
+
+def flat(protocol: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted names and the values of a protocol."""
+    for name, value in protocol.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def check_protocol(
+    about: Mapping[str, Any], other: Mapping[str, Any], where: object, there: object
+) -> None:
+    """Check that two results follow one protocol.
+
+    Args:
+        about: What one says about itself.
+        other: What the other says.
+        where: Where the one is.
+        there: Where the other is.
+
+    Raises:
+        DatasetError: They do not.
+    """
+    mine, others = about.get("protocol"), other.get("protocol")
+    if mine != others:
+        raise DatasetError(
+            f"{where} follows protocol {_short(mine)}, and {there} follows "
+            f"{_short(others)}: what differs may not be the policy. Evaluate one of "
+            "them again with the version of the other; this one follows "
+            f"{_short(quote())} ({NAME})."
+        )
+
+
+def _short(sha256: str | None) -> str:
+    return "none" if sha256 is None else sha256[:12]

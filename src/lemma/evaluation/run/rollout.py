@@ -1,0 +1,230 @@
+"""Episodes played by a policy: many at once, so that it decides in batches."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+
+import numpy as np
+
+from lemma.dataset.rendered.keyframes.capture import RASTER, see
+from lemma.env.episode import Episode
+from lemma.env.simulation import HORIZON_S
+from lemma.evaluation.run.clearance import ClearanceWatch
+from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise
+from lemma.evaluation.run.fault_isolation import POLICY_ERROR, Fault, IsolatedPolicy
+from lemma.evaluation.run.language_controls import OWN_SENTENCE, LanguageControl
+from lemma.evaluation.run.loading import load_policy
+from lemma.motion.outcome import Outcome, SkillResult
+from lemma.policies.interfaces import Decision, PastStep, Policy, PolicyInput, View
+from lemma.policies.spec import PolicySpec
+from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.rendering.renderer import Renderer
+from lemma.scene.scene import Scene
+from lemma.tasks.goal import Goal
+from lemma.tasks.instance import Instance
+from lemma.tasks.language.bank import robot_phrases
+from lemma.tasks.subtask import GroundedSubTask, SubTask
+
+_BLIND = View(
+    np.zeros((0, 0, 3), np.uint8),
+    np.zeros((0, 0), np.float32),
+    np.zeros((0, 0), np.bool_),
+    np.zeros((0, 6)),
+    np.zeros(0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TakenStep:
+    """One sub-task that a policy decided on, and how it went."""
+
+    subtask: SubTask
+    grounded: GroundedSubTask | None
+    """With poses; None where there were none."""
+    result: SkillResult
+    start_s: float
+    """Simulated time at which it began [s]."""
+    advice: ExpertFeedback
+    """What the expert said of it."""
+
+
+class Eyes:
+    """The cameras of a scene, fused; OpenGL starts with the first look."""
+
+    def __init__(self) -> None:
+        """Look at nothing yet."""
+        self._renderer: Renderer | None = None
+
+    def look(self, scene: Scene) -> View:
+        """Return what is seen now, exactly as training data hold it.
+
+        Raises:
+            RenderingError: OpenGL does not work here.
+        """
+        if self._renderer is None:
+            self._renderer = Renderer(CAMERA_WIDTH_PX, CAMERA_HEIGHT_PX)
+        scene.refresh()
+        row = see(scene, self._renderer)
+        height = row["map_height"]
+        return View(
+            rgb=row["map_rgb"],
+            height_m=RASTER.decode_height(height),
+            coverage=height > 0,
+            joints=np.array([scene.data.qpos[r.qpos] for r in scene.robots]),
+            opening_m=np.array([scene.opening_m(r) for r in scene.robots]),
+        )
+
+
+@dataclass
+class Rollout:
+    """One episode being played."""
+
+    instance: Instance
+    kind: str = "high_level"
+    """Which of its instructions is given."""
+    horizon_s: float = HORIZON_S
+    said: LanguageControl = OWN_SENTENCE
+    """What is said instead of that instruction."""
+    steps: list[TakenStep] = field(default_factory=list)
+    past: list[PastStep] = field(default_factory=list)
+    fault: Fault | None = None
+    """Why the policy had no more decisions, if it failed."""
+
+    def __post_init__(self) -> None:
+        """Set the table."""
+        self.episode = Episode(self.instance, horizon_s=self.horizon_s)
+        self.clearance = ClearanceWatch(self.episode.simulation)
+        colors = tuple(robot.color for robot in self.instance.scene.robots)
+        self._phrases = robot_phrases(colors)
+
+    @property
+    def instruction(self) -> str:
+        """What the policy is told."""
+        own = self.instance.instructions[self.kind]
+        return own if self.said.sentence is None else self.said.sentence
+
+    @property
+    def success(self) -> bool:
+        """Whether the goal holds, and the policy brought it to an end."""
+        return self.fault is None and self.episode.is_success
+
+    @property
+    def asked_holds(self) -> bool | None:
+        """Whether the other goal holds that was asked for; None if none was."""
+        if self.said.asks is None:
+            return None
+        simulation = self.episode.simulation
+        asked = Goal.from_pairs(self.said.asks)
+        return asked.progress(simulation.scene) == 1.0 and not simulation.held()
+
+    @property
+    def failure(self) -> str | None:
+        """Why it failed; None if it succeeded or is not over."""
+        return self.episode.failure if self.fault is None else POLICY_ERROR
+
+    def given(self, eyes: Eyes | None) -> PolicyInput:
+        """Return what the policy is given now; blind without eyes."""
+        scene = self.episode.simulation.scene
+        return PolicyInput(
+            instruction=self.instruction,
+            robots=self._phrases,
+            view=eyes.look(scene) if eyes else _BLIND,
+            past=tuple(self.past),
+            episode=self.episode,
+        )
+
+    def fail(self, fault: Fault) -> None:
+        """End the episode for a fault of its policy."""
+        self.fault = fault
+        self.episode.stop()
+
+    def take(self, given: PolicyInput, decision: Decision) -> TakenStep | None:
+        """Carry out a decision; None if it was to stop."""
+        episode = self.episode
+        if decision.stops:
+            episode.stop()
+            return None
+        start = episode.elapsed_s
+        advice = advise(episode, decision)
+        if decision.grounded is None:
+            result = SkillResult(Outcome.INVALID, decision.explanation, 0.0)
+        else:
+            result = episode.execute(decision.grounded)
+        episode.linger(start)
+        step = TakenStep(decision.subtask, decision.grounded, result, start, advice)
+        self.steps.append(step)
+        self.past.append(PastStep(given.view, decision.subtask, str(result.outcome)))
+        return step
+
+
+@dataclass(frozen=True)
+class Player:
+    """A policy, and what it sees with."""
+
+    policy: Policy
+    eyes: Eyes | None = None
+    """None for a policy that needs no images."""
+
+    @classmethod
+    def load(cls, spec: PolicySpec) -> "Player":
+        """Load a policy by name.
+
+        Raises:
+            LemmaError: There is no such policy, or its weights are damaged.
+        """
+        return cls(load_policy(spec), None if spec.blind else Eyes())
+
+
+def roll_out(
+    plays: Iterable[Rollout],
+    player: Player,
+    at_once: int = 8,
+    on_step: Callable[[Rollout, TakenStep], None] | None = None,
+) -> Iterator[Rollout]:
+    """Play episodes to their ends, yielding each as soon as it is over.
+
+    A policy that raises, hangs or answers nonsense fails the episode in which it does;
+    the others go on.
+
+    Args:
+        plays: What to play; the next is set up when one has ended.
+        player: Decides, for all running episodes together.
+        at_once: Episodes that run at a time.
+        on_step: Told of every sub-task as soon as it has ended.
+
+    Raises:
+        PolicyUnreachableError: The policy's server is gone.
+    """
+    guard = IsolatedPolicy(player.policy)
+    waiting = iter(plays)
+    running = list(islice(waiting, at_once))
+    while running:
+        inputs = [play.given(player.eyes) for play in running]
+        decisions = guard.decide(inputs)
+        for play, given, decision in zip(running, inputs, decisions, strict=True):
+            if isinstance(decision, Fault):
+                play.fail(decision)
+                continue
+            step = play.take(given, decision)
+            if step is not None and on_step is not None:
+                on_step(play, step)
+        over = [play for play in running if play.episode.is_over]
+        running = [play for play in running if not play.episode.is_over]
+        yield from over
+        running += islice(waiting, at_once - len(running))
+
+
+def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
+    """Return steps as plain data, ready for JSON."""
+    return [
+        {
+            **step.subtask.to_dict(),
+            "grounded": step.grounded.to_dict() if step.grounded else None,
+            "outcome": str(step.result.outcome),
+            "explanation": step.result.explanation,
+            "start_s": round(step.start_s, 3),
+            "duration_s": round(step.result.duration_s, 3),
+            "expert": step.advice.to_dict(),
+        }
+        for step in steps
+    ]

@@ -1,0 +1,194 @@
+"""Mistakes made on purpose: what is executed instead of what the expert would do.
+
+A policy that has seen perfect demonstrations alone never sees what follows a missed
+grasp, a cube beside its pad, a stick laid elsewhere, or the wrong robot at work. Here
+are such mistakes; what would then be right is the expert's to say.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import Pose2
+from lemma.expert.grounding import GeometricGrounder
+from lemma.expert.symbolic_state import SymbolicState
+from lemma.scene.spec import SHARED, STICK, SceneSpec
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+
+NONE = "none"
+KINDS = ("pick", "place", "drop", "robot", "choice")
+"""``pick``, ``place``: the pose is off by some centimetres and tens of degrees;
+``drop``: the motion ends halfway; ``robot``: another robot tries it, whether it can or
+not; ``choice``: another sub-task that can be done, well executed."""
+_SHARES = (0.20, 0.25, 0.15, 0.15, 0.25)
+
+PICK_OFF_M = (0.01, 0.045)
+"""Smallest and largest error of a grasp: half a cube and more is a miss."""
+PLACE_OFF_M = (0.03, 0.12)
+"""The same of where things are put: a pad's radius and more is beside it."""
+YAW_OFF_RAD = math.radians(40.0)
+_HALFWAY = (0.2, 0.8)
+_NEAR = 0.5
+"""How often another sub-task is as like the expert's as can be: one word is wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Perturbation:
+    """How often sub-tasks are perturbed."""
+
+    probability: float
+    """Of each sub-task, above 0, at most 1."""
+    seed: int = 0
+    """Another one makes other mistakes in the same instances."""
+
+    def __post_init__(self) -> None:
+        """Check the probability."""
+        if not 0.0 < self.probability <= 1.0:
+            raise InvalidConfigError(
+                f"Sub-tasks are perturbed with a probability above 0 and up to 1, not "
+                f"{self.probability:g}. Try 0.3."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """What is executed instead."""
+
+    kind: str
+    """One of :data:`KINDS`."""
+    subtask: SubTask
+    grounded: GroundedSubTask
+
+
+class Perturber:
+    """Makes mistakes in a scene."""
+
+    def __init__(self, spec: SceneSpec) -> None:
+        """Prepare for a scene.
+
+        Args:
+            spec: The scene.
+        """
+        self._grounder = GeometricGrounder(spec)
+
+    def spoil(
+        self,
+        subtask: SubTask,
+        grounded: GroundedSubTask,
+        now: SymbolicState,
+        rng: np.random.Generator,
+    ) -> Mistake:
+        """Return a mistake that could be made now.
+
+        Args:
+            subtask: What the expert would do.
+            grounded: The same with poses.
+            now: Where things are.
+            rng: Of all that is drawn.
+        """
+        kind = KINDS[int(rng.choice(len(KINDS), p=_SHARES))]
+        makers: dict[
+            str,
+            Callable[
+                [SubTask, GroundedSubTask, SymbolicState, np.random.Generator],
+                Mistake | None,
+            ],
+        ] = {"robot": self._by_another, "choice": self._otherwise}
+        if kind in makers:
+            found = makers[kind](subtask, grounded, now, rng)
+            if found is not None:
+                return found
+            kind = "place"
+        return Mistake(kind, subtask, _POSES[kind](grounded, rng))
+
+    def _by_another(
+        self,
+        subtask: SubTask,
+        grounded: GroundedSubTask,
+        now: SymbolicState,
+        rng: np.random.Generator,
+    ) -> Mistake | None:
+        """Let another robot try: well if it can, else with the poses of the first."""
+        others = [name for name in self._grounder.robots if name != subtask.robot]
+        if not others:
+            return None
+        robot = others[int(rng.integers(len(others)))]
+        theirs = replace(subtask, robot=robot)
+        able = self._grounder.ground(theirs, now)
+        poses = replace(grounded, robot=robot) if able is None else able.grounded
+        return Mistake("robot", theirs, poses)
+
+    def _otherwise(
+        self,
+        subtask: SubTask,
+        grounded: GroundedSubTask,
+        now: SymbolicState,
+        rng: np.random.Generator,
+    ) -> Mistake | None:
+        """Choose another sub-task that can be done; None where there is none."""
+        del grounded
+        others = [each for each in self._possible(now) if each != subtask]
+        others = [others[i] for i in rng.permutation(len(others))]
+        if rng.random() < _NEAR:
+            others.sort(key=lambda other: _differences(other, subtask))
+        for other in others:
+            step = self._grounder.ground(other, now)
+            if step is not None:
+                return Mistake("choice", other, step.grounded)
+        return None
+
+    def _possible(self, now: SymbolicState) -> Iterator[SubTask]:
+        """Yield the sub-tasks that make sense, whether or not their robot can."""
+        for robot in self._grounder.robots:
+            for cube in now.supports:
+                for place in (SHARED, *now.poses):
+                    if place not in (cube, STICK, now.supports[cube]):
+                        yield SubTask(robot, Primitive.MOVE, cube, place)
+            if STICK not in now.poses:
+                continue
+            yield SubTask(robot, Primitive.MOVE, STICK, SHARED)
+            for cube in now.supports:
+                for primitive in Primitive:
+                    if primitive not in (Primitive.MOVE, Primitive.STOP):
+                        yield SubTask(robot, primitive, STICK, cube)
+
+
+def _differences(one: SubTask, other: SubTask) -> int:
+    """Return in how many of its four words a sub-task differs."""
+    return sum(one.to_dict()[word] != value for word, value in other.to_dict().items())
+
+
+def _off(pose: Pose2, limits_m: tuple[float, float], rng: np.random.Generator) -> Pose2:
+    """Return a pose that is off by a distance between limits, in any direction."""
+    distance = rng.uniform(*limits_m)
+    direction = rng.uniform(-math.pi, math.pi)
+    return Pose2(
+        pose.x + distance * math.cos(direction),
+        pose.y + distance * math.sin(direction),
+        pose.yaw + rng.uniform(-YAW_OFF_RAD, YAW_OFF_RAD),
+    )
+
+
+def _pick_off(grounded: GroundedSubTask, rng: np.random.Generator) -> GroundedSubTask:
+    return replace(grounded, pick=_off(grounded.pick, PICK_OFF_M, rng))
+
+
+def _place_off(grounded: GroundedSubTask, rng: np.random.Generator) -> GroundedSubTask:
+    return replace(grounded, place=_off(grounded.place, PLACE_OFF_M, rng))
+
+
+def _dropped(grounded: GroundedSubTask, rng: np.random.Generator) -> GroundedSubTask:
+    """End halfway: what is held is put down there."""
+    pick, place, part = grounded.pick, grounded.place, rng.uniform(*_HALFWAY)
+    there = Pose2(
+        pick.x + part * (place.x - pick.x),
+        pick.y + part * (place.y - pick.y),
+        place.yaw,
+    )
+    return replace(grounded, place=there)
+
+
+_POSES = {"pick": _pick_off, "place": _place_off, "drop": _dropped}

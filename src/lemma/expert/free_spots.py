@@ -1,0 +1,122 @@
+"""Free places in the region that all robots share."""
+
+import math
+from functools import lru_cache
+
+from lemma.core.poses import Pose2
+from lemma.robots.reach import reach_of
+from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
+from lemma.scene.objects import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
+from lemma.scene.spec import RobotPlacement
+from lemma.tasks.drags import (
+    LARGEST_HEADING_RAD,
+    Disc,
+    heading_from,
+    stick_gap,
+    stick_in_grasp,
+)
+
+_GRID_M = 0.02
+_MARGIN_M = 0.03
+_GOOD_MARGIN_M = 0.10
+_CLEARANCE_M = 0.065
+"""From a cube's centre to the edge of anything else: fingers fit between."""
+_GOOD_CLEARANCE_M = 0.12
+_STICK_CLEARANCE_M = STICK_SECTION_M / 2 + 0.02
+_STICK_GRID = 3
+_STICK_YAWS = 24
+_EDGE_M = 0.05
+
+Spot = tuple[float, float, float]
+"""x, y, and the smallest margin of any robot there, where more is no better [m]."""
+
+
+class FreeSpots:
+    """Chooses where to put things down so that everyone can pick them up again."""
+
+    def __init__(self, robots: tuple[RobotPlacement, ...]) -> None:
+        """Find the shared region of a team."""
+        self._spots = _shared_spots(robots)
+        self._bases = tuple(robot.base for robot in robots)
+        self._stick_places: dict[tuple[Disc, ...], Pose2 | None] = {}
+
+    def free_spot(self, obstacles: tuple[Disc, ...]) -> Pose2 | None:
+        """Return the best place for a cube: well inside reach, clear of the rest."""
+        best, best_score = None, -math.inf
+        for x, y, margin in self._spots:
+            if margin + _GOOD_CLEARANCE_M <= best_score:
+                break
+            clearance = _GOOD_CLEARANCE_M
+            for ox, oy, radius in obstacles:
+                gap = math.hypot(ox - x, oy - y) - radius
+                if gap < clearance:
+                    clearance = gap
+                    if clearance < _CLEARANCE_M:
+                        break
+            else:
+                if margin + clearance > best_score:
+                    best, best_score = Pose2(x, y), margin + clearance
+        return best
+
+    def free_stick(self, obstacles: tuple[Disc, ...]) -> Pose2 | None:
+        """Return the best gripper pose to lay the stick down for somebody else."""
+        if obstacles not in self._stick_places:
+            self._stick_places[obstacles] = next(
+                (
+                    grip
+                    for x, y, _ in self._spots[::_STICK_GRID]
+                    for grip in self._stick_poses(x, y)
+                    if _stick_is_free(grip, obstacles)
+                ),
+                None,
+            )
+        return self._stick_places[obstacles]
+
+    def _stick_poses(self, x: float, y: float) -> list[Pose2]:
+        """Return gripper poses at a place that suit every robot, best first."""
+
+        def worst(grip: Pose2) -> float:
+            stick = stick_in_grasp(grip)
+            return max(heading_from(base, stick) for base in self._bases)
+
+        poses = [Pose2(x, y, math.tau * k / _STICK_YAWS) for k in range(_STICK_YAWS)]
+        able = [pose for pose in poses if worst(pose) <= LARGEST_HEADING_RAD]
+        return sorted(able, key=worst)
+
+
+def _stick_is_free(grip: Pose2, obstacles: tuple[Disc, ...]) -> bool:
+    stick = stick_in_grasp(grip)
+    for corner in (
+        stick,
+        stick @ Pose2(HANDLE_LENGTH_M, 0.0),
+        stick @ Pose2(HANDLE_LENGTH_M, HOOK_LENGTH_M),
+    ):
+        if abs(corner.x) > TABLE_HALF_X_M - _EDGE_M:
+            return False
+        if abs(corner.y) > TABLE_HALF_Y_M - _EDGE_M:
+            return False
+    return all(
+        stick_gap(stick, x, y) > radius + _STICK_CLEARANCE_M
+        for x, y, radius in obstacles
+    )
+
+
+@lru_cache(maxsize=64)
+def _shared_spots(robots: tuple[RobotPlacement, ...]) -> tuple[Spot, ...]:
+    spots = []
+    reaches = [(reach_of(r.arm), r.base) for r in robots]
+    left = max(base.x - reach.travel_m for reach, base in reaches)
+    right = min(base.x + reach.travel_m for reach, base in reaches)
+    half = round(TABLE_HALF_Y_M / _GRID_M)
+    for i in range(math.ceil(left / _GRID_M), math.floor(right / _GRID_M) + 1):
+        for j in range(-half, half + 1):
+            x, y = i * _GRID_M, j * _GRID_M
+            margin = math.inf
+            for reach, base in reaches:
+                margin = min(margin, reach.margin(base, x, y))
+                if margin < _MARGIN_M:
+                    break
+            else:
+                spots.append((x, y, min(margin, _GOOD_MARGIN_M)))
+    # Best first, and among equals the most central.
+    return tuple(sorted(spots, key=lambda s: (-s[2], s[0] ** 2 + s[1] ** 2)))

@@ -1,0 +1,1 @@
+"""RMPflow: the workspace, its leaves, and the policy that resolves them."""

@@ -1,0 +1,117 @@
+"""Collision spheres of an arm against the table and obstacle capsules, for RMPflow."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from lemma.core.poses import FloatArray
+from lemma.motion.rmpflow import leaves
+
+TABLE_RANGE_M = 0.10
+"""Distance from which on the table is ignored."""
+OWN_BASE_RANGE_M = 0.06
+"""Distance from which on the arm's own base is ignored."""
+_FIRST_WRIST_LINK = 4
+
+
+@njit(cache=True)
+def add_collision_leaves(
+    root: np.record, spheres: FloatArray, qd: FloatArray, obstacles: FloatArray
+) -> None:
+    """Add to the root what every sphere wants that is near something.
+
+    Args:
+        root: The record of a :class:`~lemma.motion.rmpflow.workspace.Workspace`, link
+            frames up to date.
+        spheres: Centre, radius, link, whether it meets the table: (n, 6) [m].
+        qd: Joint velocities, (6,) [rad/s].
+        obstacles: Capsules and the range in which they are felt, (m, 8) [m].
+    """
+    for s in range(spheres.shape[0]):
+        sx, sy, sz, radius = spheres[s, 0], spheres[s, 1], spheres[s, 2], spheres[s, 3]
+        link = int(spheres[s, 4])
+        f = root.frames[link]
+        x = f[0, 0] * sx + f[0, 1] * sy + f[0, 2] * sz + f[0, 3]
+        y = f[1, 0] * sx + f[1, 1] * sy + f[1, 2] * sz + f[1, 3]
+        z = f[2, 0] * sx + f[2, 1] * sy + f[2, 2] * sz + f[2, 3]
+        centre = (x, y, z)
+        if spheres[s, 5] > 0.0 and z - radius < TABLE_RANGE_M:
+            up = (0.0, 0.0, 1.0)
+            _add_one(root, qd, link, centre, up, z - radius, TABLE_RANGE_M)
+        if link >= _FIRST_WRIST_LINK and root.base_radius_m > 0.0:
+            gap, away = _base_distance(root, centre)
+            if gap - radius < OWN_BASE_RANGE_M:
+                _add_one(root, qd, link, centre, away, gap - radius, OWN_BASE_RANGE_M)
+        for o in range(obstacles.shape[0]):
+            gap, away = capsule_distance(obstacles[o], centre)
+            if gap - radius < obstacles[o, 7]:
+                _add_one(root, qd, link, centre, away, gap - radius, obstacles[o, 7])
+
+
+@njit(cache=True)
+def _base_distance(
+    root: np.record, point: tuple[float, float, float]
+) -> tuple[float, tuple[float, float, float]]:
+    """Return how far a point is from the arm's own base [m], and the way from it."""
+    column = np.empty(7)
+    for i in range(3):
+        column[i] = root.frames[0, i, 3]
+        column[3 + i] = root.frames[1, i, 3]
+    column[6] = root.base_radius_m
+    return capsule_distance(column, point)
+
+
+@njit(cache=True)
+def capsule_distance(
+    capsule: FloatArray, point: tuple[float, float, float]
+) -> tuple[float, tuple[float, float, float]]:
+    """Return how far a point is from a capsule [m], and the direction away from it."""
+    abx, aby, abz = (
+        capsule[3] - capsule[0],
+        capsule[4] - capsule[1],
+        capsule[5] - capsule[2],
+    )
+    x, y, z = point[0] - capsule[0], point[1] - capsule[1], point[2] - capsule[2]
+    length = abx * abx + aby * aby + abz * abz
+    if length >= 1e-12:
+        t = min(1.0, max(0.0, (abx * x + aby * y + abz * z) / length))
+        x, y, z = x - t * abx, y - t * aby, z - t * abz
+    gap = math.sqrt(x * x + y * y + z * z)
+    scale = 1.0 / max(gap, 1e-9)
+    return gap - capsule[6], (x * scale, y * scale, z * scale)
+
+
+@njit(cache=True)
+def _add_one(
+    root: np.record,
+    qd: FloatArray,
+    link: int,
+    centre: tuple[float, float, float],
+    away: tuple[float, float, float],
+    distance: float,
+    radius: float,
+) -> None:
+    """Add the leaf of one sphere and one obstacle.
+
+    Its task space is the distance, whose Jacobian is the direction away from the
+    obstacle times that of the sphere's centre.
+    """
+    row = root.row
+    rate = 0.0
+    for j in range(link):
+        f = root.frames[j]
+        x, y, z = centre[0] - f[0, 3], centre[1] - f[1, 3], centre[2] - f[2, 3]
+        row[j] = (
+            away[0] * (f[1, 2] * z - f[2, 2] * y)
+            + away[1] * (f[2, 2] * x - f[0, 2] * z)
+            + away[2] * (f[0, 2] * y - f[1, 2] * x)
+        )
+        rate += row[j] * qd[j]
+    acceleration, metric = leaves.collision(
+        root.leaves.collision, distance, rate, radius
+    )
+    for i in range(link):
+        root.force[i] += row[i] * metric * acceleration
+        for j in range(i + 1):
+            root.metric[i, j] += row[i] * metric * row[j]

@@ -1,0 +1,143 @@
+"""What RMPflow works on: an arm, a goal, and one flat record that holds everything."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.poses import FloatArray
+from lemma.motion.rmpflow.leaves import Leaves
+
+
+class ArmModel(NamedTuple):
+    """What RMPflow knows about the arm that it moves."""
+
+    dh: FloatArray
+    """(6,) [m]."""
+    world_from_base: FloatArray
+    """(4, 4)."""
+    tcp_offset_m: float
+    """Tool centre point beyond the flange, along its z axis."""
+    lower: FloatArray
+    """Joint limits, (6,) [rad]."""
+    upper: FloatArray
+    velocity_limits: FloatArray
+    """(6,) [rad/s]."""
+    sphere_links: FloatArray
+    """Link frame that each collision sphere is attached to, (n,)."""
+    spheres: FloatArray
+    """Centre in that frame and radius, (n, 4) [m]."""
+    sphere_meets_table: FloatArray
+    """1 where the table is an obstacle for the sphere, (n,)."""
+    base_radius_m: float = 0.0
+    """Radius of the arm's own base, which wrist and gripper keep clear of [m]."""
+
+
+class ArmTarget(NamedTuple):
+    """Where the arm shall go."""
+
+    position: FloatArray
+    """Of the tool centre point, (3,) [m]."""
+    rotation: FloatArray
+    """Of the gripper, (3, 3)."""
+    posture: FloatArray
+    """Joint angles to prefer, (6,) [rad]."""
+    target_weight: float
+    """1, or 0 to follow the posture alone."""
+    posture_weight: float
+    """1, or more where the posture is all there is to follow."""
+
+
+_GOAL = np.dtype(
+    [
+        ("position", np.float64, 3),
+        ("rotation", np.float64, (3, 3)),
+        ("posture", np.float64, 6),
+        ("target_weight", np.float64),
+        ("posture_weight", np.float64),
+    ]
+)
+_LEAVES = np.dtype(
+    [
+        (name, [(field, np.float64) for field in getattr(leaf, "_fields", ())] or float)
+        for name, leaf in Leaves()._asdict().items()
+    ]
+)
+_RECORD = np.dtype(
+    [
+        # What the leaves add up to; the metric's lower triangle only.
+        ("metric", np.float64, (6, 6)),
+        ("force", np.float64, 6),
+        # Link frames, and their motion if no joint accelerated.
+        ("frames", np.float64, (7, 4, 4)),
+        ("omega", np.float64, (7, 3)),
+        ("omega_dot", np.float64, (7, 3)),
+        ("origin_acceleration", np.float64, (7, 3)),
+        # Scratch memory of one leaf.
+        ("jacobian", np.float64, (3, 6)),
+        ("row", np.float64, 6),
+        ("point", np.float64, 3),
+        ("error", np.float64, 3),
+        ("velocity", np.float64, 3),
+        ("wanted", np.float64, 3),
+        ("weight", np.float64, (3, 3)),
+        ("acceleration", np.float64, 6),
+        # What does not change within a call.
+        ("dh", np.float64, 6),
+        ("world_from_base", np.float64, (4, 4)),
+        ("tcp_offset_m", np.float64),
+        ("base_radius_m", np.float64),
+        ("lower", np.float64, 6),
+        ("upper", np.float64, 6),
+        ("velocity_limits", np.float64, 6),
+        ("goal", _GOAL),
+        ("leaves", _LEAVES),
+    ]
+)
+
+
+class Workspace:
+    """Memory of one arm: what its leaves read and what they are added up in.
+
+    It is one flat record because that enters Numba as a single pointer. Named tuples
+    are taken apart at every call, which took longer than RMPflow itself.
+    """
+
+    def __init__(self) -> None:
+        """Start with zeros."""
+        self.record: NDArray[np.void] = np.zeros(1, _RECORD)
+        self.spheres: FloatArray = np.zeros((0, 6))
+        """Centre [m], radius [m], link frame, 1 if it meets the table: (n, 6)."""
+        self._arm: ArmModel | None = None
+        self._goal: ArmTarget | None = None
+        self._leaves: Leaves | None = None
+
+    def load(self, arm: ArmModel, goal: ArmTarget, leaves: Leaves) -> None:
+        """Copy what is new since the last call.
+
+        Named tuples are values: what changes is replaced, never written to, so the same
+        object means the same numbers.
+        """
+        if leaves is not self._leaves:
+            self.record["leaves"] = leaves
+            self._leaves = leaves
+        if goal is not self._goal:
+            row = self.record[0]["goal"]
+            for name, value in zip(goal._fields, goal, strict=True):
+                row[name] = value
+            self._goal = goal
+        if arm is not self._arm:
+            row = self.record[0]
+            for name in ("dh", "world_from_base", "lower", "upper", "velocity_limits"):
+                row[name] = getattr(arm, name)
+            row["tcp_offset_m"] = arm.tcp_offset_m
+            row["base_radius_m"] = arm.base_radius_m
+            self.spheres = np.column_stack(
+                [arm.spheres, arm.sphere_links, arm.sphere_meets_table]
+            )
+            self._arm = arm
+
+
+def make_root() -> Workspace:
+    """Return the memory of one arm."""
+    return Workspace()

@@ -1,0 +1,372 @@
+"""Rendered keyframes as tensors on one device, and batches of them for every model."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lemma.core.errors import DatasetError
+from lemma.dataset.rendered.keyframes.dataset import POLICY_COLUMNS
+from lemma.dataset.rendered.keyframes.loader import MapsInMemory
+from lemma.dataset.rendered.keyframes.schema import EXECUTED, UNIT_M, Raster
+from lemma.dataset.rendered.shards import keyframe_shards
+from lemma.policies.interfaces import PolicyInput
+from lemma.scene.spec import ENTITIES, SHARED
+from lemma.tasks.language.bank import robot_phrases, sub_instruction
+from lemma.tasks.language.template import GoalPairs
+from lemma.tasks.subtask import Primitive
+
+PRIMITIVES = tuple(str(primitive) for primitive in Primitive)
+PLACES = (*ENTITIES, SHARED)
+"""Where a sub-task may put something; what it may pick are ``ENTITIES``."""
+STOP = PRIMITIVES.index("stop")
+NOBODY = -1
+"""Number of a robot or entity that is not there: that of ``stop``, or padding."""
+MAX_PAST = 12
+"""Past decisions that a batch holds; older ones are forgotten."""
+
+_DECISION = ("robot", "primitive", "pick", "place")
+_COLUMNS = (*POLICY_COLUMNS, "objects", "goal", "instance")
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Frames, in training with labels; B frames, R robots. Tensors on one device."""
+
+    rgb: Tensor
+    """(B, rows, columns, 3) uint8."""
+    height_m: Tensor
+    """(B, rows, columns) float32; 0 where no camera sees."""
+    coverage: Tensor
+    """(B, rows, columns) bool."""
+    joints: Tensor
+    """(B, R, 6) float32 [rad]."""
+    opening_m: Tensor
+    """(B, R) float32 [m]."""
+    past: Tensor
+    """Decisions that were executed before this one, oldest first, padded with -1 at
+    the end: (B, MAX_PAST, 4) int64, columns robot, primitive, pick, place. Where an
+    execution was perturbed, that is not what the expert would have done."""
+    instructions: list[str]
+    sub_instructions: list[str]
+    """The next sub-task in words; in use, that which shall be grounded."""
+    raster: Raster
+    labels: "Labels | None" = None
+    """What the expert did, and the truth; None when a policy is used."""
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.rgb)
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """What the expert does next, and where everything is."""
+
+    episode: Tensor
+    """Number of the episode in the data set, (B,)."""
+    keyframe: Tensor
+    """Number of the frame in its episode, from 0, (B,)."""
+    decision: Tensor
+    """(B, 4) int64: robot, primitive, pick, place; -1 but the primitive for stop."""
+    pick_pose: Tensor
+    """Gripper where it closes: x, y [m], yaw [rad], (B, 3); NaN for stop."""
+    place_pose: Tensor
+    """Gripper where the motion ends, (B, 3); NaN for stop."""
+    objects: Tensor
+    """True position [m] and quaternion wxyz of each entity, (B, 11, 7); NaN if none."""
+    bases: Tensor
+    """x, y [m], yaw [rad] of each robot, (B, R, 3). Never an input."""
+    arms: Tensor
+    """Number in ``frames.arm_names`` of each robot's type, (B, R). Never an input."""
+    tasks: list[str]
+    goals: list[GoalPairs]
+    """The (top, bottom) entities that the instruction asks for."""
+    robot_colors: list[tuple[str, ...]]
+    perturbed: Tensor
+    """Whether the episode was perturbed, so that its frames do not follow from its
+    first one and the decisions, (B,) bool."""
+
+
+class Frames:
+    """All keyframes of a split, ready for a training loop."""
+
+    def __init__(self, maps: MapsInMemory, device: torch.device | str = "cpu") -> None:
+        """Move maps and labels to a device: 0.6 MB a frame.
+
+        Args:
+            maps: Read with the columns of :meth:`load`.
+            device: Where batches shall be made.
+        """
+        columns = maps.columns
+        self.raster = maps.raster
+        self.device = torch.device(device)
+        self.rgb = torch.from_numpy(maps.rgb).to(self.device)
+        # 0.1 mm in 16 bits: signed, because torch knows few operations on uint16.
+        self.height = torch.from_numpy(maps.height.view(np.int16)).to(self.device)
+        self.arm_names = ("ur5", "ur10")
+        self.tasks = [str(task) for task in columns["task"]]
+        self.keys = [str(key) for key in columns["key"]]
+        self.recorded = [str(text) for text in columns["instruction"]]
+        self.goals: list[GoalPairs] = [
+            tuple((top, bottom) for top, bottom in json.loads(goal))
+            for goal in columns["goal"]
+        ]
+        self.robot_colors = [
+            tuple(color for _, color, *_ in json.loads(text)["robots"])
+            for text in columns["instance"]
+        ]
+        self._keyframe = self._tensor(columns["keyframe"], torch.int64)
+        self._episode = torch.cumsum((self._keyframe == 0).long(), 0) - 1
+        self.instances = [
+            (task, int(index))
+            for task, index in zip(self.tasks, columns["index"], strict=True)
+        ]
+        decisions = _decisions(columns)
+        self.perturbed = f"{EXECUTED}robot" in columns
+        executed = _decisions(columns, EXECUTED) if self.perturbed else decisions
+        self._decision = self._tensor(decisions, torch.int64)
+        self._past = self._tensor(_pasts(columns, executed), torch.int64)
+        self._arms = self._tensor(
+            [[self.arm_names.index(n) for n in s.split("+")] for s in columns["arms"]],
+            torch.int64,
+        )
+        self._floats = {
+            name: self._tensor(np.stack(list(columns[name])), torch.float32)
+            for name in (
+                *("joints", "opening_m", "pick_pose", "place_pose"),
+                *("objects", "bases"),
+            )
+        }
+
+    @classmethod
+    def load(
+        cls,
+        folder: str | Path,
+        split: str = "train",
+        tasks: Sequence[str] = (),
+        device: torch.device | str = "cpu",
+    ) -> "Frames":
+        """Read what ``lemma render --form keyframes`` wrote.
+
+        Args:
+            folder: The rendered keyframes.
+            split: Name of a split.
+            tasks: Names of tasks; all if empty.
+            device: Where batches shall be made.
+
+        Raises:
+            DatasetError: Files are missing, damaged or of another version, or scenes
+                do not all have the same number of robots.
+        """
+        columns: tuple[str, ...] = _COLUMNS
+        if keyframe_shards(Path(folder), split, tasks)[0].header.perturbed:
+            columns += tuple(f"{EXECUTED}{name}" for name in _DECISION)
+        maps = MapsInMemory.load(folder, split, tasks, columns)
+        if len({np.shape(j) for j in maps.columns["joints"]}) > 1:
+            raise DatasetError(
+                f"{folder} mixes teams of different sizes. Choose tasks of one size."
+            )
+        return cls(maps, device)
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.rgb)
+
+    @property
+    def episodes(self) -> list[range]:
+        """The frames of each episode, in order."""
+        starts = torch.nonzero(self._keyframe == 0).flatten().tolist()
+        ends = [*starts[1:], len(self)]
+        return [range(a, b) for a, b in zip(starts, ends, strict=True)]
+
+    @property
+    def robots(self) -> int:
+        """Robots of every scene."""
+        return self._arms.shape[1]
+
+    def batch(
+        self, indices: Tensor | Sequence[int], device: torch.device | None = None
+    ) -> Batch:
+        """Return frames with labels, instructions as they were recorded.
+
+        Args:
+            indices: Which frames, (B,), in any order.
+            device: Where the batch shall be; where the frames are, if None.
+        """
+        device = device or self.device
+        rows = torch.as_tensor(indices, device=self.device)
+        listed = rows.tolist()
+        # Heights travel as they are stored: in metres they have twice as many bytes.
+        rgb = _sent(self.rgb.index_select(0, rows), device)
+        height = _sent(self.height.index_select(0, rows), device)
+        coverage = height != 0
+        height_m = height.float() * UNIT_M + (self.raster.floor_m - UNIT_M)
+        labels = Labels(
+            episode=self._episode[rows],
+            keyframe=self._keyframe[rows],
+            decision=self._decision[rows],
+            objects=self._floats["objects"][rows],
+            pick_pose=self._floats["pick_pose"][rows],
+            place_pose=self._floats["place_pose"][rows],
+            bases=self._floats["bases"][rows],
+            arms=self._arms[rows],
+            tasks=[self.tasks[i] for i in listed],
+            goals=[self.goals[i] for i in listed],
+            robot_colors=[self.robot_colors[i] for i in listed],
+            perturbed=torch.full_like(rows, self.perturbed, dtype=torch.bool),
+        )
+        batch = with_sub_instructions(
+            Batch(
+                rgb=rgb,
+                height_m=torch.where(coverage, height_m, 0.0),
+                coverage=coverage,
+                joints=self._floats["joints"][rows],
+                opening_m=self._floats["opening_m"][rows],
+                past=self._past[rows],
+                instructions=[self.recorded[i] for i in listed],
+                sub_instructions=[],
+                raster=self.raster,
+                labels=labels,
+            )
+        )
+        return _moved(batch, device)
+
+    def _tensor(self, values: Any, dtype: torch.dtype) -> Tensor:
+        return torch.as_tensor(np.asarray(values)).to(self.device, dtype)
+
+
+def batch_of(
+    inputs: Sequence[PolicyInput],
+    raster: Raster,
+    sub_instructions: Sequence[str] = (),
+    device: torch.device | str = "cpu",
+) -> Batch:
+    """Return what policies are given as a batch, without labels.
+
+    Args:
+        inputs: One per frame.
+        raster: Of their maps.
+        sub_instructions: What shall be grounded, if anything.
+        device: Where the batch shall be.
+    """
+    past = np.full((len(inputs), MAX_PAST, 4), NOBODY)
+    for row, given in enumerate(inputs):
+        for column, step in enumerate(given.past[-MAX_PAST:]):
+            past[row, column] = decision_numbers(step.subtask.to_dict())
+    views = [given.view for given in inputs]
+
+    def stacked(name: str, dtype: torch.dtype) -> Tensor:
+        array = np.stack([getattr(view, name) for view in views])
+        return torch.from_numpy(array).to(device, dtype)
+
+    return Batch(
+        rgb=stacked("rgb", torch.uint8),
+        height_m=stacked("height_m", torch.float32),
+        coverage=stacked("coverage", torch.bool),
+        joints=stacked("joints", torch.float32),
+        opening_m=stacked("opening_m", torch.float32),
+        past=torch.from_numpy(past).to(device),
+        instructions=[given.instruction for given in inputs],
+        sub_instructions=list(sub_instructions),
+        raster=raster,
+    )
+
+
+def _moved(batch: Batch, device: torch.device) -> Batch:
+    """Return a batch with all its tensors on a device."""
+
+    def there(part: Any) -> dict[str, Any]:
+        values = {f.name: getattr(part, f.name) for f in fields(part)}
+        return {n: _sent(v, device) for n, v in values.items() if isinstance(v, Tensor)}
+
+    labels = batch.labels and replace(batch.labels, **there(batch.labels))
+    return replace(batch, **there(batch), labels=labels)
+
+
+def _sent(tensor: Tensor, device: torch.device) -> Tensor:
+    """Return a tensor on a device, without waiting until it is there."""
+    if tensor.device.type == device.type:
+        return tensor
+    return tensor.pin_memory().to(device, non_blocking=True)
+
+
+def with_sub_instructions(batch: Batch) -> Batch:
+    """Return a labelled batch whose sub-instructions say what its labels say."""
+    assert batch.labels is not None
+    texts = []
+    rows = batch.labels.decision.tolist()
+    for row, colors in zip(rows, batch.labels.robot_colors, strict=True):
+        robot, primitive, pick, place = row
+        if primitive == STOP:
+            texts.append(sub_instruction("", "stop"))
+            continue
+        texts.append(
+            sub_instruction(
+                robot_phrases(colors)[robot],
+                PRIMITIVES[primitive],
+                ENTITIES[pick],
+                PLACES[place],
+            )
+        )
+    return replace(batch, sub_instructions=texts)
+
+
+def decision_numbers(subtask: dict[str, str]) -> list[int]:
+    """Return a sub-task as numbers: robot, primitive, pick, place; -1 for none."""
+    pick, place = subtask["pick"], subtask["place"]
+    return [
+        int(subtask["robot"].removeprefix("robot_")) if subtask["robot"] else NOBODY,
+        PRIMITIVES.index(subtask["primitive"]),
+        ENTITIES.index(pick) if pick else NOBODY,
+        PLACES.index(place) if place else NOBODY,
+    ]
+
+
+def joined(first: Batch, second: Batch, episodes: int) -> Batch:
+    """Return the frames of two labelled batches, of different data, as one.
+
+    Args:
+        first: With labels, on the same device and with the same raster as the second.
+        second: With labels.
+        episodes: How many the first one's data have: those of the second are numbered
+            behind them.
+    """
+    assert first.labels is not None
+    assert second.labels is not None
+    theirs = replace(second.labels, episode=second.labels.episode + episodes)
+    labels = Labels(**_both(first.labels, theirs))
+    rest = _both(first, second)
+    return Batch(**{**rest, "raster": first.raster, "labels": labels})
+
+
+def _both(one: Any, other: Any) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for field in fields(one):
+        pair = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(pair[0], Tensor):
+            found[field.name] = torch.cat(pair)
+        elif isinstance(pair[0], list):
+            found[field.name] = [*pair[0], *pair[1]]
+    return found
+
+
+def _decisions(columns: dict[str, Any], prefix: str = "") -> list[list[int]]:
+    return [
+        decision_numbers({name: columns[prefix + name][i] for name in _DECISION})
+        for i in range(len(columns["robot"]))
+    ]
+
+
+def _pasts(columns: dict[str, Any], decisions: list[list[int]]) -> Any:
+    past = np.full((len(decisions), MAX_PAST, 4), NOBODY)
+    for i, keyframe in enumerate(columns["keyframe"]):
+        done = decisions[i - int(keyframe) : i][-MAX_PAST:]
+        if done:
+            past[i, : len(done)] = done
+    return past

@@ -1,0 +1,32 @@
+"""Classes by path: ``"package.module:Class"``."""
+
+from importlib import import_module
+from typing import Any
+
+from lemma.core.errors import InvalidConfigError
+
+
+def instance_of(name: str) -> Any:
+    """Return an object of a class, made without arguments.
+
+    Args:
+        name: ``"package.module:Class"``.
+
+    Raises:
+        InvalidConfigError: There is no such class, or it cannot be made.
+    """
+    module, _, attribute = name.partition(":")
+    try:
+        make = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InvalidConfigError(
+            f"There is no {name}: {error}. Name a class of a module that can be "
+            "imported here, as in mypackage.mymodule:MyPolicy."
+        ) from error
+    try:
+        return make()
+    except Exception as error:
+        raise InvalidConfigError(
+            f"{name} could not be made: {type(error).__name__}: {error}. It is called "
+            "without arguments."
+        ) from error

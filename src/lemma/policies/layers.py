@@ -1,0 +1,136 @@
+"""Convolutional blocks that several models are made of.
+
+Normalisation is over groups of channels, never over the batch: a batch statistic would
+make a decision depend on what else is decided at the same time.
+"""
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+GROUP_CHANNELS = 8
+"""Channels that are normalised together."""
+
+
+class GroupNorm(nn.GroupNorm):
+    """Group normalisation that stays in the precision of what it is given.
+
+    Autocast would turn features to single precision and back, which takes as long as
+    the convolutions; sums are in single precision in any case.
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Normalise (B, channels, H, W)."""
+        with torch.autocast(x.device.type, enabled=False):
+            weight, bias = self.weight.to(x.dtype), self.bias.to(x.dtype)
+            return F.group_norm(x, self.num_groups, weight, bias, self.eps)
+
+
+def norm(channels: int) -> nn.GroupNorm:
+    """Return the normalisation of a feature map."""
+    return GroupNorm(max(1, channels // GROUP_CHANNELS), channels)
+
+
+class ResidualBlock(nn.Module):
+    """Two 3 x 3 convolutions and a shortcut; the first may halve the resolution."""
+
+    def __init__(self, channels_in: int, channels: int, stride: int = 1) -> None:
+        """Make the weights.
+
+        Args:
+            channels_in: Of the input.
+            channels: Of the output.
+            stride: 1, or 2 to halve the resolution.
+        """
+        super().__init__()
+        self.first = nn.Conv2d(channels_in, channels, 3, stride, 1, bias=False)
+        self.first_norm = norm(channels)
+        self.second = nn.Conv2d(channels, channels, 3, 1, 1, bias=False)
+        self.second_norm = norm(channels)
+        self.shortcut = (
+            nn.Identity()
+            if stride == 1 and channels_in == channels
+            else nn.Conv2d(channels_in, channels, 1, stride, bias=False)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, channels_in, H, W) to (B, channels, H / stride, W / stride)."""
+        y = F.silu(self.first_norm(self.first(x)))
+        y = self.second_norm(self.second(y))
+        out: Tensor = F.silu(y + self.shortcut(x))
+        return out
+
+
+def upsample_to(x: Tensor, size_of: Tensor) -> Tensor:
+    """Return a feature map, bilinearly enlarged to the size of another."""
+    return F.interpolate(
+        x, size=size_of.shape[-2:], mode="bilinear", align_corners=False
+    )
+
+
+_LONGEST_PERIOD = 10_000.0
+
+
+class TransformerLayer(nn.Module):
+    """Self-attention and two linear layers, each added to what it was given."""
+
+    def __init__(
+        self, width: int, heads: int, hidden: int, dropout: float = 0.1
+    ) -> None:
+        """Make the weights.
+
+        Args:
+            width: Of a token.
+            heads: Of the attention; they share the width evenly.
+            hidden: Width between the two linear layers.
+            dropout: Share of values that are left out in training.
+        """
+        super().__init__()
+        self.heads = heads
+        self.attention_norm = nn.LayerNorm(width)
+        self.query_key_value = nn.Linear(width, 3 * width)
+        self.attention_out = nn.Linear(width, width)
+        self.hidden_norm = nn.LayerNorm(width)
+        self.hidden_in = nn.Linear(width, hidden)
+        self.hidden_out = nn.Linear(hidden, width)
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(self, tokens: Tensor, attends: Tensor) -> Tensor:
+        """Map tokens (B, L, width) to as many.
+
+        Args:
+            tokens: (B, L, width).
+            attends: Which tokens (columns) each token (row) looks at, (B, L, L) or
+                (B, 1, L) bool; at least one in each row.
+        """
+        tokens = tokens + self.dropout(
+            self._attention(self.attention_norm(tokens), attends)
+        )
+        hidden = F.gelu(self.hidden_in(self.hidden_norm(tokens)))
+        out: Tensor = tokens + self.dropout(self.hidden_out(self.dropout(hidden)))
+        return out
+
+    def _attention(self, x: Tensor, attends: Tensor) -> Tensor:
+        count, length, width = x.shape
+        parts = self.query_key_value(x).view(count, length, 3, self.heads, -1)
+        query, key, value = parts.permute(2, 0, 3, 1, 4)
+        mixed = F.scaled_dot_product_attention(
+            query, key, value, attn_mask=attends.unsqueeze(1)
+        )
+        joined = mixed.transpose(1, 2).reshape(count, length, width)
+        out: Tensor = self.attention_out(joined)
+        return out
+
+
+def sinusoids(length: int, width: int) -> Tensor:
+    """Return what is added to tokens to tell their places, (length, width).
+
+    Args:
+        length: Number of places.
+        width: Of a token; even.
+    """
+    rates = torch.exp(torch.arange(0, width, 2) * (-math.log(_LONGEST_PERIOD) / width))
+    angles = torch.arange(length)[:, None] * rates
+    return torch.stack([angles.sin(), angles.cos()], dim=2).flatten(1)

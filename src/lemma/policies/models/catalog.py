@@ -1,0 +1,40 @@
+"""All models by name: importing this module fills the table of models."""
+
+from dataclasses import asdict
+from typing import Any
+
+import lemma.policies.models.cliport.end_to_end
+import lemma.policies.models.cliport.model
+import lemma.policies.models.episodic_transformer.model
+import lemma.policies.models.reachnet.model  # noqa: F401
+from lemma.core.config import decode
+from lemma.core.errors import InvalidConfigError
+from lemma.policies.model import MODELS, Model
+
+
+def make_model(name: str, options: dict[str, Any]) -> Model:
+    """Return a model with new weights.
+
+    Args:
+        name: As ``lemma train`` knows it.
+        options: Fields of its dataclass of options, as plain data.
+
+    Raises:
+        UnknownNameError: There is no such model or option.
+        InvalidConfigError: An option has a value that cannot be.
+    """
+    model, config = MODELS[name]
+    try:
+        chosen = decode(config, options)
+    except (TypeError, ValueError) as error:
+        raise InvalidConfigError(f"Options of {name}: {error}") from error
+    made: Model = model(chosen)
+    return made
+
+
+def options_of(model: Model) -> dict[str, Any]:
+    """Return the options of a model as plain data."""
+    return asdict(model.config)
+
+
+__all__ = ["MODELS", "make_model", "options_of"]

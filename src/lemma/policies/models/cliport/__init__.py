@@ -1,0 +1,1 @@
+"""CLIPort, and M-CLIPort without a planner."""

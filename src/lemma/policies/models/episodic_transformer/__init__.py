@@ -1,0 +1,1 @@
+"""The Episodic Transformer."""

@@ -1,0 +1,368 @@
+"""The Episodic Transformer: one token per word, per frame and per decision.
+
+After Pashevich et al., Episodic Transformer for Vision-and-Language Navigation (2021),
+with the heads of LEMMA. A frame is one token, pooled from a grid of 7 x 7 cells, which
+is what sets it apart from planners that look at objects.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import ClassVar, Literal
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from lemma.policies.batch import (
+    NOBODY,
+    PLACES,
+    PRIMITIVES,
+    STOP,
+    Batch,
+)
+from lemma.policies.interfaces import PolicyInput, View
+from lemma.policies.layers import (
+    ResidualBlock,
+    TransformerLayer,
+    norm,
+    sinusoids,
+)
+from lemma.policies.model import MODELS, Model
+from lemma.policies.models.episodic_transformer import layout as episodic_layout
+from lemma.policies.models.episodic_transformer.layout import SLOTS, TokenLayout
+from lemma.policies.models.episodic_transformer.view_cache import ViewCache
+from lemma.policies.text.encoder import WORDS, TextConfig, TextEncoder
+from lemma.scene.spec import ENTITIES
+from lemma.tasks.subtask import STOP as STOP_SUBTASK
+from lemma.tasks.subtask import Primitive, SubTask
+
+PARTS = ("robot", "primitive", "pick", "place")
+"""What a decision is made of, in the order of its numbers."""
+_IMAGE_CHANNELS = 5
+_HEIGHT_SCALE = 5.0
+"""Makes heights of up to 20 cm as large as colors are."""
+
+
+@dataclass(frozen=True)
+class EpisodicTransformerConfig:
+    """Options of the :class:`EpisodicTransformer`."""
+
+    robots: int = 2
+    """Robots of a team."""
+    text: str = WORDS
+    """Kind of the text encoder: see ``TextConfig``."""
+    width: int = 384
+    """Of a token."""
+    heads: int = 6
+    """Of each attention."""
+    text_layers: int = 2
+    """Layers over the words alone."""
+    layers: int = 2
+    """Layers over words, frames and decisions."""
+    channels: tuple[int, ...] = (48, 96, 192, 384)
+    """Of the stages of the image network, each with half the resolution."""
+    blocks: int = 2
+    """Residual blocks in each stage; 2 make a ResNet-18."""
+    grid: int = 7
+    """Rows and columns of cells that a frame is pooled to."""
+    cell_channels: int = 64
+    """Values that remain of each cell."""
+    max_words: int = 40
+    """Words behind these are not read."""
+    dropout: float = 0.1
+    """Share of values that are left out in training."""
+    visual_dropout: float = 0.3
+    """The same, of the cells."""
+    first_view_only: float = 0.25
+    """Share of the episodes that in training show their first frame throughout, as in
+    multi-step planning."""
+
+
+class FrameNetwork(nn.Module):
+    """Maps to the values of a grid of cells: a ResNet from scratch."""
+
+    def __init__(self, config: EpisodicTransformerConfig) -> None:
+        """Make the weights."""
+        super().__init__()
+        first = config.channels[0]
+        self.stem = nn.Conv2d(_IMAGE_CHANNELS, first, 7, 2, 3, bias=False)
+        self.stem_norm = norm(first)
+        stages: list[nn.Module] = []
+        before = first
+        for i, channels in enumerate(config.channels):
+            for block in range(config.blocks):
+                stride = 2 if i and not block else 1
+                stages.append(ResidualBlock(before, channels, stride))
+                before = channels
+        self.stages = nn.Sequential(*stages)
+        self.pool = nn.AdaptiveAvgPool2d(config.grid)
+        middle = max(before // 2, config.cell_channels)
+        self.compress = nn.Sequential(
+            nn.Conv2d(before, middle, 1),
+            nn.SiLU(),
+            nn.Conv2d(middle, config.cell_channels, 1),
+            nn.SiLU(),
+        )
+
+    def forward(self, rgb: Tensor, height_m: Tensor, coverage: Tensor) -> Tensor:
+        """Return the cells of each frame, (B, cell_channels * grid**2).
+
+        Args:
+            rgb: (B, rows, columns, 3) uint8.
+            height_m: (B, rows, columns) [m].
+            coverage: (B, rows, columns) bool.
+        """
+        color = rgb.permute(0, 3, 1, 2).float() / 255.0 - 0.5
+        height = height_m.unsqueeze(1) * _HEIGHT_SCALE
+        image = torch.cat([color, height, coverage.unsqueeze(1).float()], 1)
+        x = self.stem(image.contiguous(memory_format=torch.channels_last))
+        x = F.max_pool2d(F.silu(self.stem_norm(x)), 3, 2, 1)
+        out: Tensor = self.compress(self.pool(self.stages(x))).flatten(1)
+        return out
+
+
+class EpisodicTransformer(Model):
+    """A planner that remembers all frames and decisions of its episode."""
+
+    unit: ClassVar[Literal["frame", "episode"]] = "episode"
+    selection: ClassVar[str] = "plan"
+    config: EpisodicTransformerConfig
+
+    def __init__(self, config: EpisodicTransformerConfig) -> None:
+        """Make the weights."""
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.text = TextEncoder(
+            TextConfig(
+                kind=config.text,
+                width=width,
+                layers=config.text_layers,
+                heads=config.heads,
+                max_words=config.max_words,
+                dropout=config.dropout,
+            )
+        )
+        cells = config.cell_channels * config.grid**2
+        self.frames = FrameNetwork(config)
+        self.frame_dropout = nn.Dropout(config.visual_dropout)
+        self.frame_token = nn.Linear(cells, width)
+        self.frame_skip = nn.Linear(cells, width)
+        sizes = (config.robots, len(PRIMITIVES), len(ENTITIES), len(PLACES))
+        # Number 0 is nobody.
+        self.decisions = nn.ModuleList(nn.Embedding(n + 1, width) for n in sizes)
+        self.kinds = nn.Parameter(torch.randn(3, width) * 0.1)
+        self.times: Tensor
+        self.register_buffer("times", sinusoids(SLOTS, width), persistent=False)
+        self.norm_in = nn.LayerNorm(width)
+        self.layers = nn.ModuleList(
+            # As wide between its linear layers as outside, unlike most transformers.
+            TransformerLayer(width, config.heads, width, config.dropout)
+            for _ in range(config.layers)
+        )
+        self.norm_out = nn.LayerNorm(width)
+        self.heads = nn.ModuleList(nn.Linear(width, n) for n in sizes)
+        self._seen = ViewCache()
+
+    def train(self, mode: bool = True) -> "EpisodicTransformer":
+        """Switch between training and use."""
+        self._seen.clear()
+        super().train(mode)
+        return self
+
+    def forward(self, batch: Batch) -> list[Tensor]:
+        """Return the scores of every choice, for each part of a decision, (B, n).
+
+        Args:
+            batch: With labels, which tell frames' episodes; see
+                :func:`lemma.policies.models.episodic_transformer.layout.of_batch`.
+        """
+        cells = self.frames(batch.rgb, batch.height_m, batch.coverage)
+        return self._decide(cells, episodic_layout.of_batch(batch))
+
+    def loss(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the cross entropy of each part of the decision."""
+        assert batch.labels is not None
+        targets = batch.labels.decision
+        return {
+            part: _cross_entropy(scores.float(), targets[:, i])
+            for i, (part, scores) in enumerate(
+                zip(PARTS, self.forward(batch), strict=True)
+            )
+        }
+
+    def score(self, batch: Batch) -> dict[str, Tensor]:
+        """Return whether each part is right, and whether all are (``plan``)."""
+        assert batch.labels is not None
+        targets = batch.labels.decision
+        right = choose(self.forward(batch)) == targets
+        absent = (targets == NOBODY).to(torch.bool)
+        parts = {
+            part: right[:, i].float().masked_fill(absent[:, i], torch.nan)
+            for i, part in enumerate(PARTS)
+        }
+        return {**parts, "plan": right.all(1).float()}
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        """Return the next sub-task of each episode; see ``Planner``."""
+        was_training = self.training
+        if was_training:
+            self.eval()
+        with torch.inference_mode():
+            numbers = choose(self._scores_of(inputs)).tolist()
+        if was_training:
+            self.train()
+        return [_subtask(row) for row in numbers]
+
+    def _scores_of(self, inputs: Sequence[PolicyInput]) -> list[Tensor]:
+        device = self.kinds.device
+        layout, views, shown = episodic_layout.of_inputs(inputs, device)
+        cells = self._seen.features(views, self._cells_of, self._state())
+        scores = self._decide(cells[shown], layout)
+        # The present is the last frame of each episode.
+        present = torch.cumsum(torch.bincount(layout.episode), 0) - 1
+        scores = [part[present] for part in scores]
+        robots = torch.tensor([len(given.robots) for given in inputs], device=device)
+        absent = torch.arange(self.config.robots, device=device) >= robots[:, None]
+        return [scores[0].masked_fill(absent, -torch.inf), *scores[1:]]
+
+    def _state(self) -> tuple[object, ...]:
+        """Return what changes when the weights of the image network do."""
+        weights = list(self.frames.parameters())
+        return weights[0].device, weights[0].dtype, sum(w._version for w in weights)
+
+    def _cells_of(self, views: list[View]) -> Tensor:
+        maps = [
+            torch.from_numpy(np.stack([getattr(view, name) for view in views]))
+            for name in ("rgb", "height_m", "coverage")
+        ]
+        cells: Tensor = self.frames(*(one.to(self.kinds.device) for one in maps))
+        return cells
+
+    def _decide(self, cells: Tensor, layout: TokenLayout) -> list[Tensor]:
+        if self.training and self.config.first_view_only:
+            cells = self._first_views(cells, layout)
+        cells = self.frame_dropout(cells)
+        where = (layout.episode, layout.slot)
+        words, mask = self.text.encode(layout.instructions)
+        token = self.frame_token(cells)
+        frames = token.new_zeros(len(words), SLOTS, token.shape[1])
+        frames = frames.index_put(where, token)
+        present = layout.present
+        tokens = torch.cat(
+            [
+                words + self.kinds[0],
+                frames + self.kinds[1] + self.times,
+                self._decision_tokens(layout) + self.kinds[2] + self.times[:-1],
+            ],
+            dim=1,
+        )
+        attends = attention_mask(mask, present, layout.actions[:, :, 1] != NOBODY)
+        tokens = self.norm_in(tokens)
+        for layer in self.layers:
+            tokens = layer(tokens, attends)
+        at_frames = tokens[:, mask.shape[1] : mask.shape[1] + SLOTS][where]
+        out = self.norm_out(at_frames)
+        objects = out + self.frame_skip(cells)
+        inputs = (out, out, objects, objects)
+        return [head(x) for head, x in zip(self.heads, inputs, strict=True)]
+
+    def _first_views(self, cells: Tensor, layout: TokenLayout) -> Tensor:
+        counts = torch.bincount(layout.episode, minlength=len(layout.actions))
+        firsts = torch.cumsum(counts, 0) - counts
+        chosen = torch.rand(len(firsts), device=cells.device)
+        frozen = (chosen < self.config.first_view_only) & (layout.slot[firsts] == 0)
+        # What to do after a mistake cannot be told without having seen it.
+        frozen &= layout.foreseeable
+        shown = cells[firsts[layout.episode]]
+        return torch.where(frozen[layout.episode].unsqueeze(1), shown, cells)
+
+    def _decision_tokens(self, layout: TokenLayout) -> Tensor:
+        parts = [
+            table(layout.actions[:, :, i] + 1) for i, table in enumerate(self.decisions)
+        ]
+        return torch.stack(parts).sum(0)
+
+
+def attention_mask(words: Tensor, frames: Tensor, decisions: Tensor) -> Tensor:
+    """Return who looks at whom, (G, N, N) bool, over words, frames and decisions.
+
+    Words look at words; a frame at all words, at itself and the frames before, and at
+    the decisions before; a decision like the frame that it was made at, and at itself.
+    Tokens that are not there look at themselves, so that no row is empty.
+
+    Args:
+        words: Which are there, (G, words).
+        frames: (G, slots).
+        decisions: (G, slots - 1).
+    """
+    groups, count = words.shape
+    slots = frames.shape[1]
+    there = torch.cat([words, frames, decisions], 1)
+    time = torch.arange(slots, device=words.device)
+    when = torch.cat([time.new_full((count,), -1), time, time[:-1] + 0.5])
+    kind_words = when < 0
+    # Decision t comes after frame t and before frame t + 1.
+    earlier = when[None, :] <= when[:, None]
+    allowed = torch.where(kind_words[:, None], kind_words[None, :], earlier)
+    myself = torch.eye(len(when), dtype=torch.bool, device=words.device)
+    return (allowed & there[:, None, :]) | myself.expand(groups, -1, -1)
+
+
+def choose(scores: Sequence[Tensor]) -> Tensor:
+    """Return the best decisions that make sense, (B, 4); -1 but the primitive for stop.
+
+    ``move`` takes a cube or the stick to another place; all else acts with the stick on
+    a cube. Whether the objects are there is for the network to see.
+
+    Args:
+        scores: Of robots, primitives, what to pick and where to place, (B, n) each.
+    """
+    robot, primitive, pick, place = (part.float() for part in scores)
+    kind = primitive.argmax(1)
+    pairs = pick.unsqueeze(2) + place.unsqueeze(1)
+    sensible = _sensible().to(pairs.device)[kind]
+    objects = pairs.masked_fill(~sensible, -torch.inf).flatten(1).argmax(1)
+    chosen = torch.stack(
+        [robot.argmax(1), kind, objects // len(PLACES), objects % len(PLACES)], 1
+    )
+    nothing = torch.full_like(chosen, NOBODY)
+    nothing[:, 1] = STOP
+    return torch.where((kind == STOP)[:, None], nothing, chosen)
+
+
+@cache
+def _sensible() -> Tensor:
+    """Return which (primitive, pick, place) can be said, bool."""
+    found = torch.zeros(len(PRIMITIVES), len(ENTITIES), len(PLACES), dtype=torch.bool)
+    for kind, primitive in enumerate(PRIMITIVES):
+        for i, pick in enumerate(ENTITIES):
+            for j, place in enumerate(PLACES):
+                if primitive == Primitive.MOVE:
+                    good = not pick.endswith("_pad") and place not in (pick, "stick")
+                else:
+                    good = pick == "stick" and place.endswith("_cube")
+                found[kind, i, j] = good
+    return found
+
+
+def _subtask(numbers: list[int]) -> SubTask:
+    robot, primitive, pick, place = numbers
+    if primitive == STOP:
+        return STOP_SUBTASK
+    return SubTask(
+        f"robot_{robot}",
+        Primitive(PRIMITIVES[primitive]),
+        ENTITIES[pick],
+        PLACES[place],
+    )
+
+
+def _cross_entropy(scores: Tensor, targets: Tensor) -> Tensor:
+    total = F.cross_entropy(scores, targets, ignore_index=NOBODY, reduction="sum")
+    return total / (targets != NOBODY).sum().clamp(min=1)
+
+
+MODELS.add("episodic-transformer", (EpisodicTransformer, EpisodicTransformerConfig))

@@ -1,0 +1,1 @@
+"""ReachNet: perception, goal reader, planner and grounder."""

@@ -1,0 +1,265 @@
+"""ReachNet's grounder: from a table and a sub-task to the gripper's poses.
+
+Poses hang on entities: what is picked, what it is put on, how the stick must lie. What
+is not determined by that, a free spot or the bearing of a drag, is the candidate of
+highest learned utility.
+"""
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from lemma.policies.batch import NOBODY, PRIMITIVES
+from lemma.policies.models.reachnet.drags import (
+    SIGNS,
+    TRAVELS_M,
+    TURNS_RAD,
+    DragUtility,
+    stick_distance,
+)
+from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK, SceneTable
+from lemma.policies.models.reachnet.spots import CubeSpots, StickSpots
+
+_PREPARE = (PRIMITIVES.index("prehook"), PRIMITIVES.index("prepoke"))
+_USE = (PRIMITIVES.index("hook"), PRIMITIVES.index("poke"))
+_MOVE = PRIMITIVES.index("move")
+_QUARTER_RAD = 0.5 * math.pi
+_FINGER_M, _FINGER_RADIUS_M = 0.059, 0.014
+_CUBE_FOOTPRINT_M, _STICK_HALF_M = 0.028, 0.015
+_ENOUGH_M = 0.008
+_SAFE_M = 0.008
+"""So far inside its reach a robot shall be, which is seen with some error."""
+_OUTSIDE = 1e4
+"""Cost of a metre outside."""
+_STICK_SHARE = 8
+"""Of so many frames one may lay the stick down; more are not looked at."""
+
+
+class ReachNetGrounder(nn.Module):
+    """Where exactly."""
+
+    def __init__(self, use_reach: bool) -> None:
+        """Make the weights.
+
+        Args:
+            use_reach: Whether reach is known.
+        """
+        super().__init__()
+        self.drags = DragUtility(use_reach)
+        self.cube_spots = CubeSpots(use_reach)
+        self.stick_spots = StickSpots(use_reach)
+
+    def forward(self, table: SceneTable, decision: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the gripper's poses where it closes and where the motion ends.
+
+        Args:
+            table: B scenes.
+            decision: Sub-tasks, (B, 4).
+
+        Returns:
+            Two of (B, 3): x, y [m], yaw [rad]. NaN where an entity is not seen, and
+            for ``stop``.
+        """
+        robot, primitive, pick, place = decision.clamp(min=0).unbind(-1)
+        rows = torch.arange(len(table), device=robot.device)
+        picked = pick == THE_STICK
+        grasp = torch.cat([table.grasp, table.yaw[:, THE_STICK, None]], 1)
+        cube = self._cube_grasp(table, robot, pick)
+        start = torch.where(picked[:, None], grasp, cube)
+        shared = place >= table.xy.shape[1]
+        support = place.clamp(max=table.xy.shape[1] - 1)
+        spot = self.cube_spots.pose(self.cube_spots(table, pick).argmax(-1))
+        xy = torch.where(shared[:, None], spot, table.xy[rows, support])
+        moved = self._carried(table, start, xy, robot, support, shared)
+        laid = self.stick_spots.pose(self.stick_spots(table).argmax(-1))
+        prepared, used = self._with_stick(table, start, robot, primitive, support)
+        end = torch.where((picked & (primitive == _MOVE))[:, None], laid, moved)
+        end = torch.where(_among(primitive, _PREPARE)[:, None], prepared, end)
+        end = torch.where(_among(primitive, _USE)[:, None], used, end)
+        seen = table.present[rows, pick] & (shared | table.present[rows, support])
+        seen = (seen & (decision[:, 0] != NOBODY))[:, None]
+        return torch.where(seen, start, torch.nan), torch.where(seen, end, torch.nan)
+
+    def losses(
+        self, table: SceneTable, decision: Tensor, pick: Tensor, place: Tensor
+    ) -> dict[str, Tensor]:
+        """Return how unlikely the demonstrated candidates are.
+
+        Args:
+            table: B scenes.
+            decision: Sub-tasks, (B, 4).
+            pick: Demonstrated pose, (B, 3).
+            place: Demonstrated pose, (B, 3).
+        """
+        table = table.detached()
+        entity = decision[:, 2].clamp(min=0)
+        place = place.nan_to_num()
+        to_shared = decision[:, 3] == table.xy.shape[1]
+        spots = self.cube_spots(table, entity).log_softmax(-1)
+        number = self.cube_spots.number(place[:, :2])
+        cube = _mean(
+            -spots.gather(1, number[:, None])[:, 0], to_shared & (entity != THE_STICK)
+        )
+        hand = to_shared & (entity == THE_STICK)
+        some = hand.float().topk(math.ceil(len(hand) / _STICK_SHARE)).indices
+        laid = self.stick_spots(table.rows(some)).log_softmax(-1)
+        number = self.stick_spots.number(place[some])
+        stick = _mean(-laid.gather(1, number[:, None])[:, 0], hand[some])
+        found = self._drag_losses(table, decision, pick.nan_to_num(), place)
+        return {"cube_spot": cube, "stick_spot": stick, **found}
+
+    def _drag_losses(
+        self, table: SceneTable, decision: Tensor, pick: Tensor, place: Tensor
+    ) -> dict[str, Tensor]:
+        robot, primitive, _, target = decision.clamp(min=0).unbind(-1)
+        cube = target.clamp(max=len(CUBES) - 1)
+        prepares, uses = _among(primitive, _PREPARE), _among(primitive, _USE)
+        utility, _, _ = self._choices(table, robot, primitive, cube)
+        rows = torch.arange(len(table), device=robot.device)
+        at = table.xy[rows, cube]
+        turn = _nearest_turn(
+            table, at, robot, torch.where(uses, pick[:, 2], place[:, 2])
+        )
+        bearing = utility.flatten(1).log_softmax(-1).view_as(utility).logsumexp(-1)
+        travel = (place[:, :2] - pick[:, :2]).norm(dim=-1)
+        lengths = torch.tensor(TRAVELS_M, device=travel.device)
+        length = (travel[:, None] - lengths).abs().argmin(-1)
+        given = utility[rows, turn].log_softmax(-1)[rows, length]
+        offset = at - place[:, :2]
+        cos, sin = place[:, 2].cos(), place[:, 2].sin()
+        x, y = offset.unbind(-1)
+        seen = torch.stack([x * cos + y * sin, y * cos - x * sin], -1)
+        ready = self.drags.ready[_side(primitive)]
+        miss = F.smooth_l1_loss(seen, ready, beta=0.01, reduction="none").sum(-1)
+        near = (seen - ready.detach()).norm(dim=-1) < 0.3
+        return {
+            "bearing": _mean(-bearing[rows, turn], prepares),
+            "length": _mean(-given, uses),
+            "ready": 10.0 * _mean(miss, prepares & near),
+        }
+
+    def _choices(
+        self, table: SceneTable, robot: Tensor, primitive: Tensor, cube: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return utility (B, T, L), bearings (B, T) and poses (B, T, 2) of drags."""
+        rows = torch.arange(len(table), device=robot.device)
+        drags = self.drags.drags(table, cube[:, None])
+        side, utility = _side(primitive), self.drags(drags)
+        index = (rows, robot, side, 0)
+        return utility[index], drags.bearings[index], drags.prepared[index]
+
+    def _with_stick(
+        self,
+        table: SceneTable,
+        start: Tensor,
+        robot: Tensor,
+        primitive: Tensor,
+        place: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        """Return the gripper's pose after preparing and after using the stick."""
+        rows = torch.arange(len(table), device=robot.device)
+        cube = place.clamp(max=len(CUBES) - 1)
+        utility, bearings, poses = self._choices(table, robot, primitive, cube)
+        signs = torch.tensor(SIGNS, device=start.device)[_side(primitive)]
+        lengths = torch.tensor(TRAVELS_M, device=start.device)
+        steps = signs[:, None] * lengths
+        ahead = torch.stack([bearings.cos(), bearings.sin()], -1)
+        ends = poses[:, :, None] + steps[:, None, :, None] * ahead[:, :, None]
+        apart = self._beyond(table, poses, robot)[..., None]
+        apart = apart + self._beyond(table, ends, robot)
+        turn = (utility - _OUTSIDE * apart).amax(-1).argmax(-1)
+        prepared = torch.cat([poses[rows, turn], bearings[rows, turn, None]], 1)
+        lying = _nearest_turn(table, table.xy[rows, cube], robot, start[:, 2])
+        along = torch.stack([start[:, 2].cos(), start[:, 2].sin()], -1)
+        used = start[:, None, :2] + steps[..., None] * along[:, None]
+        worth = utility[rows, lying] - _OUTSIDE * self._beyond(table, used, robot)
+        used = used[rows, worth.argmax(-1)]
+        return prepared, torch.cat([used, start[:, 2:]], 1)
+
+    def _beyond(self, table: SceneTable, points: Tensor, robot: Tensor) -> Tensor:
+        """Return how far points (B, ..., 2) are out of a robot's safe reach [m]."""
+        rows = torch.arange(len(table), device=robot.device)
+        margin = table.margins(points)[rows, robot]
+        beyond = (_SAFE_M - margin).clamp(min=0.0)
+        return beyond * float(self.drags.use_reach)
+
+    def _cube_grasp(self, table: SceneTable, robot: Tensor, cube: Tensor) -> Tensor:
+        """Return the grasp of a cube by its faces, with room for the fingers."""
+        rows = torch.arange(len(table), device=robot.device)
+        cube = cube.clamp(max=len(CUBES) - 1)
+        at, turned = table.xy[rows, cube], table.yaw[rows, cube]
+        natural = _bearing(table, at, robot)
+        first = turned + _QUARTER_RAD * torch.round((natural - turned) / _QUARTER_RAD)
+        yaws = torch.stack([first, first + _QUARTER_RAD], 1)
+        room = self._finger_room(table, at, yaws, cube).clamp(max=_ENOUGH_M)
+        yaw = torch.where(room[:, 1] > room[:, 0], yaws[:, 1], yaws[:, 0])
+        return torch.cat([at, yaw[:, None]], 1)
+
+    def _finger_room(
+        self, table: SceneTable, at: Tensor, yaws: Tensor, cube: Tensor
+    ) -> Tensor:
+        """Return the room of the open fingers for two yaws, (B, 2) [m]."""
+        across = torch.stack([-yaws.sin(), yaws.cos()], -1)
+        sides = _FINGER_M * torch.stack([across, -across], 2)
+        fingers = at[:, None, None] + sides
+        cubes = table.xy[:, None, None, : len(CUBES)]
+        apart = (fingers.unsqueeze(-2) - cubes).norm(dim=-1) - _CUBE_FOOTPRINT_M
+        own = F.one_hot(cube, len(CUBES)).bool()[:, None, None]
+        apart = torch.where(own, 1.0, apart).amin(-1)
+        stick = stick_distance(
+            table.grasp[:, None, None], table.yaw[:, THE_STICK, None, None], fingers
+        )
+        room = torch.minimum(apart, stick - _STICK_HALF_M) - _FINGER_RADIUS_M
+        return room.amin(-1)
+
+    def _carried(
+        self,
+        table: SceneTable,
+        start: Tensor,
+        xy: Tensor,
+        robot: Tensor,
+        support: Tensor,
+        shared: Tensor,
+    ) -> Tensor:
+        """Return where a cube is put down: turned as the arm turns, or by faces."""
+        rows = torch.arange(len(table), device=robot.device)
+        turn = _bearing(table, xy, robot) - _bearing(table, start[:, :2], robot)
+        yaw = start[:, 2] + turn
+        face = table.yaw[rows, support]
+        aligned = face + _QUARTER_RAD * torch.round((yaw - face) / _QUARTER_RAD)
+        on_cube = ~shared & (support < len(CUBES))
+        yaw = torch.where(on_cube, aligned, yaw)
+        return torch.cat([xy, yaw[:, None]], 1)
+
+
+def _bearing(table: SceneTable, points: Tensor, robot: Tensor) -> Tensor:
+    """Return the direction in which a robot sees points (B, 2), (B,) [rad]."""
+    rows = torch.arange(len(table), device=robot.device)
+    ray = points - table.bases[rows, robot]
+    return torch.atan2(ray[:, 1], ray[:, 0])
+
+
+def _nearest_turn(
+    table: SceneTable, cube: Tensor, robot: Tensor, yaw: Tensor
+) -> Tensor:
+    """Return the number of the turn that a stick's yaw is nearest to, (B,)."""
+    turn = yaw - _bearing(table, cube, robot)
+    turns = torch.tensor(TURNS_RAD, device=yaw.device)
+    return (1 - torch.cos(turn[:, None] - turns)).argmin(-1)
+
+
+def _among(primitive: Tensor, numbers: tuple[int, ...]) -> Tensor:
+    return (primitive == numbers[0]) | (primitive == numbers[1])
+
+
+def _side(primitive: Tensor) -> Tensor:
+    """Return 0 for primitives that hook and 1 for those that poke."""
+    return ((primitive == _PREPARE[1]) | (primitive == _USE[1])).long()
+
+
+def _mean(values: Tensor, counts: Tensor) -> Tensor:
+    """Return the mean over the frames that count; 0 if none does."""
+    picked = torch.where(counts, values, 0.0)
+    return picked.sum() / counts.sum().clamp(min=1)

@@ -1,0 +1,395 @@
+"""ReachNet: sees entities and reach, then plans and grounds with both. Our own policy.
+
+An eye turns the map into a small table: where things are, and between which radii each
+robot reaches. A reader turns the sentence into the pairs that shall lie on each other.
+A planner scores all sub-tasks by who reaches what; a grounder hangs the poses on the
+entities. The last three see no pixels, and so they also learn from labels with noise.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import Pose2
+from lemma.dataset.rendered.keyframes.schema import Raster
+from lemma.policies.batch import (
+    NOBODY,
+    STOP,
+    Batch,
+    Labels,
+    batch_of,
+)
+from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.model import MODELS, Model
+from lemma.policies.models.reachnet.decisions import failures_in, numbers_of, subtask_of
+from lemma.policies.models.reachnet.goal_reader import (
+    GoalReader,
+    goal_numbers,
+    recolored,
+)
+from lemma.policies.models.reachnet.grounder import ReachNetGrounder
+from lemma.policies.models.reachnet.perception import (
+    Marks,
+    Perception,
+    PerceptionConfig,
+    reach_loss,
+)
+from lemma.policies.models.reachnet.planner import (
+    PlannerConfig,
+    ReachNetPlanner,
+    decision_of,
+    number_of,
+)
+from lemma.policies.models.reachnet.scene_table import (
+    Noise,
+    SceneTable,
+    disturbed,
+    needed_entities,
+    true_table,
+    turned,
+    turned_numbers,
+)
+from lemma.policies.models.reachnet.scores import score_decisions
+from lemma.policies.text.encoder import WORDS_AND_VECTORS, TextConfig
+from lemma.scene.spec import ENTITIES
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+
+_ARMS = ("ur5", "ur10")
+_AT_ONCE = 32
+_REACH_POINTS = 128
+_EDGE_M = 0.05
+_REACH_EDGE_M = 0.006
+_TIGHT = 0.2
+_DEMONSTRATED = 0.3
+_LOUDEST = 25.0
+
+
+@dataclass(frozen=True)
+class ReachNetConfig:
+    """Options of ReachNet."""
+
+    reach: Literal["simulator", "demonstrations", "none"] = "simulator"
+    """Where reach is learned from: labels of the simulator, or who did what in the
+    demonstrations; or not at all."""
+    robots: int = 2
+    """Robots of a team."""
+    eye: PerceptionConfig = field(default_factory=PerceptionConfig)
+    """What sees."""
+    text: TextConfig = field(
+        default_factory=lambda: TextConfig(kind=WORDS_AND_VECTORS, width=128)
+    )
+    """What reads."""
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    """What decides."""
+    noise: Noise = field(default_factory=Noise)
+    """Of tables that are made from labels."""
+    draws: int = 2
+    """Tables that are made from the labels of each frame; half of them are turned."""
+    perceived: bool = True
+    """Whether the planner also learns from what the eye sees."""
+    failure_cost: float = 4.0
+    """What a sub-task loses, in log-probability, each time it fails in a row."""
+    recolor: bool = True
+    """Whether the reader also learns from sentences with other colors."""
+    cell_m: float = 0.008
+    """Side of a cell of the map [m]."""
+    floor_m: float = -0.1
+    """Lowest height of the map [m]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if self.draws < 1 or self.robots < 2:
+            raise InvalidConfigError(
+                f"draws={self.draws} and robots={self.robots}: one draw and two robots "
+                "are the least."
+            )
+
+    def raster(self, given: PolicyInput) -> Raster:
+        """Return where the cells of a view are."""
+        rows, columns = given.view.height_m.shape
+        return Raster(rows, columns, self.cell_m, self.floor_m)
+
+
+class ReachNet(Model):
+    """Plans and grounds from images, joints and a sentence."""
+
+    selection = "decision"
+
+    def __init__(self, config: ReachNetConfig | None = None) -> None:
+        """Make the weights.
+
+        Args:
+            config: Options; the defaults if None.
+        """
+        super().__init__()
+        self.config = config = config or ReachNetConfig()
+        known = config.reach != "none"
+        self.eye = Perception(config.eye, config.robots)
+        self.reader = GoalReader(config.text)
+        self.planner = ReachNetPlanner(config.planner, config.robots, known)
+        self.grounding = ReachNetGrounder(known)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return self.eye.nowhere.device
+
+    def loss(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the terms of the loss."""
+        labels = batch.labels
+        assert labels is not None
+        marks, coarse = self.eye(batch)
+        goal = goal_numbers(labels.goals, self.device)
+        texts, goals = batch.instructions, goal
+        if self.config.recolor:
+            more, other = recolored(texts, goals)
+            texts, goals = [*texts, *more], torch.cat([goals, other])
+        reading = self.reader.loss(texts, goals)
+        with torch.autocast(self.device.type, enabled=False):
+            bases = labels.bases[..., :2]
+            rings = self.eye.reach(coarse, batch, bases)
+            known = self._true_rings(labels)
+            truth = true_table(labels, rings if known is None else known)
+            seen = true_table(labels, rings)
+            terms = self.eye.losses(marks, truth, batch)
+            terms["reading"] = reading
+            terms |= self._reach_terms(seen, known, labels, batch)
+            terms |= self._table_terms(
+                truth, self._seen(marks, coarse, batch), goal, batch
+            )
+        return terms
+
+    def _seen(self, marks: Marks, coarse: Tensor, batch: Batch) -> SceneTable | None:
+        """Return what the eye sees, for the planner to learn from."""
+        if not self.config.perceived:
+            return None
+        with torch.no_grad():
+            return self.eye.table(marks, coarse, batch)
+
+    def _true_rings(self, labels: Labels) -> Tensor | None:
+        """Return the true radii, where training may know them."""
+        if self.config.reach != "simulator":
+            return None
+        # The simulator is needed for this alone: policies that are only used run
+        # without it.
+        from lemma.robots.reach import reach_of  # noqa: PLC0415
+
+        found = [reach_of(name) for name in _ARMS]
+        radii = torch.tensor([[r.inner_m, r.travel_m] for r in found])
+        return radii.to(self.device)[labels.arms]
+
+    def _reach_terms(
+        self, seen: SceneTable, known: Tensor | None, labels: Labels, batch: Batch
+    ) -> dict[str, Tensor]:
+        if self.config.reach == "none":
+            # Every weight has a gradient, which training on many GPUs asks for.
+            unused = (self.planner.reach_sharpness, self.planner.reach_weight)
+            return {"reach": 0.0 * (seen.rings.sum() + sum(unused))}
+        if known is not None:
+            half = torch.tensor(
+                [batch.raster.columns, batch.raster.rows], device=self.device
+            ) * (batch.raster.cell_m / 2)
+            share = torch.rand(len(batch), _REACH_POINTS, 2, device=self.device) * 2 - 1
+            return {"reach": reach_loss(seen, known, seen.bases, share * half)}
+        return {"reach": _demonstrated_reach(seen, labels)}
+
+    def _table_terms(
+        self, truth: SceneTable, seen: SceneTable | None, goal: Tensor, batch: Batch
+    ) -> dict[str, Tensor]:
+        """Return the losses of planner and grounder."""
+        labels = batch.labels
+        assert labels is not None
+        decision, past, config = labels.decision, batch.past, self.config
+        needed = needed_entities(decision, goal)
+        draws = [disturbed(truth, config.noise, needed) for _ in range(config.draws)]
+        pasts, wanted = [past] * config.draws, [decision] * config.draws
+        for i in range(1, config.draws, 2):
+            draws[i] = turned(draws[i])
+            pasts[i] = turned_numbers(past, config.robots)
+            wanted[i] = turned_numbers(decision, config.robots)
+        counts = [torch.ones(len(batch), dtype=torch.bool, device=self.device)] * len(
+            draws
+        )
+        if seen is not None:
+            draws.append(seen)
+            pasts.append(past)
+            wanted.append(decision)
+            counts.append((seen.present | ~_named(decision)).all(1))
+        scores = self.planner(
+            SceneTable.joined(draws),
+            goal.repeat(len(draws), 1, 1),
+            torch.cat(pasts),
+            self.grounding.drags,
+        )
+        number = number_of(torch.cat(wanted), config.robots)
+        wrong = F.cross_entropy(scores, number, reduction="none").clamp(max=_LOUDEST)
+        able = torch.cat(counts)
+        plan = torch.where(able, wrong, 0.0).sum() / able.sum().clamp(min=1)
+        grounding = self.grounding.losses(
+            draws[0], decision, labels.pick_pose, labels.place_pose
+        )
+        return {"plan": plan, **grounding}
+
+    def score(self, batch: Batch) -> dict[str, Tensor]:
+        """Return how good decisions are; ``decision`` is right in symbols and poses."""
+        labels = batch.labels
+        assert labels is not None
+        with self.deciding():
+            table, decision = self._decide(batch)
+            with torch.autocast(self.device.type, enabled=False):
+                poses = self.grounding(table, decision)
+                told = self.grounding(table, labels.decision)
+                goal = goal_numbers(labels.goals, self.device)
+                read = (self.reader.read(batch.instructions) == goal).flatten(1).all(1)
+                known = self._true_rings(labels)
+            truth = true_table(labels, table.rings if known is None else known)
+            return {
+                **score_decisions(decision, poses, told, labels),
+                "reading": read.float(),
+                **_score_eye(table, truth),
+            }
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        """Return the next sub-task of each episode."""
+        found = []
+        with self.deciding():
+            for batch, failed in self._batches(inputs):
+                _, decision = self._decide(batch, failed)
+                found += [subtask_of(row) for row in decision.tolist()]
+        return found
+
+    def ground(
+        self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
+    ) -> list[GroundedSubTask | None]:
+        """Return each sub-task with poses; None where an entity is not seen."""
+        found: list[GroundedSubTask | None] = []
+        numbers = [numbers_of(subtask, self.config.robots) for subtask in subtasks]
+        with self.deciding():
+            for batch, _ in self._batches(inputs):
+                rows = numbers[len(found) : len(found) + len(batch)]
+                marks, coarse = self.eye(batch)
+                table = self.eye.table(marks, coarse, batch)
+                decision = torch.tensor(rows, device=self.device)
+                found += self._grounded(table, decision)
+        return found
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the next decision of each episode."""
+        found: list[Decision] = []
+        with self.deciding():
+            for batch, failed in self._batches(inputs):
+                table, decision = self._decide(batch, failed)
+                grounded = self._grounded(table, decision)
+                for row, poses in zip(decision.tolist(), grounded, strict=True):
+                    subtask = subtask_of(row)
+                    done = poses or subtask.primitive is Primitive.STOP
+                    why = "" if done else f"What it needs is not seen: {subtask}."
+                    found.append(Decision(subtask, poses, why))
+        return found
+
+    @contextmanager
+    def deciding(self) -> Iterator[None]:
+        """Switch training off for a while."""
+        was = self.training
+        self.eval()
+        try:
+            with torch.inference_mode():
+                yield
+        finally:
+            self.train(was)
+
+    def _batches(
+        self, inputs: Sequence[PolicyInput]
+    ) -> Iterator[tuple[Batch, list[list[SubTask]]]]:
+        """Yield batches, and what has failed since something last succeeded."""
+        for start in range(0, len(inputs), _AT_ONCE):
+            part = inputs[start : start + _AT_ONCE]
+            raster = self.config.raster(part[0])
+            failed = [failures_in(given) for given in part]
+            yield batch_of(part, raster, device=self.device), failed
+
+    def _decide(
+        self, batch: Batch, failed: Sequence[Sequence[SubTask]] = ()
+    ) -> tuple[SceneTable, Tensor]:
+        """Return what is seen, and the likeliest sub-tasks, (B, 4)."""
+        marks, coarse = self.eye(batch)
+        goal = self.reader.read(batch.instructions)
+        with torch.autocast(self.device.type, enabled=False):
+            table = self.eye.table(marks, coarse, batch)
+            scores = self.planner(table, goal, batch.past, self.grounding.drags)
+        for row, subtasks in enumerate(failed):
+            for subtask in subtasks:
+                numbers = torch.tensor([numbers_of(subtask, self.config.robots)])
+                number = int(number_of(numbers, self.config.robots))
+                scores[row, number] -= self.config.failure_cost
+        return table, decision_of(scores.argmax(-1), self.config.robots)
+
+    def _grounded(
+        self, table: SceneTable, decision: Tensor
+    ) -> list[GroundedSubTask | None]:
+        pick, place = self.grounding(table, decision)
+        found: list[GroundedSubTask | None] = []
+        for row, start, end in zip(
+            decision.tolist(), pick.tolist(), place.tolist(), strict=True
+        ):
+            if row[1] == STOP or not all(map(math.isfinite, (*start, *end))):
+                found.append(None)
+                continue
+            subtask = subtask_of(row)
+            found.append(
+                GroundedSubTask(
+                    subtask.robot, subtask.primitive, Pose2(*start), Pose2(*end)
+                )
+            )
+        return found
+
+
+def _demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
+    """Return how unlikely it is, by reach alone, that these robots did it.
+
+    The robot that acted reached both ends, and of the robots it was the likelier one.
+    Where else a robot reaches nobody shows: the smallest ring that holds all that was
+    done is the likeliest, as of points drawn evenly from it.
+    """
+    robot = labels.decision[:, 0].clamp(min=0)
+    ends = torch.stack([labels.pick_pose[:, :2], labels.place_pose[:, :2]], 1)
+    margins = seen.margins(ends.nan_to_num())
+    logs = F.logsigmoid(margins / _REACH_EDGE_M).sum(-1)
+    rows = torch.arange(len(robot), device=robot.device)
+    likely = logs.log_softmax(1)[rows, robot] + logs[rows, robot]
+    acts = labels.decision[:, 0] != NOBODY
+    unlikely = torch.where(acts, -likely, 0.0).sum() / acts.sum().clamp(min=1)
+    area = seen.rings[..., 1].square() - seen.rings[..., 0].square()
+    return _DEMONSTRATED * (unlikely + _TIGHT * area.log().mean())
+
+
+def _score_eye(table: SceneTable, truth: SceneTable) -> dict[str, Tensor]:
+    both = table.present & truth.present
+    off = (table.xy - truth.xy).norm(dim=-1)
+    millimetres = torch.where(both, off, torch.nan).nanmean(1)
+    x = torch.linspace(-1.2, 1.2, 25, device=off.device)
+    points = torch.cartesian_prod(x, 0.75 * x).expand(len(off), -1, -1)
+    true = truth.margins(points)
+    agree = ((table.margins(points) > 0) == (true > 0)).float()
+    clear = true.abs() > _EDGE_M
+    return {
+        "present": (table.present == truth.present).all(1).float(),
+        "near": torch.exp(-millimetres / 0.01),
+        "reach": (agree * clear).flatten(1).sum(1) / clear.flatten(1).sum(1),
+    }
+
+
+def _named(decision: Tensor) -> Tensor:
+    """Return which entities sub-tasks pick or put something on, (B, 11) bool."""
+    numbers = torch.arange(len(ENTITIES), device=decision.device)
+    return (decision[:, 2:, None] == numbers).any(1)
+
+
+MODELS.add("reachnet", (ReachNet, ReachNetConfig))

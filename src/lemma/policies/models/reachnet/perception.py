@@ -1,0 +1,336 @@
+"""ReachNet's eye: from a top-down map to where everything is.
+
+A U-Net marks the cell of each entity, of the far end of the stick and of each robot's
+base, says where in the cell it is, and how cubes are turned. One cell more in each of
+those choices stands for "not here".
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from lemma.policies.batch import Batch
+from lemma.policies.layers import ResidualBlock, norm, upsample_to
+from lemma.policies.models.reachnet.scene_table import (
+    CUBES,
+    FAR_M,
+    THE_STICK,
+    SceneTable,
+    quarter,
+)
+from lemma.scene.spec import ENTITIES
+
+STRIDE = 4
+"""Cells of the map along each side of a cell that is marked."""
+STICK_LENGTH_M = 0.485
+"""From the free end of the handle to where its axis meets the hook's."""
+
+_E = len(ENTITIES)
+_POINTS = _E + 1
+_IMAGE, _INPUTS = 5, 5 * STRIDE**2 + 2
+_HEIGHT_M = 0.1
+_RING_M = ((0.05, 0.35), (0.4, 1.8))
+_NEAR = 1
+_CELLS = math.log(72 * 104)
+_MARKS = 3.0
+_NEAR_HEIGHT_CELLS = 1
+
+
+@dataclass(frozen=True)
+class PerceptionConfig:
+    """Options of the eye."""
+
+    widths: tuple[int, ...] = (64, 96, 160, 224)
+    """Channels at a quarter of the map's resolution, an eighth, and so on."""
+    blocks: int = 2
+    """Residual blocks at each resolution on the way down."""
+    ring_width: int = 64
+    """Between what is seen of a robot and its reach."""
+    joint_dropout: float = 0.3
+    """Share of robots whose joints are not given in training, so that reach is also
+    seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """What the U-Net says of B maps; H x W cells, N points: entities, stick's end."""
+
+    points: Tensor
+    """Log-probability of each cell, the last one for none, (B, N + R, H * W + 1)."""
+    offsets: Tensor
+    """Where in the cell, in cells, (B, N + R, 2, H * W)."""
+    yaw: Tensor
+    """Cosine and sine of four times a cube's yaw, (B, 2, H * W)."""
+    features: Tensor
+    """(B, channels, H * W)."""
+    shape: tuple[int, int]
+    """H and W."""
+
+
+class Perception(nn.Module):
+    """Sees."""
+
+    def __init__(self, config: PerceptionConfig, robots: int) -> None:
+        """Make the weights.
+
+        Args:
+            config: Options.
+            robots: Robots of a team.
+        """
+        super().__init__()
+        self.config, self.robots = config, robots
+        first = config.widths[0]
+        self.stem = nn.Sequential(
+            nn.Conv2d(_INPUTS, first, 3, padding=1, bias=False), norm(first), nn.SiLU()
+        )
+        self.down, wide = nn.ModuleList(), first
+        for level, width in enumerate(config.widths):
+            blocks = [ResidualBlock(wide, width, stride=1 if level == 0 else 2)]
+            blocks += [ResidualBlock(width, width) for _ in range(config.blocks - 1)]
+            self.down.append(nn.Sequential(*blocks))
+            wide = width
+        self.lift, self.up = nn.ModuleList(), nn.ModuleList()
+        for width in reversed(config.widths[:-1]):
+            self.lift.append(nn.Conv2d(wide, width, 1, bias=False))
+            self.up.append(ResidualBlock(width, width))
+            wide = width
+        marked = _POINTS + robots
+        self.mark = nn.Conv2d(first, marked, 1)
+        # As likely as all cells of a usual map together.
+        self.nowhere = nn.Parameter(torch.full((marked,), _CELLS))
+        self.offset = nn.Conv2d(first, 2 * marked, 1)
+        self.turn = nn.Conv2d(first, 2, 1)
+        joints = 12
+        self.ring = nn.Sequential(
+            nn.Linear(config.widths[-1] + joints + 1, config.ring_width),
+            nn.SiLU(),
+            nn.Linear(config.ring_width, 2),
+        )
+
+    def forward(self, batch: Batch) -> tuple[Marks, Tensor]:
+        """Return what is marked, and the coarsest features, (B, channels, h, w).
+
+        Args:
+            batch: Maps whose sides are multiples of ``STRIDE``.
+        """
+        x = self.stem(_image(batch))
+        kept = []
+        for down in self.down:
+            x = down(x)
+            kept.append(x)
+        coarse = kept.pop()
+        for lift, up in zip(self.lift, self.up, strict=True):
+            skip = kept.pop()
+            x = up(upsample_to(lift(x), skip) + skip)
+        with torch.autocast(x.device.type, enabled=False):
+            return self._marks(x.float()), coarse.float()
+
+    def _marks(self, x: Tensor) -> Marks:
+        count, _, rows, columns = x.shape
+        logits = self.mark(x).flatten(2)
+        nowhere = self.nowhere[:, None].expand(count, -1, 1)
+        offsets = self.offset(x).view(count, -1, 2, rows * columns)
+        return Marks(
+            torch.cat([logits, nowhere], 2).log_softmax(2),
+            offsets,
+            self.turn(x).flatten(2),
+            x.flatten(2),
+            (rows, columns),
+        )
+
+    def reach(self, coarse: Tensor, batch: Batch, bases: Tensor) -> Tensor:
+        """Return the radii between which each robot reaches, (B, R, 2) [m].
+
+        Args:
+            coarse: The coarsest features.
+            batch: With the robots' joints.
+            bases: Where the robots are, (B, R, 2) [m].
+        """
+        raster = batch.raster
+        half = torch.tensor([raster.columns, -raster.rows], device=bases.device) * (
+            raster.cell_m / 2
+        )
+        grid = (bases / half).clamp(-1.0, 1.0).unsqueeze(2)
+        seen = F.grid_sample(coarse, grid, align_corners=False).squeeze(3)
+        joints = torch.cat([batch.joints.sin(), batch.joints.cos()], -1).float()
+        told = torch.ones_like(joints[..., :1])
+        if self.training:
+            told = (torch.rand_like(told) >= self.config.joint_dropout).float()
+        parts = [seen.transpose(1, 2), joints * told, told]
+        share = self.ring(torch.cat(parts, -1)).sigmoid()
+        low = torch.tensor([low for low, _ in _RING_M], device=share.device)
+        high = torch.tensor([high for _, high in _RING_M], device=share.device)
+        radii: Tensor = low + (high - low) * share
+        return radii
+
+    def table(self, marks: Marks, coarse: Tensor, batch: Batch) -> SceneTable:
+        """Return what is on the table."""
+        points, present = _read_points(marks, batch)
+        present, bases = present[:, :_E], points[:, _POINTS:]
+        xy = points[:, :_E]
+        cell = _cell_of(xy, batch, marks.shape)
+        at = marks.yaw.gather(2, cell[:, None].expand(-1, 2, -1))
+        yaw = torch.atan2(at[:, 1], at[:, 0]) / 4
+        along = points[:, _E] - xy[:, THE_STICK]
+        yaw = torch.cat(
+            [yaw[:, :THE_STICK], torch.atan2(along[:, 1], along[:, 0])[:, None]], 1
+        )
+        cubes = torch.arange(_E, device=yaw.device) < len(CUBES)
+        turned = cubes | (torch.arange(_E, device=yaw.device) == THE_STICK)
+        top = _top(batch, xy)
+        return SceneTable(
+            present=present,
+            xy=torch.where(present[..., None], xy, FAR_M),
+            yaw=torch.where(present & turned, yaw, 0.0),
+            top=torch.where(present & cubes, top, 0.0),
+            bases=bases,
+            rings=self.reach(coarse, batch, bases),
+        )
+
+    def losses(
+        self, marks: Marks, table: SceneTable, batch: Batch
+    ) -> dict[str, Tensor]:
+        """Return how far marks are from the truth.
+
+        Args:
+            marks: What was seen.
+            table: What there is.
+            batch: The maps.
+        """
+        yaw = table.yaw[:, THE_STICK]
+        along = torch.stack([yaw.cos(), yaw.sin()], -1)
+        end = table.xy[:, THE_STICK] + STICK_LENGTH_M * along
+        xy = torch.cat([table.xy, end[:, None], table.bases], 1)
+        there = torch.cat(
+            [
+                table.present,
+                table.present[:, THE_STICK, None],
+                torch.ones_like(table.bases[..., 0], dtype=torch.bool),
+            ],
+            1,
+        )
+        inside, cell = _inside(xy, batch), _cell_of(xy, batch, marks.shape)
+        there = there & inside
+        target = torch.where(there, cell, marks.points.shape[2] - 1)
+        found = -marks.points.gather(2, target[..., None])
+        cubes = slice(0, len(CUBES))
+        turn = marks.yaw.gather(2, cell[:, None, cubes].expand(-1, 2, -1))
+        wanted = 4 * quarter(table.yaw[:, cubes])
+        wanted = torch.stack([wanted.cos(), wanted.sin()], 1)
+        off = (turn - wanted).square().sum(1)
+        seen = there[:, cubes]
+        return {
+            "marks": _MARKS * found.mean(),
+            "offsets": self._offset_loss(marks, xy, there, batch),
+            "yaw": (torch.where(seen, off, 0.0).sum() / seen.sum().clamp(min=1)),
+        }
+
+    def _offset_loss(
+        self, marks: Marks, xy: Tensor, there: Tensor, batch: Batch
+    ) -> Tensor:
+        """Return the error of positions, also from the cells around the right one."""
+        rows, columns = marks.shape
+        place = _in_cells(xy, batch)
+        corner = place.floor()
+        steps = torch.arange(-_NEAR, _NEAR + 1, device=xy.device)
+        around = torch.cartesian_prod(steps, steps)
+        near = corner[:, :, None] + around
+        column, row = near.unbind(-1)
+        valid = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        valid = valid & there[..., None]
+        index = (row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)).long()
+        given = marks.offsets.gather(3, index[:, :, None].expand(-1, -1, 2, -1))
+        wanted = (place[:, :, None] - near - 0.5).transpose(2, 3)
+        miss = F.smooth_l1_loss(given, wanted, beta=0.1, reduction="none").sum(2)
+        return torch.where(valid, miss, 0.0).sum() / valid.sum().clamp(min=1)
+
+
+def reach_loss(
+    table: SceneTable, rings: Tensor, bases: Tensor, points: Tensor
+) -> Tensor:
+    """Return how wrong reach maps are at points of the table.
+
+    Args:
+        table: With the radii that were seen.
+        rings: The true radii, (B, R, 2) [m].
+        bases: The true bases, (B, R, 2) [m].
+        points: (B, N, 2) [m].
+    """
+    near = (points[:, None] - bases[:, :, None]).norm(dim=-1)
+    true = torch.minimum(near - rings[..., :1], rings[..., 1:] - near)
+    radii = table.rings
+    seen = torch.minimum(near - radii[..., :1], radii[..., 1:] - near)
+    wrong = F.binary_cross_entropy_with_logits(seen / 0.03, (true > 0).float())
+    return wrong + 10.0 * F.smooth_l1_loss(seen, true, beta=0.02)
+
+
+def _image(batch: Batch) -> Tensor:
+    """Return a map as what the first convolution sees, (B, _INPUTS, H, W)."""
+    parts = [
+        batch.rgb.permute(0, 3, 1, 2).float() / 255.0,
+        (batch.height_m / _HEIGHT_M).clamp(-1.0, 3.0)[:, None],
+        batch.coverage[:, None].float(),
+    ]
+    image = F.pixel_unshuffle(torch.cat(parts, 1), STRIDE)
+    count, _, rows, columns = image.shape
+    x = torch.linspace(-1, 1, columns, device=image.device).expand(count, 1, rows, -1)
+    y = torch.linspace(1, -1, rows, device=image.device)[:, None]
+    return torch.cat([image, x, y.expand(count, 1, -1, columns)], 1)
+
+
+def _in_cells(xy: Tensor, batch: Batch) -> Tensor:
+    """Return positions [m] as column and row of coarse cells, with fractions."""
+    raster = batch.raster
+    size = raster.cell_m * STRIDE
+    column = xy[..., 0] / size + raster.columns / STRIDE / 2
+    row = raster.rows / STRIDE / 2 - xy[..., 1] / size
+    return torch.stack([column, row], -1)
+
+
+def _inside(xy: Tensor, batch: Batch) -> Tensor:
+    place = _in_cells(xy, batch)
+    rows, columns = batch.raster.rows // STRIDE, batch.raster.columns // STRIDE
+    limit = torch.tensor([columns, rows], device=xy.device)
+    return ((place >= 0) & (place < limit)).all(-1)
+
+
+def _cell_of(xy: Tensor, batch: Batch, shape: tuple[int, int]) -> Tensor:
+    """Return the number of the coarse cell of positions; the nearest if outside."""
+    rows, columns = shape
+    column, row = _in_cells(xy, batch).floor().long().unbind(-1)
+    return row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
+
+
+def _read_points(marks: Marks, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Return the likeliest positions (B, N + R, 2) [m], and what is rather there."""
+    columns = marks.shape[1]
+    cell = marks.points[..., :-1].argmax(2)
+    index = cell[:, :, None, None].expand(-1, -1, 2, 1)
+    offset = marks.offsets.gather(3, index).squeeze(3).clamp(-2.0, 2.0)
+    place = torch.stack([cell % columns, cell // columns], -1) + 0.5 + offset
+    size, raster = batch.raster.cell_m * STRIDE, batch.raster
+    x = (place[..., 0] - raster.columns / STRIDE / 2) * size
+    y = (raster.rows / STRIDE / 2 - place[..., 1]) * size
+    return torch.stack([x, y], -1), marks.points[..., -1] < math.log(0.5)
+
+
+def _top(batch: Batch, xy: Tensor) -> Tensor:
+    """Return the mean height of the map around positions, (B, N) [m]."""
+    raster = batch.raster
+    column = torch.floor(raster.columns / 2 + xy[..., 0] / raster.cell_m).long()
+    row = torch.floor(raster.rows / 2 - xy[..., 1] / raster.cell_m).long()
+    total = torch.zeros_like(xy[..., 0])
+    known = torch.zeros_like(total)
+    near = _NEAR_HEIGHT_CELLS
+    frames = torch.arange(len(xy), device=xy.device)[:, None]
+    for a in range(-near, near + 1):
+        for b in range(-near, near + 1):
+            r = (row + a).clamp(0, raster.rows - 1)
+            c = (column + b).clamp(0, raster.columns - 1)
+            seen = batch.coverage[frames, r, c].float()
+            total = total + seen * batch.height_m[frames, r, c]
+            known = known + seen
+    return total / known.clamp(min=1.0)

@@ -1,0 +1,285 @@
+"""ReachNet's planner: from a table, a goal and the past to the next sub-task.
+
+It scores every sub-task that there is, for every robot. Colors are no input: entities
+differ by their kind, their place and their role in the goal, so that what is learned of
+one color holds for all. A score is a learned function of the context plus, as in the
+paper's utility, the logarithm of how likely the robot reaches what it needs.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from lemma.policies.batch import NOBODY, PLACES, PRIMITIVES, STOP
+from lemma.policies.models.reachnet.drags import DragUtility
+from lemma.policies.models.reachnet.features import (
+    PAIR,
+    RELATIONS,
+    ROBOT_FEATURES,
+    drag_features,
+    entity_feature_count,
+    goal_state,
+    kinds,
+    last,
+    nearness,
+    places,
+    reach_features,
+    recent,
+    robot_features,
+    roles,
+    stick_state,
+    tool_features,
+)
+from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK, SceneTable
+
+SHARED_PLACE = len(PLACES) - 1
+_C, _E = len(CUBES), len(PLACES) - 1
+_TOOL_ROWS = ("prehook", "hook", "prepoke", "poke")
+_ROW_OF = {PRIMITIVES.index(name): row for row, name in enumerate(_TOOL_ROWS)}
+_ABSENT = -20.0
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """Options of the planner."""
+
+    width: int = 128
+    """Of a token."""
+    layers: int = 4
+    """Of the transformer."""
+    heads: int = 4
+    """Of the attention."""
+    dropout: float = 0.05
+    """Share of values left out in training."""
+    past_dropout: float = 0.5
+    """Share of frames whose past is left out in training: what lies on the table says
+    nearly all, and a policy that trusts its past does not see when it failed."""
+
+
+class ReachNetPlanner(nn.Module):
+    """Scores sub-tasks."""
+
+    def __init__(self, config: PlannerConfig, robots: int, use_reach: bool) -> None:
+        """Make the weights.
+
+        Args:
+            config: Options.
+            robots: Robots of a team.
+            use_reach: Whether reach is known.
+        """
+        super().__init__()
+        self.config, self.robots, self.use_reach = config, robots, use_reach
+        width = config.width
+        self.entity_in = _mlp(entity_feature_count(robots), width, width)
+        self.robot_in = _mlp(ROBOT_FEATURES, width, width)
+        self.whole = nn.Parameter(0.1 * torch.randn(2, width))
+        self.numbers = nn.Parameter(0.1 * torch.randn(robots, width))
+        self.past_in = nn.Linear(len(PRIMITIVES) + robots, width)
+        self.relation = _mlp(RELATIONS, 32, config.heads)
+        self.layers = nn.ModuleList(
+            _Layer(width, config.heads, config.dropout) for _ in range(config.layers)
+        )
+        self.norm = nn.LayerNorm(width)
+        self.move_pick, self.move_place, self.move_robot = (
+            nn.Linear(width, width) for _ in range(3)
+        )
+        self.pair = nn.Linear(PAIR, width)
+        self.move_out = nn.Sequential(nn.SiLU(), nn.Linear(width, 1))
+        self.tool_cube, self.tool_robot = (nn.Linear(width, width) for _ in range(2))
+        self.tool_drag = nn.Linear(3 + 4, width)
+        self.tool_kind = nn.Parameter(0.1 * torch.randn(len(_TOOL_ROWS), width))
+        self.tool_out = nn.Sequential(nn.SiLU(), nn.Linear(width, 1))
+        self.hand_over = _mlp(2 * width, width, 1)
+        self.stop = _mlp(width, width, 1)
+        self.reach_sharpness = nn.Parameter(torch.tensor(math.log(50.0)))
+        self.reach_weight = nn.Parameter(torch.tensor(0.0))
+
+    def forward(
+        self, table: SceneTable, goal: Tensor, past: Tensor, drags: DragUtility
+    ) -> Tensor:
+        """Return the score of every sub-task, (B, N); see :func:`number_of`.
+
+        Args:
+            table: B scenes.
+            goal: (B, conjuncts, 2); -1 for none.
+            past: Sub-tasks done before, oldest first, (B, P, 4); -1 for none.
+            drags: Says what can be done with the stick.
+        """
+        with torch.no_grad():
+            values = drags.values(drags.drags(table))
+        near = nearness(table)
+        past = self._forgotten(past)
+        known = table.detached()
+        features = torch.cat(
+            [
+                kinds(known),
+                reach_features(known, self.use_reach),
+                roles(goal),
+                goal_state(known, goal),
+                stick_state(known, drags.ready.detach()),
+                drag_features(values),
+                recent(past),
+            ],
+            -1,
+        )
+        done = last(past, self.robots)
+        tokens = torch.cat(
+            [
+                self.entity_in(features),
+                self.robot_in(robot_features(known, self.use_reach)) + self.numbers,
+                self.whole + self.past_in(done)[:, None],
+            ],
+            1,
+        )
+        bias = self._bias(near, table.present, tokens.shape[1])
+        for layer in self.layers:
+            tokens = layer(tokens, bias)
+        return self._scores(self.norm(tokens), table, near, values)
+
+    def _forgotten(self, past: Tensor) -> Tensor:
+        if not self.training:
+            return past
+        forget = torch.rand(len(past), 1, 1, device=past.device)
+        return torch.where(forget < self.config.past_dropout, NOBODY, past)
+
+    def _bias(self, near: Tensor, present: Tensor, length: int) -> Tensor:
+        """Return what is added to the attention, (B, heads, L, L)."""
+        pairs = self.relation(near).permute(0, 3, 1, 2)
+        more = length - pairs.shape[-1]
+        bias = F.pad(pairs, (0, more, 0, more))
+        unseen = F.pad(~present, (0, more))
+        return bias.masked_fill(unseen[:, None, None], _ABSENT)
+
+    def _scores(
+        self, tokens: Tensor, table: SceneTable, near: Tensor, values: Tensor
+    ) -> Tensor:
+        count = len(tokens)
+        cubes, robots = tokens[:, :_C], tokens[:, _E : _E + self.robots]
+        shared, whole = tokens[:, -2:-1], tokens[:, -1]
+        onto = torch.cat([tokens[:, :THE_STICK], shared], 1)
+        pair = F.pad(near[:, :_C, :THE_STICK, :PAIR], (0, 0, 0, 1))
+        hidden = (
+            self.move_pick(cubes)[:, :, None, None]
+            + (self.move_place(onto)[:, None] + self.pair(pair))[:, :, :, None]
+            + self.move_robot(robots)[:, None, None]
+        )
+        moves = self.move_out(hidden).squeeze(-1)
+        tool = (
+            (self.tool_cube(cubes)[:, None] + self.tool_kind[:, None])[:, :, :, None]
+            + self.tool_robot(robots)[:, None, None]
+            + self.tool_drag(tool_features(values, table, self.use_reach))
+        )
+        tools = self.tool_out(tool).squeeze(-1)
+        hands = self.hand_over(
+            torch.cat([robots, whole[:, None].expand_as(robots)], -1)
+        ).squeeze(-1)
+        moves, tools, hands = self._reachable(table, moves, tools, hands)
+        return torch.cat(
+            [moves.flatten(1), tools.flatten(1), hands, self.stop(whole)], 1
+        ).view(count, -1)
+
+    def _reachable(
+        self, table: SceneTable, moves: Tensor, tools: Tensor, hands: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Add what is the same for every model: nobody moves what is not there."""
+        there = torch.where(table.present, 0.0, _ABSENT)
+        lay = there[:, THE_STICK, None]
+        onto = F.pad(there[:, :THE_STICK], (0, 1))
+        moves = moves + there[:, :_C, None, None] + onto[:, None, :, None]
+        same = torch.eye(_C, THE_STICK + 1, device=moves.device) * _ABSENT
+        moves = moves + same[:, :, None]
+        tools = tools + there[:, None, :_C, None] + lay[:, None, None]
+        hands = hands + lay
+        if not self.use_reach:
+            return moves, tools, hands
+        points = places(table)
+        logs = self.reach_weight.exp() * F.logsigmoid(
+            self.reach_sharpness.exp() * table.margins(points)
+        ).clamp(min=-30.0).transpose(1, 2)
+        grip = logs[:, THE_STICK]
+        moves = (
+            moves + logs[:, :_C, None] + F.pad(logs[:, None, :THE_STICK], (0, 0, 0, 1))
+        )
+        return moves, tools + grip[:, None, None], hands + grip
+
+
+def _mlp(wide: int, hidden: int, out: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(wide, hidden), nn.SiLU(), nn.Linear(hidden, out))
+
+
+class _Layer(nn.Module):
+    """Attention that also depends on where things are to one another."""
+
+    def __init__(self, width: int, heads: int, dropout: float) -> None:
+        super().__init__()
+        self.heads = heads
+        self.attention_norm = nn.LayerNorm(width)
+        self.query_key_value = nn.Linear(width, 3 * width)
+        self.attention_out = nn.Linear(width, width)
+        self.hidden_norm = nn.LayerNorm(width)
+        self.hidden = _mlp(width, 4 * width, width)
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(self, tokens: Tensor, bias: Tensor) -> Tensor:
+        count, length, width = tokens.shape
+        parts = self.query_key_value(self.attention_norm(tokens))
+        parts = parts.view(count, length, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
+        query, key, value = parts
+        mixed = F.scaled_dot_product_attention(query, key, value, attn_mask=bias)
+        joined = mixed.transpose(1, 2).reshape(count, length, width)
+        tokens = tokens + self.dropout(self.attention_out(joined))
+        out: Tensor = tokens + self.dropout(self.hidden(self.hidden_norm(tokens)))
+        return out
+
+
+def number_of(decision: Tensor, robots: int) -> Tensor:
+    """Return the number of sub-tasks among all, (B,).
+
+    Args:
+        decision: Robot, primitive, pick, place, (B, 4).
+        robots: Robots of a team.
+    """
+    robot, primitive, pick, place = decision.unbind(-1)
+    spots = THE_STICK + 1
+    spot = torch.where(place == SHARED_PLACE, THE_STICK, place)
+    moves = _C * spots * robots
+    rows = torch.zeros(len(PRIMITIVES), dtype=torch.int64, device=decision.device)
+    for known, row in _ROW_OF.items():
+        rows[known] = row
+    move = (pick * spots + spot) * robots + robot
+    tool = moves + (rows[primitive] * _C + place) * robots + robot
+    tools = moves + len(_TOOL_ROWS) * _C * robots
+    hand = tools + robot
+    number = torch.where(
+        primitive == 0, torch.where(pick == THE_STICK, hand, move), tool
+    )
+    return torch.where(primitive == STOP, tools + robots, number)
+
+
+def decision_of(number: Tensor, robots: int) -> Tensor:
+    """Return the sub-tasks of numbers, (B, 4): the inverse of :func:`number_of`."""
+    spots, stick = THE_STICK + 1, THE_STICK
+    moves = _C * spots * robots
+    tools = moves + len(_TOOL_ROWS) * _C * robots
+    robot, rest = number % robots, number // robots
+    spot = rest % spots
+    zero = torch.zeros_like(number)
+    place = torch.where(spot == stick, SHARED_PLACE, spot)
+    move = torch.stack([robot, zero, rest // spots, place], -1)
+    inner = (number - moves).clamp(min=0)
+    row = (inner // robots // _C).clamp(max=len(_TOOL_ROWS) - 1)
+    primitives = torch.tensor(list(_ROW_OF), device=number.device)
+    tool_robot, cube = inner % robots, inner // robots % _C
+    tool = torch.stack([tool_robot, primitives[row], zero + stick, cube], -1)
+    hand_robot = (number - tools).clamp(0, robots - 1)
+    hand = torch.stack([hand_robot, zero, zero + stick, zero + SHARED_PLACE], -1)
+    none = torch.stack([zero - 1, zero + STOP, zero - 1, zero - 1], -1)
+    bands = (
+        number[:, None]
+        >= torch.tensor([moves, tools, tools + robots], device=number.device)
+    ).sum(-1)
+    table = torch.stack([move, tool, hand, none], 1)
+    return table[torch.arange(len(number), device=number.device), bands]

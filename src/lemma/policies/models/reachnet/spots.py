@@ -1,0 +1,167 @@
+"""ReachNet's free spots: where to put a cube or the stick down for somebody else.
+
+As with drags, a spot is one of many candidates, and its utility is learned.
+"""
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from lemma.policies.models.reachnet.drags import Tuned, stick_distance
+from lemma.policies.models.reachnet.scene_table import (
+    CUBES,
+    FAR_M,
+    THE_STICK,
+    SceneTable,
+)
+
+_CUBE_RADIUS_M, _PAD_RADIUS_M, _STICK_HALF_M = 0.036, 0.06, 0.015
+_SCALE_M = 0.02
+_ROOM_M = 0.3
+_YAWS = 24
+
+
+def _grid(half_x_m: float, half_y_m: float, step_m: float) -> Tensor:
+    """Return the points of a grid around the origin, (N, 2) [m]."""
+    columns, rows = round(half_x_m / step_m), round(half_y_m / step_m)
+    x = step_m * torch.arange(-columns, columns + 1)
+    y = step_m * torch.arange(-rows, rows + 1)
+    return torch.cartesian_prod(x, y).float()
+
+
+class _Spots(nn.Module):
+    """Utility of candidates: soft thresholds, and what is better or worse."""
+
+    grid: Tensor
+
+    def __init__(
+        self, grid: Tensor, constraints: int, worths: int, use_reach: bool
+    ) -> None:
+        super().__init__()
+        self.use_reach = use_reach
+        self.register_buffer("grid", grid, persistent=False)
+        self.threshold = Tuned([1.0] * constraints)
+        self.sharpness = Tuned([0.5] * constraints)
+        self.enough = Tuned([4.0] * 2)
+        self.weights = Tuned([0.0] * worths)
+
+    def _able(self, constraints: Tensor) -> Tensor:
+        sharp = self.sharpness().exp()
+        return F.logsigmoid(sharp * (constraints / _SCALE_M - self.threshold())).sum(-1)
+
+    def _worst_margin(self, table: SceneTable, points: Tensor) -> Tensor:
+        worst = table.margins(points.expand(len(table), -1, -1)).amin(1)
+        return worst if self.use_reach else torch.zeros_like(worst)
+
+
+class CubeSpots(_Spots):
+    """Where to put a cube."""
+
+    def __init__(self, use_reach: bool = True) -> None:
+        """Make the weights.
+
+        Args:
+            use_reach: Whether margins of reach count.
+        """
+        super().__init__(_grid(0.24, 0.44, 0.02), 3, 3, use_reach)
+
+    def forward(self, table: SceneTable, cube: Tensor) -> Tensor:
+        """Return the utility of each spot, (B, N).
+
+        Args:
+            table: B scenes.
+            cube: Which entity is put there, (B,).
+        """
+        table = _without(table, cube)
+        margin = self._worst_margin(table, self.grid)
+        apart = torch.cdist(
+            self.grid.expand(len(table), -1, -1), table.xy[:, :THE_STICK]
+        )
+        room = (apart - _radii(table)).amin(-1)
+        stick = stick_distance(
+            table.grasp[:, None], table.yaw[:, THE_STICK, None], self.grid
+        )
+        bases = torch.cdist(self.grid.expand(len(table), -1, -1), table.bases).amin(-1)
+        room = torch.minimum(room, stick - _STICK_HALF_M).clamp(max=_ROOM_M)
+        able = self._able(torch.stack([margin, room, 0.2 * bases.clamp(max=1.0)], -1))
+        weights, enough = self.weights().exp(), self.enough()
+        utility: Tensor = (
+            able
+            + weights[0] * torch.minimum(margin / _SCALE_M, enough[0])
+            + weights[1] * torch.minimum(room / _SCALE_M, enough[1])
+            - weights[2] * self.grid.norm(dim=-1) / _SCALE_M
+        )
+        return utility
+
+    def number(self, xy: Tensor) -> Tensor:
+        """Return the spot nearest to positions (B, 2) [m]."""
+        return torch.cdist(xy, self.grid).argmin(-1)
+
+    def pose(self, number: Tensor) -> Tensor:
+        """Return the positions of spots, (B, 2) [m]."""
+        return self.grid[number]
+
+
+class StickSpots(_Spots):
+    """How to lay the stick down so that every robot can take it."""
+
+    def __init__(self, use_reach: bool = True) -> None:
+        """Make the weights.
+
+        Args:
+            use_reach: Whether margins of reach count.
+        """
+        super().__init__(_grid(0.16, 0.24, 0.04), 4, 3, use_reach)
+
+    def forward(self, table: SceneTable) -> Tensor:
+        """Return the utility of each spot with each yaw, (B, N * yaws)."""
+        count, spots = len(table), len(self.grid)
+        yaws = torch.arange(_YAWS, device=self.grid.device) * (math.tau / _YAWS)
+        margin = self._worst_margin(table, self.grid)[..., None].expand(-1, -1, _YAWS)
+        ray = self.grid[None, None] - table.bases[:, :, None]
+        outward = torch.atan2(ray[..., 1], ray[..., 0])
+        heading = torch.cos(yaws - outward[..., None]).clamp(-1, 1).acos().amax(1)
+        grasps = self.grid.repeat_interleave(_YAWS, 0)[:, None]
+        turned = yaws.repeat(spots)[:, None]
+        things = table.xy[:, None, :THE_STICK]
+        room = stick_distance(grasps, turned, things) - _radii(table)
+        bases = stick_distance(grasps, turned, table.bases[:, None]).amin(-1)
+        room = room.amin(-1).clamp(max=_ROOM_M).view(count, spots, _YAWS)
+        bases = bases.clamp(max=1.0).view(count, spots, _YAWS)
+        able = self._able(
+            torch.stack([margin, room, 0.2 * bases, 0.1 * (1.8 - heading)], -1)
+        )
+        weights, enough = self.weights().exp(), self.enough()
+        away = self.grid.norm(dim=-1, keepdim=True) / _SCALE_M
+        worth = (
+            weights[0] * torch.minimum(margin / _SCALE_M, enough[0])
+            - weights[1] * away
+            - weights[2] * heading * 10
+        )
+        utility: Tensor = (able + worth).flatten(1)
+        return utility
+
+    def number(self, pose: Tensor) -> Tensor:
+        """Return the candidates nearest to gripper poses (B, 3)."""
+        spot = torch.cdist(pose[:, :2], self.grid).argmin(-1)
+        return spot * _YAWS + torch.round(pose[:, 2] * _YAWS / math.tau).long() % _YAWS
+
+    def pose(self, number: Tensor) -> Tensor:
+        """Return the gripper poses of candidates, (B, 3)."""
+        yaw = (number % _YAWS).float() * (math.tau / _YAWS)
+        return torch.cat([self.grid[number // _YAWS], yaw[:, None]], -1)
+
+
+def _without(table: SceneTable, entity: Tensor) -> SceneTable:
+    """Return the table with an entity taken away."""
+    gone = F.one_hot(entity, table.xy.shape[1]).bool()
+    return replace(table, xy=torch.where(gone.unsqueeze(-1), FAR_M, table.xy))
+
+
+def _radii(table: SceneTable) -> Tensor:
+    radii = torch.full((THE_STICK,), _PAD_RADIUS_M, device=table.xy.device)
+    radii[: len(CUBES)] = _CUBE_RADIUS_M
+    return radii

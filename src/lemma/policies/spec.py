@@ -1,0 +1,129 @@
+"""Policies by name: what ``--policy`` takes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.policies.class_path import instance_of
+from lemma.policies.compose import MultiStep, PlannerWithGrounder
+from lemma.policies.interfaces import Grounder, Planner, Policy
+from lemma.policies.oracle import (
+    GroundTruthAllocation,
+    OracleGrounder,
+    OraclePlanner,
+)
+
+ORACLE = "oracle"
+PLANNINGS = ("single-step", "multi-step")
+TIMEOUT_S = 30.0
+"""Time that a decision may take [s]."""
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """Which policy, and how it plans; plain data, so that other processes can load it.
+
+    ``name`` is one of
+
+    - ``"oracle"``: the expert;
+    - a model that plans and grounds: ``"reachnet"``, ``"m-cliport"``;
+    - a planner and a grounder: ``"episodic-transformer+cliport"``;
+    - anybody's own class: ``"package.module:Class"``, called without arguments;
+    - a policy behind a socket: ``"http://127.0.0.1:8000"``.
+
+    Models are names of weights that ship, or paths of weights.
+    """
+
+    name: str = ORACLE
+    planning: str = PLANNINGS[0]
+    """``"single-step"``: looks before every sub-task; ``"multi-step"``: plans from the
+    first image alone."""
+    gta: bool = False
+    """Whether the right robot replaces the one that the planner chose."""
+    timeout_s: float = TIMEOUT_S
+    """Time that a decision of somebody else's policy may take [s]; 0 for any time, in
+    the same process."""
+
+    def __post_init__(self) -> None:
+        """Check the names and the time."""
+        if self.planning not in PLANNINGS:
+            raise UnknownNameError("way of planning", self.planning, PLANNINGS)
+        if not 0.0 <= self.timeout_s < float("inf"):
+            raise InvalidConfigError(
+                f"A decision may take {self.timeout_s} s? Valid: a positive number, or "
+                "0 for no limit."
+            )
+
+    @property
+    def parts(self) -> list[str]:
+        """Names of the policy, or of the planner and the grounder."""
+        return self.name.split("+")
+
+    @property
+    def blind(self) -> bool:
+        """Whether it needs no images."""
+        return set(self.parts) == {ORACLE}
+
+    def load(self, load: Callable[[str], Any] | None = None) -> Policy:
+        """Return the policy, ready to act.
+
+        Args:
+            load: Returns the planner, grounder or policy of a name; :func:`load_part`
+                if None.
+
+        Raises:
+            InvalidConfigError: The name means no policy, or one that cannot plan in
+                the way that is asked for.
+            LemmaError: Its weights are missing or damaged.
+        """
+        load = load or load_part
+        first, plus, second = self.name.partition("+")
+        if not plus:
+            whole = load(first)
+            if first == ORACLE:
+                return self._compose(OraclePlanner(), OracleGrounder())
+            if isinstance(whole, Planner) and isinstance(whole, Grounder):
+                if self.gta or self.planning != PLANNINGS[0]:
+                    return self._compose(whole, whole)
+            elif self.gta or self.planning != PLANNINGS[0]:
+                raise InvalidConfigError(
+                    f"{self.name} does not plan in symbols, so neither multi-step "
+                    "planning nor ground-truth allocation applies to it."
+                )
+            if isinstance(whole, Policy):
+                return whole
+            raise InvalidConfigError(
+                f"{self.name} is no whole policy: it has no act(). Combine a planner "
+                "with a grounder, as in episodic-transformer+cliport."
+            )
+        planner = OraclePlanner() if first == ORACLE else load(first)
+        grounder = OracleGrounder() if second == ORACLE else load(second)
+        if not isinstance(planner, Planner):
+            raise InvalidConfigError(f"{first} cannot plan; it has no plan().")
+        if not isinstance(grounder, Grounder):
+            raise InvalidConfigError(f"{second} cannot ground; it has no ground().")
+        return self._compose(planner, grounder)
+
+    def _compose(self, planner: Planner, grounder: Grounder) -> Policy:
+        if self.planning != PLANNINGS[0]:
+            planner = MultiStep(planner)
+        if self.gta:
+            planner = GroundTruthAllocation(planner)
+        return PlannerWithGrounder(planner, grounder)
+
+
+def load_part(name: str) -> Any:
+    """Return the planner, grounder or policy of a name.
+
+    Raises:
+        LemmaError: There is none, or its weights are missing or damaged.
+    """
+    if name == ORACLE:
+        return None
+    if ":" in name:
+        return instance_of(name)
+    # torch is an extra, which the oracle and other people's policies do without.
+    from lemma.policies.weights import load_model  # noqa: PLC0415
+
+    return load_model(name)

@@ -1,0 +1,277 @@
+"""More ways to say what the training templates say, in their own words.
+
+Eighty-odd templates are few: a network learns them by heart, and takes the first
+words of a new sentence for those of an old one. Here their parts are mixed anew:
+another template's way to name a cube, two short sentences for a goal of two towers,
+clauses that say nothing of the goal left out or added. Held-out ones are not used.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from lemma.policies.text.word_vectors import neighbours
+from lemma.scene.palette import OBJECT_COLORS
+from lemma.tasks.language.bank import bank_for, words
+from lemma.tasks.language.template import SLOT, GoalPairs, Template, split_entity
+from lemma.tasks.suite import SUITE
+
+NOUNS = {"cube": ("cube", "block", "box"), "pad": ("pad", "circle", "target")}
+"""Names of things that the training templates use."""
+_ALL_NOUNS = {noun for nouns in NOUNS.values() for noun in nouns}
+_NOUN = "(?:cube|block|box|pad|circle|target)"
+_ROLE = r"\{(?P<role>(?:top|bottom)[12]?)(?:\.color)?\}"
+_MENTION = re.compile(
+    rf"(?P<before>{_NOUN}) that is {_ROLE}"
+    rf"|{_ROLE.replace('?P<role>', '?P<role2>')}"
+    rf"(?: coloured)?(?: (?P<after>{_NOUN}|one)\b)?"
+)
+_ON = ("on", "on", "onto", "on top of", "on top of", "over", "top")
+_UNDER = ("under", "under", "below", "at the bottom of")
+_WHERE = (
+    r"(?P<relation>(?P<on>on top of|onto|on|over|top)|under|below|at the bottom of)"
+)
+_RELATION = re.compile(rf"\b{_WHERE}(?= (?:the )?$)")
+_FRONT = re.compile(rf"(?:^|, |\. |\band ){_WHERE}(?= (?:the )?$)", re.IGNORECASE)
+_JOINTS = (" and ", ", and ", ". ", ", ", ", then ", ". then ", ", and then ")
+_SHORT = 16
+"""Words of the longest sentence that is joined with another."""
+
+
+@dataclass(frozen=True)
+class ParaphraseConfig:
+    """How far sentences are taken apart; all are chances."""
+
+    native: float = 0.3
+    """Of a sentence of the task, as it stands, but for single words."""
+    turned: float = 0.3
+    """Of telling each relation the other way round: what goes under what."""
+    fronted: float = 0.2
+    """Of beginning with the place: on the pad goes the cube."""
+    renamed: float = 0.6
+    """Of another name for a thing, each time it is mentioned."""
+    clause_dropped: float = 0.4
+    """Of leaving out a clause that mentions nothing."""
+    clause_added: float = 0.25
+    """Of adding such a clause of another template."""
+    swapped: float = 0.15
+    """Of another English word of similar meaning, for each word but colors."""
+    left_out: float = 0.03
+    """Of leaving out a word, for each but colors."""
+
+
+@dataclass(frozen=True)
+class _Sentence:
+    """A template as pieces of text between mentions of roles."""
+
+    pieces: tuple[str, ...]
+    roles: tuple[str, ...]
+    said: tuple[str, ...]
+    """The mentions as the template writes them, with a slot for the color."""
+
+    @property
+    def pairs(self) -> int:
+        """Number of On(top, bottom) that it says."""
+        return 2 if any(role.endswith("2") for role in self.roles) else 1
+
+
+def paraphrase(
+    task: str,
+    goal_pairs: GoalPairs,
+    rng: np.random.Generator,
+    config: ParaphraseConfig | None = None,
+    taught: Sequence[Template] = (),
+) -> str:
+    """Return a sentence that asks for a goal, put together from training templates.
+
+    Args:
+        task: Name of the task, whose own templates come first.
+        goal_pairs: One or two (top, bottom) pairs of entities.
+        rng: Where all draws come from.
+        config: How far sentences are taken apart.
+        taught: The only templates to use; all that training may see if empty.
+    """
+    config = config or ParaphraseConfig()
+    used = tuple(taught) or None
+    if rng.random() < config.native or len(goal_pairs) > 2:
+        own = _own(task, used)
+        text = own[int(rng.integers(len(own)))].render(goal_pairs)
+    elif len(goal_pairs) == 2 and rng.random() < 0.5:
+        short = _sentences(1, used, _SHORT)
+        both = [_say(_drawn(short, rng), (pair,), rng, config) for pair in goal_pairs]
+        text = both[0].rstrip(".") + _JOINTS[rng.integers(len(_JOINTS))] + both[1]
+    else:
+        fitting = _sentences(len(goal_pairs), used)
+        text = _say(_drawn(fitting, rng), goal_pairs, rng, config)
+    return _noisy(_with_clauses(text, rng, config, _fillers(used)), rng, config)
+
+
+def _drawn(sentences: tuple[_Sentence, ...], rng: np.random.Generator) -> _Sentence:
+    return sentences[int(rng.integers(len(sentences)))]
+
+
+def _say(
+    sentence: _Sentence,
+    goal_pairs: GoalPairs,
+    rng: np.random.Generator,
+    config: ParaphraseConfig,
+) -> str:
+    """Return a sentence about a goal, whose things may be of other kinds."""
+    entities: dict[str, str] = {}
+    for number, pair in enumerate(goal_pairs, 1):
+        suffix = str(number) if sentence.pairs == 2 else ""
+        entities |= {f"top{suffix}": pair[0], f"bottom{suffix}": pair[1]}
+    sentence = _turned(sentence, rng, config.turned)
+    if rng.random() < config.fronted:
+        sentence = _fronted(sentence)
+    # One name for each role throughout, in most sentences.
+    nouns = {role: _noun(entity, rng) for role, entity in entities.items()}
+    text, told = sentence.pieces[0], set()
+    mentions = zip(sentence.roles, sentence.said, sentence.pieces[1:], strict=True)
+    for role, said, piece in mentions:
+        color, kind = split_entity(entities[role])
+        noun = nouns[role]
+        named = set(words(said)) & _ALL_NOUNS
+        fits = named <= set(NOUNS[kind]) and (named or role in told)
+        if rng.random() < config.renamed or not fits:
+            forms = [f"{color} {noun}"] * 6
+            forms += [f"{noun} that is {color}", f"{color} coloured {noun}"]
+            forms += [f"{color} one"] * (2 if role in told else 0)
+            said = forms[int(rng.integers(len(forms)))]
+        text += said.replace("*", color) + piece
+        told.add(role)
+    return text
+
+
+def _turned(sentence: _Sentence, rng: np.random.Generator, chance: float) -> _Sentence:
+    """Return a sentence in which some "x on y" have become "y under x", or back."""
+    pieces, roles = list(sentence.pieces), list(sentence.roles)
+    for i in range(1, len(roles)):
+        first, second = roles[i - 1 : i + 1]
+        if _conjunct(first) != _conjunct(second) or first == second:
+            continue
+        upright = first.startswith("top")
+        # "x on y", or "on y goes x".
+        for j, pattern, on in ((i, _RELATION, upright), (i - 1, _FRONT, not upright)):
+            found = pattern.search(pieces[j])
+            if found and on is bool(found["on"]) and rng.random() < chance:
+                options = _UNDER if on else _ON
+                other = options[int(rng.integers(len(options)))]
+                start, end = found.span("relation")
+                pieces[j] = pieces[j][:start] + other + pieces[j][end:]
+                roles[i - 1 : i + 1] = second, first
+                break
+    return _Sentence(tuple(pieces), tuple(roles), sentence.said)
+
+
+def _fronted(sentence: _Sentence) -> _Sentence:
+    """Return "on y put x" for "put x on y", if a sentence is no more than that."""
+    found = _RELATION.search(sentence.pieces[1])
+    if len(sentence.roles) != 2 or found is None:
+        return sentence
+    before, between, after = sentence.pieces
+    start = found.start("relation")
+    pieces = (between[start:], f" {before}", f" {between[:start].strip()} {after}")
+    return _Sentence(pieces, sentence.roles[::-1], sentence.said[::-1])
+
+
+def _conjunct(role: str) -> str:
+    return role.removeprefix("top").removeprefix("bottom")
+
+
+def _noun(entity: str, rng: np.random.Generator) -> str:
+    names = NOUNS[split_entity(entity)[1]]
+    return names[int(rng.integers(len(names)))]
+
+
+def _with_clauses(
+    text: str,
+    rng: np.random.Generator,
+    config: ParaphraseConfig,
+    pool: tuple[str, ...],
+) -> str:
+    kept = [
+        clause
+        for clause in _clauses(text)
+        if _mentions(clause) or rng.random() >= config.clause_dropped
+    ]
+    if pool and rng.random() < config.clause_added:
+        clause = pool[int(rng.integers(len(pool)))]
+        kept.insert(0 if rng.random() < 0.5 else len(kept), clause)
+    return ", ".join(kept)
+
+
+def _noisy(text: str, rng: np.random.Generator, config: ParaphraseConfig) -> str:
+    out = []
+    for word in words(text):
+        if word in OBJECT_COLORS:
+            out.append(word)
+            continue
+        draw = rng.random()
+        if draw < config.left_out:
+            continue
+        others = neighbours(word) if draw < config.left_out + config.swapped else ()
+        out.append(others[int(rng.integers(len(others)))] if others else word)
+    return " ".join(out)
+
+
+def _clauses(text: str) -> list[str]:
+    return [part.strip() for part in re.split(r"[.,;:?!]", text) if part.strip()]
+
+
+def _mentions(clause: str) -> bool:
+    return any(word in OBJECT_COLORS for word in words(clause))
+
+
+@cache
+def _own(task: str, used: tuple[Template, ...] | None) -> tuple[Template, ...]:
+    """Return a task's templates; its high-level one as often as three human ones."""
+    bank = bank_for(task)
+    found = (*bank.human, *bank.high_level, *bank.high_level, *bank.high_level)
+    return tuple(t for t in found if used is None or t in used)
+
+
+@cache
+def _sentences(
+    pairs: int, used: tuple[Template, ...] | None, longest: int = 99
+) -> tuple[_Sentence, ...]:
+    found = {
+        template.text: _taken_apart(template)
+        for template in _all(used)
+        if len(template.roles) == pairs and len(words(template.text)) <= longest
+    }
+    return tuple(found.values())
+
+
+def _all(used: tuple[Template, ...] | None) -> tuple[Template, ...]:
+    banks = [bank_for(task) for task in SUITE]
+    return used or tuple(t for bank in banks for t in (*bank.high_level, *bank.human))
+
+
+def _taken_apart(template: Template) -> _Sentence:
+    pieces, roles, said, end = [], [], [], 0
+    kinds = dict(
+        pair
+        for roles_, kinds_ in zip(
+            template.roles, template.entity_kinds or (), strict=True
+        )
+        for pair in zip(roles_, kinds_, strict=True)
+    )
+    for match in _MENTION.finditer(template.text):
+        role = match["role"] or match["role2"]
+        roles.append(role)
+        pieces.append(template.text[end : match.start()])
+        bare = re.sub(r"\{[^{}]*\.color\}", "*", match[0])
+        said.append(re.sub(r"\{[^{}]*\}", f"* {kinds[role]}", bare))
+        end = match.end()
+    return _Sentence((*pieces, template.text[end:]), tuple(roles), tuple(said))
+
+
+@cache
+def _fillers(used: tuple[Template, ...] | None) -> tuple[str, ...]:
+    texts = [SLOT.sub("*", template.text) for template in _all(used)]
+    clauses = {clause for text in texts for clause in _clauses(text)}
+    return tuple(sorted(clause for clause in clauses if "*" not in clause))

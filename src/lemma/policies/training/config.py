@@ -1,0 +1,315 @@
+"""What a training run is: every option, and what each model is trained with.
+
+Plain data that needs no torch, so that the command line can show it at once.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
+
+import tyro
+
+from lemma.core.config import decode
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.dataset.instructions import TRAINING_KINDS
+
+# The hint would repeat "(default: None)" where the help says what happens.
+Count = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
+Amount = Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")]
+Name = Annotated[str | None, tyro.conf.arg(metavar="WEIGHTS", help_behavior_hint="")]
+Kind = Literal["high_level", "human"]
+RECOVERY_SHARE = 0.25
+"""Share of recovery states, if nothing else is said."""
+LANGUAGES = ("full", "none", "shuffled")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Augmentation:
+    """What is changed at random in what a model is trained on, each on its own."""
+
+    palette: bool = True
+    """Exchange the five colors of cubes and pads, in images, labels and sentences."""
+    templates: bool = True
+    """Draw a sentence anew each time; else an episode keeps its first one."""
+    paraphrases: float = 0.5
+    """Share of sentences that are put together anew from parts of the templates; 0 for
+    none."""
+    translate_cells: int = 6
+    """Move the whole scene by up to so many cells of the map; 0 for never."""
+    turn: bool = True
+    """Turn the whole scene by half a turn, so that the robots change numbers."""
+    brightness: float = 0.15
+    """Largest change of brightness and of contrast, as a share; 0 for none."""
+    pixel_noise: float = 0.03
+    """Largest standard deviation of noise in colors, of 1; 0 for none."""
+    height_noise_m: float = 0.003
+    """Largest standard deviation of noise in heights [m]; 0 for none."""
+    dropouts: int = 4
+    """Largest number of small holes in what the cameras see; 0 for none."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for name in (
+            *("translate_cells", "brightness"),
+            *("pixel_noise", "height_noise_m", "dropouts", "paraphrases"),
+        ):
+            if not getattr(self, name) >= 0:
+                raise InvalidConfigError(
+                    f"{name} is {getattr(self, name)}. It is 0 for none, or more."
+                )
+        if self.brightness >= 1:
+            raise InvalidConfigError(
+                f"brightness is {self.brightness}, a share below 1. Try 0.15."
+            )
+
+    @classmethod
+    def none(cls) -> "Augmentation":
+        """Return the one that changes nothing."""
+        return cls(
+            palette=False,
+            templates=False,
+            paraphrases=0.0,
+            translate_cells=0,
+            turn=False,
+            brightness=0.0,
+            pixel_noise=0.0,
+            height_noise_m=0.0,
+            dropouts=0,
+        )
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Options of a training run."""
+
+    model: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
+    """episodic-transformer, cliport, m-cliport or reachnet."""
+    data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Rendered keyframes: what lemma render --form keyframes wrote."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder of the run. A run that is there and did not end is continued."""
+    options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    """Options of the model, such as width=128."""
+    seed: int = 0
+    """Of first weights, order, sentences and augmentation."""
+    start: Name = None
+    """Weights to begin with, by name or file, instead of random ones."""
+
+    steps: Count = None
+    """Steps of the optimizer. By default the model's own number of samples."""
+    samples: Count = None
+    """Instead of steps: frames, or episodes, that are drawn in all."""
+    batch_size: Count = None
+    """Frames, or episodes, of a step and GPU. By default the model's own."""
+    learning_rate: Amount = None
+    """The highest, of AdamW. By default the model's own."""
+    warmup_steps: int = 300
+    """Steps until it is reached; then it falls along a cosine to zero."""
+    weight_decay: float = 0.02
+    """Of AdamW, for matrices and kernels."""
+    clip: float = 1.0
+    """Largest norm of the gradient."""
+    ema: float = 0.999
+    """Decay of the moving average of the weights, which is what is kept."""
+
+    precision: Literal["bf16", "float32"] = "bf16"
+    """Of the network on a GPU; on a CPU it is float32."""
+    channels_last: bool = True
+    """Whether convolutions have their channels last."""
+    compile: bool = False
+    """Whether to compile the parts of the model: slower to start, faster to run."""
+    device: Literal["auto", "cuda", "cpu"] = "auto"
+    """Where to train; auto: on a GPU where there is one."""
+    images: Literal["auto", "device", "host"] = "auto"
+    """Where images are kept; auto: on the device if a tenth of its memory is enough."""
+
+    val_every: Count = None
+    """Steps between validations. By default twenty in all."""
+    checkpoint_every_s: float = 60.0
+    """Seconds between checkpoints."""
+    time_limit_s: Amount = None
+    """Seconds of training, in all runs, after which it ends, with the learning rate
+    down to zero, however many steps are left."""
+    train_split: str = "train"
+    """Split to train on."""
+    val_split: str = "val"
+    """Split to choose the best weights by."""
+    tasks: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK ...")] = ()
+    """Names of tasks; all if empty."""
+    episodes: Count = None
+    """Train on so many episodes of the split only, drawn by the seed."""
+    kinds: tuple[Kind, ...] = ("high_level", "human")
+    """Kinds of instructions, each as likely."""
+    language: Literal["full", "none", "shuffled"] = "full"
+    """none: nothing is said; shuffled: what is said belongs to another episode. Both
+    are controls."""
+    augmentation: Augmentation = field(default_factory=Augmentation)
+    """What is changed at random."""
+    recovery: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
+    ] = None
+    """Mix in recovery states: rendered keyframes of perturbed executions, which lemma
+    generate --perturb made. They are never validated on."""
+    recovery_share: Amount = None
+    """Share of the frames, or episodes, of each batch that are recovery states; 0.25 by
+    default."""
+    track: bool = False
+    """Whether to log to wandb as well as to TensorBoard."""
+
+    def __post_init__(self) -> None:
+        """Check numbers and names."""
+        for name in ("steps", "samples", "batch_size", "val_every", "episodes"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InvalidConfigError(f"{name} is {value}. It must be 1 or more.")
+        for name in ("learning_rate", "clip", "time_limit_s", "checkpoint_every_s"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise InvalidConfigError(f"{name} is {value}. It must be positive.")
+        if not 0 <= self.ema < 1:
+            raise InvalidConfigError(f"ema is {self.ema}. Choose 0.999, or 0 for none.")
+        if self.steps is not None and self.samples is not None:
+            raise InvalidConfigError(
+                "steps and samples say the same thing twice. Leave out one of them."
+            )
+        if self.recovery_share is not None and not 0 < self.recovery_share <= 1:
+            raise InvalidConfigError(
+                f"recovery_share is {self.recovery_share:g}, a share above 0 and up to "
+                f"1. Try {RECOVERY_SHARE}."
+            )
+        if self.recovery_share is not None and self.recovery is None:
+            raise InvalidConfigError(
+                "recovery_share says how much of each batch are recovery states, but "
+                "there are none. Name them with --recovery DIR."
+            )
+        if not self.kinds or not set(self.kinds) <= set(TRAINING_KINDS):
+            raise InvalidConfigError(
+                f"kinds are {self.kinds}. Choose some of {', '.join(TRAINING_KINDS)}."
+            )
+
+    def resolved(self, processes: int = 1) -> "TrainingConfig":
+        """Return the same options with the model's own where none were given.
+
+        Args:
+            processes: That train together; each draws its own batch.
+        """
+        own = DEFAULTS.get(self.model, Defaults())
+        batch_size = self.batch_size or own.batch_size
+        steps = self.steps or -(-(self.samples or own.samples) // batch_size)
+        if self.steps is None:
+            steps = -(-steps // processes)
+        return replace(
+            self,
+            steps=steps,
+            samples=None,
+            batch_size=batch_size,
+            learning_rate=self.learning_rate or own.learning_rate,
+            val_every=self.val_every or max(1, steps // 20),
+            recovery_share=self.recovery_share
+            or (RECOVERY_SHARE if self.recovery else None),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON."""
+        data: dict[str, Any] = json.loads(json.dumps(asdict(self), default=str))
+        return data
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "TrainingConfig":
+        """Make options from what :meth:`to_dict` returned.
+
+        Raises:
+            UnknownNameError: One has a name that this version does not know.
+            InvalidConfigError: One has a value that cannot be.
+        """
+        config: TrainingConfig = decode(cls, data)
+        return config
+
+
+@dataclass(frozen=True)
+class Defaults:
+    """What a model is trained with, if nothing else is said."""
+
+    samples: int = 320_000
+    """Frames, or episodes, in all."""
+    batch_size: int = 64
+    """Frames, or episodes, of a step."""
+    learning_rate: float = 3e-4
+    """The highest."""
+
+
+DEFAULTS: dict[str, Defaults] = {
+    # Eighteen passes, where the paper makes thirty: the best weights are of the ninth.
+    "episodic-transformer": Defaults(samples=100_000, batch_size=32),
+    "cliport": Defaults(samples=230_000, learning_rate=1e-3),
+    "m-cliport": Defaults(samples=230_000, learning_rate=1e-3),
+    "reachnet": Defaults(samples=400_000, batch_size=128, learning_rate=1e-3),
+}
+"""By the name of the model."""
+
+MAY_CHANGE = (
+    *(
+        "data",
+        "recovery",
+        "out",
+        "checkpoint_every_s",
+        "time_limit_s",
+        "images",
+        "track",
+    ),
+    *("device", "compile", "val_every"),
+)
+"""Options that may be others when a run is continued."""
+
+
+def model_options(kind: type[Any], words: tuple[str, ...]) -> dict[str, Any]:
+    """Return the options of a model that a user typed, as plain data.
+
+    Args:
+        kind: The model's dataclass of options.
+        words: ``("width=128", "text.layers=2")``.
+
+    Raises:
+        UnknownNameError: There is no such option.
+        InvalidConfigError: A word has no value.
+    """
+    chosen: dict[str, Any] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals:
+            raise InvalidConfigError(
+                f"{word!r} has no value. Write options as NAME=VALUE, such as "
+                f"{_names(kind)[0]}=..."
+            )
+        place, part = chosen, kind
+        *outer, last = name.split(".")
+        for step in outer:
+            part = _part(part, step)
+            place = place.setdefault(step, {})
+        if last not in _names(part):
+            raise UnknownNameError("option of the model", last, _names(part))
+        place[last] = _parse(text)
+    return chosen
+
+
+def _names(kind: type[Any]) -> list[str]:
+    return [f.name for f in fields(kind)]
+
+
+def _part(kind: type[Any], name: str) -> Any:
+    if name not in _names(kind):
+        raise UnknownNameError("option of the model", name, _names(kind))
+    part = get_type_hints(kind)[name]
+    if not hasattr(part, "__dataclass_fields__"):
+        raise InvalidConfigError(f"{name} has no options of its own.")
+    return part
+
+
+def _parse(text: str) -> Any:
+    """Return a number, truth value or list as JSON has it; else the text."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return {"True": True, "False": False}.get(text, text)

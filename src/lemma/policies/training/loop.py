@@ -1,0 +1,374 @@
+"""The training loop of all models.
+
+It is what ``lemma train`` runs. On many GPUs, ``torchrun --nproc-per-node 8 -m
+lemma.policies.training.loop`` starts it, with the same words behind it.
+
+A run is continued from its last checkpoint, and its outcome is the same as if it had
+not been stopped, because all that is drawn is a function of the seed and the step.
+"""
+
+import math
+import os
+import shlex
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated, Any
+
+import torch
+import tyro
+from torch import Tensor
+
+from lemma import __version__
+from lemma.core.errors import LemmaError
+from lemma.dataset.files import only_writer, write_json
+from lemma.policies.checkpoints import (
+    About,
+    load_weights,
+    read_state,
+    write_state,
+    write_weights,
+)
+from lemma.policies.models.catalog import options_of
+from lemma.policies.training.config import TrainingConfig
+from lemma.policies.training.distributed import ProcessGroup, processes
+from lemma.policies.training.loader import BatchLoader, FrameSource, Sampler
+from lemma.policies.training.logging import Reporter, gpu_memory_gb
+from lemma.policies.training.run import (
+    CHECKPOINT,
+    REPORT,
+    WEIGHTS,
+    Data,
+    TrainingReport,
+    clear_run,
+    first_model,
+    open_run,
+    read_frames,
+    recovery_units,
+    training_units,
+)
+from lemma.policies.training.step import Trainer
+from lemma.policies.training.validation import Scores, validate
+
+LOG_EVERY = 20
+"""Steps between readings of the losses, for which a GPU has to be waited for."""
+
+
+class TrainingError(LemmaError, RuntimeError):
+    """A training run that cannot go on."""
+
+
+@dataclass
+class _Progress:
+    """What a checkpoint keeps beside the weights."""
+
+    elapsed_s: float = 0.0
+    samples: int = 0
+    best_step: int = -1
+    scores: Scores = field(default_factory=dict)
+    history: list[dict[str, float]] = field(default_factory=list)
+
+
+def train(
+    config: TrainingConfig, *, restart: bool = False, command: str | None = None
+) -> TrainingReport:
+    """Train a model, or go on with it.
+
+    Args:
+        config: What to train, on what, how.
+        restart: Whether to begin anew where a run was begun before.
+        command: The command line; if None, that of this process, which is ``lemma``.
+
+    Returns:
+        How it went. The best weights are ``weights.safetensors`` in the run's folder.
+
+    Raises:
+        DatasetError: There is no data, or it is damaged or of another version.
+        UnknownNameError: There is no such model, option, split or task.
+        InvalidConfigError: Another run is in the folder, or an option cannot be.
+        WeightsError: The checkpoint is damaged.
+        TrainingError: The GPU's memory is too small, or training diverged.
+    """
+    command = command or shlex.join(["lemma", *sys.argv[1:]])
+    with processes(config.device) as team:
+        config = config.resolved(team.count)
+        held = only_writer(config.out) if team.first else nullcontext()
+        with held, _explained(config):
+            if team.device.type == "cuda":
+                torch.backends.cudnn.benchmark = True
+                torch.set_float32_matmul_precision("high")
+            if restart and team.first:
+                clear_run(config.out)
+            team.agree(0.0)
+            return _Run(config, team, command).go()
+
+
+class _Run:
+    def __init__(
+        self, config: TrainingConfig, team: ProcessGroup, command: str
+    ) -> None:
+        self.config, self.team, self.command = config, team, command
+        self.model = first_model(config)
+        self.data: Data = read_frames(config, team)
+        if team.first:
+            open_run(config, self.model, self.data.about, command)
+        self.trainer = Trainer(self.model, config, team)
+        self.units = training_units(self.model, self.data.train, config)
+        self.order = Sampler(
+            len(self.units),
+            config.batch_size or 1,
+            config.seed,
+            team.rank,
+            team.count,
+        )
+        self.recovery = self._mixed_in()
+        self.so_far = _Progress()
+        self.steps = config.steps or 0
+        self._told: list[dict[str, Tensor]] = []
+        self._busy_s, self._waited_s, self._here = 0.0, 0.0, 0
+        if (config.out / CHECKPOINT).exists():
+            state = read_state(config.out / CHECKPOINT, team.device)
+            self.trainer.restore(state["trainer"])
+            self.so_far = _Progress(**state["so_far"])
+
+    def _mixed_in(self) -> FrameSource | None:
+        """Return the recovery states, if there are any."""
+        frames, share = self.data.recovery, self.config.recovery_share
+        if frames is None or share is None:
+            return None
+        units = recovery_units(self.model, frames, self.units, self.data.train)
+        order = replace(self.order, units=len(units), name="recovery")
+        return FrameSource(frames, units, order, share)
+
+    def go(self) -> TrainingReport:
+        """Train to the end, or until somebody stops it."""
+        config, trainer = self.config, self.trainer
+        feed = BatchLoader(
+            self.data.train,
+            self.units,
+            self.order,
+            config,
+            self.team.device,
+            self.recovery,
+        )
+        first = trainer.step
+        begun = self.so_far.elapsed_s
+        start = saved = self._logged = time.perf_counter()
+        with (
+            Reporter(config, first, speaks=self.team.first) as self.reporter,
+            _stop_signals() as stop,
+            feed.ahead(first, self.steps) as batches,
+        ):
+            if first:
+                self.reporter.say(f"Going on from step {first} of {self.steps}.")
+            while True:
+                now = time.perf_counter()
+                self.so_far.elapsed_s = begun + now - start
+                done, stopped, due = self.team.agree(
+                    self._done(),
+                    stop.is_set(),
+                    now - saved > config.checkpoint_every_s,
+                )
+                if stopped or due:
+                    self._save()
+                    saved = now
+                if done >= 1.0 or stopped:
+                    break
+                asked = time.perf_counter()
+                batch = next(batches)
+                self._waited_s += time.perf_counter() - asked
+                self._told.append(trainer.train(batch, done))
+                self.so_far.samples += len(batch) * self.team.count
+                self._here += len(batch) * self.team.count
+                if trainer.step % LOG_EVERY == 0:
+                    self._log()
+                if trainer.step % (config.val_every or 1) == 0:
+                    self._validate()
+            if not stopped:
+                self._end()
+            return self._report(bool(stopped))
+
+    def _done(self) -> float:
+        """Return how much of the training is done, 0 to 1."""
+        limit = self.config.time_limit_s or math.inf
+        return max(self.trainer.step / self.steps, self.so_far.elapsed_s / limit)
+
+    def _log(self) -> None:
+        """Read the losses since the last time."""
+        if not self._told:
+            return
+        names = list(self._told[-1])
+        rows = torch.stack([torch.stack([t[n] for n in names]) for t in self._told])
+        means = dict(zip(names, rows.float().mean(0).tolist(), strict=True))
+        now = time.perf_counter()
+        self._busy_s += now - self._logged
+        self._logged = now
+        steps, self._told = len(self._told), []
+        if not math.isfinite(means["loss"] + means["gradient"]):
+            raise TrainingError(
+                f"The loss became infinite within {steps} steps of step "
+                f"{self.trainer.step}. The last checkpoint is from before; lower "
+                "--learning-rate or --clip, with another --out."
+            )
+        rate = self.trainer.optimizer.param_groups[0]["lr"]
+        speed = self._here / max(self._busy_s, 1e-9)
+        self.reporter.step(
+            self.trainer.step,
+            {**means, "learning_rate": rate, "samples_per_s": speed},
+        )
+
+    def _validate(self) -> None:
+        """Score the average weights, and keep them if they are the best."""
+        self._log()
+        model, step, so_far = self.trainer.average, self.trainer.step, self.so_far
+        scores = validate(model, self.data.val, self.config, self.team)
+        chosen = scores.get(model.selection, math.nan)
+        best = so_far.scores.get(model.selection, -math.inf)
+        better = so_far.best_step < 0 or chosen > best
+        so_far.history.append({"step": step, **scores})
+        if better:
+            so_far.best_step, so_far.scores = step, scores
+            if self.team.first:
+                write_weights(
+                    self.config.out / WEIGHTS, model.state_dict(), self._about()
+                )
+        self.reporter.scores(step, scores, best=better)
+        self._logged = time.perf_counter()
+
+    def _save(self) -> None:
+        self._log()
+        if self.team.first:
+            state = {"trainer": self.trainer.state(), "so_far": asdict(self.so_far)}
+            write_state(self.config.out / CHECKPOINT, state)
+        self._logged = time.perf_counter()
+
+    def _end(self) -> None:
+        """Score what was trained last, and keep all."""
+        history = self.so_far.history
+        if not history or history[-1]["step"] != self.trainer.step:
+            self._validate()
+        self._save()
+
+    def _about(self) -> About:
+        return About(
+            model=self.config.model,
+            options=options_of(self.model),
+            data=self.data.about,
+            command=self.command,
+            scores=self.so_far.scores,
+            training=self.config.to_dict(),
+            lemma=__version__,
+        )
+
+    def _report(self, stopped: bool) -> TrainingReport:
+        self._log()
+        finished = self.trainer.step >= self.steps
+        status = "finished" if finished else "time is up"
+        frames = sum(map(len, self.units))
+        share = self.config.recovery_share or 0.0
+        report = TrainingReport(
+            status="interrupted" if stopped else status,
+            model=self.config.model,
+            parameters=sum(
+                p.numel() for p in self.model.parameters() if p.requires_grad
+            ),
+            steps=self.trainer.step,
+            samples=self.so_far.samples,
+            passes=self.so_far.samples * (1 - share) / frames,
+            seconds=self.so_far.elapsed_s,
+            samples_per_s=self._here / self._busy_s if self._busy_s else 0.0,
+            input_wait=self._waited_s / self._busy_s if self._busy_s else 0.0,
+            gpu_memory_gb=gpu_memory_gb(self.team.device),
+            device=_device_name(self.team.device),
+            scores=self.so_far.scores,
+            best_step=self.so_far.best_step,
+            scores_by_kind={} if stopped else self._scores_by_kind(),
+            history=self.so_far.history,
+            data=self.data.about,
+            command=self.command,
+            lemma=__version__,
+            torch=torch.__version__,
+        )
+        if self.team.first:
+            write_json(self.config.out / REPORT, asdict(report))
+        return report
+
+    def _scores_by_kind(self) -> dict[str, Scores]:
+        self.team.agree(0.0)
+        best = load_weights(self.config.out / WEIGHTS, self.team.device)
+        return {
+            kind: validate(best, self.data.val, self.config, self.team, (kind,))
+            for kind in self.config.kinds
+        }
+
+
+@contextmanager
+def _stop_signals() -> Iterator[threading.Event]:
+    """Yield an event that is set when this process is asked to end.
+
+    The second Ctrl-C ends it at once.
+    """
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+
+    def ask(number: int, _: Any) -> None:
+        if stop.is_set() and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        stop.set()
+
+    before = {n: signal.signal(n, ask) for n in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _explained(config: TrainingConfig) -> Iterator[None]:
+    try:
+        yield
+    except torch.cuda.OutOfMemoryError as error:
+        raise TrainingError(
+            f"The GPU's memory is too small for batches of {config.batch_size}: "
+            f"{str(error).splitlines()[0]} Try --batch-size "
+            f"{max(1, (config.batch_size or 2) // 2)}, or --images host, with another "
+            "--out."
+        ) from error
+
+
+def _device_name(device: torch.device) -> str:
+    if device.type == "cuda":
+        return str(torch.cuda.get_device_name(device))
+    return "CPU"
+
+
+def main(
+    config: Annotated[TrainingConfig, tyro.conf.arg(name="")], restart: bool = False
+) -> None:
+    """Train a model with all processes that torchrun starts.
+
+    Args:
+        config: What to train, on what, how.
+        restart: Begin anew where a run was begun before.
+    """
+    words = shlex.join(sys.argv[1:])
+    count = os.environ.get("WORLD_SIZE", "1")
+    command = (
+        f"torchrun --nproc-per-node {count} -m lemma.policies.training.loop {words}"
+    )
+    try:
+        train(config, restart=restart, command=command)
+    except LemmaError as error:
+        sys.stderr.write(f"{error}\n")
+        raise SystemExit(2) from error
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,323 @@
+"""What a training run begins with: its data, its first weights, its folder."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from lemma import __version__
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.seeding import stream
+from lemma.dataset.files import MANIFEST, clear_drafts, read_json, write_json
+from lemma.dataset.recipe.schema import executions, perturbed_as
+from lemma.dataset.rendered.keyframes.schema import FORM
+from lemma.dataset.rendered.shards import keyframe_shards, read_manifest
+from lemma.policies.batch import Frames
+from lemma.policies.model import Model
+from lemma.policies.models.catalog import MODELS, make_model, options_of
+from lemma.policies.training.config import MAY_CHANGE, TrainingConfig, model_options
+from lemma.policies.training.distributed import ProcessGroup
+from lemma.policies.training.step import seed_of
+from lemma.policies.training.validation import Scores
+from lemma.policies.weights import load_model
+from lemma.tasks.instance import BENCHMARK_VERSION
+
+CONFIG = "config.json"
+CHECKPOINT = "checkpoint.pt"
+WEIGHTS = "weights.safetensors"
+REPORT = "report.json"
+
+_BYTES_PER_CELL = 5
+
+
+@dataclass(frozen=True)
+class Data:
+    """What is trained on, and what the best weights are chosen by."""
+
+    train: Frames
+    val: Frames
+    about: dict[str, Any]
+    """Version and digest."""
+    recovery: Frames | None = None
+    """Recovery states of the instances that are trained on."""
+
+
+def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
+    """Return version and digest of rendered keyframes.
+
+    The digest is of what decides every bit of them: the episodes of the recipe, the
+    form, the software and what drew them.
+
+    Args:
+        folder: Where they are.
+        recovery: Whether they shall be recovery states, and not demonstrations.
+
+    Raises:
+        DatasetError: There are none, or they are of another version, or of the other
+            sort.
+    """
+    if not folder.is_dir():
+        raise DatasetError(
+            f"There is no folder {folder}. Make one from a recipe: lemma render RECIPE "
+            f"--out {folder} --form {FORM}"
+        )
+    files = read_manifest(folder, FORM)
+    about = read_json(folder / MANIFEST).get("about", {})
+    found = about.get("versions", {})
+    if found.get("benchmark") != BENCHMARK_VERSION:
+        raise DatasetError(
+            f"{folder} was made from version {found.get('benchmark')} of the "
+            f"benchmark, and this package has {BENCHMARK_VERSION}. Train with lemma-"
+            f"bench {found.get('lemma')}, or make the data again."
+        )
+    if recovery and not perturbed_as(found):
+        raise DatasetError(
+            f"{folder} holds {executions(found)}, but --recovery takes perturbed "
+            "executions: lemma generate --perturb 0.3, then lemma render --form "
+            f"{FORM}. Demonstrations are named by --data."
+        )
+    if perturbed_as(found) and not recovery:
+        raise DatasetError(
+            f"{folder} holds {executions(found)}. They are mixed in with --recovery; "
+            "--data takes demonstrations, by which the best weights are chosen."
+        )
+    # The files' own checksums would not do: the revision that drew them is in them.
+    decisive = {name: found[name] for name in found if name != "revision"}
+    content = {
+        name: entry.get("content_sha256", entry["sha256"])
+        for name, entry in files.items()
+    }
+    told = {"about": {**about, "versions": decisive}, "content": content}
+    text = json.dumps(told, sort_keys=True)
+    return {
+        "benchmark": BENCHMARK_VERSION,
+        "digest": hashlib.sha256(text.encode()).hexdigest(),
+        "renderer": about.get("renderer", ""),
+    }
+
+
+def read_frames(config: TrainingConfig, team: ProcessGroup) -> Data:
+    """Read both splits, to the device if it has room for them.
+
+    Raises:
+        DatasetError: Files are missing, damaged or of another version.
+        UnknownNameError: There is no such split or task.
+    """
+    about = check_data(config.data)
+    tasks = config.tasks
+    sources = [(config.data, config.train_split), (config.data, config.val_split)]
+    if config.recovery is not None:
+        about["recovery"] = check_data(config.recovery, recovery=True)["digest"]
+        sources.append((config.recovery, config.train_split))
+    size = sum(
+        sum(shard.header.keyframes)
+        * (shard.header.raster.rows * shard.header.raster.columns * _BYTES_PER_CELL)
+        for folder, split in sources
+        for shard in keyframe_shards(folder, split, tasks)
+    )
+    place = _place(config, team.device, size)
+    train = Frames.load(config.data, config.train_split, tasks, place)
+    same = config.val_split == config.train_split
+    val = train if same else Frames.load(config.data, config.val_split, tasks, place)
+    recovery = None
+    if config.recovery is not None:
+        recovery = Frames.load(config.recovery, config.train_split, tasks, place)
+        _check_alike(train, recovery)
+    return Data(train, val, about, recovery)
+
+
+def _check_alike(train: Frames, recovery: Frames) -> None:
+    """Check that frames of both fit into one batch.
+
+    Raises:
+        DatasetError: They do not.
+    """
+    ours, theirs = ((frames.raster, frames.robots) for frames in (train, recovery))
+    if ours != theirs:
+        raise DatasetError(
+            f"Recovery states have {theirs[1]} robots and maps of {theirs[0]}, but the "
+            f"data have {ours[1]} and {ours[0]}. Render both with the same version."
+        )
+
+
+def _place(config: TrainingConfig, device: torch.device, size: int) -> torch.device:
+    host = torch.device("cpu")
+    if device.type == "cpu" or config.images == "host":
+        return host
+    free, _ = torch.cuda.mem_get_info(device)
+    # From the host they come nearly as fast, and the memory has better uses.
+    if config.images == "device" or size < free / 10:
+        return device
+    return host
+
+
+def recovery_units(
+    model: Model, recovery: Frames, units: Sequence[Sequence[int]], train: Frames
+) -> list[Sequence[int]]:
+    """Return the frames of each unit of recovery states that may be mixed in.
+
+    Args:
+        model: Says what a unit is.
+        recovery: Recovery states.
+        units: What is trained on otherwise: other instances stay unknown.
+        train: The frames of those units.
+
+    Raises:
+        DatasetError: There is none of these instances.
+    """
+    known = {train.instances[frame] for unit in units for frame in unit}
+    found: list[Sequence[int]] = [
+        episode
+        for episode in recovery.episodes
+        if recovery.instances[episode[0]] in known
+    ]
+    if not found:
+        raise DatasetError(
+            "The recovery states are all of other instances than those that are "
+            "trained on. Perturb the same tasks, splits and episodes."
+        )
+    if model.unit == "episode":
+        return found
+    return [(frame,) for episode in found for frame in episode]
+
+
+def training_units(
+    model: Model, frames: Frames, config: TrainingConfig
+) -> list[Sequence[int]]:
+    """Return the frames of each unit to train on.
+
+    Raises:
+        InvalidConfigError: There are not so many episodes.
+    """
+    episodes: list[Sequence[int]] = list(frames.episodes)
+    if config.episodes is not None:
+        if config.episodes > len(episodes):
+            raise InvalidConfigError(
+                f"--episodes is {config.episodes}, but split {config.train_split!r} "
+                f"has {len(episodes)}."
+            )
+        drawn = stream("episodes", config.seed).permutation(len(episodes))
+        episodes = [episodes[i] for i in sorted(drawn[: config.episodes].tolist())]
+    if model.unit == "episode":
+        return episodes
+    return [(frame,) for episode in episodes for frame in episode]
+
+
+def first_model(config: TrainingConfig) -> Model:
+    """Return the model with its first weights, a function of the seed.
+
+    Raises:
+        UnknownNameError: There is no such model or option.
+        WeightsError: It shall start from weights that cannot be used.
+        InvalidConfigError: They are of another model.
+    """
+    kind, options = MODELS[config.model]
+    chosen = model_options(options, config.options)
+    torch.manual_seed(seed_of(config.seed, -1))
+    if config.start is None:
+        return make_model(config.model, chosen)
+    if chosen:
+        raise InvalidConfigError(
+            "--start takes the options of the model from its weights. Leave out "
+            "--options."
+        )
+    model: Model = load_model(config.start)
+    if type(model) is not kind:
+        raise InvalidConfigError(
+            f"{config.start} is a {type(model).__name__}, not {config.model}. Choose "
+            "weights of the same model."
+        )
+    return model
+
+
+def open_run(
+    config: TrainingConfig, model: Model, data: dict[str, Any], command: str
+) -> None:
+    """Write the configuration of a run, or check that it is still the same.
+
+    Args:
+        config: Resolved.
+        model: Whose options are written too.
+        data: Version and digest of the data.
+        command: The command line.
+
+    Raises:
+        InvalidConfigError: Another run is in its folder.
+    """
+    clear_drafts(config.out)
+    path = config.out / CONFIG
+    wanted = {
+        "training": config.to_dict(),
+        "model_options": json.loads(json.dumps(options_of(model))),
+        "data": data,
+    }
+    if path.exists():
+        found = read_json(path)
+        differing = _differences(found, wanted)
+        if differing:
+            raise InvalidConfigError(
+                f"{config.out} holds another run: {'; '.join(differing[:5])}. Choose "
+                "another --out, or --restart to begin this one anew."
+            )
+    write_json(path, {**wanted, "command": command, "lemma": __version__})
+
+
+def _differences(found: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
+    differing = []
+    for part, values in wanted.items():
+        before = found.get(part, {})
+        for name in sorted({*values, *before}):
+            if part == "training" and name in MAY_CHANGE:
+                continue
+            old, new = before.get(name), values.get(name)
+            if old != new:
+                differing.append(f"{name} was {old!r} and is {new!r}")
+    return differing
+
+
+def clear_run(folder: Path) -> None:
+    """Remove what a run left behind, so that it begins anew."""
+    for name in (CONFIG, CHECKPOINT, WEIGHTS, REPORT):
+        (folder / name).unlink(missing_ok=True)
+    for log in (folder / "tensorboard").glob("events.*"):
+        log.unlink()
+
+
+@dataclass(frozen=True)
+class TrainingReport:
+    """How a run went; written as ``report.json``."""
+
+    status: str
+    """``finished``, ``time is up`` or ``interrupted``."""
+    model: str
+    parameters: int
+    """Trained ones."""
+    steps: int
+    samples: int
+    """Frames that were trained on."""
+    passes: float
+    """How often each frame was seen, of demonstrations."""
+    seconds: float
+    """Of training, in all runs."""
+    samples_per_s: float
+    """Frames per second in this run, validation and checkpoints left out."""
+    input_wait: float
+    """Share of that time in which the model waited for its batch, 0 to 1."""
+    gpu_memory_gb: float
+    """Largest, of this run."""
+    device: str
+    scores: Scores
+    """Of the best weights, in validation."""
+    best_step: int
+    scores_by_kind: dict[str, Scores]
+    """The same, for each kind of instruction alone; when a run is over."""
+    history: list[dict[str, float]]
+    """All validations."""
+    data: dict[str, Any]
+    command: str
+    lemma: str
+    torch: str

@@ -1,0 +1,165 @@
+"""One step of training, and all that must be kept to do the next one."""
+
+import math
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
+
+from lemma.core.seeding import stream
+from lemma.policies.batch import Batch
+from lemma.policies.model import Model
+from lemma.policies.text.encoder import TextEncoder
+from lemma.policies.training.config import TrainingConfig
+from lemma.policies.training.distributed import ProcessGroup
+from lemma.policies.training.validation import autocast
+
+
+class _Losses(nn.Module):
+    """The losses of a model as a forward pass, as data parallelism wants them."""
+
+    def __init__(self, model: Model) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, batch: Batch) -> dict[str, Tensor]:
+        return self.model.loss(batch)
+
+
+class Trainer:
+    """A model, the moving average of its weights, and its optimizer."""
+
+    def __init__(
+        self, model: Model, config: TrainingConfig, team: ProcessGroup
+    ) -> None:
+        """Begin at step 0.
+
+        Args:
+            model: With its first weights.
+            config: Resolved.
+            team: The processes that train together.
+        """
+        self.config, self.team, self.step = config, team, 0
+        layout = torch.channels_last if config.channels_last else torch.preserve_format
+        self.model = model.to(team.device, memory_format=layout).train()  # type: ignore[call-overload]
+        self.average: Model = deepcopy(self.model).eval().requires_grad_(False)
+        self.optimizer = torch.optim.AdamW(
+            _groups(self.model, config.weight_decay),
+            lr=config.learning_rate or 0.0,
+            betas=(0.9, 0.98),
+            fused=team.device.type == "cuda",
+        )
+        new = self.model.state_dict()
+        pairs = [(old, new[name]) for name, old in self.average.state_dict().items()]
+        floats = [pair for pair in pairs if pair[0].is_floating_point()]
+        self._averages = [old for old, _ in floats]
+        self._values = [value for _, value in floats]
+        self._counts = [pair for pair in pairs if not pair[0].is_floating_point()]
+        if config.compile:
+            compile_parts(self.model)
+        losses: Any = _Losses(self.model)
+        if team.count > 1:
+            losses = DistributedDataParallel(losses)
+        self._losses = losses
+
+    def train(self, batch: Batch, progress: float) -> dict[str, Tensor]:
+        """Do one step.
+
+        Args:
+            batch: With labels.
+            progress: How much of the training is done, 0 to 1.
+
+        Returns:
+            The terms of the loss, their sum ``loss``, and ``gradient``, its norm
+            before clipping; not yet known to the CPU.
+        """
+        config = self.config
+        # Dropout draws from torch's global state. A seed for each step makes it a
+        # function of the step, so that nothing has to be kept to go on.
+        torch.manual_seed(seed_of(config.seed, self.step, self.team.rank))
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(config, self.step, progress)
+        with autocast(config, self.team.device):
+            terms: dict[str, Tensor] = self._losses(batch)
+        loss = torch.stack([term.float() for term in terms.values()]).sum()
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        norm = nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
+        self.optimizer.step()
+        self.step += 1
+        self._average()
+        told = {name: term.detach() for name, term in terms.items()}
+        return {**told, "loss": loss.detach(), "gradient": norm.detach()}
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        # A slow average would remember the first weights for too long.
+        decay = min(self.config.ema, (1 + self.step) / (10 + self.step))
+        torch._foreach_lerp_(self._averages, self._values, 1.0 - decay)
+        for old, new in self._counts:
+            old.copy_(new)
+
+    def state(self) -> dict[str, Any]:
+        """Return all that is needed to go on; no random state is part of it."""
+        return {
+            "step": self.step,
+            "model": self.model.state_dict(),
+            "average": self.average.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what :meth:`state` returned."""
+        self.step = state["step"]
+        self.model.load_state_dict(state["model"])
+        self.average.load_state_dict(state["average"])
+        self.optimizer.load_state_dict(state["optimizer"])
+
+
+def compile_parts(module: nn.Module) -> None:
+    """Compile the parts of a model that are given tensors alone.
+
+    Sentences are constants to the compiler, so that the whole model would be compiled
+    anew for every batch.
+    """
+    for part in module.children():
+        if isinstance(part, nn.ModuleList | nn.ModuleDict):
+            compile_parts(part)
+        elif not isinstance(part, TextEncoder):
+            part.compile()
+
+
+def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:
+    """Return the learning rate of a step: a line up, then a cosine to zero.
+
+    Args:
+        config: Resolved.
+        step: Steps done.
+        progress: How much of the training is done, 0 to 1.
+    """
+    warm = min(1.0, (step + 1) / max(1, config.warmup_steps))
+    cosine = 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+    return (config.learning_rate or 0.0) * warm * cosine
+
+
+def seed_of(seed: int, step: int, rank: int = 0) -> int:
+    """Return a seed for what torch draws in a step."""
+    return int(stream("torch", seed, step, rank).integers(2**62))
+
+
+def _groups(model: Model, weight_decay: float) -> list[dict[str, Any]]:
+    """Return the weights, with decay for matrices and kernels only."""
+    trained = [value for value in model.parameters() if value.requires_grad]
+    return [
+        {
+            "params": [value for value in trained if value.ndim > 1],
+            "weight_decay": weight_decay,
+        },
+        {
+            "params": [value for value in trained if value.ndim <= 1],
+            "weight_decay": 0.0,
+        },
+    ]

@@ -1,0 +1,237 @@
+"""The space that an arm fills, simplified: capsules to keep clear of, spheres that do.
+
+An arm is an obstacle as capsules, one per link, and moves around obstacles as spheres
+strung along its outer links. Both are given in link frames, so that one forward
+kinematics places them.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from lemma.core.poses import FloatArray
+from lemma.robots.gripper import FINGERTIP_BEYOND_TCP_M, TCP_OFFSET_M
+from lemma.robots.ur.build import ARMS
+
+_FINGER_HALF_SPAN_M = 0.055
+_FINGER_RADIUS_M = 0.018
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Capsules and spheres of one arm type."""
+
+    capsule_links: FloatArray
+    """Link frame of each capsule, (n,)."""
+    capsules: FloatArray
+    """Both ends in that frame and radius, (n, 7) [m]."""
+    sphere_links: FloatArray
+    """Link frame of each sphere, (m,)."""
+    spheres: FloatArray
+    """Centre in that frame and radius, (m, 4) [m]."""
+    sphere_meets_table: FloatArray
+    """1 where the table is an obstacle; 0 for the fingers, whose work is there."""
+
+
+@lru_cache
+def envelope_of(arm_name: str) -> Envelope:
+    """Return the envelope of an arm type."""
+    arm = ARMS[arm_name]
+    side = arm.shoulder_offset
+    forearm_side = side + arm.elbow_offset
+    tip = TCP_OFFSET_M + FINGERTIP_BEYOND_TCP_M - _FINGER_RADIUS_M
+    capsules = (
+        (0, (0, 0, 0), (0, 0, arm.d1), arm.shoulder_radius),
+        (1, (0, 0, 0), (0, 0, side), arm.shoulder_radius),
+        (2, (arm.a2, 0, side), (0, 0, side), arm.elbow_radius),
+        (2, (0, 0, side), (0, 0, forearm_side), arm.elbow_radius),
+        (3, (arm.a3, 0, forearm_side), (0, 0, forearm_side), arm.elbow_radius),
+        (3, (0, 0, forearm_side), (0, 0, arm.d4), arm.wrist_radius),
+        (4, (0, 0, 0), (0, 0, arm.d5), arm.wrist_radius),
+        (6, (0, 0, -arm.d6), (0, 0, 0.05), 0.06),
+        (6, (0, 0.03, 0.06), (0, 0.03, tip), 0.04),
+        (6, (0, -0.03, 0.06), (0, -0.03, tip), 0.04),
+    )
+    spheres = (
+        (2, (0.5 * arm.a2, 0, side), arm.upper_tube_radius),
+        (2, (0, 0, side), arm.elbow_radius * 1.1),
+        (2, (0, 0, forearm_side), arm.elbow_radius * 1.1),
+        (3, (0.67 * arm.a3, 0, forearm_side), arm.forearm_tube_radius * 1.1),
+        (3, (0.33 * arm.a3, 0, forearm_side), arm.forearm_tube_radius * 1.1),
+        (3, (0, 0, forearm_side), arm.wrist_radius * 1.2),
+        (4, (0, 0, 0), arm.wrist_radius * 1.2),
+        (4, (0, 0, arm.d5), arm.wrist_radius * 1.2),
+        (6, (0, 0.03, 0.05), 0.05),
+        (6, (0, -0.03, 0.05), 0.05),
+        (6, (0, _FINGER_HALF_SPAN_M, tip), _FINGER_RADIUS_M),
+        (6, (0, -_FINGER_HALF_SPAN_M, tip), _FINGER_RADIUS_M),
+    )
+    at_work = 4
+    return Envelope(
+        np.array([float(link) for link, *_ in capsules]),
+        np.array([[*a, *b, radius] for _, a, b, radius in capsules]),
+        np.array([float(link) for link, *_ in spheres]),
+        np.array([[*centre, radius] for _, centre, radius in spheres]),
+        np.array([1.0] * (len(spheres) - at_work) + [0.0] * at_work),
+    )
+
+
+def sweep_radius_m(arm_name: str) -> float:
+    """Return how far from its base an arm's shoulder sweeps just above the table [m].
+
+    The housings of the shoulder turn with the base, lower than a cube with a hand on
+    it; nothing may stand inside this circle.
+    """
+    arm = ARMS[arm_name]
+    return arm.shoulder_offset + 2.0 * arm.shoulder_radius
+
+
+@njit(cache=True)
+def place_capsules(
+    all_frames: FloatArray, links: FloatArray, capsules: FloatArray, out: FloatArray
+) -> None:
+    """Write capsules to world coordinates.
+
+    Args:
+        all_frames: World from link frames, (7, 4, 4).
+        links: (n,).
+        capsules: (n, 7) in link frames.
+        out: (n, 7) or wider; ends and radius are written.
+    """
+    for k in range(capsules.shape[0]):
+        f = all_frames[int(links[k])]
+        for end in range(2):
+            for i in range(3):
+                value = f[i, 3]
+                for j in range(3):
+                    value += f[i, j] * capsules[k, 3 * end + j]
+                out[k, 3 * end + i] = value
+        out[k, 6] = capsules[k, 6]
+
+
+@njit(cache=True)
+def segment_points(
+    a: FloatArray, b: FloatArray, on_a: FloatArray, on_b: FloatArray
+) -> float:
+    """Write the closest points of two segments; return their distance [m].
+
+    Ericson, *Real-Time Collision Detection*, section 5.1.9.
+
+    Args:
+        a: Both ends, (6+,) [m].
+        b: The same.
+        on_a: Written, (3,) [m].
+        on_b: Written, (3,) [m].
+    """
+    aa = bb = ab = ar = br = 0.0
+    for i in range(3):
+        da, db, r = a[3 + i] - a[i], b[3 + i] - b[i], a[i] - b[i]
+        aa += da * da
+        bb += db * db
+        ab += da * db
+        ar += da * r
+        br += db * r
+    s = t = 0.0
+    if aa > 1e-12 and bb > 1e-12:
+        denominator = aa * bb - ab * ab
+        # Between parallel segments any s will do.
+        if denominator > 1e-12 * aa * bb:
+            s = min(1.0, max(0.0, (ab * br - ar * bb) / denominator))
+        t = (ab * s + br) / bb
+        if t < 0.0:
+            t, s = 0.0, min(1.0, max(0.0, -ar / aa))
+        elif t > 1.0:
+            t, s = 1.0, min(1.0, max(0.0, (ab - ar) / aa))
+    elif bb > 1e-12:
+        t = min(1.0, max(0.0, br / bb))
+    elif aa > 1e-12:
+        s = min(1.0, max(0.0, -ar / aa))
+    distance = 0.0
+    for i in range(3):
+        on_a[i] = a[i] + s * (a[3 + i] - a[i])
+        on_b[i] = b[i] + t * (b[3 + i] - b[i])
+        distance += (on_a[i] - on_b[i]) ** 2
+    return math.sqrt(distance)
+
+
+@njit(cache=True)
+def segment_distance(a: FloatArray, b: FloatArray) -> float:
+    """Return the distance between two segments, (6+,) each [m]."""
+    distance: float = segment_points(a, b, np.empty(3), np.empty(3))
+    return distance
+
+
+@njit(cache=True)
+def closest_points(
+    a: FloatArray, b: FloatArray, on_a: FloatArray, on_b: FloatArray
+) -> float:
+    """Write the closest points of the axes of two capsules; return their surfaces' gap.
+
+    Args:
+        a: Ends and radius, (7+,) [m].
+        b: The same.
+        on_a: Written, (3,) [m].
+        on_b: Written, (3,) [m].
+    """
+    gap: float = segment_points(a, b, on_a, on_b) - a[6] - b[6]
+    return gap
+
+
+# Capsules of one arm that may come near each other: outer links against the inner ones.
+SELF_PAIRS = np.array(
+    [
+        [outer, inner]
+        for outer, inners in (
+            (4, (0,)),
+            (5, (0, 1)),
+            (6, (0, 1, 2)),
+            (7, (0, 1, 2, 4)),
+            (8, (0, 1, 2, 4)),
+            (9, (0, 1, 2, 4)),
+        )
+        for inner in inners
+    ]
+)
+
+
+@njit(cache=True)
+def self_clearance(placed: FloatArray) -> float:
+    """Return the smallest distance between links that could meet [m].
+
+    Args:
+        placed: Capsules of one arm in one frame, (n, 7).
+    """
+    least = np.inf
+    for k in range(SELF_PAIRS.shape[0]):
+        a = placed[SELF_PAIRS[k, 0]]
+        b = placed[SELF_PAIRS[k, 1]]
+        least = min(least, segment_distance(a, b) - a[6] - b[6])
+    return least
+
+
+@njit(cache=True)
+def obstacle_clearance(placed: FloatArray, obstacles: FloatArray) -> float:
+    """Return the smallest distance between an arm and obstacle capsules [m].
+
+    Args:
+        placed: Capsules of the arm, (n, 7).
+        obstacles: Capsules, (m, 7) or wider.
+    """
+    least = np.inf
+    for i in range(1, placed.shape[0]):
+        for j in range(obstacles.shape[0]):
+            gap = segment_distance(placed[i], obstacles[j])
+            least = min(least, gap - placed[i, 6] - obstacles[j, 6])
+    return least
+
+
+@njit(cache=True)
+def table_clearance(placed: FloatArray) -> float:
+    """Return the height of the lowest point of links 2 to 5 above the table [m]."""
+    least = np.inf
+    for k in range(2, 7):
+        least = min(least, min(placed[k, 2], placed[k, 5]) - placed[k, 6])
+    return least

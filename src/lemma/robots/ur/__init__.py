@@ -1,0 +1,1 @@
+"""The UR arms: numbers, kinematics, meshes."""

@@ -1,0 +1,183 @@
+"""From a scene's data to one compiled MuJoCo model."""
+
+import math
+
+import mujoco
+
+from lemma.core.errors import UnknownNameError
+from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec, add_arm
+from lemma.scene.camera_mounts import camera_mount
+from lemma.scene.cameras import add_camera
+from lemma.scene.objects import (
+    CONTACT_SOLIMP,
+    CONTACT_SOLREF,
+    OBJECT_FRICTION,
+    add_object,
+)
+from lemma.scene.palette import FLOOR, HORIZON, SKY, TABLE, TABLE_EDGE
+from lemma.scene.spec import SceneSpec
+
+TIME_STEP_S = 0.005
+"""Physics step: 20 Hz control and 10 Hz recording are whole numbers of steps."""
+
+TABLE_HALF_X_M = 1.55
+TABLE_HALF_Y_M = 1.10
+_TABLE_THICKNESS_M = 0.04
+_FLOOR_Z_M = -0.75
+_SKY_PX = 64
+
+ACTUATIONS = ("position", "velocity", "torque")
+"""How the arm's motors are driven: servo on position or on velocity, or open loop."""
+
+
+def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjModel:
+    """Compile a scene.
+
+    Args:
+        spec: The scene.
+        actuation: One of :data:`ACTUATIONS`.
+
+    Raises:
+        UnknownNameError: No such actuation.
+    """
+    if actuation not in ACTUATIONS:
+        raise UnknownNameError("actuation", actuation, ACTUATIONS)
+    world = mujoco.MjSpec()
+    _set_options(world)
+    _add_room(world)
+    for name, robot in zip(spec.robot_names, spec.robots, strict=True):
+        add_arm(world, ARMS[robot.arm], name, robot.base, robot.color)
+        pose, fovy = camera_mount(robot)
+        add_camera(world, f"{name}/camera", pose, fovy)
+        _set_actuation(world, name, ARMS[robot.arm], actuation)
+    for placed in spec.objects:
+        add_object(world, placed)
+    return world.compile()
+
+
+def _set_options(world: mujoco.MjSpec) -> None:
+    world.modelname = "lemma"
+    world.compiler.degree = False
+    world.compiler.usethread = False
+    # Keeps clipping planes and lights the same in every scene.
+    world.stat.extent = 3.0
+    world.stat.center = [0, 0, 0.2]
+    option = world.option
+    option.timestep = TIME_STEP_S
+    # Implicit integration scales accelerations after the contacts are solved, which
+    # shakes what is held out of the fingers; dampings are small enough for Euler.
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.iterations = 100
+    option.ls_iterations = 50
+    option.tolerance = 1e-8
+    # Friction harder than the normal constraint: what is held does not creep.
+    option.impratio = 300
+    visual = world.visual
+    visual.map.znear = 0.05
+    visual.map.zfar = 4.0
+    # Half the width of the region with shadows: the table, sharper than by default.
+    visual.map.shadowclip = 0.8
+    # No light moves with the eye, so that all cameras see the same colors.
+    visual.headlight.ambient = [0.40, 0.40, 0.41]
+    visual.headlight.diffuse = [0.0, 0.0, 0.0]
+    visual.headlight.specular = [0.0, 0.0, 0.0]
+    visual.rgba.haze = HORIZON
+
+
+def _add_room(world: mujoco.MjSpec) -> None:
+    body = world.worldbody
+    _add_light(world, "sun", (0.15, 0.50, -1.0), (0.50, 0.49, 0.47), shadow=True)
+    _add_light(world, "fill", (-0.65, -0.20, -0.8), (0.24, 0.25, 0.27), shadow=False)
+    world.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        width=_SKY_PX,
+        height=_SKY_PX * 6,
+        rgb1=SKY[:3],
+        rgb2=HORIZON[:3],
+    )
+    for name in ("floor", "table"):
+        world.add_material(name=name, specular=0.0, shininess=0.0)
+    body.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=[0, 0, _FLOOR_Z_M],
+        size=[0, 0, 0.1],
+        rgba=FLOOR,
+        material="floor",
+        contype=0,
+        conaffinity=0,
+    )
+    body.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[0, 0, -_TABLE_THICKNESS_M / 2],
+        size=[TABLE_HALF_X_M, TABLE_HALF_Y_M, _TABLE_THICKNESS_M / 2],
+        rgba=TABLE,
+        material="table",
+        friction=OBJECT_FRICTION,
+        solref=CONTACT_SOLREF,
+        solimp=CONTACT_SOLIMP,
+        condim=4,
+    )
+    for i, (x, y) in enumerate(((-1, -1), (-1, 1), (1, -1), (1, 1))):
+        body.add_geom(
+            name=f"leg_{i}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[
+                x * (TABLE_HALF_X_M - 0.1),
+                y * (TABLE_HALF_Y_M - 0.1),
+                (_FLOOR_Z_M - _TABLE_THICKNESS_M) / 2,
+            ],
+            size=[0.04, 0.04, -(_FLOOR_Z_M + _TABLE_THICKNESS_M) / 2],
+            rgba=TABLE_EDGE,
+            contype=0,
+            conaffinity=0,
+        )
+
+
+def _add_light(
+    world: mujoco.MjSpec,
+    name: str,
+    direction: tuple[float, float, float],
+    color: tuple[float, float, float],
+    *,
+    shadow: bool,
+) -> None:
+    """Add a lamp so far away that its light is the same everywhere."""
+    world.worldbody.add_light(
+        name=name,
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        # Where the shadow map is looked at from; the table is in the middle of it.
+        pos=[-4.0 * component for component in direction],
+        dir=direction,
+        diffuse=color,
+        # Little: what shines looks different to every camera.
+        specular=[0.25 * component if shadow else 0.0 for component in color],
+        castshadow=shadow,
+    )
+
+
+def _set_actuation(
+    world: mujoco.MjSpec, robot: str, arm: ArmSpec, actuation: str
+) -> None:
+    """Replace the position servos of one arm where another actuation is asked for."""
+    if actuation == "position":
+        return
+    for joint, gain in zip(JOINTS, arm.damping, strict=True):
+        motor = world.actuator(f"{robot}/{joint}")
+        limit = float(motor.forcerange[1])
+        motor.gainprm[:] = 0.0
+        motor.biasprm[:] = 0.0
+        if actuation == "torque":
+            motor.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+            motor.biastype = mujoco.mjtBias.mjBIAS_NONE
+            motor.gainprm[0] = 1.0
+            motor.ctrlrange = [-limit, limit]
+        else:
+            motor.gainprm[0] = gain
+            motor.biasprm[2] = -gain
+            motor.ctrlrange = [-math.pi, math.pi]

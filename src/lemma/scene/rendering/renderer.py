@@ -1,0 +1,304 @@
+"""Pictures of a scene: for robots (color and depth, fast) and for people (pretty)."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.registry import Registry
+from lemma.scene.cameras import Camera, FreeCamera, camera_from_model, camera_index
+from lemma.scene.rendering.gl_context import (
+    Tessellation,
+    Upload,
+    current_context,
+    upload,
+)
+
+RgbImage = NDArray[np.uint8]
+DepthImage = NDArray[np.float32]
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How much work goes into a picture."""
+
+    tessellation: Tessellation
+    """How finely primitives are drawn, and the shadow map."""
+    oversampling: int = 1
+    """Pixels rendered along each side of a pixel, then averaged."""
+    scenery: bool = False
+    """Whether to draw sky, haze and reflections."""
+
+
+QUALITIES: Registry[Quality] = Registry("quality")
+QUALITIES.add("sensor", Quality(Tessellation(slices=24, stacks=10, quads=2)))
+QUALITIES.add(
+    "video",
+    Quality(
+        Tessellation(slices=32, stacks=12, quads=8, shadow_map_px=2048),
+        oversampling=2,
+        scenery=True,
+    ),
+)
+QUALITIES.add(
+    "presentation",
+    Quality(
+        Tessellation(slices=64, stacks=24, quads=16, shadow_map_px=4096),
+        oversampling=3,
+        scenery=True,
+    ),
+)
+
+
+class CameraImage(NamedTuple):
+    """What a camera sees."""
+
+    rgb: RgbImage
+    """Color, shape (height, width, 3)."""
+    depth_m: DepthImage
+    """Distance along the camera's z axis [m], shape (height, width); 0: nothing."""
+    camera: Camera
+    """The camera, where it was."""
+
+
+class Renderer:
+    """Renders any number of scenes, one after the other, off screen.
+
+    Make one and keep it: changing to a scene that was compiled anew costs little, as
+    long as its meshes and textures are the same.
+    """
+
+    def __init__(
+        self, width: int = 640, height: int = 480, quality: str = "sensor"
+    ) -> None:
+        """Prepare; OpenGL is started by the first picture.
+
+        Args:
+            width: Width of every picture [px].
+            height: Height of every picture [px].
+            quality: A name in :data:`QUALITIES`: ``sensor`` is fast and has hard
+                edges and no shadows; ``video`` has shadows and soft edges, at some
+                8 times the cost; ``presentation`` is for print, at 30 times.
+
+        Raises:
+            InvalidConfigError: The size is impossible.
+            UnknownNameError: No such quality.
+        """
+        self.quality = QUALITIES[quality]
+        limit = 8192 // self.quality.oversampling
+        if not (1 <= width <= limit and 1 <= height <= limit):
+            raise InvalidConfigError(
+                f"A picture of {width} x {height} pixels cannot be rendered. Both "
+                f"sides must be from 1 to {limit} with quality {quality!r}."
+            )
+        self.width = width
+        self.height = height
+        self._model: mujoco.MjModel | None = None
+        self._scene: mujoco.MjvScene | None = None
+        self._upload: Upload | None = None
+        self._view = mujoco.MjvCamera()
+        self._options = _visible()
+
+    def rgbd(
+        self, model: mujoco.MjModel, data: mujoco.MjData, camera: str
+    ) -> CameraImage:
+        """Render color and depth of a camera of the scene, in one pass.
+
+        What is transparent (alpha below 1) has color but no depth.
+
+        Args:
+            model: The scene.
+            data: Its state, with derived poses up to date (``mj_forward``).
+            camera: The camera's name.
+
+        Raises:
+            UnknownNameError: The scene has no such camera.
+            InvalidConfigError: This quality averages pixels, and depths have no mean.
+            RenderingError: OpenGL does not work here.
+        """
+        if self.quality.oversampling != 1:
+            raise InvalidConfigError(
+                "Depth cannot be rendered with oversampling: the mean of two depths "
+                "is where nothing is. Use Renderer(quality='sensor')."
+            )
+        calibrated = camera_from_model(model, data, camera, self.width, self.height)
+        rgb = np.empty((self.height, self.width, 3), np.uint8)
+        buffer = np.empty((self.height, self.width), np.float32)
+        scene = self._draw(model, data, camera, rgb, buffer)
+        lens = scene.camera[0]
+        depth_m = depth_from_buffer(buffer, lens.frustum_near, lens.frustum_far)
+        return CameraImage(_upright(rgb), _upright(depth_m), calibrated)
+
+    def rgb(
+        self, model: mujoco.MjModel, data: mujoco.MjData, view: str | FreeCamera
+    ) -> RgbImage:
+        """Render color only, shape (height, width, 3).
+
+        Args:
+            model: The scene.
+            data: Its state, with derived poses up to date (``mj_forward``).
+            view: A camera's name in the scene, or a free camera.
+
+        Raises:
+            UnknownNameError: The scene has no such camera.
+            RenderingError: OpenGL does not work here.
+        """
+        factor = self.quality.oversampling
+        pixels = np.empty((self.height * factor, self.width * factor, 3), np.uint8)
+        self._draw(model, data, view, pixels, None)
+        if factor > 1:
+            pixels = np.asarray(Image.fromarray(pixels).reduce(factor))
+        return _upright(pixels)
+
+    def segmentation(
+        self, model: mujoco.MjModel, data: mujoco.MjData, view: str | FreeCamera
+    ) -> NDArray[np.int32]:
+        """Render which geom each pixel sees, shape (height, width); -1: none.
+
+        ``model.geom_bodyid`` turns geoms into bodies.
+
+        Args:
+            model: The scene.
+            data: Its state, with derived poses up to date (``mj_forward``).
+            view: A camera's name in the scene, or a free camera.
+
+        Raises:
+            UnknownNameError: The scene has no such camera.
+            RenderingError: OpenGL does not work here.
+        """
+        factor = self.quality.oversampling
+        pixels = np.empty((self.height * factor, self.width * factor, 3), np.uint8)
+        scene = self._draw(model, data, view, pixels, None, segment=True)
+        middle = pixels[factor // 2 :: factor, factor // 2 :: factor].astype(np.int32)
+        number = middle[..., 0] + (middle[..., 1] << 8) + (middle[..., 2] << 16)
+        # Number 0 is the background, number i + 1 the scene's geom with segid i.
+        geom_of = np.full(scene.ngeom + 1, -1, np.int32)
+        for drawn in scene.geoms[: scene.ngeom]:
+            if drawn.segid >= 0 and drawn.objtype == mujoco.mjtObj.mjOBJ_GEOM.value:
+                geom_of[drawn.segid + 1] = drawn.objid
+        return _upright(geom_of[number])
+
+    def close(self) -> None:
+        """Forget the last scene; the renderer can still be used afterwards."""
+        self._model = self._scene = self._upload = None
+
+    def _draw(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        view: str | FreeCamera,
+        rgb: RgbImage,
+        depth: DepthImage | None,
+        *,
+        segment: bool = False,
+    ) -> mujoco.MjvScene:
+        """Render into arrays whose first row is the bottom of the picture."""
+        fovy_deg = self._aim(model, view)
+        height, width = rgb.shape[:2]
+        with current_context():
+            scene, drawing = self._prepare(model, width, height)
+            flags = scene.flags
+            flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = segment
+            flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = segment
+            mujoco.mjv_updateScene(
+                model,
+                data,
+                self._options,
+                None,
+                self._view,
+                mujoco.mjtCatBit.mjCAT_ALL.value,
+                scene,
+            )
+            if fovy_deg is not None:
+                for eye in scene.camera:
+                    half = eye.frustum_near * np.tan(np.radians(fovy_deg) / 2)
+                    eye.frustum_bottom, eye.frustum_top = -half, half
+            area = mujoco.MjrRect(0, 0, width, height)
+            # Several uploads share one context, each with a buffer of its own.
+            mujoco.mjr_resizeOffscreen(width, height, drawing)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, drawing)
+            mujoco.mjr_render(area, scene, drawing)
+            mujoco.mjr_readPixels(rgb, depth, area, drawing)
+        return scene
+
+    def _aim(self, model: mujoco.MjModel, view: str | FreeCamera) -> float | None:
+        """Point MuJoCo's camera; return a field of view [deg] unlike the scene's."""
+        aim = self._view
+        if isinstance(view, str):
+            aim.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
+            aim.fixedcamid = camera_index(model, view)
+            return None
+        aim.type = mujoco.mjtCamera.mjCAMERA_FREE.value
+        aim.lookat[:] = view.lookat
+        aim.distance = view.distance
+        aim.azimuth, aim.elevation = view.azimuth_deg, view.elevation_deg
+        return view.fovy_deg
+
+    def _prepare(
+        self, model: mujoco.MjModel, width: int, height: int
+    ) -> tuple[mujoco.MjvScene, mujoco.MjrContext]:
+        """Return what a scene is drawn with; only inside ``current_context``."""
+        if self._scene is None or self._model is not model:
+            # Sites and decoration are hidden: only geoms need room.
+            self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 16)
+            flags = self._scene.flags
+            flags[mujoco.mjtRndFlag.mjRND_SHADOW] = (
+                self.quality.tessellation.shadow_map_px > 0
+            )
+            flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = self.quality.scenery
+            flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = self.quality.scenery
+            flags[mujoco.mjtRndFlag.mjRND_HAZE] = self.quality.scenery
+            flags[mujoco.mjtRndFlag.mjRND_FOG] = False
+            self._model = model
+            self._upload = None
+        if self._upload is None or self._upload.drawing is None:
+            self._upload = upload(model, self.quality.tessellation, width, height)
+        return self._scene, self._upload.drawing
+
+
+def depth_from_buffer(buffer: DepthImage, near_m: float, far_m: float) -> DepthImage:
+    """Turn MuJoCo's depth buffer into distances along the view axis.
+
+    MuJoCo draws with reversed depth (``setView`` in its ``render_gl3.c``): with
+    ``readDepthMap = mjDEPTH_ZEROFAR`` a point at distance z reads
+
+        d = (near / z) (far - z) / (far - near),
+
+    1 at the near plane and 0 at the far plane; solved for z below.
+
+    Args:
+        buffer: What ``mjr_readPixels`` returned.
+        near_m: Near clipping plane [m].
+        far_m: Far clipping plane [m].
+
+    Returns:
+        Depth [m], same shape; 0 where nothing was drawn.
+    """
+    depth = np.multiply(buffer, np.float32(far_m - near_m))
+    depth += np.float32(near_m)
+    np.divide(np.float32(far_m * near_m), depth, out=depth)
+    depth[buffer == 0.0] = 0.0
+    return depth
+
+
+def _visible() -> mujoco.MjvOption:
+    """Return options that show the visual geoms (groups 0 to 2) and nothing else."""
+    options = mujoco.MjvOption()
+    for group in (
+        *(options.sitegroup, options.jointgroup, options.tendongroup),
+        *(options.actuatorgroup, options.skingroup),
+    ):
+        group[:] = 0
+    options.geomgroup[:] = (1, 1, 1, 0, 0, 0)
+    options.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = False
+    return options
+
+
+def _upright(picture: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Return a copy whose first row is the top."""
+    return np.ascontiguousarray(picture[::-1])

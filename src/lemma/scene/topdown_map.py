@@ -1,0 +1,231 @@
+"""The top-down map: what all cameras see, as one orthographic picture of the table.
+
+Every pixel of every camera becomes a point in the world, and the highest point over
+each cell of the map gives its height and color. Row 0 lies at +y and column 0 at -x:
+seen in the usual way, x grows to the right and y upward.
+
+Loops are written out and compiled by Numba: the same images give the same map on every
+machine, and a map of two 640 x 480 images takes a few milliseconds.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import FloatArray
+from lemma.scene.cameras import Camera
+
+
+@dataclass(frozen=True, slots=True)
+class MapImage:
+    """A fused view from above."""
+
+    rgb: NDArray[np.uint8]
+    """Color of the highest point, shape (rows, columns, 3); black where not seen."""
+    height_m: NDArray[np.float32]
+    """Height of the highest point above the table [m]; 0 where not seen."""
+    coverage: NDArray[np.bool_]
+    """Whether a camera sees the cell, shape (rows, columns)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopDownMap:
+    """The raster of a map, centred on the origin of the world."""
+
+    rows: int = 288
+    """Cells along y."""
+    columns: int = 416
+    """Cells along x."""
+    cell_m: float = 0.008
+    """Side of a cell [m]."""
+    ceiling_m: float = 0.6
+    """Points above it are dropped: the table below them counts as not seen [m]."""
+    floor_m: float = -0.1
+    """Points below it are dropped: whatever is beside the table [m]."""
+
+    def __post_init__(self) -> None:
+        """Check the raster."""
+        if self.rows < 1 or self.columns < 1 or not self.cell_m > 0:
+            raise InvalidConfigError(
+                f"A map of {self.rows} x {self.columns} cells of {self.cell_m} m has "
+                "no area. All three must be positive."
+            )
+        if not self.floor_m < self.ceiling_m:
+            raise InvalidConfigError(
+                f"No height lies between floor_m={self.floor_m} and "
+                f"ceiling_m={self.ceiling_m}. The floor must be lower."
+            )
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Extent along x and along y [m]."""
+        return (self.columns * self.cell_m, self.rows * self.cell_m)
+
+    def pixel_from_world(self, xy: tuple[float, float]) -> tuple[int, int] | None:
+        """Return the row and column of the cell that holds a point of the table.
+
+        Args:
+            xy: Position [m], world frame.
+
+        Returns:
+            The cell, or None if the point lies outside the map.
+        """
+        row = math.floor(self.rows / 2 - xy[1] / self.cell_m)
+        column = math.floor(self.columns / 2 + xy[0] / self.cell_m)
+        if 0 <= row < self.rows and 0 <= column < self.columns:
+            return row, column
+        return None
+
+    def world_from_pixel(self, row: float, column: float) -> tuple[float, float]:
+        """Return the position (x, y) of a cell's centre [m], world frame.
+
+        Args:
+            row: Row; fractions are allowed.
+            column: Column; fractions are allowed.
+        """
+        x = (column + 0.5 - self.columns / 2) * self.cell_m
+        y = (self.rows / 2 - row - 0.5) * self.cell_m
+        return x, y
+
+    def fuse(
+        self, images: Sequence[tuple[NDArray[np.uint8], NDArray[np.float32], Camera]]
+    ) -> MapImage:
+        """Fuse calibrated images into a map.
+
+        Of points of equal height, the one of the first image counts, and within an
+        image the one nearest to its top left corner.
+
+        A camera's samples lie more than a cell apart where it looks at the table from
+        afar or at a flat angle. A cell without a sample takes the lower of two
+        samples on opposite sides of it: surfaces continue, and nothing grows.
+
+        Args:
+            images: For each image, its color (H, W, 3), its depth (H, W) [m] with 0
+                where nothing was seen, and its camera: what
+                :meth:`lemma.scene.rendering.renderer.Renderer.rgbd` returns.
+
+        Raises:
+            InvalidConfigError: An image does not have its camera's size.
+        """
+        height = np.full((self.rows, self.columns), -np.inf, np.float32)
+        rgb = np.zeros((self.rows, self.columns, 3), np.uint8)
+        for color, depth, camera in images:
+            lens = camera.intrinsics
+            shape = (lens.height, lens.width)
+            if color.shape != (*shape, 3) or depth.shape != shape:
+                raise InvalidConfigError(
+                    f"The images of camera {camera.name!r} have shapes {color.shape} "
+                    f"and {depth.shape}. Valid: {(*shape, 3)} and {shape}."
+                )
+            splat(
+                np.ascontiguousarray(color),
+                np.ascontiguousarray(depth, dtype=np.float32),
+                self._cells_from_image(camera),
+                (self.floor_m, self.ceiling_m),
+                height,
+                rgb,
+            )
+        filled = height.copy()
+        coverage = close_gaps(height, filled, rgb)
+        return MapImage(rgb, filled, coverage)
+
+    def _cells_from_image(self, camera: Camera) -> FloatArray:
+        """Return the map from (u z, v z, z, 1) to (column, row, height), (3, 4)."""
+        lens = camera.intrinsics
+        pose = camera.world_from_camera.matrix()
+        result = np.empty((3, 4))
+        scale = (1.0 / self.cell_m, -1.0 / self.cell_m, 1.0)
+        shift = (self.columns / 2, self.rows / 2, 0.0)
+        for i in range(3):
+            a, b = float(pose[i, 0]) / lens.fx, float(pose[i, 1]) / lens.fy
+            c = float(pose[i, 2]) - a * lens.cx - b * lens.cy
+            for j, value in enumerate((a, b, c, float(pose[i, 3]))):
+                result[i, j] = value * scale[i]
+            result[i, 3] += shift[i]
+        return result
+
+
+@njit(cache=True, nogil=True)
+def splat(
+    color: NDArray[np.uint8],
+    depth: NDArray[np.float32],
+    cells_from_image: FloatArray,
+    limits_m: tuple[float, float],
+    height: NDArray[np.float32],
+    rgb: NDArray[np.uint8],
+) -> None:
+    """Raise a map to the points of one image, in place.
+
+    Args:
+        color: Color, shape (H, W, 3).
+        depth: Depth [m], shape (H, W); 0 where nothing was seen.
+        cells_from_image: From (u z, v z, z, 1) to (column, row, height), shape (3, 4).
+        limits_m: Lowest and highest height of a point that counts [m].
+        height: Heights of the map [m], minus infinity where empty.
+        rgb: Colors of the map.
+    """
+    m = cells_from_image
+    rows, columns = height.shape
+    lowest, highest = limits_m
+    for v in range(depth.shape[0]):
+        c0 = m[0, 1] * v + m[0, 2]
+        c1 = m[1, 1] * v + m[1, 2]
+        c2 = m[2, 1] * v + m[2, 2]
+        for u in range(depth.shape[1]):
+            z = np.float64(depth[v, u])
+            if not z > 0.0:
+                continue
+            top = np.float32((m[2, 0] * u + c2) * z + m[2, 3])
+            if not lowest <= top <= highest:
+                continue
+            x = (m[0, 0] * u + c0) * z + m[0, 3]
+            y = (m[1, 0] * u + c1) * z + m[1, 3]
+            if not (0.0 <= x < columns and 0.0 <= y < rows):
+                continue
+            row, column = int(y), int(x)
+            if top > height[row, column]:
+                height[row, column] = top
+                for k in range(3):
+                    rgb[row, column, k] = color[v, u, k]
+
+
+@njit(cache=True, nogil=True)
+def close_gaps(
+    height: NDArray[np.float32], filled: NDArray[np.float32], rgb: NDArray[np.uint8]
+) -> NDArray[np.bool_]:
+    """Fill cells between two samples, in place, and return which cells are known.
+
+    Args:
+        height: Heights of the map [m], minus infinity where empty.
+        filled: A copy of them to fill; 0 where still empty.
+        rgb: Colors of the map, to fill.
+    """
+    rows, columns = height.shape
+    coverage = np.ones((rows, columns), np.bool_)
+    for row in range(rows):
+        for column in range(columns):
+            if height[row, column] > -np.inf:
+                continue
+            best_row, best_column, best = -1, -1, np.float32(np.inf)
+            for a, b in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                r0, r1, c0, c1 = row - a, row + a, column - b, column + b
+                if r0 < 0 or r1 >= rows or min(c0, c1) < 0 or max(c0, c1) >= columns:
+                    continue
+                first, second = height[r0, c0], height[r1, c1]
+                lower = min(first, second)
+                if lower > -np.inf and lower < best:
+                    best = lower
+                    best_row, best_column = (r0, c0) if first <= second else (r1, c1)
+            if best_row < 0:
+                coverage[row, column] = False
+                filled[row, column] = 0.0
+            else:
+                filled[row, column] = best
+                for k in range(3):
+                    rgb[row, column, k] = rgb[best_row, best_column, k]
+    return coverage

@@ -1,0 +1,1 @@
+"""Asking a policy behind a socket or in another process."""

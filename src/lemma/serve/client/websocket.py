@@ -1,0 +1,124 @@
+"""Messages over a WebSocket, on the side that asks."""
+
+import socket
+import struct
+from contextlib import ExitStack, suppress
+from urllib.parse import urlsplit
+
+from lemma.core.errors import InvalidConfigError
+from lemma.serve.client.conversation import Conversation, ProtocolMode
+from lemma.serve.client.remote import Remote, remote
+from lemma.serve.protocol.messages import Message
+from lemma.serve.protocol.packing import LARGEST_BYTES, extra_package, pack, unpack
+
+SCHEMES = {"http": "ws", "https": "wss", "ws": "ws", "wss": "wss"}
+"""What an address may begin with, and what is used for it."""
+_CONNECT_S = 10.0
+_SEND_S = 10
+_CLOSE_S = 0.5
+
+
+def is_address(name: str) -> bool:
+    """Whether a policy's name is the address of a server."""
+    scheme, colon, _ = name.partition("://")
+    return bool(colon) and scheme.lower() in SCHEMES
+
+
+def connect(url: str, manners: ProtocolMode) -> Remote:
+    """Return the policy behind a socket.
+
+    Args:
+        url: Such as ``"http://127.0.0.1:8000"``.
+        manners: How patient to be.
+
+    Raises:
+        InvalidConfigError: The address is none, or the extra is not installed.
+        PolicyUnreachableError: Nobody answers there.
+        ProtocolError: Somebody answers who speaks something else.
+    """
+    address = websocket_address(url)
+    return remote(Conversation(url, lambda: WebSocketChannel(address), manners))
+
+
+def websocket_address(url: str) -> str:
+    """Return an address with the scheme of WebSockets.
+
+    Raises:
+        InvalidConfigError: It is no address.
+    """
+    parts = urlsplit(url)
+    try:
+        port_is_right = parts.port is None or parts.port > 0
+    except ValueError:
+        port_is_right = False
+    if parts.scheme not in SCHEMES or not parts.hostname or not port_is_right:
+        raise InvalidConfigError(
+            f"{url!r} is no address of a policy. Write it as in http://127.0.0.1:8000."
+        )
+    return parts._replace(scheme=SCHEMES[parts.scheme]).geturl()
+
+
+class WebSocketChannel:
+    """One connection."""
+
+    def __init__(self, address: str) -> None:
+        """Connect.
+
+        Args:
+            address: With the scheme ``ws`` or ``wss``.
+
+        Raises:
+            OSError: Nobody answers there, or not as a WebSocket.
+            InvalidConfigError: The extra is not installed.
+        """
+        client = extra_package("websockets.sync.client")
+        self._exceptions = extra_package("websockets.exceptions")
+        self._stack = ExitStack()
+        try:
+            # No pings: a policy that thinks long is not dead, and has its own deadline.
+            self._socket = self._stack.enter_context(
+                client.connect(
+                    address,
+                    compression=None,
+                    max_size=LARGEST_BYTES,
+                    open_timeout=_CONNECT_S,
+                    close_timeout=_CLOSE_S,
+                    ping_interval=None,
+                    proxy=None,
+                )
+            )
+        except self._exceptions.WebSocketException as error:
+            raise ConnectionError(str(error)) from error
+        # Nothing else ends the wait for a server that does not read what it is sent.
+        self._socket.socket.setsockopt(
+            socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", _SEND_S, 0)
+        )
+
+    def send(self, message: Message) -> None:
+        """Send a message.
+
+        Raises:
+            OSError: The other side is gone.
+        """
+        try:
+            self._socket.send(pack(message))
+        except self._exceptions.ConnectionClosed as error:
+            raise ConnectionError(str(error)) from error
+
+    def receive(self, timeout_s: float) -> Message:
+        """Return the next message.
+
+        Raises:
+            TimeoutError: There is none in time.
+            OSError: The other side is gone.
+            ProtocolError: It is no message.
+        """
+        try:
+            return unpack(self._socket.recv(timeout=timeout_s))
+        except self._exceptions.ConnectionClosed as error:
+            raise ConnectionError(str(error)) from error
+
+    def close(self) -> None:
+        """Hang up; never raises."""
+        with suppress(Exception):
+            self._stack.close()

@@ -1,0 +1,1 @@
+"""The messages, and the faults that they name."""

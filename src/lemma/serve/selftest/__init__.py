@@ -1,0 +1,1 @@
+"""Known inputs, by which a server shows that it understands them."""

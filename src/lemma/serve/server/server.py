@@ -1,0 +1,237 @@
+"""A policy behind a socket, on the side of the policy."""
+
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import CancelledError, Future
+from contextlib import suppress
+from queue import SimpleQueue
+from types import TracebackType
+from typing import Any, Self
+
+from lemma.core.errors import InvalidConfigError
+from lemma.serve.protocol.faults import ProtocolError
+from lemma.serve.protocol.messages import Message
+from lemma.serve.protocol.packing import LARGEST_BYTES, extra_package, pack, unpack
+from lemma.serve.server.session import Session
+
+DEFAULT_PORT = 8000
+_LOOK_S = 0.1
+_HERE = "This is a LEMMA policy server. Speak WebSocket; see docs/serving.md.\n"
+
+
+class RequestDispatcher:
+    """The one thread that asks the policy, for all clients, one after another.
+
+    When a client leaves while its question is being worked on, that thread may hang: it
+    is left to itself, and another takes its place.
+    """
+
+    def __init__(self) -> None:
+        """Start the thread."""
+        self._lock = threading.Lock()
+        self._begin([])
+
+    def call(self, work: Callable[[], Any], left: Callable[[], bool]) -> Any:
+        """Return what the work returns; raise what it raises.
+
+        Args:
+            work: Asks the policy.
+            left: Whether whoever wants to know has gone.
+
+        Raises:
+            CancelledError: Nobody wants to know any more.
+        """
+        future: Future[Any] = Future()
+        with self._lock:
+            self._queue.put((work, future))
+        done = threading.Event()
+        future.add_done_callback(lambda _: done.set())
+        while not done.wait(_LOOK_S):
+            if left():
+                self._give_up(future)
+                raise CancelledError
+        return future.result()
+
+    def _give_up(self, future: "Future[Any]") -> None:
+        with self._lock:
+            if future.cancel() or future.done():
+                return
+            waiting = []
+            while not self._queue.empty():
+                waiting.append(self._queue.get())
+            self._queue.put(None)
+            self._begin(waiting)
+
+    def _begin(self, waiting: list[Any]) -> None:
+        self._queue: SimpleQueue[Any] = SimpleQueue()
+        for item in waiting:
+            self._queue.put(item)
+        threading.Thread(target=_work, args=(self._queue,), daemon=True).start()
+
+    def close(self) -> None:
+        """Let the thread end after what it does now."""
+        with self._lock:
+            self._queue.put(None)
+
+
+def _work(queue: "SimpleQueue[Any]") -> None:
+    while (item := queue.get()) is not None:
+        work, future = item
+        if not future.set_running_or_notify_cancel():
+            continue
+        try:
+            result = work()
+        except BaseException as error:
+            # Also SystemExit: a policy that calls it must not leave clients waiting.
+            future.set_exception(_ordinary(error))
+        else:
+            future.set_result(result)
+
+
+def _ordinary(error: BaseException) -> Exception:
+    if isinstance(error, Exception):
+        return error
+    return RuntimeError(f"{type(error).__name__}: {error}")
+
+
+class PolicyServer:
+    """Listens, and answers for a policy, as long as the context lasts.
+
+    Many clients may ask at a time; the policy is asked one question after another.
+    """
+
+    def __init__(
+        self,
+        policy: object,
+        *,
+        host: str = "127.0.0.1",
+        port: int = DEFAULT_PORT,
+        about: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Begin to listen.
+
+        Args:
+            policy: Anything that can act, plan or ground; see
+                :mod:`lemma.policies.interfaces`.
+            host: Address to listen at. There is no password: leave it at this machine,
+                or at a network that you trust.
+            port: Port to listen at; 0 for any that is free.
+            about: What the policy says of itself, ready for JSON; it is written into
+                results.
+
+        Raises:
+            ProtocolError: The policy can do nothing.
+            InvalidConfigError: The port is taken, or the extra is not installed.
+        """
+        Session(policy, about)
+        self._policy, self._about = policy, about
+        self._desk = RequestDispatcher()
+        websockets = extra_package("websockets.sync.server")
+        self._exceptions = extra_package("websockets.exceptions")
+        try:
+            self._server = websockets.serve(
+                self._talk,
+                host,
+                port,
+                compression=None,
+                max_size=LARGEST_BYTES,
+                ping_interval=None,
+                process_request=_say_what_this_is,
+            )
+        except (OSError, OverflowError) as error:
+            raise InvalidConfigError(
+                f"Nothing can listen at {host}:{port}: {error}. Choose another port."
+            ) from error
+        self.host, self.port = host, int(self._server.socket.getsockname()[1])
+        self._thread: threading.Thread | None = None
+
+    @property
+    def url(self) -> str:
+        """Where it can be asked."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{host}:{self.port}"
+
+    def run(self) -> None:
+        """Answer until :meth:`close` is called, or Ctrl-C."""
+        self._server.serve_forever()
+
+    def close(self) -> None:
+        """Hang up on everybody."""
+        self._server.shutdown()
+        self._desk.close()
+
+    def __enter__(self) -> Self:
+        """Answer in a thread."""
+        self._thread = threading.Thread(target=self.run, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Hang up."""
+        self.close()
+
+    def _talk(self, connection: Any) -> None:
+        """Answer one client until it leaves."""
+
+        def left() -> bool:
+            return connection.close_code is not None or not _is_open(connection)
+
+        session = Session(
+            self._policy, self._about, lambda work: self._desk.call(work, left)
+        )
+        with suppress(CancelledError, self._exceptions.ConnectionClosed):
+            while True:
+                connection.send(_answer(session, connection.recv()))
+
+
+def serve(
+    policy: object,
+    *,
+    host: str = "127.0.0.1",
+    port: int = DEFAULT_PORT,
+    about: Mapping[str, Any] | None = None,
+    on_ready: Callable[[str], object] = lambda url: None,
+) -> None:
+    """Answer for a policy until Ctrl-C.
+
+    Args:
+        policy: Anything that can act, plan or ground; see
+            :mod:`lemma.policies.interfaces`.
+        host: Address to listen at; there is no password.
+        port: Port to listen at; 0 for any that is free.
+        about: What the policy says of itself, ready for JSON.
+        on_ready: Told the address once it can be asked.
+
+    Raises:
+        ProtocolError: The policy can do nothing.
+        InvalidConfigError: The port is taken, or the extra is not installed.
+    """
+    server = PolicyServer(policy, host=host, port=port, about=about)
+    with server:
+        on_ready(server.url)
+        with suppress(KeyboardInterrupt):
+            threading.Event().wait()
+
+
+def _answer(session: Session, data: bytes | str) -> bytes:
+    try:
+        return pack(session.answer(unpack(data)))
+    except ProtocolError as error:
+        reply: Message = {"type": "error", "kind": "request", "message": str(error)}
+        return pack(reply)
+
+
+def _is_open(connection: Any) -> bool:
+    return str(connection.state.name) == "OPEN"
+
+
+def _say_what_this_is(connection: Any, request: Any) -> Any:
+    """Answer browsers and health checks, which do not speak WebSocket."""
+    if request.headers.get("Upgrade", "").lower() == "websocket":
+        return None
+    return connection.respond(200, _HERE)

@@ -1,0 +1,1 @@
+"""Instructions: templates, and banks of them."""

@@ -1,0 +1,206 @@
+"""Instructions: what shall become true, said in many ways.
+
+The templates of the built-in tasks are the TOML files in ``templates/``: one
+high-level, ten human and ten unseen ones per task, and one line per primitive for
+sub-instructions.
+"""
+
+import re
+import tomllib
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.registry import Registry
+from lemma.scene.palette import OBJECT_COLORS
+from lemma.tasks.language.template import (
+    ENTITY_KINDS,
+    KINDS,
+    GoalPairs,
+    LanguageBank,
+    Template,
+    only_goal,
+    split_entity,
+)
+
+__all__ = [
+    "KINDS",
+    "GoalPairs",
+    "LanguageBank",
+    "Template",
+    "bank_for",
+    "instruct",
+    "parse",
+    "phrase",
+    "robot_phrases",
+    "split_entity",
+    "sub_instruction",
+    "templates",
+    "vocabulary",
+    "words",
+]
+
+_WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
+_FAMILIES = ("cube_on_pad", "cubes_on_pads", "cube_on_cube", "cubes_on_cubes")
+_ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
+
+
+def bank_for(task: str) -> LanguageBank:
+    """Return the templates of a built-in task.
+
+    Raises:
+        UnknownNameError: No built-in task has that name.
+    """
+    return _banks()[task]
+
+
+def templates(task: str, kind: str) -> tuple[Template, ...]:
+    """Return the templates of one kind of a built-in task."""
+    return bank_for(task).templates(kind)
+
+
+def instruct(
+    task: str, kind: str, goal_pairs: GoalPairs, rng: np.random.Generator
+) -> str:
+    """Draw a template of a built-in task and render it.
+
+    Args:
+        task: Name of the task.
+        kind: One of :data:`KINDS`.
+        goal_pairs: The (top, bottom) entities of the goal.
+        rng: Where the draw comes from; one integer is drawn.
+    """
+    return bank_for(task).instruct(kind, goal_pairs, rng)
+
+
+def parse(sentence: str) -> frozenset[tuple[str, str]] | None:
+    """Return the one goal that a sentence of a built-in task asks for.
+
+    Returns:
+        The (top, bottom) pairs; None if no template says the sentence.
+    """
+    banks = _banks()
+    return only_goal([t for name in banks for t in banks[name]], sentence)
+
+
+def phrase(entity: str) -> str:
+    """Return how sub-instructions name an entity: ``"red cube"``, ``"yellow stick"``.
+
+    Raises:
+        UnknownNameError: Not a cube, a pad, ``"stick"`` or ``"shared"``.
+    """
+    if entity == "stick":
+        return "yellow stick"
+    if entity == "shared":
+        return "shared space"
+    return " ".join(split_entity(entity))
+
+
+def robot_phrases(colors: tuple[str, ...]) -> tuple[str, ...]:
+    """Return one distinct name for each robot of a team.
+
+    Args:
+        colors: Colors of the robots, from the first (left in the top-down map,
+            at -x) to the last.
+
+    Returns:
+        ``("red robot", "white robot")``; two of one color become ``"left white
+        robot"`` and ``"right white robot"``, more are counted from the left.
+    """
+    names = []
+    for index, color in enumerate(colors):
+        count, place = colors.count(color), colors[:index].count(color)
+        if count > len(_ORDINALS):
+            raise InvalidConfigError(
+                f"{count} robots are {color}; at most {len(_ORDINALS)} of one color "
+                "have names. Use more colors."
+            )
+        which = ("left ", "right ") if count == 2 else [f"{o} " for o in _ORDINALS]
+        names.append(f"{which[place] if count > 1 else ''}{color} robot")
+    return tuple(names)
+
+
+def sub_instruction(
+    robot: str, primitive: str, pick: str | None = None, place: str | None = None
+) -> str:
+    """Return a sub-task in words: ``"red robot: hook the blue cube with ..."``.
+
+    Args:
+        robot: The robot's phrase, from :func:`robot_phrases`.
+        primitive: ``move``, ``prehook``, ``hook``, ``prepoke``, ``poke`` or ``stop``.
+        pick: Entity that is picked; for hook and poke the stick or the cube.
+        place: Entity where it goes; for hook and poke pick and place together name
+            exactly one cube.
+
+    Raises:
+        UnknownNameError: No such primitive or entity.
+        InvalidConfigError: An entity that the primitive needs is missing.
+    """
+    lines = _sub_instructions()
+    primitives = [name for name in lines if name != "move_to_shared"]
+    if primitive not in primitives:
+        raise UnknownNameError("primitive", primitive, primitives)
+    if primitive == "stop":
+        return lines["stop"]
+    if primitive == "move":
+        if pick is None or place is None:
+            raise InvalidConfigError(
+                f"'move' needs pick and place, got pick={pick!r}, place={place!r}. "
+                "Name both, such as 'red_cube' and 'shared'."
+            )
+        line = lines["move_to_shared" if place == "shared" else "move"]
+        return line.format(robot=robot, pick=phrase(pick), place=phrase(place))
+    cubes = {e for e in (pick, place) if e is not None and e.endswith("_cube")}
+    if len(cubes) != 1:
+        raise InvalidConfigError(
+            f"{primitive!r} acts on one cube, got pick={pick!r}, place={place!r}. "
+            "Name the stick and the cube, such as 'stick' and 'red_cube'."
+        )
+    return lines[primitive].format(robot=robot, cube=phrase(cubes.pop()))
+
+
+def words(sentence: str) -> tuple[str, ...]:
+    """Return the words of a sentence in lower case, without punctuation."""
+    return tuple(_WORD.findall(sentence.lower()))
+
+
+def vocabulary() -> tuple[str, ...]:
+    """Return every word that training sees, sorted.
+
+    High-level and human instructions and sub-instructions of the built-in tasks;
+    words that occur only in unseen templates are left out.
+    """
+    lines = [*_sub_instructions().values(), *OBJECT_COLORS, *ENTITY_KINDS]
+    lines += [*_ORDINALS, "left right robot", phrase("stick"), phrase("shared")]
+    banks = _banks()
+    for bank in (banks[name] for name in banks):
+        lines += [t.text for t in (*bank.high_level, *bank.human)]
+    bare = (re.sub(r"\{[^{}]*\}", " ", line) for line in lines)
+    return tuple(sorted({word for line in bare for word in words(line)}))
+
+
+def _read(name: str) -> dict[str, Any]:
+    source = files("lemma.tasks.language") / "templates" / f"{name}.toml"
+    return tomllib.loads(source.read_text(encoding="utf-8"))
+
+
+@cache
+def _sub_instructions() -> dict[str, str]:
+    return _read("sub_instructions")
+
+
+@cache
+def _banks() -> Registry[LanguageBank]:
+    banks: Registry[LanguageBank] = Registry("task")
+    for family in _FAMILIES:
+        data = _read(family)
+        for task, table in data.items():
+            if isinstance(table, dict):
+                bank = LanguageBank.from_strings(
+                    data["high_level"], **table, entity_kinds=data["entity_kinds"]
+                )
+                banks.add(task, bank)
+    return banks

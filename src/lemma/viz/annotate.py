@@ -1,0 +1,246 @@
+"""Text, arrows and circles on pictures, in one style."""
+
+import math
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+Color = tuple[int, int, int] | tuple[int, int, int, int]
+Point = tuple[float, float]
+Box = tuple[Point, Point]
+"""Upper left and lower right corner."""
+
+INK: Color = (24, 28, 34)
+FAINT: Color = (104, 112, 122)
+PAPER: Color = (250, 250, 249)
+LIGHT: Color = (255, 255, 255)
+GOOD: Color = (46, 160, 90)
+BAD: Color = (214, 60, 52)
+ROBOT_INK: dict[str, Color] = {"red": (205, 30, 30), "white": (245, 245, 240)}
+ENTITY_INK: dict[str, Color] = {
+    "pink": (226, 90, 150),
+    "red": (200, 30, 30),
+    "white": (245, 245, 240),
+    "blue": (36, 84, 204),
+    "green": (28, 140, 60),
+    "stick": (236, 178, 20),
+}
+
+
+@cache
+def font(size_px: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Return the font that comes with Pillow, so that it is there on every machine."""
+    return ImageFont.load_default(size_px)
+
+
+def text_width(text: str, size_px: float) -> float:
+    """Return the width of a line of text [px]."""
+    return float(font(size_px).getlength(text))
+
+
+def fitting_size(text: str, size_px: float, width_px: float) -> float:
+    """Return the size, at most ``size_px``, at which a line is not too wide."""
+    return min(size_px, size_px * width_px / max(1.0, text_width(text, size_px)))
+
+
+def wrap(text: str, size_px: float, width_px: float) -> list[str]:
+    """Break a text into lines that are not too wide."""
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and text_width(longer, size_px) <= width_px:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+def label_plate(
+    near: Point, text: str, size: float, away: float, taken: list[Box]
+) -> Box:
+    """Return a free place for a label: above a point, else below, right or left of it.
+
+    Args:
+        near: What is labelled.
+        text: The word.
+        size: Height of the letters [px].
+        away: Distance from the point to the plate's middle [px].
+        taken: Boxes to keep free, if that is possible.
+    """
+    half_width, half_height = (text_width(text, size) + 2.0 * size) / 2, 0.78 * size
+    sideways = half_width + away - half_height
+    boxes = []
+    for dx, dy in ((0, -away), (0, away), (sideways, 0), (-sideways, 0)):
+        x, y = near[0] + dx, near[1] + dy
+        boxes.append(
+            ((x - half_width, y - half_height), (x + half_width, y + half_height))
+        )
+    return next(
+        (box for box in boxes if not any(_overlap(box, other) for other in taken)),
+        boxes[0],
+    )
+
+
+def _overlap(first: Box, second: Box) -> bool:
+    return all(
+        first[0][i] < second[1][i] and second[0][i] < first[1][i] for i in range(2)
+    )
+
+
+class Canvas:
+    """A picture to draw on, with soft edges: it is drawn large and then reduced."""
+
+    def __init__(self, picture: Image.Image, oversampling: int = 2) -> None:
+        """Start from a picture, whose pixels are the unit of all lengths."""
+        self._factor = oversampling
+        size = (picture.width * oversampling, picture.height * oversampling)
+        self._image = picture.convert("RGB").resize(size, Image.Resampling.BICUBIC)
+        self._draw = ImageDraw.Draw(self._image, "RGBA")
+
+    def picture(self) -> Image.Image:
+        """Return what was drawn."""
+        return self._image.reduce(self._factor)
+
+    def _scaled(self, points: list[Point]) -> list[Point]:
+        return [(x * self._factor, y * self._factor) for x, y in points]
+
+    def line(self, points: list[Point], color: Color, width: float) -> None:
+        """Draw a line through points."""
+        self._draw.line(
+            self._scaled(points),
+            fill=color,
+            width=max(1, round(width * self._factor)),
+            joint="curve",
+        )
+
+    def polygon(self, points: list[Point], color: Color) -> None:
+        """Fill a polygon."""
+        self._draw.polygon(self._scaled(points), fill=color)
+
+    def disc(self, centre: Point, radius: float, color: Color) -> None:
+        """Fill a circle."""
+        self._draw.circle(self._scaled([centre])[0], radius * self._factor, fill=color)
+
+    def box(self, corners: Box, color: Color, radius: float = 0.0) -> None:
+        """Fill a rectangle with round corners."""
+        (x0, y0), (x1, y1) = self._scaled(list(corners))
+        self._draw.rounded_rectangle(
+            (x0, y0, x1, y1), radius * self._factor, fill=color
+        )
+
+    def ring(
+        self,
+        centre: Point,
+        radius: float,
+        color: Color,
+        width: float,
+        dash: float | None = None,
+    ) -> None:
+        """Draw a circle, dashed if ``dash``, the length of a dash, is given."""
+        step = 2.0 if dash is None else dash
+        pieces = max(24, round(2 * math.pi * radius / step))
+        angles = np.linspace(0.0, 2 * math.pi, 2 * (pieces // 2) + 1)
+        around = [
+            (centre[0] + radius * math.cos(a), centre[1] + radius * math.sin(a))
+            for a in angles
+        ]
+        if dash is None:
+            self.line(around, color, width)
+            return
+        for i in range(0, len(around) - 1, 2):
+            self.line(around[i : i + 2], color, width)
+
+    def arrow(
+        self, start: Point, end: Point, color: Color, width: float, bend: float = 0.18
+    ) -> None:
+        """Draw a curved arrow with a pale edge; it bends to the left."""
+        dx, dy = end[0] - start[0], end[1] - start[1]
+        control = (
+            (start[0] + end[0]) / 2 + bend * dy,
+            (start[1] + end[1]) / 2 - bend * dx,
+        )
+        head = 4.2 * width
+        tx, ty = end[0] - control[0], end[1] - control[1]
+        length = math.hypot(tx, ty) or 1.0
+        tx, ty = tx / length, ty / length
+        neck = (end[0] - head * tx, end[1] - head * ty)
+        curve = [
+            tuple(
+                (1 - s) ** 2 * a + 2 * s * (1 - s) * b + s**2 * c
+                for a, b, c in zip(start, control, neck, strict=True)
+            )
+            for s in np.linspace(0.0, 1.0, 24)
+        ]
+        points = [(float(x), float(y)) for x, y in curve]
+        for edge, ink in ((0.8 * width, LIGHT), (0.0, color)):
+            self.line(points, ink, width + 2 * edge)
+            side = 0.5 * head + edge
+            tip = (end[0] + edge * tx, end[1] + edge * ty)
+            back = (neck[0] - edge * tx, neck[1] - edge * ty)
+            self.polygon(
+                [
+                    tip,
+                    (back[0] - side * ty, back[1] + side * tx),
+                    (back[0] + side * ty, back[1] - side * tx),
+                ],
+                ink,
+            )
+
+    def text(
+        self,
+        at: Point,
+        text: str,
+        size: float,
+        color: Color = INK,
+        anchor: str = "la",
+    ) -> None:
+        """Write one line; ``anchor`` says which point of it is at ``at`` (Pillow)."""
+        self._draw.text(
+            self._scaled([at])[0],
+            text,
+            font=font(size * self._factor),
+            fill=color,
+            anchor=anchor,
+        )
+
+    def label(self, plate: Box, text: str, size: float, mark: Color) -> None:
+        """Write a word on a white plate, with a colored dot before it.
+
+        Args:
+            plate: Where, from :func:`label_plate`.
+            text: The word.
+            size: Height of the letters [px].
+            mark: Colour of the dot.
+        """
+        (left, top), (_, bottom) = plate
+        self.box(plate, (255, 255, 255, 225), radius=0.4 * size)
+        y = (top + bottom) / 2
+        self.disc((left + 0.85 * size, y), 0.40 * size, FAINT)
+        self.disc((left + 0.85 * size, y), 0.33 * size, mark)
+        self.text((left + 1.45 * size, y), text, size, INK, "lm")
+
+
+# Anchors of Matplotlib's perceptually even "viridis", from near to far.
+_VIRIDIS = np.array(
+    [
+        (253, 231, 37),
+        (122, 209, 81),
+        (34, 168, 132),
+        (42, 120, 142),
+        (65, 68, 135),
+        (68, 1, 84),
+    ],
+    dtype=np.float64,
+)
+
+
+def false_color(
+    values: NDArray[np.float32], low: float, high: float
+) -> NDArray[np.uint8]:
+    """Return colors for values, near ones bright: shape (H, W, 3)."""
+    place = np.clip((values - low) / (high - low), 0.0, 1.0) * (len(_VIRIDIS) - 1)
+    anchors = np.arange(len(_VIRIDIS))
+    channels = [np.interp(place, anchors, _VIRIDIS[:, i]) for i in range(3)]
+    return np.stack(channels, axis=-1).astype(np.uint8)

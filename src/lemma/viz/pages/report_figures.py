@@ -1,0 +1,185 @@
+"""The figures of a report: what is plotted of results."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from statistics import fmean, stdev
+
+from lemma.dataset.files import write_text
+from lemma.evaluation.analysis.failure_causes import Cause
+from lemma.evaluation.analysis.intervals import mean_over_tasks, rate_of
+from lemma.evaluation.analysis.result import Cell
+from lemma.evaluation.experiments.catalog import ABLATIONS
+from lemma.evaluation.report.policy_results import PolicyResults
+from lemma.evaluation.report.tables import DISTRACTORS, TEAMS, words
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE
+from lemma.viz.figures import Bar, Figure, Mark, Series, dots, lines, stacks, standalone
+
+FIGURES = "figures"
+_CONTROLS = "controls"
+_MEAN = "mean"
+_INTERVALS = (
+    "Whiskers: 95 % Wilson intervals where there is one training seed, else ± one "
+    "standard deviation over the seeds."
+)
+
+
+def figures_of(entries: Sequence[PolicyResults]) -> list[Figure]:
+    """Return all figures that there is something to show in.
+
+    Ablations have a table; controls too, and are plotted only where nothing else is.
+    """
+    suites = [one.experiment.suite if one.experiment else "" for one in entries]
+    shown: list[PolicyResults] = []
+    for left_out in ((ABLATIONS, _CONTROLS), (ABLATIONS,)):
+        shown = shown or [
+            entry
+            for entry, suite in zip(entries, suites, strict=True)
+            if entry.results and suite not in left_out
+        ]
+    return [figure for kind in KINDS for figure in _of_kind(shown, kind)]
+
+
+def write_figures(folder: Path, figures: Iterable[Figure]) -> None:
+    """Write each figure as an SVG file that needs nothing else."""
+    for figure in figures:
+        write_text(folder / f"{figure.name}.svg", standalone(figure.svg))
+
+
+def _of_kind(entries: Sequence[PolicyResults], kind: str) -> Iterator[Figure]:
+    entries = [entry for entry in entries if entry.has(kind)]
+    if not entries:
+        return
+    said, end = f"{words(kind, '-')} instructions", words(kind, "-")
+    yield Figure(
+        f"success-by-task-{end}",
+        f"Success by task, {said}",
+        f"{_INTERVALS} Strokes: what the paper reports, on another simulator.",
+        dots(
+            (*SUITE, _MEAN),
+            [_by_task(entry, kind) for entry in entries],
+            "success [%]",
+        ),
+    )
+    for name, columns, axis in (
+        ("distractors", DISTRACTORS, "number of distractors"),
+        ("team", TEAMS, "team"),
+    ):
+        series = [_by_column(entry, kind, name, columns) for entry in entries]
+        yield Figure(
+            f"success-by-{name}-{end}",
+            f"Success by {axis}, {said}",
+            f"{_INTERVALS} All tasks together.",
+            lines([str(column) for column in columns], series, (axis, "success [%]")),
+        )
+    bars = [_causes(entry, kind) for entry in entries]
+    if any(sum(bar.parts) for bar in bars):
+        name = f"causes-{end}"
+        yield Figure(
+            name,
+            f"Causes of failure, {said}",
+            "Failed episodes by their first mistake; the rest of each bar succeeded.",
+            stacks(name, [words(c) for c in Cause], bars, "share of episodes [%]"),
+        )
+    yield Figure(
+        f"progress-by-task-{end}",
+        f"Progress by task, {said}",
+        "Mean fraction of the goal that holds at the end. The line of each mark "
+        "begins at the success rate: its length is what was done in failed episodes.",
+        dots(
+            (*SUITE, _MEAN),
+            [_progress(entry, kind) for entry in entries],
+            "progress [%]",
+        ),
+    )
+
+
+def _by_task(entry: PolicyResults, kind: str) -> Series:
+    marks = [_success(entry.select(kind, task=task)) for task in SUITE]
+    mean = _success(entry.select(kind), over_tasks=True)
+    figures = entry.experiment.paper.get(kind) if entry.experiment else None
+    if figures is None:
+        return Series(entry.title, (*marks, mean))
+    told = [figures.tasks.get(task) for task in SUITE]
+    return Series(
+        entry.title,
+        tuple(
+            _beside(mark, number)
+            for mark, number in zip((*marks, mean), (*told, figures.mean), strict=True)
+        ),
+    )
+
+
+def _by_column(
+    entry: PolicyResults, kind: str, name: str, columns: Sequence[object]
+) -> Series:
+    marks = (_success(entry.select(kind, **{name: column})) for column in columns)
+    return Series(entry.title, tuple(marks))
+
+
+def _success(seeds: list[list[Cell]], *, over_tasks: bool = False) -> Mark | None:
+    """Return a success rate, from the cells of each seed."""
+    filled = [cells for cells in seeds if cells]
+    if not filled:
+        return None
+    if over_tasks:
+        rates = [mean_over_tasks(cells) for cells in filled]
+    else:
+        rates = [rate_of(cells).success_rate for cells in filled]
+    value = fmean(rates)
+    if len(rates) > 1:
+        spread = stdev(rates)
+        low, high = max(0.0, value - spread), min(1.0, value + spread)
+        said = f"{value:.1%} ± {spread:.1%} over {len(rates)} seeds"
+    else:
+        counted = rate_of(filled[0])
+        low, high = counted.interval
+        said = (
+            f"{value:.1%} ({low:.0%}–{high:.0%}), {counted.successes} of "
+            f"{counted.episodes}"
+        )
+    # A mean over tasks that have different numbers of episodes may lie outside.
+    return Mark(value, min(low, value), max(high, value), said)
+
+
+def _beside(mark: Mark | None, paper: float | None) -> Mark | None:
+    if mark is None or paper is None:
+        return mark
+    said = f"{mark.words}; the paper: {paper:g} %"
+    return Mark(mark.value, mark.low, mark.high, said, paper / 100.0)
+
+
+def _progress(entry: PolicyResults, kind: str) -> Series:
+    marks: list[Mark | None] = []
+    for task in SUITE:
+        found = [rate_of(c) for c in entry.select(kind, task=task) if c]
+        if found:
+            reached = fmean(rate.progress for rate in found)
+            solved = fmean(rate.success_rate for rate in found)
+            marks.append(_dumbbell(solved, reached))
+        else:
+            marks.append(None)
+    told = [mark for mark in marks if mark is not None]
+    solved = fmean(mark.low for mark in told)
+    marks.append(_dumbbell(solved, fmean(mark.value for mark in told)))
+    return Series(entry.title, tuple(marks))
+
+
+def _dumbbell(solved: float, reached: float) -> Mark:
+    said = f"progress {reached:.1%}, success {solved:.1%}"
+    return Mark(reached, solved, reached, said)
+
+
+def _causes(entry: PolicyResults, kind: str) -> Bar:
+    counted: Counter[str] = Counter()
+    for result in entry.results:
+        for loss in result.losses:
+            if loss.kind == kind:
+                counted[loss.cause] += loss.episodes
+    episodes = sum(cell.episodes for cells in entry.select(kind) for cell in cells)
+    return Bar(
+        entry.title,
+        f"{counted.total()} of {episodes}",
+        tuple(counted[cause] / episodes for cause in Cause),
+    )

@@ -1,0 +1,185 @@
+"""Engines: every job is done once, whoever dies."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.parallel import (
+    Engine,
+    Job,
+    ProcessPool,
+    RayCluster,
+    Serial,
+    peak_memory_mb,
+)
+
+
+def double(number: int) -> tuple[int, int]:
+    return number, 2 * number
+
+
+def fail_at(number: int, wrong: int) -> int:
+    if number == wrong:
+        raise DatasetError(f"number {number} is wrong")
+    return number
+
+
+def die_once(number: int, folder: str) -> int:
+    """Die at every third number, but only the first time."""
+    mark = Path(folder) / str(number)
+    if number % 3 == 0 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def die(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def pid(number: int) -> int:
+    time.sleep(0.05)
+    return os.getpid()
+
+
+def interrupts_are_held(number: int) -> bool:
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def wait_long(number: int) -> None:
+    time.sleep(600)
+
+
+@pytest.fixture(scope="module", params=["serial", "processes"])
+def engine(request: pytest.FixtureRequest) -> Engine:
+    return Serial() if request.param == "serial" else ProcessPool(2)
+
+
+def test_every_job_is_done_once(engine: Engine) -> None:
+    jobs: list[Job] = [(i,) for i in range(25)]
+    done = sorted(engine.run(double, jobs))
+    assert done == [(i, 2 * i) for i in range(25)]
+
+
+def test_equal_jobs_are_done_as_often_as_they_are_given(engine: Engine) -> None:
+    assert list(engine.run(double, [(3,)] * 5)) == [(3, 6)] * 5
+
+
+def test_nothing_to_do(engine: Engine) -> None:
+    assert list(engine.run(double, [])) == []
+
+
+def test_what_a_job_raises_comes_out(engine: Engine) -> None:
+    with pytest.raises(DatasetError, match="number 4 is wrong"):
+        list(engine.run(fail_at, [(i, 4) for i in range(10)]))
+
+
+def test_several_processes_work() -> None:
+    assert len(set(ProcessPool(2).run(pid, [(i,) for i in range(20)]))) == 2
+
+
+def test_no_more_processes_than_jobs_are_started() -> None:
+    assert len(set(ProcessPool(64).run(pid, [(0,), (1,)]))) <= 2
+
+
+def test_a_worker_that_dies_is_replaced(tmp_path: Path) -> None:
+    jobs: list[Job] = [(i, str(tmp_path)) for i in range(12)]
+    assert sorted(ProcessPool(2).run(die_once, jobs)) == list(range(12))
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_workers_that_always_die_are_not_replaced_for_ever() -> None:
+    with pytest.raises(DatasetError, match=r"died 5 times.*--workers"):
+        list(ProcessPool(1).run(die, [(0,)]))
+
+
+def test_ctrl_c_is_not_for_workers() -> None:
+    assert all(ProcessPool(1).run(interrupts_are_held, [(0,)]))
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_there_must_be_workers() -> None:
+    with pytest.raises(InvalidConfigError, match="1 or more"):
+        ProcessPool(0)
+
+
+def test_an_engine_says_how_many_work() -> None:
+    assert (Serial().workers, ProcessPool(3).workers) == (1, 3)
+
+
+def needs_memory(megabytes: int) -> float:
+    """Return the peak of a process that needs so much."""
+    before = peak_memory_mb()
+    block = bytearray(megabytes * 1_000_000)
+    block[::4096] = b"x" * len(block[::4096])
+    assert len(block) == megabytes * 1_000_000
+    return peak_memory_mb() - before
+
+
+def test_memory_is_measured() -> None:
+    # In a process of its own: this one may have needed more before.
+    (grown,) = ProcessPool(1).run(needs_memory, [(80,)])
+    assert 70 < grown < 200
+    assert 10 < peak_memory_mb() < 10_000
+
+
+def children(parent: int) -> set[int]:
+    """Return the processes that a process has started, and theirs."""
+    lines = subprocess.run(
+        ["ps", "-A", "-o", "pid=,ppid="], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    found, pairs = {parent}, [tuple(map(int, line.split())) for line in lines]
+    for _ in range(4):
+        found |= {child for child, above in pairs if above in found}
+    return found - {parent}
+
+
+def alive(processes: set[int]) -> set[int]:
+    return {process for process in processes if Path(f"/proc/{process}/exe").exists()}
+
+
+@pytest.fixture
+def parent() -> Iterator[subprocess.Popen[bytes]]:
+    code = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from lemma.core.parallel import Processes\n"
+        "from test_parallel import wait_long\n"
+        "if __name__ == '__main__':\n"
+        "    list(Processes(2).run(wait_long, [(0,), (1,)]))\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code])
+    yield process
+    process.kill()
+    process.wait()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_workers_end_with_the_process_that_started_them(
+    parent: subprocess.Popen[bytes],
+) -> None:
+    deadline = time.monotonic() + 30
+    # Two workers, and the process that keeps account of semaphores.
+    while len(started := children(parent.pid)) < 3 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert len(started) == 3
+    # Workers that are still starting cannot know yet.
+    time.sleep(1.0)
+    parent.kill()
+    parent.wait()
+    while alive(started) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not alive(started)
+
+
+def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(DatasetError, match=r"lemma-bench\[scale\]"):
+        RayCluster("auto")

@@ -1,0 +1,98 @@
+"""Digests: of all 6,400 episodes, and a sample of them made again."""
+
+import platform
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recipes import made_up, small_recipe, write_recipe
+
+from lemma.core.errors import UnknownNameError
+from lemma.dataset.files import MANIFEST, read_json, versions
+from lemma.dataset.recipe.digests import (
+    content_digest,
+    differing,
+    digest_manifest,
+    expected_digests,
+    export,
+    shorten,
+)
+from lemma.dataset.recipe.record import record_episode
+from lemma.tasks.instance import SPLITS
+from lemma.tasks.suite import SUITE, load_instance
+
+LISTS = [(task, split) for task in SUITE for split in SPLITS]
+SAMPLE = 40
+SEED = 20230802
+
+
+@pytest.mark.parametrize(("task", "split"), LISTS)
+def test_every_frozen_instance_has_a_digest(task: str, split: str) -> None:
+    digests = expected_digests(task, split)
+    assert len(digests) == len(set(digests)) == SPLITS[split]
+    assert all(len(digest) == 32 and int(digest, 16) >= 0 for digest in digests)
+
+
+@pytest.mark.parametrize("split", SPLITS)
+def test_the_manifest_has_the_sha256_of_every_split(split: str) -> None:
+    entry = digest_manifest()["splits"][split]
+    every = [d for task in sorted(SUITE) for d in expected_digests(task, split)]
+    assert entry == {"episodes": len(every), "sha256": content_digest(every)}
+
+
+def test_digests_are_of_this_benchmark_and_engine() -> None:
+    here = versions("v1")
+    found = digest_manifest()["versions"]
+    assert found["benchmark"] == here["benchmark"]
+    assert found["format"] == here["format"]
+    assert found["mujoco"] == here["mujoco"]
+
+
+def test_digests_are_small() -> None:
+    folder = files("lemma.dataset") / "digests"
+    assert sum(len(entry.read_bytes()) for entry in folder.iterdir()) < 400_000
+
+
+def sample() -> list[tuple[str, str, int]]:
+    """Return tasks, splits and indices: every list once, and then at random."""
+    rng = np.random.default_rng(SEED)
+    lists = [*LISTS, *(LISTS[i] for i in rng.integers(len(LISTS), size=SAMPLE))]
+    return [(t, s, int(rng.integers(SPLITS[s]))) for t, s in lists[:SAMPLE]]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    platform.machine() != "x86_64" or platform.system() != "Linux",
+    reason="other builds of MuJoCo and of the C library compute other last bits",
+)
+@pytest.mark.parametrize("part", range(8))
+def test_a_sample_is_made_again_to_the_bit(part: int) -> None:
+    for task, split, index in sample()[part::8]:
+        record = record_episode(load_instance(task, split, index))
+        assert record.success, record.key
+        expected = expected_digests(task, split)[index]
+        assert shorten(record.digest()) == expected, record.key
+
+
+def test_what_is_exported_is_what_was_generated(tmp_path: Path) -> None:
+    manifest = export(small_recipe(), tmp_path)
+    assert read_json(tmp_path / MANIFEST) == manifest
+    assert manifest["splits"]["val"]["episodes"] == 6
+    names = {f"{task}-{split}.txt" for task in ("pass", "stack") for split in TWO}
+    assert {path.name for path in tmp_path.iterdir()} == {*names, MANIFEST}
+    digests = (tmp_path / "stack-val.txt").read_text().split()
+    assert tuple(digests) == expected_digests("stack", "val")[:3]
+
+
+TWO = ("val", "test")
+
+
+def test_episodes_that_differ_are_named(tmp_path: Path) -> None:
+    write_recipe(tmp_path, [made_up(index=i) for i in range(2)])
+    assert differing(tmp_path) == ["stack/val/0", "stack/val/1"]
+
+
+def test_an_unknown_list_is_explained() -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'stack-val'"):
+        expected_digests("stack", "vall")

@@ -1,0 +1,342 @@
+"""An episode step by step, and on disk."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rendered_sets import (
+    SPLIT,
+    TASKS,
+    contents,
+    own_copy,
+    recipe,
+    recipe_folder,
+    scratch,
+)
+
+import lemma
+from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.parallel import Serial
+from lemma.dataset.files import METADATA_KEY, REVISION_VARIABLE
+from lemma.dataset.recipe.schema import EpisodeRecord
+from lemma.dataset.rendered.dense_form import DenseForm
+from lemma.dataset.rendered.dense_schema import (
+    DenseDataset,
+    DenseHeader,
+    columns,
+    describe,
+    open_steps,
+)
+from lemma.dataset.rendered.render import RenderConfig, render
+from lemma.dataset.rendered.steps import DenseStep, count_steps, iterate_steps
+
+FIRST = 0
+PER_S = 100
+
+
+@pytest.fixture(autouse=True)
+def _one_revision(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(REVISION_VARIABLE, "of-the-tests")
+
+
+@cache
+def watched(hz: int) -> tuple[tuple[DenseStep, ...], tuple[np.ndarray, ...]]:
+    """Return the steps of an episode, and the state that the scene was in at each."""
+    steps, states = [], []
+    for step in iterate_steps(recipe()[FIRST], hz):
+        steps.append(step)
+        states.append(step.scene.snapshot())
+    return tuple(steps), tuple(states)
+
+
+def test_steps_are_evenly_spaced_up_to_the_end() -> None:
+    record = recipe()[FIRST]
+    for hz in (10, 20):
+        steps, _ = watched(hz)
+        assert [step.index for step in steps] == list(range(len(steps)))
+        assert [step.time_s for step in steps] == [i / hz for i in range(len(steps))]
+        assert len(steps) == count_steps(record, hz)
+        end = record.keyframe_time_s[-1]
+        assert end - 1e-9 <= steps[-1].time_s < end + 1 / hz
+        assert [step.is_done for step in steps] == [False] * (len(steps) - 1) + [True]
+
+
+def test_the_scene_stands_at_the_step() -> None:
+    steps, states = watched(10)
+    record = recipe()[FIRST]
+    assert np.array_equal(states[0], record.state(0))
+    # The first number of a state is its time.
+    for step, state in zip(steps, states, strict=True):
+        assert state[0] == pytest.approx(step.time_s, abs=1e-9)
+        scene = step.scene
+        scene.restore(state)
+        for number, robot in enumerate(scene.robots):
+            assert np.array_equal(scene.data.qpos[robot.qpos], step.joints[number])
+            assert np.array_equal(
+                scene.data.qvel[robot.dof], step.joint_velocities[number]
+            )
+            assert scene.opening_m(robot) == step.opening_m[number]
+        for name, pose in step.objects.items():
+            assert pose.tolist()[:3] == list(scene.pose(name).position)
+
+
+def test_another_rate_shows_the_same_motion() -> None:
+    _, slow = watched(10)
+    _, fast = watched(20)
+    for index in range(len(slow) - 1):
+        assert np.array_equal(slow[index], fast[2 * index])
+
+
+def test_keyframes_are_passed_bit_for_bit() -> None:
+    record = recipe()[FIRST]
+    steps, states = watched(PER_S)
+    for keyframe, time_s in enumerate(record.keyframe_time_s):
+        index = round(time_s * PER_S)
+        assert steps[index].time_s == pytest.approx(time_s)
+        assert np.array_equal(states[index], record.state(keyframe))
+
+
+def test_what_is_commanded_is_what_happens_next() -> None:
+    steps, _ = watched(20)
+    joints = np.array([step.joints for step in steps])
+    actions = np.array([step.action for step in steps])
+    assert actions.shape == (len(steps), 2, 7)
+    behind = np.abs(actions[:-1, :, :6] - joints[1:])
+    ahead = np.abs(actions[:-1, :, :6] - joints[:-1])
+    assert behind.max() < 0.03
+    moving = ahead > 0.05
+    assert moving.any()
+    assert (behind < ahead)[moving].all()
+    assert np.array_equal(actions[-1], actions[-2])
+
+
+def test_the_gripper_does_what_it_is_told() -> None:
+    steps, _ = watched(20)
+    told = np.array([step.action[:, 6] for step in steps])
+    is_open = np.array([step.opening_m for step in steps]) > 0.07
+    for robot in (0, 1):
+        assert told[:, robot].min() < 0.06 < told[:, robot].max()
+        # Fingers take a while: half a second after a command they have obeyed.
+        settled = [
+            i
+            for i in range(10, len(steps))
+            if len(set((told[i - 10 : i, robot] > 0.07).tolist())) == 1
+        ]
+        agree = [is_open[i, robot] == (told[i - 1, robot] > 0.07) for i in settled]
+        assert np.mean(agree) > 0.98
+
+
+def test_subtasks_are_those_of_the_recipe() -> None:
+    record = recipe()[FIRST]
+    steps, _ = watched(10)
+    for step in steps[:-1]:
+        row = record.subtasks[step.subtask]
+        assert row.start_s - 1e-9 <= step.time_s
+        assert step.time_s < row.start_s + row.duration_s
+        others = [n for n in (0, 1) if f"robot_{n}" != row.robot]
+        for robot in others:
+            assert np.array_equal(
+                step.action[robot, :6], steps[step.index + 1].action[robot, :6]
+            ) or (steps[step.index + 1].subtask != step.subtask)
+    assert steps[-1].subtask == -1
+
+
+def test_reward_comes_at_the_end() -> None:
+    steps, _ = watched(10)
+    assert [step.reward for step in steps[:-1]] == [0.0] * (len(steps) - 1)
+    assert steps[-1].reward == 1.0
+    assert steps[0].progress < 1.0 == steps[-1].progress
+    failed = replace(recipe()[FIRST], success=False)
+    assert list(iterate_steps(failed))[-1].reward == 0.0
+
+
+def test_who_moves_the_scene_does_not_disturb_the_motion() -> None:
+    _, expected = watched(10)
+    for step, state in zip(iterate_steps(recipe()[FIRST]), expected, strict=True):
+        assert np.array_equal(step.scene.snapshot(), state)
+        step.scene.data.qpos[:] = 0.0
+
+
+def drifting(record: EpisodeRecord) -> EpisodeRecord:
+    first, *rest = record.subtasks
+    x, y, yaw = first.pick_pose
+    return replace(
+        record, subtasks=(replace(first, pick_pose=(x + 1e-12, y, yaw)), *rest)
+    )
+
+
+def other_start(record: EpisodeRecord) -> EpisodeRecord:
+    return replace(record, keyframe_sha256=("0" * 64, *record.keyframe_sha256[1:]))
+
+
+@pytest.mark.parametrize(("change", "at"), [(drifting, 1), (other_start, 0)])
+def test_drift_is_an_error(
+    change: Callable[[EpisodeRecord], EpisodeRecord], at: int
+) -> None:
+    record = change(recipe()[FIRST])
+    with pytest.raises(DatasetError, match=f"drifts at keyframe {at}"):
+        next(iterate_steps(record))
+
+
+@pytest.mark.parametrize("hz", [0, -10, 30, 200])
+def test_rates_that_do_not_divide_a_second(hz: int) -> None:
+    with pytest.raises(InvalidConfigError, match="10 is common"):
+        count_steps(recipe()[FIRST], hz)
+    with pytest.raises(InvalidConfigError, match=r"Choose one of 1, 2, 4, 5, 10"):
+        DenseForm(hz)
+
+
+def order(out: Path, **changes: Any) -> RenderConfig:
+    return RenderConfig(recipe=recipe_folder(), out=out, **changes)
+
+
+@cache
+def dense_folder() -> Path:
+    """Return all steps of the small recipe; do not write there."""
+    folder = scratch() / "dense"
+    render(order(folder), DenseForm(10), Serial())
+    return folder
+
+
+def test_what_is_written_is_what_was_seen() -> None:
+    found = DenseDataset(dense_folder(), SPLIT)
+    assert len(found) == len(recipe())
+    assert found.header.hz == 10
+    episode = found[FIRST]
+    record, (steps, _) = recipe()[FIRST], watched(10)
+    assert (episode["key"], episode["human"]) == (record.key, record.human)
+    state = [np.c_[step.joints, step.opening_m].ravel() for step in steps]
+    for name, expected in (
+        ("state", state),
+        ("velocity", [step.joint_velocities.ravel() for step in steps]),
+        ("action", [step.action.ravel() for step in steps]),
+    ):
+        assert episode[name].dtype == np.float32
+        assert np.array_equal(episode[name], np.array(expected, np.float32)), name
+    for name in ("reward", "progress", "subtask"):
+        assert episode[name].tolist() == pytest.approx(
+            [getattr(step, name) for step in steps]
+        )
+    assert episode["done"].tolist() == [step.is_done for step in steps]
+    assert episode["time_s"].tolist() == [step.time_s for step in steps]
+    for name, pose in steps[7].objects.items():
+        place = found.header.entities.index(name) * 7
+        assert np.array_equal(
+            episode["objects"][7, place : place + 7], pose.astype(np.float32)
+        )
+    missing = len(found.header.entities) - len(steps[7].objects)
+    assert np.isnan(episode["objects"][7]).sum() == 7 * missing
+
+
+def test_labels_are_those_of_the_recipe() -> None:
+    for record, episode in zip(
+        recipe(),
+        (DenseDataset(dense_folder(), SPLIT)[i] for i in range(4)),
+        strict=True,
+    ):
+        for subtask, sentence, pick in zip(
+            episode["subtask"],
+            episode["sub_instruction"],
+            episode["pick"],
+            strict=True,
+        ):
+            if subtask >= 0:
+                assert sentence == record.subtasks[subtask].instruction
+                assert pick == record.subtasks[subtask].pick
+        assert episode["primitive"][-1] == "stop"
+        assert episode["robot"][-1] == ""
+
+
+def test_channels_are_named() -> None:
+    header = DenseDataset(dense_folder(), SPLIT).header
+    assert len(header.channels) == 14
+    assert header.channels[6::7] == ("robot_0/opening", "robot_1/opening")
+    assert header.channels[0].startswith("robot_0/shoulder_pan")
+
+
+def test_any_parquet_reader_reads_the_folder() -> None:
+    table = pq.read_table(dense_folder() / "steps")
+    assert len(table) == sum(count_steps(record) for record in recipe())
+    header = DenseDataset(dense_folder(), SPLIT).header
+    assert set(columns(header)) <= set(table.column_names)
+
+
+def test_indices_and_names_are_checked() -> None:
+    found = DenseDataset(dense_folder(), SPLIT, tasks=TASKS[1:])
+    assert {found[i]["task"] for i in range(len(found))} == {TASKS[1]}
+    with pytest.raises(IndexError):
+        found[len(found)]
+    with pytest.raises(UnknownNameError, match="Did you mean 'stack'"):
+        DenseDataset(dense_folder(), SPLIT, tasks=("stak",))
+
+
+def test_a_lost_file_is_made_again_with_the_same_bytes(tmp_path: Path) -> None:
+    out = own_copy(dense_folder(), tmp_path / "set")
+    (out / "steps" / SPLIT / "pass-000.parquet").unlink()
+    with pytest.raises(DatasetError, match="is missing"):
+        DenseDataset(out, SPLIT)
+    summary = render(order(out), DenseForm(10), Serial())
+    assert summary.made == 2
+    assert contents(out) == contents(dense_folder())
+
+
+def test_another_rate_is_refused() -> None:
+    with pytest.raises(DatasetError, match="hz is 10 there, and 20 here"):
+        render(order(dense_folder()), DenseForm(20), Serial())
+
+
+def test_damaged_files_are_explained(tmp_path: Path) -> None:
+    out = own_copy(dense_folder(), tmp_path / "set")
+    path = out / "steps" / SPLIT / "pass-000.parquet"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-50])
+    with pytest.raises(DatasetError, match="is damaged"):
+        open_steps(path)
+    # Of the same size, and wrong in the middle of a page.
+    data = bytearray(whole)
+    data[2000:2200] = bytes(200)
+    path.write_bytes(data)
+    with pytest.raises(DatasetError, match="is damaged"):
+        DenseDataset(out, SPLIT)[0]
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.parquet"
+    pq.write_table(pa.table({"key": ["a"]}), path)
+    with pytest.raises(DatasetError, match="holds no dense steps"):
+        open_steps(path)
+    header = DenseHeader("dense", "99", {"lemma": "7.0"}, 10, ("stick",), ("a",) * 7)
+    text = header.schema().metadata[METADATA_KEY]
+    pq.write_table(
+        pa.table({"key": ["a"]}).replace_schema_metadata({METADATA_KEY: text}), path
+    )
+    with pytest.raises(DatasetError, match=r"version 99.*reads version 1.*\(7.0\)"):
+        open_steps(path)
+
+
+def test_every_column_is_described() -> None:
+    text = describe()
+    assert all(f"| `{name}` |" in text for name in columns(open_first()))
+    assert "float[14]" in text
+
+
+def open_first() -> DenseHeader:
+    return DenseDataset(dense_folder(), SPLIT).header
+
+
+def test_commands_that_are_played_back_solve_the_task() -> None:
+    record = recipe()[-1]
+    env = lemma.make(record.task, control="joint_position", control_hz=10)
+    env.reset(options={"split": record.split, "index": record.index})
+    info: dict[str, Any] = {}
+    for step in iterate_steps(record, 10):
+        _, _, terminated, _, info = env.step(step.action.astype(np.float32))
+        if terminated:
+            break
+    assert info["progress"] == 1.0

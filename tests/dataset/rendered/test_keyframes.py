@@ -1,0 +1,251 @@
+"""The files of keyframes, filled with noise: no scene, no OpenGL."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lemma.core.errors import DatasetError, UnknownNameError
+from lemma.dataset.files import METADATA_KEY
+from lemma.dataset.rendered.dense_schema import describe as describe_steps
+from lemma.dataset.rendered.keyframes.files import KeyframeFile, write_keyframes
+from lemma.dataset.rendered.keyframes.schema import (
+    FORM,
+    KEYFRAMES_VERSION,
+    PARTS,
+    UNIT_M,
+    Header,
+    Raster,
+    camera_columns,
+    decode_depth,
+    describe,
+    encode_depth,
+    map_columns,
+)
+from lemma.scene.topdown_map import TopDownMap
+
+RASTER = Raster(rows=6, columns=10, cell_m=0.3, floor_m=-0.1)
+HEADER = Header(
+    form=FORM,
+    part="maps",
+    version=KEYFRAMES_VERSION,
+    versions={"lemma": "0.1.0", "mujoco": "3.17.0"},
+    renderer="noise",
+    robots=2,
+    width=8,
+    height=4,
+    raster=RASTER,
+    entities=("red_cube", "blue_pad", "stick"),
+    digests=("a", "b"),
+    keyframes=(3, 2),
+)
+
+
+def noise(count: int) -> list[dict[str, Any]]:
+    random = np.random.default_rng(5)
+    columns = {**map_columns(HEADER), **camera_columns(HEADER)}
+
+    def value(name: str, kind: pa.DataType, row: int) -> Any:
+        if isinstance(kind, pa.FixedShapeTensorType):
+            dtype = pa.array([], kind.value_type).to_numpy().dtype
+            if dtype.kind == "u":
+                return random.integers(0, np.iinfo(dtype).max, kind.shape, dtype)
+            return random.normal(size=kind.shape)
+        if pa.types.is_string(kind):
+            return f"{name} {row}"
+        return float(row) / 3 if pa.types.is_floating(kind) else row
+
+    return [
+        {name: value(name, kind, row) for name, (kind, _) in columns.items()}
+        for row in range(count)
+    ]
+
+
+def write(folder: Path, rows: Any) -> dict[str, Path]:
+    paths = {part: folder / part / "train" / "stack-000.arrow" for part in PARTS}
+    files = [(path, replace(HEADER, part=part)) for part, path in paths.items()]
+    write_keyframes(files, rows)
+    return paths
+
+
+def same(found: Any, expected: Any) -> bool:
+    if isinstance(expected, np.ndarray):
+        return found.dtype == expected.dtype and np.array_equal(found, expected)
+    return bool(found == expected)
+
+
+def test_what_is_written_is_read_bit_for_bit_in_any_order(tmp_path: Path) -> None:
+    rows = noise(5)
+    paths = write(tmp_path, iter(rows))
+    seen = set()
+    for path in paths.values():
+        file = KeyframeFile(path)
+        assert len(file) == 5
+        for row in (3, 0, 4, 4, 1, 2):
+            for name, value in file[row].items():
+                assert same(value, rows[row][name]), name
+                seen.add(name)
+    assert seen == set(rows[0])
+
+
+def test_the_header_comes_back(tmp_path: Path) -> None:
+    paths = write(tmp_path, noise(5))
+    for part, path in paths.items():
+        assert KeyframeFile(path).header == replace(HEADER, part=part)
+    assert HEADER.first_rows == (0, 3)
+
+
+def test_only_columns_that_are_asked_for_are_read(tmp_path: Path) -> None:
+    path = write(tmp_path, noise(2))["maps"]
+    assert set(KeyframeFile(path, ("map_height", "key"))[1]) == {"map_height", "key"}
+    with pytest.raises(UnknownNameError, match="Did you mean 'map_height'"):
+        KeyframeFile(path, ("map_heights",))
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+def test_arrays_can_be_changed_and_the_file_stays(
+    tmp_path: Path, compressed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not compressed:
+        # As other libraries may write it: then arrays would be the file itself.
+        codecs = dict.fromkeys(PARTS)
+        monkeypatch.setattr("lemma.dataset.rendered.keyframes.files._CODECS", codecs)
+    path = write(tmp_path, noise(1))["maps"]
+    file = KeyframeFile(path)
+    before = path.read_bytes()
+    first = file[0]
+    for value in first.values():
+        if isinstance(value, np.ndarray):
+            value[...] = 1
+    assert file[0]["map_rgb"].max() > 1
+    assert path.read_bytes() == before
+
+
+def test_any_arrow_library_can_read_the_images(tmp_path: Path) -> None:
+    rows = noise(3)
+    path = write(tmp_path, rows)["cameras"]
+    table = pa.ipc.open_file(pa.memory_map(str(path))).read_all()
+    column = table["depth"].combine_chunks()
+    assert np.array_equal(column.to_numpy_ndarray()[2], rows[2]["depth"])
+
+
+def test_writing_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    def rows() -> Iterator[dict[str, Any]]:
+        yield from noise(2)
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(DatasetError, match="disk is full"):
+        write(tmp_path, rows())
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize("kept", [0, 10, 1000, -1, -40])
+def test_a_file_that_was_cut_short_is_explained(tmp_path: Path, kept: int) -> None:
+    path = write(tmp_path, noise(3))["maps"]
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(DatasetError, match=r"is damaged.*run 'lemma render' again"):
+        KeyframeFile(path)
+
+
+def test_a_missing_file_is_explained(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="No such file"):
+        KeyframeFile(tmp_path / "none.arrow")
+
+
+def test_a_batch_that_is_damaged_is_explained(tmp_path: Path) -> None:
+    path = write(tmp_path, noise(3))["cameras"]
+    data = bytearray(path.read_bytes())
+    # Compressed images are most of the file.
+    middle = len(data) // 2
+    data[middle - 3000 : middle + 3000] = bytes(6000)
+    path.write_bytes(data)
+    with pytest.raises(DatasetError, match="is damaged"):
+        [KeyframeFile(path)[row] for row in range(3)]
+
+
+def other_header(path: Path, **changes: Any) -> None:
+    header = json.loads(HEADER.schema().metadata[METADATA_KEY])
+    text = json.dumps({**header, **changes}).encode()
+    schema = pa.schema([pa.field("key", pa.string())], metadata={METADATA_KEY: text})
+    with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_file(sink, schema):
+        pass
+
+
+def test_another_version_is_explained(tmp_path: Path) -> None:
+    other_header(tmp_path / "new.arrow", version="99", versions={"lemma": "7.0"})
+    with pytest.raises(DatasetError, match=r"version 99.*reads version 1.*\(7.0\)"):
+        KeyframeFile(tmp_path / "new.arrow")
+
+
+def test_other_arrow_files_are_refused(tmp_path: Path) -> None:
+    other_header(tmp_path / "other.arrow", form="sounds")
+    with pytest.raises(DatasetError, match="holds no rendered keyframes"):
+        KeyframeFile(tmp_path / "other.arrow")
+
+
+@given(st.floats(0.0001, 6.5))
+def test_depth_is_kept_to_half_a_unit(depth_m: float) -> None:
+    stored = encode_depth(np.array([depth_m], np.float32))
+    assert abs(float(decode_depth(stored)[0]) - depth_m) <= 0.5001 * UNIT_M
+    assert encode_depth(decode_depth(stored)) == stored
+
+
+def test_nothing_seen_stays_nothing_and_far_is_nothing() -> None:
+    assert encode_depth([0.0, 6.5535, 6.5536, 50.0]).tolist() == [0, 65535, 0, 0]
+
+
+@given(st.floats(-0.1, 0.6), st.booleans())
+def test_height_is_kept_to_half_a_unit(height_m: float, covered: bool) -> None:
+    stored = RASTER.encode_height(np.array([height_m], np.float32), np.array([covered]))
+    assert (stored[0] > 0) == covered
+    expected = height_m if covered else 0.0
+    assert abs(float(RASTER.decode_height(stored)[0]) - expected) <= 0.5005 * UNIT_M
+
+
+@given(st.floats(-1.6, 1.6), st.floats(-1.1, 1.1))
+def test_cells_are_those_of_the_map(x: float, y: float) -> None:
+    grid = TopDownMap()
+    raster = Raster(grid.rows, grid.columns, grid.cell_m, grid.floor_m)
+    cell = raster.pixel_from_world(x, y)
+    assert cell == grid.pixel_from_world((x, y))
+    assert raster.world_from_pixel(*cell) == grid.world_from_pixel(*cell)
+
+
+def test_every_column_is_described() -> None:
+    text = describe()
+    for name in (*map_columns(HEADER), *camera_columns(HEADER)):
+        assert f"| `{name}` |" in text
+    assert "uint16[2, 480, 640]" in text
+
+
+def test_reading_needs_neither_mujoco_nor_torch(tmp_path: Path) -> None:
+    path = write(tmp_path, noise(1))["maps"]
+    code = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "sys.modules['mujoco'] = sys.modules['torch'] = None\n"
+        "import lemma.dataset.rendered.dense_schema\n"
+        "import lemma.dataset.rendered.keyframes.loader\n"
+        "from lemma.dataset.rendered.keyframes.files import KeyframeFile\n"
+        f"print(KeyframeFile(Path({str(path)!r}))[0]['map_rgb'].shape)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "(6, 10, 3)\n", done.stderr
+
+
+def test_the_documentation_says_what_the_columns_are() -> None:
+    page = Path(__file__).parents[3] / "docs" / "rendered_format.md"
+    text = page.read_text()
+    for table in (describe(), describe_steps()):
+        assert table in text

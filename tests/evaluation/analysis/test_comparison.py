@@ -1,0 +1,101 @@
+"""Comparisons: right figures, and only of what can be compared."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from made_up import ABOUT, row
+
+from lemma.cli.compare import compare as verb
+from lemma.core.errors import DatasetError
+from lemma.evaluation.analysis.comparison import compare
+from lemma.evaluation.analysis.intervals import mcnemar_p, paired_interval
+
+
+def written(folder: Path, successes: set[int], **about: Any) -> Path:
+    folder.mkdir()
+    rows = [row("stack", i, success=i in successes) for i in range(10)]
+    lines = "".join(json.dumps(one) + "\n" for one in rows)
+    (folder / "episodes.jsonl").write_text(lines)
+    (folder / "about.json").write_text(json.dumps({**ABOUT, **about}))
+    return folder
+
+
+def test_pairs_are_counted(tmp_path: Path) -> None:
+    first = written(tmp_path / "a", set(range(8)))
+    second = written(tmp_path / "b", {0, 1, 9})
+    one = compare(first, second)["high_level"]["stack"]
+    assert (one.both, one.only_first, one.only_second, one.neither) == (2, 6, 1, 1)
+    assert one.rates == (0.8, 0.3)
+    assert one.difference == pytest.approx(0.5)
+    # Two-sided: 2 (1 + 7) / 2^7.
+    assert one.p_value == pytest.approx(0.125)
+    back = compare(second, first)["high_level"]["all"]
+    assert back.difference == pytest.approx(-0.5)
+    assert back.interval == pytest.approx([-limit for limit in one.interval[::-1]])
+
+
+@pytest.mark.parametrize(
+    ("only_first", "only_second", "p"),
+    [(0, 0, 1.0), (5, 0, 0.0625), (1, 1, 1.0), (10, 2, 0.03857)],
+)
+def test_mcnemar(only_first: int, only_second: int, p: float) -> None:
+    assert mcnemar_p(only_first, only_second) == pytest.approx(p, abs=1e-5)
+
+
+# The first is an example of Newcombe 1998 (method 10); in the others only one limit of
+# one Wilson interval is left.
+@pytest.mark.parametrize(
+    ("counts", "low", "high"),
+    [
+        ((36, 12, 2, 0), 0.0569, 0.3404),
+        ((30, 0, 0, 0), -0.1135, 0.1135),
+        ((0, 0, 0, 60), -0.0602, 0.0602),
+    ],
+)
+def test_paired_interval(
+    counts: tuple[int, int, int, int], low: float, high: float
+) -> None:
+    assert paired_interval(*counts) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_the_same_twice_does_not_differ(tmp_path: Path) -> None:
+    first = written(tmp_path / "a", {1, 2, 3})
+    one = compare(first, first)["high_level"]["all"]
+    low, high = one.interval
+    assert one.p_value == 1.0
+    assert low <= 0.0 <= high
+
+
+@pytest.mark.parametrize("name", ["split", "lemma", "protocol"])
+def test_other_worlds_are_refused(tmp_path: Path, name: str) -> None:
+    first = written(tmp_path / "a", {1})
+    second = written(tmp_path / "b", {1}, **{name: "other"})
+    with pytest.raises(DatasetError, match=name):
+        compare(first, second)
+
+
+def test_other_episodes_are_refused(tmp_path: Path) -> None:
+    first, second = written(tmp_path / "a", {1}), written(tmp_path / "b", {1})
+    lines = (second / "episodes.jsonl").read_text().splitlines(keepends=True)
+    (second / "episodes.jsonl").write_text("".join(lines[:-2]))
+    for pair in ((first, second), (second, first)):
+        with pytest.raises(DatasetError, match="2 episodes of"):
+            compare(*pair)
+
+
+def test_a_folder_without_episodes_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="nowhere"):
+        compare(written(tmp_path / "a", {1}), tmp_path / "nowhere")
+
+
+def test_the_verb_prints_both(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = written(tmp_path / "a", {1, 2}), written(tmp_path / "b", {1})
+    assert verb(first, second) == 0
+    assert "+10.0" in capsys.readouterr().out
+    assert verb(first, second, as_json=True) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["high_level"]["stack"]["only_first"] == 1

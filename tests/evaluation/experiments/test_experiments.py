@@ -1,0 +1,148 @@
+"""The registry: every row can be carried out, and every training can be started."""
+
+import shlex
+from dataclasses import replace
+from functools import wraps
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import tyro
+
+from lemma.core.errors import UnknownNameError
+from lemma.core.parallel import Serial
+from lemma.evaluation.analysis.result import read_result
+from lemma.evaluation.experiments.catalog import (
+    ABLATIONS,
+    ALL,
+    EXPERIMENTS,
+    SUITES,
+    TRAININGS,
+    selected,
+)
+from lemma.evaluation.experiments.reproduction import (
+    MissingWeightsError,
+    Reproduction,
+    commands,
+)
+from lemma.evaluation.run.loading import learned_parts
+from lemma.policies.training.config import TrainingConfig, model_options
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE
+
+
+def test_every_part_has_a_training_and_every_training_is_needed() -> None:
+    parts = {
+        part
+        for name in EXPERIMENTS
+        for part in learned_parts(EXPERIMENTS[name].policy.name)
+    }
+    assert parts == set(TRAININGS)
+
+
+@pytest.mark.parametrize("name", list(TRAININGS))
+def test_the_command_line_takes_the_training(name: str) -> None:
+    pytest.importorskip("torch")
+    from lemma.policies.models.catalog import MODELS  # noqa: PLC0415
+
+    words = shlex.split(TRAININGS[name].command("runs/seed-2", 2))
+    assert words[:2] == ["lemma", "train"]
+    config = tyro.cli(TrainingConfig, args=words[2:])
+    assert (config.seed, config.out) == (2, Path("runs/seed-2") / name)
+    _, options = MODELS[config.model]
+    model_options(options, config.options)
+
+
+@pytest.mark.parametrize("verb", ["generate", "render", "reproduce"])
+def test_the_command_line_takes_what_is_printed(verb: str) -> None:
+    lines = {
+        line
+        for suite in (ALL, ABLATIONS)
+        for line in commands(selected(suite))
+        if line.startswith(f"lemma {verb} ")
+    }
+    assert len(lines) >= 2
+    function = getattr(import_module(f"lemma.cli.{verb}"), verb)
+
+    @wraps(function)
+    def accept(*_: object, **__: object) -> str:
+        return "taken"
+
+    for line in lines:
+        words = shlex.split(line)[2:]
+        assert tyro.cli(accept, args=words) == "taken"
+        with pytest.raises(SystemExit):
+            tyro.cli(accept, args=[*words, "--no-such-option", "1"])
+
+
+def test_ablations_differ_in_one_thing_each_and_not_in_their_length() -> None:
+    found = {}
+    for one in selected(ABLATIONS):
+        words = shlex.split(TRAININGS[one.policy.name].command("runs", 0))[2:]
+        found[one.name] = replace(tyro.cli(TrainingConfig, args=words), out=Path("out"))
+    complete = found.pop("complete")
+    assert all(config.samples == complete.samples for config in found.values())
+    assert complete not in found.values()
+    assert len(set(map(repr, found.values()))) == len(found)
+
+
+def test_suites_share_out_the_experiments() -> None:
+    suites = [one.name for suite in SUITES for one in selected(suite)]
+    assert sorted(suites) == sorted(EXPERIMENTS)
+    assert {one.suite for one in selected(ALL)} == {*SUITES} - {ABLATIONS}
+    assert [one.name for one in selected("oracle")] == ["oracle"]
+    with pytest.raises(UnknownNameError, match="paper"):
+        selected("papr")
+
+
+def test_figures_of_the_paper_are_of_the_suite() -> None:
+    for one in selected("paper"):
+        for kind, figures in one.paper.items():
+            assert kind in KINDS
+            assert set(figures.tasks) in (set(), set(SUITE))
+            if figures.tasks and figures.mean is not None:
+                mean = sum(figures.tasks.values()) / len(SUITE)
+                assert mean == pytest.approx(figures.mean, abs=1.0)
+
+
+def test_every_seed_is_trained_once_for_each_part() -> None:
+    lines = commands(selected("paper"))
+    assert len(lines) == len(set(lines)) == 4 + 3 * (3 + 5)
+    assert all(
+        each.startswith("lemma reproduce") for each in commands(selected("oracle"))
+    )
+    assert sum("train cliport" in line for line in lines) == 3
+    assert "lemma reproduce m-cliport --weights runs/seed-1" in lines
+    assert all("--seed 0" in x for x in commands(selected(ABLATIONS)) if "train" in x)
+
+
+def test_an_experiment_leaves_one_small_file(tmp_path: Path) -> None:
+    plan = Reproduction(out=tmp_path, split="val", episodes=1)
+    oracle = replace(EXPERIMENTS["oracle"], kinds=("high_level",))
+    path = plan.run(oracle, Serial())
+    assert path == tmp_path / "oracle" / "seed-0.json"
+    made = read_result(path)
+    assert made.experiment == "oracle"
+    assert made.command == "lemma reproduce oracle --split val --episodes 1"
+    assert sum(cell.successes for cell in made.cells) == len(SUITE)
+    assert (tmp_path / "oracle" / "seed-0" / "episodes.jsonl").is_file()
+    before = path.read_bytes()
+    assert plan.run(oracle, Serial()).read_bytes() == before
+
+
+def test_missing_weights_are_explained(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    plan = Reproduction(out=tmp_path, weights=tmp_path)
+    with pytest.raises(MissingWeightsError, match="lemma train episodic-transformer"):
+        plan.order(EXPERIMENTS["et-cliport-single-step"])
+    with pytest.raises(MissingWeightsError, match="augmentation"):
+        Reproduction(out=tmp_path).order(EXPERIMENTS["no-palette"])
+
+
+def test_the_page_lists_every_ablation() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "evaluation.md").read_text("utf-8")
+    lines = {line.split("`")[1]: line for line in text.splitlines() if "| `" in line}
+    for one in selected(ABLATIONS):
+        arguments = TRAININGS[one.policy.name].arguments
+        assert arguments in lines[one.name] or "all of these" in lines[one.name]
+    assert str(TRAININGS["reachnet-complete"].samples) in text.replace(",", "")

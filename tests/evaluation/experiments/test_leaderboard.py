@@ -1,0 +1,166 @@
+"""The leaderboard: every entry is what its lines say, and nothing else gets in."""
+
+import gzip
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from made_up import ABOUT, row, step
+
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.evaluation.analysis.result import Result, summarise
+from lemma.evaluation.experiments.leaderboard import (
+    check_submission,
+    leaders,
+    read_board,
+    submission_of,
+    submit,
+)
+from lemma.evaluation.run.protocol import quote
+from lemma.tasks.suite import SUITE, load_instance
+
+ROOT = Path(__file__).parents[3]
+BOARD = ROOT / "leaderboard"
+TOLD = {"title": "Mine", "who": "Me", "link": "https://example.org"}
+
+
+def lines(successes: int = 30) -> list[dict[str, Any]]:
+    """Return the lines of all test episodes of which so many of each task succeed."""
+    return [
+        row(
+            task,
+            index,
+            success=index < successes,
+            steps=[step(1)],
+            left=int(index >= successes),
+            instruction=load_instance(task, "test", index).instructions["high_level"],
+        )
+        for task in SUITE
+        for index in range(60)
+    ]
+
+
+def result(rows: list[dict[str, Any]], **about: object) -> Result:
+    return summarise(rows, {**ABOUT, "protocol": quote(), **about}, "lemma evaluate")
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Path:
+    """Return a leaderboard with one entry, called mine."""
+    return submitted(tmp_path, "result/summary.json")
+
+
+def submitted(tmp_path: Path, summary: str) -> Path:
+    """Return a leaderboard with one entry whose summary lay in a file of that name."""
+    folder = tmp_path / "result"
+    folder.mkdir()
+    made = result(lines())
+    made.write(tmp_path / summary)
+    (folder / "about.json").write_text(json.dumps(made.about))
+    text = "".join(json.dumps(one) + "\n" for one in lines())
+    (folder / "episodes.jsonl").write_text(text)
+    submit(folder, tmp_path / "board", "mine", **TOLD)
+    return tmp_path / "board"
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in BOARD.glob("*.json")))
+def test_every_entry_is_what_its_lines_say(name: str) -> None:
+    check_submission(BOARD, name)
+
+
+def test_the_page_is_made_from_the_entries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [str(ROOT / "scripts"), *sys.path])
+    script = __import__("leaderboard")
+    assert script.text() == script.PAGE.read_text(encoding="utf-8"), (
+        "docs/leaderboard.md is out of date: python scripts/leaderboard.py page"
+    )
+
+
+def test_an_entry_passes_its_check(board: Path) -> None:
+    check_submission(board, "mine")
+    entry = read_board(board)["mine"]
+    assert entry.success["high_level"]["mean"] == 50.0
+    assert entry.success["high_level"]["tasks"] == dict.fromkeys(SUITE, 30)
+    (line,) = leaders(read_board(board), "high_level").rows
+    assert line[:3] == ("[Mine](https://example.org)", "Me", "50.0")
+    assert leaders(read_board(board), "human").rows == ()
+
+
+def test_what_reproduce_wrote_can_be_handed_in_too(tmp_path: Path) -> None:
+    check_submission(submitted(tmp_path, "result.json"), "mine")
+
+
+def test_figures_that_were_improved_are_found(board: Path) -> None:
+    path = board / "mine.json"
+    data = json.loads(path.read_text())
+    data["success"]["high_level"]["mean"] = 99.0
+    path.write_text(json.dumps(data))
+    with pytest.raises(DatasetError, match="another success"):
+        check_submission(board, "mine")
+
+
+def won(row: dict[str, Any]) -> None:
+    row.update(success=True, progress=1.0)
+
+
+def told_otherwise(row: dict[str, Any]) -> None:
+    row["instruction"] = "Do what you like"
+
+
+def begun_elsewhere(row: dict[str, Any]) -> None:
+    row["perturb_start"] = True
+
+
+def another_again(row: dict[str, Any]) -> None:
+    row["index"] = 0
+
+
+@pytest.mark.parametrize(
+    "change", [won, told_otherwise, begun_elsewhere, another_again]
+)
+def test_lines_that_were_changed_are_found(
+    board: Path, change: Callable[[dict[str, Any]], None]
+) -> None:
+    path = board / "mine.jsonl.gz"
+    rows = [json.loads(x) for x in gzip.decompress(path.read_bytes()).splitlines()]
+    change(rows[59])
+    text = "".join(json.dumps(one) + "\n" for one in rows)
+    path.write_bytes(gzip.compress(text.encode()))
+    with pytest.raises(DatasetError, match=r"mine\.json"):
+        check_submission(board, "mine")
+
+
+def test_damaged_lines_are_named(board: Path) -> None:
+    (board / "mine.jsonl.gz").write_bytes(b"no lines")
+    with pytest.raises(DatasetError, match=r"mine\.jsonl\.gz"):
+        check_submission(board, "mine")
+
+
+@pytest.mark.parametrize(
+    "about",
+    [
+        {"protocol": "6" * 64},
+        {"split": "val"},
+        {"language": "none"},
+        {"perturb_start": True},
+    ],
+)
+def test_only_the_plain_test_split_gets_in(about: dict[str, object]) -> None:
+    with pytest.raises(InvalidConfigError, match="leaderboard"):
+        submission_of(result(lines(), **about), **TOLD)
+
+
+def test_only_whole_results_get_in() -> None:
+    with pytest.raises(InvalidConfigError, match="59 of the 60"):
+        submission_of(result(lines()[:-1]), **TOLD)
+
+
+def test_the_best_comes_first(board: Path) -> None:
+    mine = read_board(board)["mine"]
+    better = replace(submission_of(result(lines(40)), **TOLD), title="Better")
+    table = leaders({"mine": mine, "better": better}, "high_level")
+    assert [line[0].split("]")[0] for line in table.rows] == ["[Better", "[Mine"]

@@ -1,0 +1,256 @@
+"""Tables: what was counted, with intervals, beside what the paper says."""
+
+import re
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+from made_up import result
+
+from lemma.cli.report import report as verb
+from lemma.core.errors import DatasetError
+from lemma.evaluation.analysis.result import Asked, Result
+from lemma.evaluation.report import tables
+from lemma.evaluation.report.policy_results import (
+    PolicyResults,
+    entries_of,
+    read_results,
+)
+from lemma.evaluation.report.sections import page
+from lemma.policies.spec import PolicySpec
+from lemma.tasks.suite import SUITE
+
+ROOT = Path(__file__).parents[3]
+
+
+def entry_of(*results: Result) -> PolicyResults:
+    (entry,) = entries_of(results)
+    return entry
+
+
+def anybody(policy: str) -> Result:
+    """Return the result of a policy that is no experiment by its name."""
+    made = result(2)
+    about = {**made.about, "policy": asdict(PolicySpec(policy))}
+    return replace(made, experiment="", about=about)
+
+
+def cells(table: tables.ResultTable, title: str) -> dict[str, str]:
+    (found,) = [line for line in table.rows if line[0] == title]
+    return dict(zip(table.header, found, strict=True))
+
+
+def test_one_seed_has_wilson_intervals() -> None:
+    entry = entry_of(result(5))
+    found = cells(tables.by_task([entry], "high_level"), "ReachNet (ours)")
+    assert found["pass"] == "50.0 (24–76)"
+    assert found["mean"] == "50.0 (30–70)"
+    assert found["hook"] == "–"
+
+
+def test_several_seeds_have_a_spread() -> None:
+    entry = entry_of(result(6, seed=1), result(4, seed=0), result(8, seed=2))
+    found = cells(tables.by_task([entry], "high_level"), "ReachNet (ours)")
+    assert found["pass"] == found["mean"] == "60.0 ± 20.0"
+    assert [one.seed for one in entry.results] == [0, 1, 2]
+
+
+def test_a_seed_counts_once() -> None:
+    with pytest.raises(DatasetError, match="seed 0"):
+        entries_of([result(6), result(4)])
+
+
+def test_seeds_share_their_data() -> None:
+    other = result(6, seed=1)
+    weights = {
+        "reachnet": {**other.about["weights"]["reachnet"], "data": {"digest": 1}}
+    }
+    other = replace(other, about={**other.about, "weights": weights})
+    with pytest.raises(DatasetError, match="other data"):
+        entries_of([result(6), other])
+
+
+def test_the_paper_stands_below_the_same_row() -> None:
+    table = tables.by_task(entries_of([], complete=True), "high_level")
+    assert table.header == ("success [%]", *SUITE, "mean")
+    lines = [line[0] for line in table.rows]
+    assert lines[:2] == ["ET + CLIPort, single-step", "*paper*"]
+    assert table.rows[1][-1] == "43.2"
+    assert table.rows[0][-1] == tables.NOT_RUN
+
+
+def test_targets_are_judged() -> None:
+    entries = entries_of([result(10), result(1, experiment="m-cliport")])
+    table = tables.targets(entries)
+    verdicts = {line[1]: line[-1] for line in table.rows}
+    assert verdicts["high-level"] == "yes"
+    worse = tables.targets(entries_of([result(9)]))
+    assert {line[1]: line[-1] for line in worse.rows}["high-level"] == "**no**"
+
+
+def test_breakdowns_pool_all_tasks() -> None:
+    entry = entry_of(result(5))
+    distractors = cells(tables.by_distractors([entry], "high_level"), entry.title)
+    assert distractors["1"] == distractors["all"] == "50.0 (30–70)"
+    assert distractors["0"] == "–"
+    team = cells(tables.by_team([entry], "high_level"), entry.title)
+    assert team["ur5+ur10"] == "50.0 (30–70)"
+    assert team["ur5+ur5"] == "–"
+
+
+def test_losses_are_summed_over_seeds() -> None:
+    entry = entry_of(result(6, seed=0), result(7, seed=1))
+    found = cells(tables.losses([entry]), entry.title)
+    assert (found["failed"], found["of"], found["wrong robot"]) == ("14", "40", "14")
+    by_task = tables.losses_by_task(entry)
+    assert [line[1] for line in by_task.rows] == ["pass", "stack"]
+
+
+def test_ablations_have_a_table_of_their_own() -> None:
+    entries = entries_of(
+        [
+            result(9),
+            result(3, experiment="no-palette"),
+            result(8, experiment="complete"),
+        ]
+    )
+    assert [(*line[:2], line[-1]) for line in tables.ablations(entries).rows] == [
+        ("nothing left out", "80.0 (58–92)", "20"),
+        ("no palette swap", "30.0 (15–52)", "20"),
+    ]
+    titles = [line[0] for line in tables.by_task(entries, "high_level").rows]
+    assert titles == ["ReachNet (ours)"]
+
+
+def test_results_are_found_in_folders(tmp_path: Path) -> None:
+    result(5).write(tmp_path / "reachnet" / "seed-0.json")
+    result(6, seed=1).write(tmp_path / "reachnet" / "seed-1.json")
+    result(3, experiment="no-turn").write(tmp_path / "ablations" / "no-turn.json")
+    mine = anybody("mypackage.mymodule:MyPolicy")
+    mine.write(tmp_path / "mine" / "summary.json")
+    (tmp_path / "mine" / "about.json").write_text("{}")
+    whole = entries_of(read_results([tmp_path]))
+    assert [len(entry.results) for entry in whole] == [2, 1, 1]
+    assert whole[-1].title == "mypackage.mymodule:MyPolicy"
+    assert entries_of(read_results(sorted(tmp_path.iterdir()))) == whole
+
+
+def test_an_evaluated_policy_of_the_registry_is_its_row() -> None:
+    assert entry_of(anybody("episodic-transformer+oracle")).experiment is not None
+    assert entry_of(anybody("episodic-transformer+mine")).experiment is None
+
+
+def test_protocols_are_not_mixed(tmp_path: Path) -> None:
+    result(5).write(tmp_path / "seed-0.json")
+    other = result(5, seed=1)
+    replace(other, about={**other.about, "split": "val"}).write(
+        tmp_path / "seed-1.json"
+    )
+    with pytest.raises(DatasetError, match="split"):
+        read_results([tmp_path])
+
+
+def control(language: str, successes: int, **about: object) -> Result:
+    """Return ReachNet under a control of language, or from perturbed starts."""
+    made = result(successes, experiment="")
+    policy = asdict(PolicySpec("reachnet"))
+    told = {**made.about, "policy": policy, "language": language, **about}
+    return replace(made, about=told)
+
+
+def test_controls_of_language_stand_in_one_row() -> None:
+    swapped = replace(
+        control("swapped", 1),
+        asked=(Asked("high_level", "pass", 8, 6), Asked("high_level", "stack", 10, 9)),
+    )
+    entries = entries_of([control("full", 9), control("none", 3), swapped])
+    assert len(entries) == 3
+    (line,) = tables.language(entries).rows
+    assert line[:3] == ("ReachNet (ours)", "high-level", "90.0 (70–97)")
+    assert [cell.split(" ")[0] for cell in line[3:6]] == ["30.0", "–", "10.0"]
+    assert line[6] == "83.3 of 18"
+    assert tables.language(entries_of([control("full", 9)])).rows == ()
+
+
+def test_perturbed_starts_stand_beside_the_others() -> None:
+    entries = entries_of([control("full", 9), control("full", 7, perturb_start=True)])
+    assert [entry.title for entry in entries] == [
+        "ReachNet (ours)",
+        "ReachNet, perturbed starts",
+    ]
+    (line,) = tables.starts(entries).rows
+    assert line == ("ReachNet (ours)", "high-level", "90.0 (70–97)", "70.0 (48–85)")
+    # What was said is another question.
+    assert tables.language(entries).rows == ()
+
+
+def test_controls_do_not_crowd_the_tables_of_success() -> None:
+    alone = [control("none", 3), control("full", 7, perturb_start=True)]
+    beside = entries_of([control("full", 9), *alone])
+    for table in (tables.by_task, tables.by_team, tables.by_distractors):
+        (row,) = [r for r in table(beside, "high_level").rows if "ReachNet" in r[0]]
+        assert row[-1].startswith("90.0")
+        assert len(table(entries_of(alone), "high_level").rows) == 2
+
+
+def test_coordination_is_of_sums_over_all_tasks() -> None:
+    entry = entry_of(result(5))
+    found = cells(tables.coordination([entry], "high_level"), entry.title)
+    assert found["time / expert's"] == "1.50"
+    assert (found["idle, left [%]"], found["idle, right [%]"]) == ("16.7", "83.3")
+    assert (found["able robot [%]"], found["expert's robot [%]"]) == ("100.0", "0.0")
+    assert (found["nearest arms [mm]"], found["touching"]) == ("80", "0")
+    several = entry_of(result(5), result(6, seed=1))
+    spread = cells(tables.coordination([several], "high_level"), entry.title)
+    assert spread["time / expert's"] == "1.50 ± 0.00"
+
+
+def test_other_protocols_are_refused(tmp_path: Path) -> None:
+    result(5).write(tmp_path / "seed-0.json")
+    other = result(5, seed=1)
+    replace(other, about={**other.about, "protocol": "6" * 64}).write(
+        tmp_path / "seed-1.json"
+    )
+    with pytest.raises(DatasetError, match=r"666.*555"):
+        read_results([tmp_path])
+
+
+def test_the_verb_writes_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result(5).write(tmp_path / "seed-0.json")
+    assert verb((tmp_path,), tmp_path / "report") == 0
+    text = (tmp_path / "report" / "results.md").read_text()
+    assert "results: 1." in capsys.readouterr().out
+    assert "50.0 (24–76)" in text
+    assert tables.NOT_RUN not in text.split("## ", 1)[1]
+
+
+def test_the_verb_passes_over_tables_and_refuses_nothing(tmp_path: Path) -> None:
+    kept = tmp_path / "results"
+    result(5).write(kept / "reachnet" / "seed-0.json")
+    (kept / "results.md").write_text("# Results\n")
+    (kept / "begun").mkdir()
+    assert verb(tuple(sorted(kept.iterdir())), tmp_path / "report") == 0
+    with pytest.raises(DatasetError, match=r"no results in .*begun"):
+        verb((kept / "begun",), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+def test_tables_are_even() -> None:
+    text = page(entries_of([result(5)], complete=True))
+    for block in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+        widths = {line.count("|") for line in block.splitlines()}
+        assert len(widths) == 1
+
+
+def test_the_committed_page_is_made_from_the_committed_results(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "path", [str(ROOT / "scripts"), *sys.path])
+    script = __import__("results")
+    made = script.text()
+    assert made == script.PAGE.read_text(encoding="utf-8"), (
+        "docs/results.md is not what the results give: python scripts/results.py"
+    )

@@ -1,0 +1,196 @@
+"""Evaluation: the same lines however it was interrupted, and honest about failures."""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lemma.cli.evaluate import EvaluateOptions
+from lemma.cli.evaluate import evaluate as verb
+from lemma.cli.workers import Workers
+from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.parallel import Job, ProcessPool, Serial
+from lemma.evaluation.analysis.intervals import rates_by, wilson_interval
+from lemma.evaluation.analysis.result import Row, cells_of
+from lemma.evaluation.run.evaluate import ABOUT, EPISODES, EvaluationConfig, evaluate
+from lemma.evaluation.run.protocol import quote
+from lemma.policies.spec import PolicySpec
+from lemma.tasks.suite import load_instance
+
+TASKS = ("stack", "pass")
+
+
+def order(out: Path, policy: str = "oracle", **changes: Any) -> EvaluationConfig:
+    wanted = {"tasks": TASKS, "episodes": 12, "kinds": ("high_level",), **changes}
+    return EvaluationConfig(out=out, policy=PolicySpec(policy), **wanted)
+
+
+def without_times(rows: Sequence[Row]) -> list[Row]:
+    return [{k: v for k, v in row.items() if k != "wall_s"} for row in rows]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+    return evaluate(order(tmp_path_factory.mktemp("whole")), Serial())
+
+
+class Breaks:
+    """An engine that dies after its first group."""
+
+    workers = 1
+
+    def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
+        yield function(*jobs[0])
+        raise KeyboardInterrupt
+
+
+def test_the_expert_succeeds_in_every_line(whole: list[Row]) -> None:
+    assert len(whole) == 24
+    assert all(row["success"] and row["progress"] == 1.0 for row in whole)
+    assert {row["failure"] for row in whole} == {None}
+    # In the order of the suite, not in that of the request.
+    assert [row["task"] for row in whole] == ["pass"] * 12 + ["stack"] * 12
+    assert [row["index"] for row in whole] == [*range(12)] * 2
+
+
+def test_interrupted_and_resumed_gives_the_same(
+    tmp_path: Path, whole: list[Row]
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(order(tmp_path), Breaks())
+    counts: list[int] = []
+    rows = evaluate(order(tmp_path), Serial(), counts.append)
+    assert without_times(rows) == without_times(whole)
+    assert sum(counts) == 24
+    lines = (tmp_path / EPISODES).read_text().splitlines()
+    assert [json.loads(line) for line in lines] == rows
+
+
+def test_processes_give_the_same(tmp_path: Path, whole: list[Row]) -> None:
+    rows = evaluate(order(tmp_path), ProcessPool(2))
+    assert without_times(rows) == without_times(whole)
+
+
+def test_a_result_grows_with_what_is_asked(tmp_path: Path) -> None:
+    evaluate(order(tmp_path, tasks=("stack",), episodes=2), Serial())
+    wider = order(tmp_path, tasks=TASKS, episodes=3, kinds=("high_level", "human"))
+    rows = evaluate(wider, Serial())
+    assert len(rows) == 12
+    assert {row["instruction_kind"] for row in rows} == {"high_level", "human"}
+
+
+def test_results_of_different_policies_are_not_mixed(tmp_path: Path) -> None:
+    evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
+    other = EvaluationConfig(out=tmp_path, policy=PolicySpec("oracle", "multi-step"))
+    with pytest.raises(DatasetError, match="policy"):
+        evaluate(other, Serial())
+    assert json.loads((tmp_path / ABOUT).read_text())["split"] == "test"
+
+
+def test_another_protocol_is_refused(tmp_path: Path) -> None:
+    evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
+    note = tmp_path / ABOUT
+    about = json.loads(note.read_text())
+    assert about["protocol"] == quote()
+    note.write_text(json.dumps({**about, "protocol": "6" * 64}))
+    with pytest.raises(DatasetError, match="follows 666"):
+        evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
+
+
+def test_the_expert_is_as_fast_as_the_expert(whole: list[Row]) -> None:
+    for row in whole:
+        told = row["coordination"]
+        assert row["elapsed_s"] == told["expert_s"]
+        assert told["able"] == told["doable"] == told["as_expert"] == told["planned"]
+        assert told["doable"] == len(row["subtasks"])
+        assert told["order_violations"] == 0
+        assert 0.0 < told["clearance_mm"] < 2000.0
+        assert (row["asked"], row["asked_holds"]) == (None, None)
+
+
+def test_the_expert_ignores_what_is_said(tmp_path: Path) -> None:
+    rows = evaluate(order(tmp_path, episodes=2, language="swapped"), Serial())
+    assert all(row["success"] for row in rows)
+    assert [row["asked_holds"] for row in rows if row["asked"]] == [False] * sum(
+        row["asked"] is not None for row in rows
+    )
+    for row in rows:
+        own = load_instance(row["task"], "test", row["index"])
+        assert row["instruction"] != own.instructions["high_level"]
+
+
+def test_perturbed_starts_are_solved_too(tmp_path: Path) -> None:
+    wanted = order(tmp_path, episodes=2, perturb_start=True)
+    assert wanted.command().endswith("--episodes 2 --perturb-start")
+    rows = evaluate(wanted, Serial())
+    assert all(row["success"] for row in rows)
+    assert [row["elapsed_s"] for row in rows] == [
+        row["coordination"]["expert_s"] for row in rows
+    ]
+
+
+def test_damaged_lines_are_named(tmp_path: Path) -> None:
+    evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
+    (tmp_path / EPISODES).write_text("{not json\n")
+    with pytest.raises(DatasetError, match=EPISODES):
+        evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"tasks": ("juggle",)},
+        {"split": "exam"},
+        {"kinds": ("sung",)},
+        {"episodes": 0},
+        {"language": "whispered"},
+        {"split": "train", "perturb_start": True},
+    ],
+)
+def test_orders_are_checked(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    with pytest.raises((UnknownNameError, InvalidConfigError)):
+        order(tmp_path, **wrong)
+
+
+def test_rates_are_counted_from_lines(whole: list[Row]) -> None:
+    rows = [
+        {**row, "success": i % 4 == 0, "progress": 0.5} for i, row in enumerate(whole)
+    ]
+    rates = rates_by(cells_of(rows), "task")
+    assert rates["stack",].successes == 3
+    assert rates["stack",].success_rate == 0.25
+    assert rates["stack",].progress == 0.5
+    low, high = rates["stack",].interval
+    assert low < 0.25 < high
+
+
+# No success in n trials: up to z² / (n + z²).
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [
+        (0, 60, 0.0, 0.06017),
+        (30, 60, 0.37735, 0.62265),
+        (60, 60, 0.93983, 1.0),
+        (1, 10, 0.01788, 0.40415),
+    ],
+)
+def test_wilson_interval(successes: int, trials: int, low: float, high: float) -> None:
+    assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=1e-5)
+
+
+def test_no_trials_have_no_interval() -> None:
+    with pytest.raises(ValueError, match="0 trials"):
+        wilson_interval(0, 0)
+
+
+def test_the_verb_prints_a_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ask = EvaluateOptions(tasks="stack", instructions="high-level,unseen", episodes=1)
+    assert verb("oracle", tmp_path, ask, Workers(workers=1)) == 0
+    shown = capsys.readouterr().out
+    assert "stack" in shown
+    assert "unseen" in shown
+    assert "100.0" in shown

@@ -1,0 +1,204 @@
+"""ReachNet as a whole: it trains, decides, and shows how right it is."""
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+import pytest
+import torch
+from batches import drawn_batch, gradients, inputs_of, labels_of, part_of, total
+
+from lemma.core.errors import InvalidConfigError
+from lemma.policies.batch import STOP
+from lemma.policies.interfaces import Grounder, PastStep, Planner, Policy
+from lemma.policies.model import MODELS
+from lemma.policies.models.reachnet.model import ReachNet, ReachNetConfig
+from lemma.policies.models.reachnet.perception import PerceptionConfig
+from lemma.policies.models.reachnet.planner import PlannerConfig
+from lemma.policies.models.reachnet.scene_table import Noise, true_table
+from lemma.policies.text.encoder import TextConfig
+from lemma.tasks.subtask import Primitive, SubTask
+
+Reach = Literal["simulator", "demonstrations", "none"]
+QUIET = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def tiny(reach: Reach = "simulator") -> ReachNet:
+    torch.manual_seed(0)
+    return ReachNet(
+        ReachNetConfig(
+            reach=reach,
+            eye=PerceptionConfig(widths=(32, 32), blocks=1, ring_width=16),
+            text=TextConfig(width=16, layers=1, heads=2),
+            planner=PlannerConfig(width=32, layers=1, heads=2),
+            noise=QUIET,
+            draws=1,
+            cell_m=0.025,
+        )
+    )
+
+
+def trained(model: ReachNet, steps: int, frames: int = 3) -> float:
+    batch = drawn_batch(frames)
+    optimizer = torch.optim.AdamW(model.parameters(), lr=1e-2)
+    loss = math.inf
+    for step in range(steps):
+        for group in optimizer.param_groups:
+            group["lr"] = 1e-2 * min(1.0, 2 * (1 - step / steps))
+        optimizer.zero_grad()
+        term = total(model.loss(batch))
+        term.backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+        optimizer.step()
+        loss = float(term.detach())
+    return loss
+
+
+@pytest.fixture(scope="module")
+def expert() -> ReachNet:
+    model = tiny()
+    trained(model, 150)
+    return model
+
+
+def test_it_is_a_policy_a_planner_and_a_grounder() -> None:
+    model = tiny()
+    assert isinstance(model, Policy)
+    assert isinstance(model, Planner)
+    assert isinstance(model, Grounder)
+    assert MODELS["reachnet"] == (ReachNet, ReachNetConfig)
+
+
+def test_it_overfits_one_episode(expert: ReachNet) -> None:
+    batch = drawn_batch(3)
+    scores = expert.score(batch)
+    for name in ("plan", "present", "reading"):
+        assert scores[name].tolist() == [1.0] * 3
+    assert scores["place_pose"][:2].tolist() == [1.0] * 2
+    assert scores["reach"].min() > 0.95
+    labels = labels_of(batch)
+    decisions = expert.act(inputs_of(batch))
+    assert decisions[2].subtask.primitive is Primitive.STOP
+    assert decisions[2].grounded is None
+    assert decisions[2].explanation == ""
+    for i, decision in enumerate(decisions[:2]):
+        assert decision.grounded is not None
+        for pose, wanted in (
+            (decision.grounded.pick, labels.pick_pose[i]),
+            (decision.grounded.place, labels.place_pose[i]),
+        ):
+            assert math.dist(pose.xy, wanted[:2].tolist()) < 0.02
+
+
+@pytest.mark.parametrize("reach", ["simulator", "demonstrations", "none"])
+def test_losses_are_finite_and_reach_what_they_shall(reach: Reach) -> None:
+    model = tiny(reach)
+    terms = model.loss(drawn_batch(4))
+    assert all(term.isfinite() for term in terms.values())
+    total(terms).backward()
+    found = gradients(model)
+    assert all(grad is not None and grad.isfinite().all() for grad in found.values())
+    # Nothing is dragged in these frames, and no stick is laid down.
+    idle = ("grounding", "planner.numbers")
+    still = [
+        name
+        for name, grad in found.items()
+        if grad is not None and not grad.any() and not name.startswith(idle)
+    ]
+    blind = ("eye.ring", "planner.reach") if reach == "none" else ()
+    assert [name for name in still if not name.startswith(blind)] == []
+
+
+def test_a_decision_does_not_depend_on_the_rest_of_the_batch(expert: ReachNet) -> None:
+    batch = drawn_batch(5, seed=1)
+    together = expert.score(batch)
+    inputs = inputs_of(batch)
+    all_at_once = expert.act(inputs)
+    for i in range(5):
+        alone = expert.score(part_of(batch, [i]))
+        for name, values in together.items():
+            torch.testing.assert_close(
+                values[i : i + 1], alone[name], equal_nan=True, atol=1e-4, rtol=1e-4
+            )
+        assert expert.act([inputs[i]])[0].subtask == all_at_once[i].subtask
+
+
+def test_losses_are_determined_by_the_seed() -> None:
+    first, second = (trained(tiny(), 3) for _ in range(2))
+    assert first == second
+
+
+def test_demonstrations_alone_tell_who_reached() -> None:
+    model = tiny("demonstrations")
+    batch = drawn_batch(4)
+    first = float(model.loss(batch)["reach"].detach())
+    trained(model, 25)
+    assert float(model.loss(batch)["reach"].detach()) < first
+
+
+def test_demonstrations_need_no_arm_types() -> None:
+    batch = drawn_batch(3)
+    labels = replace(labels_of(batch), arms=torch.full((3, 2), 999))
+    model = tiny("demonstrations")
+    assert total(model.loss(replace(batch, labels=labels))).isfinite()
+
+
+def test_it_grounds_what_another_planner_wants(expert: ReachNet) -> None:
+    batch = drawn_batch(3)
+    labels = labels_of(batch)
+    given = inputs_of(batch)[:1]
+    present = true_table(labels, torch.ones(3, 2, 2)).present[0]
+    cubes = ("pink", "red", "white", "blue", "green")
+    seen = next(c for i, c in enumerate(cubes) if present[i])
+    missing = next(c for i, c in enumerate(cubes) if not present[i])
+    move = Primitive.MOVE
+    wanted = [
+        SubTask("robot_0", move, f"{seen}_cube", "shared"),
+        SubTask("robot_1", move, f"{missing}_cube", "shared"),
+        SubTask("robot_1", Primitive.HOOK, f"{seen}_cube", "stick"),
+        SubTask("robot_9", move, f"{seen}_cube", "shared"),
+        SubTask("robot_0", move, f"{seen}_cube", f"{seen}_cube"),
+        SubTask("robot_0", move, "teapot", "shared"),
+    ]
+    found = expert.ground(given * len(wanted), wanted)
+    assert found[0] is not None
+    assert found[0].robot == "robot_0"
+    assert found[0].pick.x == pytest.approx(float(labels.pick_pose[0, 0]), abs=0.05)
+    assert found[1:] == [None] * 5
+
+
+def test_what_cannot_be_grounded_is_explained() -> None:
+    model = tiny()
+    with torch.no_grad():
+        model.eye.nowhere.fill_(50.0)
+        model.get_parameter("planner.stop.2.bias").fill_(-50.0)
+    [decision] = model.act(inputs_of(drawn_batch(1, stop_last=False)))
+    assert decision.grounded is None
+    assert decision.subtask.primitive is not Primitive.STOP
+    assert "not seen" in decision.explanation
+
+
+def test_what_keeps_failing_is_tried_less(expert: ReachNet) -> None:
+    given = inputs_of(drawn_batch(3))[0]
+    [wanted] = expert.plan([given])
+    failed = PastStep(given.view, wanted, "unreachable")
+    [other] = expert.plan([given.with_past((failed,) * 40)])
+    assert other != wanted
+    # What failed before the last success is forgiven.
+    done = PastStep(given.view, wanted)
+    [again] = expert.plan([given.with_past((*(failed,) * 40, *(done,) * 12))])
+    assert [again] == expert.plan([given.with_past((done,) * 12)])
+
+
+def test_stop_frames_score_only_what_counts() -> None:
+    batch = drawn_batch(3)
+    assert labels_of(batch).decision[-1, 1] == STOP
+    scores = tiny().score(batch)
+    assert scores["pick_2cm"][-1].isnan()
+    assert not scores["plan"].isnan().any()
+
+
+@pytest.mark.parametrize("wrong", [{"draws": 0}, {"robots": 1}])
+def test_impossible_options_are_refused(wrong: dict[str, int]) -> None:
+    with pytest.raises(InvalidConfigError, match="least"):
+        ReachNetConfig(**wrong)  # type: ignore[arg-type]

@@ -1,0 +1,297 @@
+"""ReachNet's parts: sub-tasks as numbers, tables, drags, spots, and reading."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from lemma.core.poses import Pose2
+from lemma.policies.batch import PRIMITIVES
+from lemma.policies.models.reachnet.drags import (
+    SIGNS,
+    TRAVELS_M,
+    TURNS_RAD,
+    DragUtility,
+)
+from lemma.policies.models.reachnet.goal_reader import (
+    GoalReader,
+    goal_numbers,
+    recolored,
+)
+from lemma.policies.models.reachnet.grounder import ReachNetGrounder
+from lemma.policies.models.reachnet.planner import (
+    PlannerConfig,
+    ReachNetPlanner,
+    decision_of,
+    number_of,
+)
+from lemma.policies.models.reachnet.scene_table import (
+    FAR_M,
+    THE_STICK,
+    SceneTable,
+    quarter,
+    turned,
+    turned_numbers,
+)
+from lemma.policies.text.encoder import TextConfig
+from lemma.scene.spec import ENTITIES
+from lemma.tasks.drags import stick_gap
+
+CPU = torch.device("cpu")
+
+# Small networks: several threads would only wait for each other.
+torch.set_num_threads(1)
+
+SHARED = len(ENTITIES)
+CUBE, OTHER, PAD = (ENTITIES.index(f"red_{kind}") for kind in ("cube", "cube", "pad"))
+OTHER += 1
+MOVE, PREHOOK, HOOK, PREPOKE, POKE, STOP = range(6)
+
+
+def table(**places: tuple[float, float, float]) -> SceneTable:
+    """Return one scene; entities by name, as x, y, yaw."""
+    count = len(ENTITIES)
+    present = torch.zeros(1, count, dtype=torch.bool)
+    xy, yaw = torch.full((1, count, 2), FAR_M), torch.zeros(1, count)
+    top = torch.zeros(1, count)
+    for name, (x, y, turn) in places.items():
+        i = ENTITIES.index(name)
+        present[0, i], xy[0, i], yaw[0, i] = True, torch.tensor([x, y]), turn
+        top[0, i] = 0.05 if name.endswith("cube") else 0.0
+    return SceneTable(
+        present=present,
+        xy=xy,
+        yaw=yaw,
+        top=top,
+        bases=torch.tensor([[[-0.7, 0.0], [0.7, 0.0]]]),
+        rings=torch.tensor([[[0.17, 0.8], [0.17, 0.8]]]),
+    )
+
+
+def row(*numbers: int) -> Tensor:
+    return torch.tensor([numbers])
+
+
+def test_every_sub_task_has_one_number() -> None:
+    numbers = torch.arange(5 * 11 * 2 + 4 * 5 * 2 + 2 + 1)
+    decisions = decision_of(numbers, 2)
+    assert number_of(decisions, 2).tolist() == numbers.tolist()
+    assert len({tuple(d) for d in decisions.tolist()}) == len(numbers)
+
+
+@pytest.mark.parametrize(
+    "decision",
+    [
+        (0, MOVE, CUBE, PAD),
+        (1, MOVE, CUBE, SHARED),
+        (1, MOVE, THE_STICK, SHARED),
+        (0, PREHOOK, THE_STICK, CUBE),
+        (1, POKE, THE_STICK, OTHER),
+        (-1, STOP, -1, -1),
+    ],
+)
+def test_numbers_say_the_same_sub_task(decision: tuple[int, ...]) -> None:
+    number = number_of(row(*decision), 2)
+    assert decision_of(number, 2).tolist() == [list(decision)]
+
+
+def test_turning_twice_changes_nothing() -> None:
+    one = table(red_cube=(0.1, 0.2, 0.3), stick=(-0.2, 0.1, 1.0))
+    two = turned(turned(one))
+    torch.testing.assert_close(two.xy, one.xy)
+    torch.testing.assert_close(two.bases, one.bases)
+    assert math.cos(float(two.yaw[0, THE_STICK]) - 1.0) == pytest.approx(1.0)
+    decision = row(1, MOVE, CUBE, PAD)
+    assert turned_numbers(decision, 2).tolist() == [[0, MOVE, CUBE, PAD]]
+    assert turned_numbers(row(-1, STOP, -1, -1), 2).tolist() == [[-1, STOP, -1, -1]]
+
+
+def test_a_square_looks_the_same_after_a_quarter_turn() -> None:
+    yaws = torch.linspace(-7, 7, 50)
+    torch.testing.assert_close(
+        (4 * quarter(yaws)).cos(), (4 * yaws).cos(), atol=1e-5, rtol=1e-5
+    )
+    assert quarter(yaws).abs().max() <= math.pi / 4 + 1e-6
+
+
+def test_margins_are_distances_to_the_edges_of_reach() -> None:
+    scene = table()
+    margins = scene.margins(torch.tensor([[[-0.6, 0.0], [-0.7, 0.5], [0.7, 0.75]]]))
+    torch.testing.assert_close(margins[0, 0, :2], torch.tensor([-0.07, 0.3]))
+    torch.testing.assert_close(margins[0, 1, 2], torch.tensor(0.05))
+
+
+def test_drags_keep_the_cube_where_the_stick_has_it() -> None:
+    scene = table(red_cube=(0.1, 0.2, 0.0), stick=(-0.2, -0.4, 0.0))
+    utility = DragUtility()
+    drags = utility.drags(scene, torch.tensor([[CUBE]]))
+    shape = (1, 2, len(SIGNS), 1, len(TURNS_RAD))
+    assert drags.bearings.shape == shape
+    assert utility(drags).shape == (*shape, len(TRAVELS_M))
+    straight = len(TURNS_RAD) // 2
+    bearing = float(drags.bearings[0, 0, 0, 0, straight])
+    assert bearing == pytest.approx(math.atan2(0.2, 0.8))
+    for side in range(len(SIGNS)):
+        x, y = drags.prepared[0, 0, side, 0, straight].tolist()
+        local = Pose2(x, y, bearing).inverse() @ Pose2(0.1, 0.2)
+        ready = utility.ready[side].tolist()
+        assert (local.x, local.y) == pytest.approx(tuple(ready), abs=1e-5)
+
+
+def test_room_is_measured_from_the_whole_way_of_the_stick() -> None:
+    scene = table(red_cube=(0.0, 0.0, 0.0), white_cube=(0.05, 0.25, 0.0))
+    utility = DragUtility()
+    drags = utility.drags(scene, torch.tensor([[CUBE]]))
+    turn, length, side = 4, 6, 1
+    x, y = drags.prepared[0, 0, side, 0, turn].tolist()
+    bearing = float(drags.bearings[0, 0, side, 0, turn])
+    nearest = math.inf
+    for i in range(101):
+        along = TRAVELS_M[length] * i / 100
+        grip = Pose2(x, y, bearing) @ Pose2(along, 0.0)
+        nearest = min(nearest, stick_gap(grip @ Pose2(-0.05, 0.0), 0.05, 0.25))
+    room = float(drags.constraints[0, 0, side, 0, turn, length, 3])
+    assert room == pytest.approx(nearest - 0.036, abs=0.003)
+
+
+def test_what_nobody_reaches_is_worth_less() -> None:
+    utility = DragUtility()
+    near = table(red_cube=(-0.1, 0.5, 0.0))
+    far = table(red_cube=(0.0, 1.1, 0.0))
+    cube = torch.tensor([[CUBE]])
+    worth = [utility.values(utility.drags(t, cube))[..., 2].max() for t in (near, far)]
+    assert worth[0] > worth[1]
+
+
+def test_a_cube_is_grasped_by_its_faces_with_room_for_the_fingers() -> None:
+    grounding = ReachNetGrounder(use_reach=True)
+    move = row(0, MOVE, CUBE, SHARED)
+    pick, _ = grounding(table(red_cube=(0.0, 0.0, 0.3)), move)
+    assert pick[0].tolist() == pytest.approx([0.0, 0.0, 0.3], abs=1e-5)
+    # The natural grasp would put a finger into the neighbour.
+    tight = table(red_cube=(0.0, 0.0, 0.3), white_cube=(-0.018, 0.06, 0.3))
+    pick, _ = grounding(tight, move)
+    assert float(pick[0, 2]) == pytest.approx(0.3 + math.pi / 2, abs=1e-5)
+
+
+def test_stacked_cubes_have_their_faces_aligned() -> None:
+    scene = table(red_cube=(-0.3, 0.2, 0.4), white_cube=(0.0, -0.2, 0.1))
+    _, place = ReachNetGrounder(use_reach=True)(scene, row(0, MOVE, CUBE, OTHER))
+    assert place[0, :2].tolist() == pytest.approx([0.0, -0.2], abs=1e-5)
+    off = quarter(place[0, 2] - 0.1)
+    assert float(off) == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(("primitive", "sign"), [(HOOK, -1.0), (POKE, 1.0)])
+def test_drags_go_along_the_stick(primitive: int, sign: float) -> None:
+    scene = table(red_cube=(0.2, 0.1, 0.0), stick=(-0.3, 0.0, 0.2))
+    pick, place = ReachNetGrounder(use_reach=True)(
+        scene, row(0, primitive, THE_STICK, CUBE)
+    )
+    step = place[0, :2] - pick[0, :2]
+    axis = torch.tensor([math.cos(0.2), math.sin(0.2)])
+    length = sign * float(step @ axis)
+    assert min(TRAVELS_M) - 1e-4 <= length <= max(TRAVELS_M) + 1e-4
+    torch.testing.assert_close(step, sign * length * axis, atol=1e-5, rtol=1e-5)
+    assert pick[0, 0] == pytest.approx(-0.3 + 0.05 * math.cos(0.2), abs=1e-5)
+
+
+@pytest.mark.parametrize("primitive", [HOOK, POKE])
+def test_no_drag_ends_where_the_robot_cannot_follow(primitive: int) -> None:
+    grounding = ReachNetGrounder(use_reach=True)
+    # Grasped 20 cm inside either edge of reach.
+    x = -0.15 if primitive == POKE else -0.33
+    scene = table(red_cube=(x + 0.5, 0.05, 0.0), stick=(x, 0.0, 0.0))
+    _, place = grounding(scene, row(0, primitive, THE_STICK, CUBE))
+    assert scene.margins(place[None, :, :2])[0, 0, 0] > 0.0
+
+
+def test_what_is_not_seen_has_no_pose() -> None:
+    grounding = ReachNetGrounder(use_reach=True)
+    scene = table(red_cube=(0.0, 0.0, 0.0))
+    for decision in ((0, MOVE, OTHER, SHARED), (0, MOVE, CUBE, PAD), (-1, 5, -1, -1)):
+        pick, place = grounding(scene, row(*decision))
+        assert pick.isnan().all()
+        assert place.isnan().all()
+
+
+def test_spots_move_out_of_the_way() -> None:
+    grounding = ReachNetGrounder(use_reach=True)
+    for obstacle in ((0.0, 0.0, 0.0), (0.02, 0.1, 0.0), (0.0, -0.1, 0.0)):
+        scene = table(red_cube=(-0.4, 0.3, 0.0), white_cube=obstacle)
+        _, place = grounding(scene, row(0, MOVE, CUBE, SHARED))
+        apart = math.dist(place[0, :2].tolist(), obstacle[:2])
+        assert apart > 0.05
+
+
+def test_colors_are_all_the_same_to_the_planner() -> None:
+    torch.manual_seed(0)
+    planner = ReachNetPlanner(
+        PlannerConfig(width=32, layers=1, heads=2), 2, True
+    ).eval()
+    drags = DragUtility()
+    past = torch.full((1, 12, 4), -1)
+    places = {"a": (0.1, 0.2, 0.3), "b": (-0.3, 0.1, 0.0), "c": (0.2, -0.3, 0.0)}
+    best = []
+    for one, two, pad in (("red", "white", "blue"), ("green", "pink", "white")):
+        scene = table(
+            **{
+                f"{one}_cube": places["a"],
+                f"{two}_cube": places["b"],
+                f"{pad}_pad": places["c"],
+            }
+        )
+        goal = goal_numbers([((f"{one}_cube", f"{pad}_pad"),)], CPU)
+        scores = planner(scene, goal, past, drags)
+        best.append(scores.topk(12).values)
+    torch.testing.assert_close(best[0], best[1])
+
+
+def test_goals_are_read_after_some_practice() -> None:
+    torch.manual_seed(0)
+    reader = GoalReader(TextConfig(width=32, layers=1, heads=2, dropout=0.0))
+    texts = [
+        "Put the red cube onto the blue pad",
+        "Stack the pink cube on the white cube",
+    ]
+    goals = goal_numbers(
+        [(("red_cube", "blue_pad"),), (("pink_cube", "white_cube"),)], CPU
+    )
+    optimizer = torch.optim.Adam(reader.parameters(), lr=5e-3)
+    for _ in range(60):
+        optimizer.zero_grad()
+        reader.loss(texts, goals).backward()
+        optimizer.step()
+    reader.eval()
+    assert reader.read(texts).tolist() == goals.tolist()
+    assert reader.read(["", "xyzzy"]).shape == (2, 2, 2)
+
+
+def test_a_top_is_a_cube_and_nothing_lies_on_itself() -> None:
+    torch.manual_seed(1)
+    reader = GoalReader(TextConfig(width=16, layers=1, heads=2)).eval()
+    goals = reader.read([f"word {i} red blue" for i in range(40)])
+    top, bottom = goals[..., 0], goals[..., 1]
+    assert (top < 5).all()
+    assert ((top == bottom) == (top == -1)).all()
+    assert (goals[:, 0] >= 0).all()
+
+
+def test_recolored_sentences_ask_for_recolored_goals() -> None:
+    torch.manual_seed(0)
+    texts = ["Put the Red cube onto the blue pad. Not white!"] * 8
+    goals = goal_numbers([(("red_cube", "blue_pad"),)] * 8, CPU)
+    written, moved = recolored(texts, goals)
+    assert len(set(written)) > 1
+    for text, goal in zip(written, moved.tolist(), strict=True):
+        words = text.split()
+        assert goal == [
+            [ENTITIES.index(f"{words[2]}_cube"), ENTITIES.index(f"{words[6]}_pad")],
+            [-1, -1],
+        ]
+
+
+def test_primitives_are_numbered_as_these_tests_say() -> None:
+    names = ("move", "prehook", "hook", "prepoke", "poke", "stop")
+    assert names == PRIMITIVES

@@ -1,0 +1,342 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tiny_model
+import torch
+from painted_keyframes import write_painted
+from safetensors.torch import load_file
+from tiny_model import NAME, Tiny, TinyConfig, config
+
+from lemma.core.config import decode
+from lemma.core.errors import InvalidConfigError
+from lemma.policies.batch import Batch, Frames
+from lemma.policies.models.catalog import MODELS
+from lemma.policies.training import loop as loop
+from lemma.policies.training.config import (
+    DEFAULTS,
+    Augmentation,
+    TrainingConfig,
+)
+from lemma.policies.training.distributed import ProcessGroup
+from lemma.policies.training.loader import BatchLoader, Sampler
+from lemma.policies.training.loop import train
+from lemma.policies.training.run import training_units
+from lemma.policies.training.step import Trainer, learning_rate
+
+HERE = Path(__file__).parent
+ALONE = ProcessGroup(0, 1, torch.device("cpu"))
+
+tiny_model.register()
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("painted")
+    return write_painted(folder, {"train": 10, "val": 4})
+
+
+def test_a_batch_is_wholly_on_the_device_that_is_asked_for(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What stands in for a GPU has no memory to be copied from.
+    monkeypatch.setattr(torch.Tensor, "pin_memory", lambda tensor: tensor)
+    frames = Frames.load(data)
+    here = frames.batch([0, 2])
+    there = frames.batch([0, 2], torch.device("meta"))
+    assert here.labels is not None
+    assert there.labels is not None
+    seen = 0
+    for one, other in ((here, there), (here.labels, there.labels)):
+        for name, value in vars(one).items():
+            if isinstance(value, torch.Tensor):
+                moved = getattr(other, name)
+                assert (value.device.type, moved.device.type) == ("cpu", "meta")
+                assert (value.shape, value.dtype) == (moved.shape, moved.dtype)
+                seen += 1
+            elif name != "labels":
+                assert value == getattr(other, name)
+    assert seen > 10
+
+
+def weights(out: Path) -> dict[str, torch.Tensor]:
+    return load_file(out / "weights.safetensors")
+
+
+def state(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = torch.load(out / "checkpoint.pt", weights_only=True)
+    return found
+
+
+def assert_same_run(first: Path, second: Path) -> None:
+    """Check that two runs came to the same weights, and judged them the same."""
+    for name, value in weights(first).items():
+        assert torch.equal(value, weights(second)[name]), name
+    one, other = state(first), state(second)
+    for part in ("model", "average"):
+        for name, value in one["trainer"][part].items():
+            assert torch.equal(value, other["trainer"][part][name]), (part, name)
+    for moments, others in zip(
+        one["trainer"]["optimizer"]["state"].values(),
+        other["trainer"]["optimizer"]["state"].values(),
+        strict=True,
+    ):
+        for name, value in moments.items():
+            assert torch.equal(value, others[name]), name
+    for name in ("history", "scores", "best_step", "samples"):
+        assert one["so_far"][name] == other["so_far"][name]
+
+
+def test_it_says_how_long_the_model_waited_for_input(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = BatchLoader.make
+
+    def slowly(feed: BatchLoader, step: int) -> Batch:
+        time.sleep(0.2)
+        return make(feed, step)
+
+    monkeypatch.setattr(BatchLoader, "make", slowly)
+    assert train(config(data, tmp_path, steps=6)).input_wait > 0.5
+
+
+def test_a_run_writes_what_it_did(data: Path, tmp_path: Path) -> None:
+    report = train(config(data, tmp_path), command="lemma train tiny")
+    assert report.status == "finished"
+    assert report.steps == 24
+    assert report.samples == 96
+    assert report.samples_per_s > 0
+    assert 0 < report.input_wait < 1
+    assert report.parameters == sum(v.numel() for v in Tiny(TinyConfig()).parameters())
+    assert [entry["step"] for entry in report.history] == [8, 16, 24]
+    assert set(report.scores_by_kind) == {"high_level", "human"}
+    best = max(report.history, key=lambda entry: entry["primitive"])
+    assert report.best_step == best["step"]
+    assert report.scores["primitive"] == best["primitive"]
+    assert json.loads((tmp_path / "report.json").read_text()) == asdict(report)
+    written = json.loads((tmp_path / "config.json").read_text())
+    assert written["model_options"] == {"width": 8, "dropout": 0.1}
+    assert (
+        TrainingConfig.from_dict(written["training"])
+        == config(data, tmp_path).resolved()
+    )
+    assert list((tmp_path / "tensorboard").glob("events.*"))
+
+
+def test_training_lowers_the_loss(data: Path, tmp_path: Path) -> None:
+    options = {"steps": 150, "val_every": 150, "episodes": 1, "ema": 0.5}
+    calm = Augmentation.none()
+    run = config(data, tmp_path, **options, augmentation=calm, train_split="val",
+                 options=("dropout=0.0", "width=32"))  # fmt: skip
+    report = train(run)
+    assert report.passes == 200
+    # One of four episodes is known by heart.
+    assert report.scores["primitive"] > 0.6
+
+
+def test_the_seed_decides(data: Path, tmp_path: Path) -> None:
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train(config(data, tmp_path / name, seed=seed, steps=8))
+    assert_same_run(tmp_path / "a", tmp_path / "b")
+    assert not torch.equal(
+        weights(tmp_path / "a")["first.weight"], weights(tmp_path / "c")["first.weight"]
+    )
+
+
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train(config(data, tmp_path / "whole"))
+    run = config(data, tmp_path / "parts", checkpoint_every_s=1e-9)
+    one_step = Trainer.train
+
+    def stop_at_eleven(trainer: Trainer, *args: Any) -> Any:
+        if trainer.step == 11:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return one_step(trainer, *args)
+
+    monkeypatch.setattr(Trainer, "train", stop_at_eleven)
+    report = train(run)
+    assert report.status == "interrupted"
+    assert report.steps == 12
+    monkeypatch.setattr(Trainer, "train", one_step)
+    assert train(run).status == "finished"
+    assert_same_run(tmp_path / "whole", tmp_path / "parts")
+
+
+@pytest.mark.slow
+def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(
+    data: Path, tmp_path: Path
+) -> None:
+    words = ("--steps", "60", "--val-every", "20")
+    finish(start(data, tmp_path / "whole", *words))
+    out = tmp_path / "parts"
+    rng = np.random.default_rng()
+    for _ in range(2):
+        process = start(data, out, *words)
+        begun = time.monotonic()
+        while not (out / "checkpoint.pt").exists() and process.poll() is None:
+            assert time.monotonic() - begun < 60
+            time.sleep(0.02)
+        time.sleep(float(rng.uniform(0.0, 0.2)))
+        process.kill()
+        process.communicate()
+    finish(start(data, out, *words))
+    assert_same_run(tmp_path / "whole", out)
+
+
+def finish(process: subprocess.Popen[str]) -> None:
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+
+
+def start(
+    data: Path, out: Path, *words: str, processes: int = 1
+) -> subprocess.Popen[str]:
+    """Start a run in a process of its own, or in several that torchrun starts."""
+    launch = [sys.executable]
+    if processes > 1:
+        launch += ["-m", "torch.distributed.run", "--nproc-per-node", str(processes)]
+        launch += ["--master-port", "0", "--rdzv-backend", "c10d"]
+        launch += ["--rdzv-endpoint", "localhost:0"]
+    command = [
+        *launch,
+        str(HERE / "tiny_model.py"),
+        *(NAME, "--data", str(data), "--out", str(out)),
+        *("--batch-size", "4", "--warmup-steps", "4", "--learning-rate", "1e-2"),
+        *("--checkpoint-every-s", "1e-9"),
+        *words,
+    ]
+    source = str(Path(loop.__file__).parents[3])
+    environment = {**os.environ, "PYTHONPATH": source, "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        command, env=environment, stderr=subprocess.PIPE, text=True, cwd=out.parent
+    )
+
+
+@pytest.mark.slow
+def test_two_processes_do_what_one_does_with_twice_the_batch(
+    data: Path, tmp_path: Path
+) -> None:
+    # What is drawn at random belongs to a process, so nothing is.
+    calm = Augmentation.none()
+    options = ("dropout=0.0",)
+    train(config(data, tmp_path / "one", batch_size=8, steps=10, val_every=5,
+                 augmentation=calm, options=options))  # fmt: skip
+    off = [f"--augmentation.no-{name}" for name in ("palette", "templates", "turn")]
+    for name in ("paraphrases", "translate-cells", "brightness", "pixel-noise",
+                 "height-noise-m", "dropouts"):  # fmt: skip
+        off += [f"--augmentation.{name}", "0"]
+    words = ("--options", *options, "--steps", "10", "--val-every", "5", *off)
+    finish(start(data, tmp_path / "two", *words, processes=2))
+    one, two = state(tmp_path / "one")["trainer"], state(tmp_path / "two")["trainer"]
+    for name, value in one["model"].items():
+        if value.is_floating_point():
+            assert torch.allclose(value, two["model"][name], atol=1e-5), name
+    first, second = (
+        json.loads((tmp_path / name / "report.json").read_text())
+        for name in ("one", "two")
+    )
+    assert first["samples"] == second["samples"] == 80
+    for name, score in first["scores"].items():
+        assert score == pytest.approx(second["scores"][name], abs=1e-4)
+
+
+def test_every_unit_is_drawn_once_in_each_pass() -> None:
+    orders = [Sampler(14, 4, 3, rank, 2) for rank in (0, 1)]
+    drawn = [unit for step in range(7) for o in orders for unit in o.step(step)]
+    for start in range(0, 56, 14):
+        assert sorted(drawn[start : start + 14]) == list(range(14))
+    assert drawn[:14] != drawn[14:28]
+    assert drawn[:8] == Sampler(14, 8, 3).step(0)
+    assert Sampler(14, 8, 4).step(0) != drawn[:8]
+    # A step is a function of its number, in whatever order steps are asked for.
+    assert [Sampler(14, 8, 3).step(n) for n in (6, 0)] == [drawn[48:56], drawn[:8]]
+
+
+def test_batches_are_the_same_ahead_and_at_once(data: Path, tmp_path: Path) -> None:
+    frames, options = Frames.load(data), config(data, tmp_path).resolved()
+    units = training_units(Tiny(TinyConfig()), frames, options)
+    feed = BatchLoader(frames, units, Sampler(len(units), 4, 0), options, ALONE.device)
+    with feed.ahead(5, 9) as batches:
+        ahead = list(batches)
+    assert len(ahead) == 4
+    for step, batch in zip(range(5, 9), ahead, strict=True):
+        again = feed.make(step)
+        assert torch.equal(batch.rgb, again.rgb)
+        assert batch.instructions == again.instructions
+
+
+def test_what_goes_wrong_in_the_feed_is_raised_in_the_loop(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(feed: BatchLoader, step: int) -> None:
+        raise RuntimeError(f"no batch {step}")
+
+    monkeypatch.setattr(BatchLoader, "make", fail)
+    with pytest.raises(RuntimeError, match="no batch 0"):
+        train(config(data, tmp_path))
+
+
+def test_whole_episodes_are_drawn_for_models_that_want_them(
+    data: Path, tmp_path: Path
+) -> None:
+    model = tiny_model.TinyEpisodes(tiny_model.TinyEpisodesConfig())
+    frames = Frames.load(data)
+    units = training_units(model, frames, config(data, tmp_path, episodes=4))
+    assert len(units) == 4
+    assert all(len(unit) == 3 for unit in units)
+    report = train(config(data, tmp_path, model=f"{NAME}-episodes", steps=4))
+    assert report.samples == 4 * 4 * 3
+
+
+def test_the_learning_rate_rises_and_falls(data: Path, tmp_path: Path) -> None:
+    run = config(data, tmp_path, warmup_steps=10, learning_rate=1.0)
+    rates = [learning_rate(run, step, step / 100) for step in range(101)]
+    assert rates[0] == pytest.approx(0.1)
+    assert max(rates) == rates[9] > 0.9
+    assert rates[50] == pytest.approx(0.5)
+    assert rates[100] == pytest.approx(0.0)
+
+
+def test_time_is_up(data: Path, tmp_path: Path) -> None:
+    run = config(data, tmp_path, steps=100_000, val_every=100_000, time_limit_s=1.0)
+    report = train(run)
+    assert report.status == "time is up"
+    assert 0 < report.steps < 100_000
+    assert report.best_step == report.steps
+    assert (tmp_path / "weights.safetensors").exists()
+    assert train(run).steps == report.steps
+
+
+def test_weights_can_be_what_another_run_begins_with(
+    data: Path, tmp_path: Path
+) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    train(config(data, first, options=("width=16",)))
+    run = config(data, second, start=str(first), steps=1, learning_rate=1e-9)
+    train(run)
+    for name, value in weights(first).items():
+        if value.is_floating_point():
+            assert torch.allclose(value, weights(second)[name], atol=1e-3), name
+    with pytest.raises(InvalidConfigError, match="Leave out --options"):
+        train(replace(run, out=tmp_path / "third", options=("width=16",)))
+    with pytest.raises(InvalidConfigError, match=f"not {NAME}-episodes"):
+        train(replace(run, out=tmp_path / "fourth", model=f"{NAME}-episodes"))
+
+
+def test_every_model_has_defaults_of_its_own() -> None:
+    ours = [name for name in MODELS if not name.startswith(NAME)]
+    assert sorted(ours) == sorted(DEFAULTS)
+    for name in ours:
+        kind, options = MODELS[name]
+        assert decode(options, json.loads(json.dumps(asdict(options())))) == options()
+        assert kind.unit in ("frame", "episode")

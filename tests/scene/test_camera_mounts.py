@@ -1,0 +1,103 @@
+"""Cameras hang above their robots and see their half and the shared region."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lemma.core.poses import Pose2
+from lemma.robots.reach import reach_of
+from lemma.scene.camera_mounts import (
+    CAMERA_FOVY_RAD,
+    CAMERA_HEIGHT_PX,
+    CAMERA_WIDTH_PX,
+    camera_mount,
+    camera_sees,
+)
+from lemma.scene.cameras import Camera, CameraIntrinsics
+from lemma.scene.spec import RobotPlacement
+from lemma.tasks.instance import SPLITS
+from lemma.tasks.suite import SUITE, load_instance
+
+arms = st.sampled_from(["ur5", "ur10"])
+bases = st.builds(
+    Pose2, st.floats(-1.2, 1.2), st.floats(-0.1, 0.1), st.floats(-math.pi, math.pi)
+)
+
+
+def camera(robot: RobotPlacement) -> Camera:
+    pose, fovy = camera_mount(robot)
+    lens = CameraIntrinsics.from_fovy(fovy, CAMERA_WIDTH_PX, CAMERA_HEIGHT_PX)
+    return Camera("camera", pose, lens)
+
+
+@given(arms, bases)
+def test_a_camera_hangs_above_its_robot_and_looks_down_in_front(
+    arm: str, base: Pose2
+) -> None:
+    robot = RobotPlacement(arm, "red", base)
+    pose, fovy = camera_mount(robot)
+    assert fovy == CAMERA_FOVY_RAD
+    x, y, z = pose.position
+    assert base.distance(Pose2(x, y)) < 0.1
+    assert 1.0 < z < 2.2
+    rotation = pose.matrix()[:3, :3]
+    assert rotation.T @ rotation == pytest.approx(np.eye(3), abs=1e-9)
+    right, down, forward = rotation.T
+    assert right[2] == pytest.approx(0.0, abs=1e-9)
+    assert forward[2] < -0.5
+    # Up in the image is away from the robot.
+    assert -down[0] * math.cos(base.yaw) - down[1] * math.sin(base.yaw) > 0.5
+
+
+@given(arms, bases)
+def test_where_the_robot_works_is_in_the_middle_of_the_image(
+    arm: str, base: Pose2
+) -> None:
+    robot = RobotPlacement(arm, "red", base)
+    ahead = base @ Pose2(0.33 * reach_of(arm).travel_m, 0.0)
+    (pixel,), depth = camera(robot).project([[ahead.x, ahead.y, 0.0]])
+    middle = ((CAMERA_WIDTH_PX - 1) / 2, (CAMERA_HEIGHT_PX - 1) / 2)
+    assert pixel == pytest.approx(middle, abs=1e-6)
+    assert depth[0] > 1.0
+
+
+@given(arms, bases, st.floats(0.0, 2.0), st.floats(-math.pi, math.pi))
+def test_sees_is_what_projects_into_the_image(
+    arm: str, base: Pose2, away: float, bearing: float
+) -> None:
+    robot = RobotPlacement(arm, "red", base)
+    at = base @ Pose2(away * math.cos(bearing), away * math.sin(bearing))
+    (pixel,), depth = camera(robot).project([[at.x, at.y, 0.0]])
+    offsets = [
+        abs(value - (size - 1) / 2) / (size / 2)
+        for value, size in zip(pixel, (CAMERA_WIDTH_PX, CAMERA_HEIGHT_PX), strict=True)
+    ]
+    inside = bool(depth[0] > 0) and max(offsets) <= 0.94
+    if depth[0] <= 0 or abs(max(offsets) - 0.94) > 1e-6:
+        assert camera_sees(robot, at.x, at.y) == inside
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_both_cameras_see_the_middle(task: str) -> None:
+    for index in range(0, SPLITS["test"], 3):
+        for robot in load_instance(task, "test", index).scene.robots:
+            # The middle of the region between them is the middle of the table.
+            for y in (-0.2, 0.0, 0.2):
+                assert camera_sees(robot, 0.0, y)
+
+
+def test_no_camera_is_enough() -> None:
+    """Each misses something that the other sees, and sometimes both do."""
+    missing: set[tuple[bool, bool]] = set()
+    for task in SUITE:
+        for index in range(SPLITS["test"]):
+            scene = load_instance(task, "test", index).scene
+            left, right = (
+                any(not camera_sees(robot, *placed.pose.xy) for placed in scene.objects)
+                for robot in scene.robots
+            )
+            missing.add((left, right))
+    assert missing >= {(True, False), (False, True), (True, True)}

@@ -1,0 +1,116 @@
+"""Lines of episodes that nobody played, for tests of what is made of them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from lemma.evaluation.analysis.coordination import count_steps
+from lemma.evaluation.analysis.result import Result, summarise
+
+STEP = {
+    "robot": "robot_0",
+    "primitive": "move",
+    "pick": "red_cube",
+    "place": "white_pad",
+    "outcome": "success",
+}
+ABOUT = {
+    "policy": {"name": "oracle", "planning": "single-step", "gta": False},
+    "weights": {},
+    "language": "full",
+    "perturb_start": False,
+    "split": "test",
+    "protocol": "5" * 64,
+    "horizon_s": 100.0,
+    "benchmark": "v1",
+    "format": "1",
+    "lemma": "0.1.0",
+    "mujoco": "3.17.0",
+}
+
+
+def step(
+    left: int | None = 1,
+    departure: str = "",
+    outcome: str = "success",
+    pick_mm: float | None = None,
+    place_mm: float | None = None,
+    *,
+    able: bool | None = True,
+) -> dict[str, Any]:
+    """Return one sub-task of an episode, before which the expert needed so many."""
+    said = {
+        "expected": {k: v for k, v in STEP.items() if k != "outcome"},
+        "left": left,
+        "departure": departure,
+        "able": able,
+        "pick_error_mm": pick_mm,
+        "place_error_mm": place_mm,
+    }
+    return {**STEP, "outcome": outcome, "expert": said}
+
+
+def row(
+    task: str = "stack",
+    index: int = 0,
+    *,
+    success: bool = False,
+    steps: Sequence[dict[str, Any]] = (),
+    left: int | None = 0,
+    failure: str | None = "goal_not_reached",
+    **more: Any,
+) -> dict[str, Any]:
+    """Return the line of an episode."""
+    return {
+        "task": task,
+        "split": "test",
+        "index": index,
+        "team": "ur5+ur10",
+        "distractors": 1,
+        "perturb_start": False,
+        "instruction_kind": "high_level",
+        "instruction": "Stack the red cube on the blue cube",
+        "asked": None,
+        "asked_holds": None,
+        "success": success,
+        "progress": float(success),
+        "failure": None if success else failure,
+        "elapsed_s": 30.0,
+        "idle_s": {"robot_0": 5.0, "robot_1": 25.0},
+        "coordination": {
+            "expert_s": 20.0,
+            **count_steps(steps, left),
+            "clearance_mm": 80.0,
+        },
+        "subtasks": list(steps),
+        "left": left,
+        "wall_s": 0.1,
+        **more,
+    }
+
+
+def result(
+    successes: int,
+    episodes: int = 10,
+    *,
+    seed: int = 0,
+    experiment: str = "reachnet",
+    tasks: Sequence[str] = ("pass", "stack"),
+    kind: str = "high_level",
+) -> Result:
+    """Return a result in which so many episodes of each task succeeded."""
+    rows = [
+        row(
+            task,
+            i,
+            success=i < successes,
+            instruction_kind=kind,
+            steps=[step(2, "robot")],
+            left=0 if i < successes else 2,
+        )
+        for task in tasks
+        for i in range(episodes)
+    ]
+    weights = {"reachnet": {"sha256": "f" * 64, "seed": seed, "data": {}}}
+    return summarise(
+        rows, {**ABOUT, "weights": weights}, "lemma reproduce reachnet", experiment
+    )

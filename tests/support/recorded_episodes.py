@@ -1,0 +1,137 @@
+"""Expert episodes that several tests look at: each is run once and watched closely."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from unittest.mock import patch
+
+import mujoco
+import numpy as np
+
+from lemma.env.episode import Episode
+from lemma.expert.expert import Expert, ExpertStep, solve
+from lemma.scene.scene import Scene
+from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.suite import SUITE, load_instance
+
+TEAMS = ("ur5+ur5", "ur5+ur10", "ur10+ur10")
+EPISODES = [(task, team) for task in SUITE for team in TEAMS]
+"""One episode of every task with every team type."""
+
+
+@dataclass
+class Extremes:
+    """The worst that a scene saw in any physics step."""
+
+    penetration_m: float = 0.0
+    penetrating: tuple[str, ...] = ()
+    """Names of the geoms."""
+    velocity_ratio: float = 0.0
+    """Largest joint velocity over its limit."""
+    effort_ratio: float = 0.0
+    """Largest joint torque, gravity compensation included, over its limit."""
+    steps: int = 0
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One episode of the expert."""
+
+    instance: Instance
+    steps: tuple[ExpertStep, ...]
+    hashes: tuple[str, ...]
+    """Of the full integration state at every keyframe."""
+    success: bool
+    elapsed_s: float
+    replans: int
+    extremes: Extremes
+
+
+@dataclass
+class _Watch:
+    scene: Scene
+    extremes: Extremes = field(default_factory=Extremes)
+
+    def __post_init__(self) -> None:
+        robots = self.scene.robots
+        self.dof = np.r_[tuple(robot.dof for robot in robots)]
+        self.speed = np.concatenate([r.arm.velocity_limits for r in robots])
+        self.effort = np.concatenate([r.arm.effort_limits for r in robots])
+
+    def look(self) -> None:
+        model, data, seen = self.scene.model, self.scene.data, self.extremes
+        seen.steps += 1
+        if data.ncon:
+            depths = -np.asarray(data.contact.dist)
+            deepest = int(depths.argmax())
+            if depths[deepest] > seen.penetration_m:
+                seen.penetration_m = float(depths[deepest])
+                geoms = data.contact.geom[deepest]
+                seen.penetrating = tuple(model.geom(int(g)).name for g in geoms)
+        velocity = np.abs(data.qvel[self.dof]) / self.speed
+        torque = np.abs(data.qfrc_actuator[self.dof] + data.qfrc_gravcomp[self.dof])
+        seen.velocity_ratio = max(seen.velocity_ratio, float(velocity.max()))
+        seen.effort_ratio = max(seen.effort_ratio, float((torque / self.effort).max()))
+
+
+@contextmanager
+def watching(scene: Scene) -> Iterator[Extremes]:
+    """Look at a scene after every single physics step, whoever makes it."""
+    watch = _Watch(scene)
+    step = mujoco.mj_step
+
+    def step_and_look(
+        model: mujoco.MjModel, data: mujoco.MjData, nstep: int = 1
+    ) -> None:
+        for _ in range(nstep):
+            step(model, data)
+            if data is scene.data:
+                watch.look()
+
+    with patch.object(mujoco, "mj_step", step_and_look):
+        yield watch.extremes
+
+
+def run_expert(
+    instance: Instance,
+) -> tuple[Episode, Expert, list[ExpertStep], list[str]]:
+    """Let the expert work on an instance; return also the keyframes' hashes."""
+    episode = Episode(instance)
+    scene = episode.simulation.scene
+    expert = Expert(scene, instance.goal)
+    hashes, steps = [scene.state_hash()], []
+    for step in solve(episode, expert):
+        hashes.append(scene.state_hash())
+        steps.append(step)
+    return episode, expert, steps, hashes
+
+
+@cache
+def first_instance(task: str, team: str) -> Instance:
+    """Return the first frozen test instance of a task with a team type."""
+    instances = (load_instance(task, "test", i) for i in range(SPLITS["test"]))
+    return next(instance for instance in instances if instance.team == team)
+
+
+@cache
+def recorded(task: str, team: str) -> Recorded:
+    """Return the expert's episode of the first test instance with a team type."""
+    instance = first_instance(task, team)
+    episode = Episode(instance)
+    scene = episode.simulation.scene
+    expert = Expert(scene, instance.goal)
+    hashes, steps = [scene.state_hash()], []
+    with watching(scene) as extremes:
+        for step in solve(episode, expert):
+            hashes.append(scene.state_hash())
+            steps.append(step)
+    return Recorded(
+        instance,
+        tuple(steps),
+        tuple(hashes),
+        episode.is_success,
+        episode.elapsed_s,
+        expert.replans,
+        extremes,
+    )

@@ -1,0 +1,336 @@
+"""Every sentence asks for exactly one goal, and no two templates are the same."""
+
+import itertools
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lemma.core.errors import UnknownNameError
+from lemma.core.parallel import Serial
+from lemma.core.seeding import stream
+from lemma.dataset.recipe.generate import GenerateConfig, generate
+from lemma.scene.palette import OBJECT_COLORS
+from lemma.tasks.language import bank as language
+from lemma.tasks.language.bank import KINDS, Template
+
+TASKS = (
+    "pass",
+    "pass2",
+    "stack",
+    "stack2",
+    "poke",
+    "poke_stack",
+    "hook",
+    "hook_stack",
+)
+COLORS = tuple(OBJECT_COLORS)
+NAMED: dict[str, Template] = {
+    f"{task}-{kind}-{index}": template
+    for task in TASKS
+    for kind in KINDS
+    for index, template in enumerate(language.templates(task, kind))
+}
+ALL = [pytest.param(template, id=name) for name, template in NAMED.items()]
+EVERY_TEMPLATE = list(NAMED.values())
+
+
+def kinds_of(template: Template) -> tuple[tuple[str, str], ...]:
+    assert template.entity_kinds is not None
+    return template.entity_kinds
+
+
+def goals_of(template: Template) -> list[language.GoalPairs]:
+    """Every goal of a one-conjunct template, forty of the others."""
+    if kinds_of(template) == (("cube", "pad"),):
+        return [((f"{a}_cube", f"{b}_pad"),) for a in COLORS for b in COLORS]
+    if kinds_of(template) == (("cube", "cube"),):
+        ordered = itertools.permutations(COLORS, 2)
+        return [((f"{a}_cube", f"{b}_cube"),) for a, b in ordered]
+    kind = kinds_of(template)[0][1]
+    return [
+        ((f"{a}_cube", f"{b}_{kind}"), (f"{c}_cube", f"{d}_{kind}"))
+        for a, b, c, d in list(itertools.permutations(COLORS, 4))[::3]
+    ]
+
+
+def texts(kind: str) -> list[Template]:
+    return [template for task in TASKS for template in language.templates(task, kind)]
+
+
+def blanked(template: Template) -> str:
+    """The raw text with nameless slots, in lower case and without punctuation."""
+    return re.sub(r"[^a-z{} ]", "", re.sub(r"\{.*?\}", "{}", template.text.lower()))
+
+
+def own_words(template: Template) -> set[str]:
+    return set(language.words(re.sub(r"\{.*?\}", " ", template.text)))
+
+
+# --- How many, and all different --------------------------------------------------
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_counts(task):
+    counts = [len(language.templates(task, kind)) for kind in KINDS]
+    assert counts == [1, 10, 10]
+
+
+def test_human_and_unseen_templates_are_all_different():
+    templates = texts("human") + texts("unseen")
+    assert len(templates) == 160
+    assert len({template.wording() for template in templates}) == 160
+    assert len({blanked(template) for template in templates}) == 160
+
+
+def test_no_human_or_unseen_template_repeats_a_high_level_one():
+    high_level = {template.wording() for template in texts("high_level")}
+    others = {template.wording() for template in texts("human") + texts("unseen")}
+    assert not high_level & others
+
+
+def test_tasks_that_differ_only_in_reach_share_their_high_level_instruction():
+    said = {task: language.templates(task, "high_level") for task in TASKS}
+    assert said["pass"] == said["poke"] == said["hook"]
+    assert said["stack"] == said["poke_stack"] == said["hook_stack"]
+    assert len(set(said.values())) == 4
+
+
+def test_high_level_instructions_say_neither_who_nor_how():
+    told = set().union(*(own_words(template) for template in texts("high_level")))
+    assert told == {"place", "stack", "on", "top", "of", "the", "and"}
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_unseen_template_has_a_word_that_training_lacks(task):
+    known = set(language.vocabulary())
+    for template in language.templates(task, "unseen"):
+        assert own_words(template) - known, template.text
+
+
+def test_unseen_templates_bring_new_relations_verbs_and_nouns():
+    known = set(language.vocabulary())
+    unseen = set().union(*(own_words(template) for template in texts("unseen")))
+    for word in (
+        "atop",
+        "upon",
+        "beneath",
+        "support",
+        "rest",
+        "haul",
+        "nudge",
+        "brick",
+    ):
+        assert word in unseen - known
+
+
+def test_human_templates_vary_as_people_do():
+    human = [template.text.lower() for template in texts("human")]
+    for word in ("block", "box", "circle", "target", "stick", "tool", "hook"):
+        assert any(word in text for text in human), word
+    assert sum("that is {" in text for text in human) >= 4
+    assert sum("l-shaped" in text for text in human) >= 4
+    assert sum(text.endswith((".", "?")) for text in human) in range(25, 56)
+    lengths = [len(language.words(text)) for text in human]
+    assert min(lengths) <= 6
+    assert max(lengths) >= 25
+
+
+# --- One sentence, one goal ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("template", ALL)
+def test_every_template_of_every_task_agrees_on_the_goal(template):
+    for goal in goals_of(template):
+        sentence = template.render(goal)
+        said = {other.parse(sentence) for other in EVERY_TEMPLATE} - {None}
+        assert said == {frozenset(goal)}
+
+
+@given(data=st.data())
+@settings(max_examples=200, deadline=None)
+def test_parse_is_the_inverse_of_render(data):
+    template = data.draw(st.sampled_from(EVERY_TEMPLATE))
+    kinds = kinds_of(template)
+    number = 2 * len(kinds)
+    colors = data.draw(
+        st.lists(st.sampled_from(COLORS), min_size=number, max_size=number, unique=True)
+    )
+    goal = tuple(
+        (f"{colors[2 * i]}_{top}", f"{colors[2 * i + 1]}_{bottom}")
+        for i, (top, bottom) in enumerate(kinds)
+    )
+    sentence = template.render(goal)
+    assert language.parse(sentence) == frozenset(goal)
+    assert language.parse(f"  {sentence.upper()}! ") == frozenset(goal)
+
+
+@pytest.mark.parametrize("template", ALL)
+def test_sentences_are_plain_and_short(template):
+    for goal in goals_of(template):
+        sentence = template.render(goal)
+        assert sentence.isascii()
+        assert len(sentence) <= 200
+        assert not set("{}_") & set(sentence)
+        for entity in itertools.chain(*goal):
+            assert entity.split("_")[0] in language.words(sentence)
+
+
+@pytest.mark.parametrize(
+    "template",
+    [t for t in EVERY_TEMPLATE if kinds_of(t)[0][1] == "cube"],
+    ids=Template.wording,
+)
+def test_swapped_roles_are_another_sentence_with_another_goal(template):
+    goal = goals_of(template)[0]
+    swapped = tuple((bottom, top) for top, bottom in goal)
+    sentence = template.render(swapped)
+    assert sentence != template.render(goal)
+    assert language.parse(sentence) == frozenset(swapped)
+    assert language.parse(sentence) != frozenset(goal)
+
+
+@pytest.mark.parametrize(
+    "template", [t for t in EVERY_TEMPLATE if len(t.roles) == 2], ids=Template.wording
+)
+def test_the_order_of_conjuncts_does_not_change_the_goal(template):
+    goal = goals_of(template)[0]
+    assert language.parse(template.render(goal[::-1])) == frozenset(goal)
+
+
+# An English reader that knows nothing of roles: what follows "on" is below, what
+# follows "under" is above. Each mention must keep that promise.
+MENTION = r"(?:the |its |round |one that is |\w+ that is |(?:block|cube|box) )*{(\w+)"
+SLOT_THEN = r"{(\w+)[.\w]*}(?: cube)?(?: is)? "
+BELOW = (
+    r"\b(?:on top of|on|onto|upon|atop|over|above|upper face of) " + MENTION,
+    SLOT_THEN + r"(?:at the bottom|as the base|the base|lowermost|below(?= and))",
+)
+ABOVE = (
+    r"\b(?:under|underneath|below|beneath|supports?|bear) " + MENTION,
+    SLOT_THEN + r"(?:cube )?(?:on top\b(?! of the)|uppermost|rests on it|upon it)",
+)
+
+
+def read_by_preposition(text: str) -> set[tuple[str, str]]:
+    """(place, role) pairs that prepositions tell, whatever the roles are called."""
+    return {
+        (place, role.rstrip("12"))
+        for place, patterns in (("bottom", BELOW), ("top", ABOVE))
+        for pattern in patterns
+        for role in re.findall(pattern, text.lower())
+    }
+
+
+@pytest.mark.parametrize("template", ALL)
+def test_prepositions_agree_with_the_roles(template):
+    assert all(place == role for place, role in read_by_preposition(template.text))
+
+
+@pytest.mark.parametrize("template", ALL)
+def test_prepositions_disagree_with_swapped_roles(template):
+    names = {"top": "bottom", "bottom": "top"}
+    swapped = re.sub(r"{(top|bottom)", lambda slot: "{" + names[slot[1]], template.text)
+    assert all(place != role for place, role in read_by_preposition(swapped))
+
+
+def test_the_reader_of_prepositions_reads_nearly_all_templates():
+    missed = [t.text for t in EVERY_TEMPLATE if not read_by_preposition(t.text)]
+    assert len(missed) <= 6, missed
+
+
+def test_parse_knows_only_what_the_templates_say():
+    assert language.parse("make me a sandwich") is None
+    assert language.parse("Place the red cube on top of the red cube") is None
+    assert language.parse("Stack the red cube on top of the red cube") is None
+    assert language.parse("Place the yellow cube on top of the red pad") is None
+    assert language.parse("") is None
+
+
+# --- Drawing --------------------------------------------------------------------------
+
+
+def test_instruct_is_a_function_of_the_stream():
+    goal = (("red_cube", "white_pad"),)
+    drawn = {
+        language.instruct("pass", "human", goal, stream("language", index))
+        for index in range(200)
+    }
+    assert drawn == {t.render(goal) for t in language.templates("pass", "human")}
+    again = [
+        language.instruct("hook", "unseen", goal, stream("language", 7))
+        for _ in range(2)
+    ]
+    assert again[0] == again[1]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_draw_takes_one_integer_from_the_stream(kind):
+    rng, other = stream("language", 1), stream("language", 1)
+    bank = language.bank_for("stack")
+    sentence = bank.instruct(kind, (("red_cube", "blue_cube"),), rng)
+    index = int(other.integers(len(bank.templates(kind))))
+    expected = bank.templates(kind)[index].render((("red_cube", "blue_cube"),))
+    assert sentence == expected
+    assert rng.random() == other.random()
+
+
+def test_unknown_names_get_an_answer():
+    with pytest.raises(UnknownNameError, match="Did you mean 'poke_stack'"):
+        language.bank_for("poke_stak")
+    with pytest.raises(UnknownNameError, match="high_level, human, unseen"):
+        language.templates("pass", "robot")
+
+
+# --- Words ----------------------------------------------------------------------------
+
+
+def test_words():
+    assert language.words("I'd like: the L-shaped thing, PLEASE!") == (
+        "i'd",
+        "like",
+        "the",
+        "l-shaped",
+        "thing",
+        "please",
+    )
+
+
+def test_vocabulary_covers_training_and_nothing_else():
+    vocabulary = language.vocabulary()
+    assert list(vocabulary) == sorted(set(vocabulary))
+    known = set(vocabulary)
+    for template in texts("high_level") + texts("human"):
+        for goal in goals_of(template)[:3]:
+            assert set(language.words(template.render(goal))) <= known
+    for colors in (("red", "white"), ("red", "red")):
+        for robot in language.robot_phrases(colors):
+            said = language.sub_instruction(robot, "move", "green_cube", "shared")
+            assert set(language.words(said)) <= known
+    assert "atop" not in known
+
+
+# --- The page about it ----------------------------------------------------------------
+
+PAGE = (Path(__file__).parents[3] / "docs" / "language.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("code", re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL))
+def test_the_code_of_the_page_runs(code, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    order = GenerateConfig(
+        out=Path("data/lemma-v1"), tasks=("pass",), splits=("train",), episodes=1
+    )
+    generate(order, Serial())
+    exec(code, {})
+
+
+def test_the_page_shows_the_high_level_instructions():
+    on_pads = (("red_cube", "white_pad"), ("blue_cube", "green_pad"))
+    on_cubes = (("red_cube", "white_cube"), ("blue_cube", "green_cube"))
+    for task in TASKS:
+        (template,) = language.templates(task, "high_level")
+        goal = on_pads if kinds_of(template)[0][1] == "pad" else on_cubes
+        assert f"| {template.render(goal[: len(template.roles)])} |" in PAGE
