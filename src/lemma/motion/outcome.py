@@ -12,7 +12,8 @@ class Outcome(StrEnum):
     STOPPED = "stopped"
     """The policy said ``stop``."""
     INVALID = "invalid"
-    """The sub-task makes no sense: an unknown entity, hooking with a cube."""
+    """The sub-task makes no sense: an unknown entity, hooking with a cube. Or it does,
+    and the policy found no pose for it."""
     UNREACHABLE = "unreachable"
     """The robot's arm cannot get there."""
     NOTHING_TO_PICK = "nothing_to_pick"

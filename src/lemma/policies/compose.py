@@ -3,7 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from lemma.policies.interfaces import Decision, Grounder, Planner, PolicyInput
+from lemma.policies.interfaces import (
+    Decision,
+    Grounder,
+    PastStep,
+    Planner,
+    PolicyInput,
+)
 from lemma.tasks.subtask import Primitive, SubTask
 
 
@@ -46,5 +52,5 @@ class MultiStep:
 
 def _as_at_first(given: PolicyInput) -> PolicyInput:
     first = given.past[0].view if given.past else given.view
-    past = tuple(replace(s, view=first, outcome="success") for s in given.past)
+    past = tuple(PastStep(first, step.subtask) for step in given.past)
     return replace(given, view=first, past=past)

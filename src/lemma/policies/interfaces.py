@@ -48,6 +48,8 @@ class PastStep:
     subtask: SubTask
     outcome: str = "success"
     """How it went: a value of :class:`lemma.motion.outcome.Outcome`."""
+    explanation: str = ""
+    """Why it failed, in one sentence; empty if it did not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,7 @@ class Decision:
     grounded: GroundedSubTask | None
     """With poses; None to stop, or where no pose was found."""
     explanation: str = ""
-    """Why there is no pose."""
+    """Why there is no pose, or whatever else its maker wants to say."""
 
     @property
     def stops(self) -> bool:

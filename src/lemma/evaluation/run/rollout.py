@@ -14,6 +14,9 @@ from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise
 from lemma.evaluation.run.fault_isolation import POLICY_ERROR, Fault, IsolatedPolicy
 from lemma.evaluation.run.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.run.loading import load_policy
+from lemma.expert.grounding import GeometricGrounder
+from lemma.expert.refusal import ground_or_refuse
+from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.policies.interfaces import Decision, PastStep, Policy, PolicyInput, View
 from lemma.policies.spec import PolicySpec
@@ -147,14 +150,33 @@ class Rollout:
         start = episode.elapsed_s
         advice = advise(episode, decision)
         if decision.grounded is None:
-            result = SkillResult(Outcome.INVALID, decision.explanation, 0.0)
+            result = _refuse(episode, decision)
         else:
             result = episode.execute(decision.grounded)
         episode.linger(start)
         step = TakenStep(decision.subtask, decision.grounded, result, start, advice)
         self.steps.append(step)
-        self.past.append(PastStep(given.view, decision.subtask, str(result.outcome)))
+        self.past.append(
+            PastStep(
+                given.view,
+                decision.subtask,
+                str(result.outcome),
+                "" if result.ok else result.explanation,
+            )
+        )
         return step
+
+
+def _refuse(episode: Episode, decision: Decision) -> SkillResult:
+    """Return how a decision without poses ends: as at plan level, if it must fail."""
+    scene = episode.simulation.scene
+    found = ground_or_refuse(
+        decision.subtask, SymbolicState.observe(scene), GeometricGrounder(scene.spec)
+    )
+    if isinstance(found, SkillResult):
+        return found
+    why = decision.explanation or f"No pose was found for: {decision.subtask}."
+    return SkillResult(Outcome.INVALID, why, 0.0)
 
 
 @dataclass(frozen=True)
