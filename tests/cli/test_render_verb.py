@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from rendered_sets import TASKS, recipe_folder
 
 from lemma.cli import render as verb
 from lemma.cli.main import main
@@ -13,7 +14,6 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.parallel import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
-from rendered_sets import TASKS, recipe_folder
 
 FORMS = ("keyframes", "dense", "lerobot")
 

@@ -4,6 +4,8 @@ import pickle
 from dataclasses import replace
 
 import pytest
+from recorded_episodes import EPISODES, first_instance, recorded, run_expert
+from small_tables import cube, facing, pad
 
 from lemma.core.errors import InvalidConfigError, ResetNeededError, UnknownNameError
 from lemma.core.poses import Pose, Pose2
@@ -15,8 +17,6 @@ from lemma.motion.skills import SkillRunner
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive
-from recorded_episodes import EPISODES, first_instance, recorded, run_expert
-from small_tables import cube, facing, pad
 
 PAD, PAD_2 = Pose2(-0.05, -0.2), Pose2(-0.05, -0.4)
 START, START_2 = Pose2(-0.1, 0.15, 0.3), Pose2(-0.1, 0.35)

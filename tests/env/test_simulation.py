@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from recorded_episodes import first_instance, run_expert
+from small_tables import cube, facing, pad, stick
 
 from lemma.core.poses import Pose, Pose2
 from lemma.env.simulation import STEPS_PER_TICK, TICK_S, Simulation
@@ -13,8 +15,6 @@ from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 from lemma.tasks.suite import SUITE, load_instance
-from recorded_episodes import first_instance, run_expert
-from small_tables import cube, facing, pad, stick
 
 PICK, PLACE = Pose2(-0.1, 0.15, 0.3), Pose2(-0.05, -0.2, 0.3)
 MOVE = GroundedSubTask("robot_0", Primitive.MOVE, PICK, PLACE)

@@ -5,10 +5,10 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 import pytest
+from recorded_episodes import first_instance, recorded, run_expert
 
 from lemma.env.episode import Episode
 from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
-from recorded_episodes import first_instance, recorded, run_expert
 
 TEAM = "ur5+ur10"
 FREE = [(task, 7) for task in SUITE if task != "poke_stack"]

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from recorded_episodes import EPISODES, first_instance, recorded
 
 from lemma.core.poses import Pose, Pose2
 from lemma.env.episode import Episode
@@ -20,7 +21,6 @@ from lemma.tasks.drags import stick_gap
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import STOP, Primitive
 from lemma.tasks.suite import SUITE, load_instance, task_named
-from recorded_episodes import EPISODES, first_instance, recorded
 
 TEAM = "ur5+ur10"
 Disturbance = Callable[[Episode], None]

@@ -4,6 +4,8 @@ import math
 from itertools import product
 
 import pytest
+from recorded_episodes import EPISODES, recorded
+from small_tables import ARM_NAMES, cube, facing, pad, stick
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose, Pose2
@@ -23,8 +25,6 @@ from lemma.tasks.drags import (
 )
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 from lemma.tasks.suite import SUITE, load_instance
-from recorded_episodes import EPISODES, recorded
-from small_tables import ARM_NAMES, cube, facing, pad, stick
 
 SPEC = facing(
     "ur5",

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from small_tables import ARM_NAMES, cube, facing
 
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.env.simulation import Simulation
@@ -12,7 +13,6 @@ from lemma.motion.outcome import Outcome, SkillFailure
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down
-from small_tables import ARM_NAMES, cube, facing
 
 ROBOT = "robot_0"
 HERE = (-0.1, 0.15)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from small_tables import cube, facing, pad, stick
 
 from lemma.core.poses import FloatArray, Pose2
 from lemma.env.simulation import Simulation
 from lemma.motion.obstacles import around
 from lemma.scene.spec import STICK
-from small_tables import cube, facing, pad, stick
 
 SPEC = facing(
     "ur5",

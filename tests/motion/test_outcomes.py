@@ -4,6 +4,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
+from small_tables import (
+    ARM_NAMES,
+    assert_ready,
+    cube,
+    facing,
+    move,
+    pad,
+    stick,
+    stretch,
+)
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose, Pose2
@@ -16,16 +26,6 @@ from lemma.robots.ur.kinematics import top_down
 from lemma.scene.objects import CUBE_EDGE_M
 from lemma.scene.spec import STICK
 from lemma.tasks.subtask import GroundedSubTask, Primitive
-from small_tables import (
-    ARM_NAMES,
-    assert_ready,
-    cube,
-    facing,
-    move,
-    pad,
-    stick,
-    stretch,
-)
 
 FAR = Pose((1.2, 0.9, CUBE_EDGE_M / 2))
 START = Pose2(-0.1, 0.15, 0.3)

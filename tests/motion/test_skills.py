@@ -3,6 +3,16 @@
 import math
 
 import pytest
+from small_tables import (
+    ARM_NAMES,
+    assert_ready,
+    cube,
+    facing,
+    move,
+    pad,
+    stick,
+    stretch,
+)
 
 from lemma.core.poses import Pose, Pose2, wrap
 from lemma.env.simulation import Simulation
@@ -19,16 +29,6 @@ from lemma.tasks.drags import (
     stick_in_grasp,
 )
 from lemma.tasks.subtask import GroundedSubTask, Primitive
-from small_tables import (
-    ARM_NAMES,
-    assert_ready,
-    cube,
-    facing,
-    move,
-    pad,
-    stick,
-    stretch,
-)
 
 START = Pose2(-0.1, 0.15, 0.3)
 

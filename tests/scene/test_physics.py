@@ -6,6 +6,8 @@ from itertools import chain
 import mujoco
 import numpy as np
 import pytest
+from recorded_episodes import EPISODES, first_instance, recorded, run_expert
+from small_tables import facing
 
 from lemma.core.poses import FloatArray, Pose, Pose2
 from lemma.env.simulation import Simulation
@@ -14,8 +16,6 @@ from lemma.robots.gripper import GRIP_FORCE_N
 from lemma.scene.objects import CUBE_EDGE_M
 from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.drags import grasp_on_stick
-from recorded_episodes import EPISODES, first_instance, recorded, run_expert
-from small_tables import facing
 
 MINUTE_S = 60.0
 

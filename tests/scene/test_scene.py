@@ -5,6 +5,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from recorded_episodes import first_instance, run_expert
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose
@@ -14,7 +15,6 @@ from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.suite import SUITE
-from recorded_episodes import first_instance, run_expert
 
 
 @pytest.fixture
