@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 from functools import cache
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 import lemma
+from lemma.cli import main
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
@@ -28,6 +30,10 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
+MAX_MODULES = 12
+"""In one folder, ``__init__.py`` apart."""
+VERBS = "src/lemma/cli"
+"""Has a file for each verb of the command, however many there are."""
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "misc", "common"}
 TOP_FOLDERS = ("src", "tests", "examples", "docs", "scripts", ".ci")
 
@@ -52,6 +58,51 @@ def test_functions_are_short(path: Path) -> None:
         and (lines := (node.end_lineno or 0) - node.lineno + 1) > MAX_FUNCTION_LINES
     }
     assert not too_long
+
+
+@pytest.mark.parametrize(
+    "folder", sorted({path.parent for path in SOURCES}), ids=relative
+)
+def test_folders_are_small(folder: Path) -> None:
+    modules = [path for path in folder.glob("*.py") if path.stem != "__init__"]
+    beside_verbs = [m for m in modules if m.stem not in verb_modules()]
+    counted = beside_verbs if relative(folder) == VERBS else modules
+    assert len(counted) <= MAX_MODULES, "give what belongs together a sub-package"
+
+
+def test_folders_of_tests_are_small() -> None:
+    folders = {path.parent for path in (ROOT / "tests").rglob("test_*.py")}
+    sizes = {relative(f): len(list(f.glob("*.py"))) for f in folders}
+    assert {name: size for name, size in sizes.items() if size > MAX_MODULES + 2} == {}
+
+
+def verb_modules() -> set[str]:
+    return {verb.replace("-", "_") for verb in main.VERBS}
+
+
+def modules_imported_by_string(path: Path) -> list[str]:
+    """Return modules of this package that a file imports by a constant string."""
+    calls = (
+        node
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call)
+    )
+    return [
+        str(call.args[0].value)
+        for call in calls
+        if ast.unparse(call.func).rpartition(".")[2] in ("import_module", "__import__")
+        and call.args
+        and isinstance(call.args[0], ast.Constant)
+        and str(call.args[0].value).startswith("lemma")
+    ]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=relative)
+def test_no_layer_is_dodged_by_a_string(path: Path) -> None:
+    # import-linter and mypy see what is written as an import, and nothing else. Only
+    # the two entrances of the package import late by name, from above all layers.
+    if relative(path) not in ("src/lemma/__init__.py", "src/lemma/registration.py"):
+        assert modules_imported_by_string(path) == []
 
 
 def test_every_folder_of_sources_is_a_package() -> None:
@@ -184,6 +235,38 @@ def commands_in(page: Path, program: str) -> list[list[str]]:
         re.match(rf"\s*\$?\s*(?:\.venv/bin/)?{program}\s+(.*)", line) for line in lines
     )
     return [match[1].split() for match in calls if match]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_python_names_in_the_documentation_exist(page: Path) -> None:
+    text = page.read_text()
+    names = set(re.findall(r"(?<![\w./-])lemma(?:\.[A-Za-z_]\w*)+(?![\w/-])", text))
+    assert sorted(name for name in names if not resolves(name)) == []
+
+
+@cache
+def resolves(name: str) -> bool:
+    """Whether a dotted name is a module, or something in one."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found: object = import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[count:]:
+            found = getattr(found, part, None) or vars(found)["__annotations__"][part]
+        return True
+    return False
+
+
+def test_the_life_of_an_episode_runs_as_printed() -> None:
+    page = (ROOT / "docs/concepts.md").read_text()
+    code = (
+        page.split("## Life of an episode")[1].split("```python\n")[1].split("```")[0]
+    )
+    done = run_python("-W", "error", "-c", code)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("True ["), done.stdout
 
 
 @pytest.mark.parametrize("page", PAGES, ids=relative)

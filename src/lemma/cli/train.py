@@ -1,7 +1,6 @@
 """`lemma train`: a model, on rendered keyframes."""
 
 from dataclasses import asdict
-from importlib import import_module
 from typing import Annotated
 
 import tyro
@@ -36,7 +35,8 @@ def train(
         Exit code: 130 if it was interrupted.
     """
     try:
-        loop = import_module("lemma.policies.training.loop")
+        # What trains takes torch with it.
+        from lemma.policies.training import loop  # noqa: PLC0415
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] not in _EXTRA:
             raise
@@ -45,7 +45,7 @@ def train(
             "python -m pip install 'lemma-bench[learn]'"
         ) from error
     report = loop.train(config, restart=restart)
-    interrupted: bool = report.status == "interrupted"
+    interrupted = report.status == "interrupted"
     if as_json:
         print_json(asdict(report))
     elif interrupted:
