@@ -150,10 +150,10 @@ def alive(processes: set[int]) -> set[int]:
 def parent() -> Iterator[subprocess.Popen[bytes]]:
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "from lemma.core.parallel import Processes\n"
+        "from lemma.core.parallel import ProcessPool\n"
         "from test_parallel import wait_long\n"
         "if __name__ == '__main__':\n"
-        "    list(Processes(2).run(wait_long, [(0,), (1,)]))\n"
+        "    list(ProcessPool(2).run(wait_long, [(0,), (1,)]))\n"
     )
     process = subprocess.Popen([sys.executable, "-c", code])
     yield process

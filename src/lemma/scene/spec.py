@@ -102,11 +102,11 @@ class SceneSpec:
         """Make a scene from what :meth:`to_dict` returned."""
         return cls(
             tuple(
-                RobotPlacement(r["arm"], r["colour"], Pose2(**r["base"]))
+                RobotPlacement(r["arm"], r["color"], Pose2(**r["base"]))
                 for r in data["robots"]
             ),
             tuple(
-                ObjectPlacement(o["kind"], o["colour"], Pose2(**o["pose"]))
+                ObjectPlacement(o["kind"], o["color"], Pose2(**o["pose"]))
                 for o in data["objects"]
             ),
         )

@@ -64,11 +64,11 @@ class Instance:
     def from_dict(cls, data: dict[str, Any]) -> "Instance":
         """Make an instance from what :meth:`to_dict` returned."""
         robots = [
-            {"arm": arm, "colour": color, "base": {"x": x, "y": y, "yaw": yaw}}
+            {"arm": arm, "color": color, "base": {"x": x, "y": y, "yaw": yaw}}
             for arm, color, x, y, yaw in data["robots"]
         ]
         objects = [
-            {"kind": kind, "colour": color, "pose": {"x": x, "y": y, "yaw": yaw}}
+            {"kind": kind, "color": color, "pose": {"x": x, "y": y, "yaw": yaw}}
             for kind, color, x, y, yaw in data["objects"]
         ]
         return cls(

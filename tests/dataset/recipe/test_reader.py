@@ -145,7 +145,7 @@ def test_reading_needs_neither_simulator_nor_torch() -> None:
         "import sys\n"
         f"sys.modules.update(dict.fromkeys({blocked!r}))\n"
         "import lemma\n"
-        "from lemma.dataset import schema\n"
+        "from lemma.dataset.recipe import schema\n"
         f"recipe = lemma.load({str(small_recipe())!r})\n"
         "record = recipe.find('stack', 'test', 2)\n"
         "assert record.state(0).dtype == '<f8' and record.state(0).size > 100\n"

@@ -209,7 +209,7 @@ def start(
         launch += ["--rdzv-endpoint", "localhost:0"]
     command = [
         *launch,
-        str(HERE / "tiny_model.py"),
+        str(HERE.parents[1] / "support" / "tiny_model.py"),
         *(NAME, "--data", str(data), "--out", str(out)),
         *("--batch-size", "4", "--warmup-steps", "4", "--learning-rate", "1e-2"),
         *("--checkpoint-every-s", "1e-9"),

@@ -40,7 +40,7 @@ def test_a_role_said_twice_must_be_the_same_both_times():
     [
         ("put the {top} on the {botom}", None, "unknown slot"),
         ("put the {top} on the {bottom", None, "unknown slot"),
-        ("put the {top.color} one on the {bottom}", None, "unknown slot"),
+        ("put the {top.hue} one on the {bottom}", None, "unknown slot"),
         ("put the {top} down", None, "needs"),
         ("put it down", None, "needs"),
         ("{top1} on {bottom1}, {top2} on it", None, "needs"),
