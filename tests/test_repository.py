@@ -254,7 +254,9 @@ def resolves(name: str) -> bool:
         except ModuleNotFoundError:
             continue
         for part in parts[count:]:
-            found = getattr(found, part, None) or vars(found)["__annotations__"][part]
+            if not hasattr(found, part):
+                return part in getattr(found, "__annotations__", ())
+            found = getattr(found, part)
         return True
     return False
 
