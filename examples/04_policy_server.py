@@ -14,7 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from lemma.core.poses import Pose2
-from lemma.policies.interfaces import Decision, PolicyInput, View
+from lemma.env.view import View
+from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.serve import PolicyServer, serve
 from lemma.tasks.language.bank import parse

@@ -10,6 +10,7 @@ import lemma
 from lemma.core.poses import matrix_from_quaternion
 from lemma.env.observation import OBSERVATIONS, read_text, write_text
 from lemma.scene.objects import CUBE_EDGE_M
+from lemma.scene.raster import RASTER
 from lemma.scene.spec import ENTITIES
 
 
@@ -118,10 +119,8 @@ def test_map_is_that_of_the_table() -> None:
     assert picture["rgb"].shape == (288, 416, 3)
     assert picture["coverage"].mean() > 0.5
     heights = []
-    raster = env._observer.raster
     for entity, pose in env.info()["state"].items():
-        cell = raster.pixel_from_world((pose[0], pose[1]))
-        assert cell is not None
+        cell = RASTER.pixel_from_world(pose[0], pose[1])
         if entity.endswith("_cube"):
             heights.append(float(picture["height_m"][cell]))
     assert np.median(heights) == pytest.approx(CUBE_EDGE_M, abs=0.005)

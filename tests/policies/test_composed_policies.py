@@ -8,6 +8,7 @@ import pytest
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
+from lemma.env.view import View
 from lemma.policies.compose import MultiStep, PlannerWithGrounder
 from lemma.policies.interfaces import (
     Grounder,
@@ -15,7 +16,6 @@ from lemma.policies.interfaces import (
     Planner,
     Policy,
     PolicyInput,
-    View,
 )
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask

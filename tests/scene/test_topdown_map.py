@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,9 +12,11 @@ from hypothesis import strategies as st
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose
-from lemma.scene.cameras import Camera, CameraIntrinsics, FreeCamera, add_camera
-from lemma.scene.rendering.renderer import CameraImage, Renderer
-from lemma.scene.topdown_map import MapImage, TopDownMap
+from lemma.scene.cameras import Camera, CameraImage, CameraIntrinsics, FreeCamera
+from lemma.scene.model_cameras import add_camera
+from lemma.scene.raster import RASTER, MapImage, Raster
+from lemma.scene.rendering.renderer import Renderer
+from lemma.scene.topdown_map import fuse
 
 BLUE, GREEN, RED = (0.1, 0.1, 0.9, 1), (0.1, 0.8, 0.1, 1), (0.9, 0.1, 0.1, 1)
 GREY = (0.4, 0.4, 0.4, 1)
@@ -69,34 +72,31 @@ def area(fused: MapImage, channel: int) -> np.ndarray:
 
 
 def test_default_raster() -> None:
-    raster = TopDownMap()
+    raster = Raster()
     assert raster.size_m == pytest.approx((3.328, 2.304))
     assert raster.world_from_pixel(0, 0) == pytest.approx((-1.66, 1.148))
     assert raster.world_from_pixel(287, 415) == pytest.approx((1.66, -1.148))
-    assert raster.pixel_from_world((0.001, -0.001)) == (144, 208)
-    assert raster.pixel_from_world((-1.663, 1.151)) == (0, 0)
-    for outside in ((1.665, 0), (-1.665, 0), (0, 1.153), (0, -1.153)):
-        assert raster.pixel_from_world(outside) is None
+    assert raster.pixel_from_world(0.001, -0.001) == (144, 208)
+    assert raster.pixel_from_world(-1.663, 1.151) == (0, 0)
+    assert raster.pixel_from_world(1.665, -1.153) == (288, 416)
+    assert raster.pixel_from_world(-1.665, 1.153) == (-1, -1)
 
 
 @given(st.integers(0, 287), st.integers(0, 415), st.floats(-0.49, 0.49))
 def test_cells_and_positions_correspond(row: int, column: int, off: float) -> None:
-    raster = TopDownMap()
-    x, y = raster.world_from_pixel(row + off, column - off)
-    assert raster.pixel_from_world((x, y)) == (row, column)
+    x, y = RASTER.world_from_pixel(row + off, column - off)
+    assert RASTER.pixel_from_world(x, y) == (row, column)
 
 
 @pytest.mark.render
 def test_map_shows_objects_where_they_are() -> None:
-    raster = TopDownMap()
-    fused = raster.fuse(photographs(table_scene()))
+    fused = fuse(photographs(table_scene()))
     assert fused.rgb.shape == (288, 416, 3)
     for xy, channel, height, square_m2 in (
         (CUBE_XY, 2, 0.05, 0.05**2),
         (PAD_XY, 1, 0.004, math.pi * 0.06**2),
     ):
-        cell = raster.pixel_from_world(xy)
-        assert cell is not None
+        cell = RASTER.pixel_from_world(*xy)
         assert area(fused, channel)[cell]
         assert fused.height_m[cell] == pytest.approx(height, abs=1e-4)
         rows, columns = np.nonzero(
@@ -105,19 +105,17 @@ def test_map_shows_objects_where_they_are() -> None:
         # A cell whose edge is touched counts: half a cell more on each side.
         assert rows.mean() == pytest.approx(cell[0], abs=1)
         assert columns.mean() == pytest.approx(cell[1], abs=1)
-        side = math.sqrt(len(rows)) * raster.cell_m
-        assert side == pytest.approx(math.sqrt(square_m2), abs=1.5 * raster.cell_m)
-    aside = raster.pixel_from_world((0.0, -0.1))
-    assert aside is not None
+        side = math.sqrt(len(rows)) * RASTER.cell_m
+        assert side == pytest.approx(math.sqrt(square_m2), abs=1.5 * RASTER.cell_m)
+    aside = RASTER.pixel_from_world(0.0, -0.1)
     assert fused.height_m[aside] == pytest.approx(0.0, abs=1e-4)
 
 
 @pytest.mark.render
 def test_both_cameras_are_needed_and_agree() -> None:
-    raster = TopDownMap()
     images = photographs(table_scene())
-    left, right = (raster.fuse([image]) for image in images)
-    both = raster.fuse(images)
+    left, right = (fuse([image]) for image in images)
+    both = fuse(images)
     assert left.coverage[:, :100].mean() > 0.5 > left.coverage[:, -100:].mean()
     assert right.coverage[:, -100:].mean() > 0.5 > right.coverage[:, :100].mean()
     np.testing.assert_array_equal(
@@ -136,11 +134,10 @@ def test_both_cameras_are_needed_and_agree() -> None:
 
 @pytest.mark.render
 def test_table_has_no_holes_and_the_floor_does_not_count() -> None:
-    raster = TopDownMap()
-    fused = raster.fuse(photographs(table_scene()))
+    fused = fuse(photographs(table_scene()))
     x, y = np.meshgrid(
-        [raster.world_from_pixel(0, c)[0] for c in range(raster.columns)],
-        [raster.world_from_pixel(r, 0)[1] for r in range(raster.rows)],
+        [RASTER.world_from_pixel(0, c)[0] for c in range(RASTER.columns)],
+        [RASTER.world_from_pixel(r, 0)[1] for r in range(RASTER.rows)],
     )
     assert fused.coverage[(np.abs(x) < 0.9) & (np.abs(y) < 0.6)].all()
     beside = (np.abs(x) > 1.41) | (np.abs(y) > 1.01)
@@ -155,8 +152,8 @@ def test_what_is_above_the_ceiling_is_dropped() -> None:
     lamp = mujoco.mjtGeom.mjGEOM_SPHERE
     spec.worldbody.add_geom(type=lamp, size=[0.1, 0, 0], pos=[-0.8, 0, 0.8], rgba=RED)
     images = photographs(spec)
-    assert not area(TopDownMap().fuse(images), 0).any()
-    high = TopDownMap(ceiling_m=1.0).fuse(images)
+    assert not area(fuse(images), 0).any()
+    high = fuse(images, ceiling_m=1.0)
     assert area(high, 0).any()
     assert high.height_m.max() == pytest.approx(0.9, abs=0.005)
 
@@ -166,8 +163,8 @@ def small(depth: list[list[float]], altitude: float = 1.0) -> MapImage:
     array = np.array(depth, np.float32)
     rows, columns = array.shape
     color = np.arange(rows * columns * 3, dtype=np.uint8).reshape(rows, columns, 3)
-    raster = TopDownMap(rows, columns, cell_m=1.0, ceiling_m=2.0)
-    return raster.fuse([(color, array, looking_down(columns, rows, altitude))])
+    image = CameraImage(color, array, looking_down(columns, rows, altitude))
+    return fuse([image], Raster(rows, columns, cell_m=1.0), ceiling_m=2.0)
 
 
 def test_rows_and_columns_are_those_of_a_camera_that_looks_down() -> None:
@@ -194,15 +191,15 @@ def test_wide_gaps_and_margins_stay_empty() -> None:
 
 def test_highest_point_counts_and_of_equals_the_first() -> None:
     camera = looking_down(1, 1)
-    raster = TopDownMap(1, 1, cell_m=1.0)
+    raster = Raster(1, 1, cell_m=1.0)
 
-    def image(value: int, depth: float) -> tuple[np.ndarray, np.ndarray, Camera]:
+    def image(value: int, depth: float) -> CameraImage:
         color = np.full((1, 1, 3), value, np.uint8)
-        return color, np.full((1, 1), depth, np.float32), camera
+        return CameraImage(color, np.full((1, 1), depth, np.float32), camera)
 
-    first = raster.fuse([image(1, 0.9), image(2, 0.9), image(3, 0.95)])
+    first = fuse([image(1, 0.9), image(2, 0.9), image(3, 0.95)], raster)
     assert first.rgb[0, 0, 0] == 1
-    assert raster.fuse([image(1, 0.9), image(2, 0.8)]).rgb[0, 0, 0] == 2
+    assert fuse([image(1, 0.9), image(2, 0.8)], raster).rgb[0, 0, 0] == 2
 
 
 @pytest.mark.parametrize("depth", [0.0, -1.0, np.nan, np.inf])
@@ -211,7 +208,7 @@ def test_depths_that_mean_nothing_are_ignored(depth: float) -> None:
 
 
 def test_no_image_gives_an_empty_map() -> None:
-    fused = TopDownMap(4, 5).fuse([])
+    fused = fuse([], Raster(4, 5))
     assert not fused.coverage.any()
     assert fused.height_m.shape == (4, 5)
 
@@ -219,12 +216,12 @@ def test_no_image_gives_an_empty_map() -> None:
 def test_images_of_another_size_are_refused() -> None:
     color, depth = np.zeros((2, 3, 3), np.uint8), np.ones((2, 3), np.float32)
     with pytest.raises(InvalidConfigError, match=r"'down'.*\(2, 3, 3\).*\(3, 2, 3\)"):
-        TopDownMap().fuse([(color, depth, looking_down(2, 3))])
+        fuse([CameraImage(color, depth, looking_down(2, 3))])
 
 
 @pytest.mark.parametrize(
     "change", [{"rows": 0}, {"cell_m": 0.0}, {"cell_m": math.nan}, {"floor_m": 0.7}]
 )
-def test_impossible_rasters_are_refused(change: dict[str, float]) -> None:
+def test_impossible_rasters_are_refused(change: dict[str, Any]) -> None:
     with pytest.raises(InvalidConfigError, match="must be"):
-        dataclasses.replace(TopDownMap(), **change)  # type: ignore[arg-type]
+        fuse([], dataclasses.replace(RASTER, **change))

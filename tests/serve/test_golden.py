@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from faulty_policies import Scripted
 
-from lemma.scene.topdown_map import TopDownMap
+from lemma.scene.raster import RASTER
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.client.websocket import connect
 from lemma.serve.protocol.messages import Message
@@ -293,10 +293,10 @@ def test_a_server_that_refuses_is_told_apart_from_one_that_cannot() -> None:
 
 
 def test_the_truth_of_the_test_is_that_of_the_map() -> None:
-    raster, view = TopDownMap(), golden_view()
-    assert view.height_m.shape == (raster.rows, raster.columns)
-    assert raster.cell_m == CELL_M
+    view = golden_view()
+    assert view.height_m.shape == (RASTER.rows, RASTER.columns)
+    assert RASTER.cell_m == CELL_M
     for row, column in ((0, 0), (100, 300), (287, 415)):
-        assert position_of(view, row, column) == raster.world_from_pixel(row, column)
+        assert position_of(view, row, column) == RASTER.world_from_pixel(row, column)
     for x, y in ((0.8, 0.6), (-1.2, 0.333), (0.0, -1.1)):
-        assert cell_of(view, x, y) == raster.pixel_from_world((x, y))
+        assert cell_of(view, x, y) == RASTER.pixel_from_world(x, y)

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lemma.dataset.rendered.keyframes.schema import Raster
+from lemma.env.view import View
 from lemma.policies.batch import (
     MAX_PAST,
     NOBODY,
@@ -20,9 +20,10 @@ from lemma.policies.batch import (
     Labels,
     with_sub_instructions,
 )
-from lemma.policies.interfaces import PolicyInput, View
+from lemma.policies.interfaces import PolicyInput
 from lemma.policies.model import Model
 from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.raster import Raster
 from lemma.scene.spec import ENTITIES
 from lemma.tasks.language.bank import robot_phrases
 

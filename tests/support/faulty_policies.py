@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from lemma.core.poses import Pose2
-from lemma.policies.interfaces import Decision, PastStep, PolicyInput, View
+from lemma.env.view import View
+from lemma.policies.interfaces import Decision, PastStep, PolicyInput
 from lemma.serve import serve
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 

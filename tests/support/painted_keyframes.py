@@ -20,9 +20,9 @@ from lemma.dataset.rendered.keyframes.schema import (
     FORM,
     KEYFRAMES_VERSION,
     Header,
-    Raster,
 )
 from lemma.scene.palette import OBJECT_COLORS, STICK, TABLE
+from lemma.scene.raster import Raster
 from lemma.scene.spec import ENTITIES
 from lemma.tasks.instance import BENCHMARK_VERSION
 from lemma.tasks.language.bank import instruct, robot_phrases, sub_instruction

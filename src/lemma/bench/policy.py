@@ -60,7 +60,7 @@ def measure_policy(name: str, instances: list[Instance]) -> PolicyFigures:
     decisions.sort()
     return PolicyFigures(
         decisions=len(decisions),
-        look_ms=1000.0 * statistics.median(looks) if player.eyes else 0.0,
+        look_ms=1000.0 * statistics.median(looks) if player.rig else 0.0,
         decision_ms=1000.0 * statistics.median(decisions),
         slowest_ms=1000.0 * decisions[int(0.95 * (len(decisions) - 1))],
         success_rate=successes / len(instances),
@@ -75,7 +75,7 @@ def _play(
     play, times = Rollout(instance), []
     while not play.episode.is_over:
         start = time.perf_counter()
-        given = play.given(player.eyes)
+        given = play.given(player.rig)
         seen = time.perf_counter()
         (decision,) = player.policy.act([given])
         times.append((seen - start, time.perf_counter() - seen))

@@ -16,9 +16,10 @@ from pathlib import Path
 
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
-from lemma.scene.rendering.renderer import CameraImage, Renderer
+from lemma.scene.cameras import CameraImage
+from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
-from lemma.scene.topdown_map import TopDownMap
+from lemma.scene.topdown_map import fuse
 from lemma.tasks.instance import Instance
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, load_instance, task_named
@@ -108,10 +109,9 @@ def measure_images(
     """Return camera pictures per second, and milliseconds per fused map."""
     scene = Episode(instance).simulation.scene
     images = _look(scene, renderer)
-    raster = TopDownMap()
-    raster.fuse(images)
+    fuse(images)
     look_ms = _median_ms(lambda: _look(scene, renderer), repeats)
-    map_ms = _median_ms(lambda: raster.fuse(images), repeats)
+    map_ms = _median_ms(lambda: fuse(images), repeats)
     return 1000.0 * len(images) / look_ms, map_ms
 
 
@@ -141,11 +141,11 @@ def measure_peak_mb(instance: Instance) -> float:
 
 def _peak_mb_of_episode(instance: Instance) -> float:
     episode = Episode(instance)
-    renderer, raster = Renderer(), TopDownMap()
+    renderer = Renderer()
     scene = episode.simulation.scene
-    raster.fuse(_look(scene, renderer))
+    fuse(_look(scene, renderer))
     for _ in solve(episode, Expert(scene, instance.goal)):
-        raster.fuse(_look(scene, renderer))
+        fuse(_look(scene, renderer))
     return peak_memory_mb()
 
 

@@ -22,8 +22,10 @@ from lemma.env.observation import (
     Observer,
     object_poses,
 )
-from lemma.scene.cameras import Camera, FreeCamera, camera_from_model
-from lemma.scene.rendering.renderer import Renderer, RgbImage
+from lemma.env.view import View
+from lemma.scene.cameras import Camera, FreeCamera, RgbImage
+from lemma.scene.model_cameras import camera_from_model
+from lemma.scene.rendering.renderer import Renderer
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, load_instance, task_named
@@ -230,6 +232,16 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
     def observe(self) -> Observation:
         """Return what is observed now."""
         return self._observer.observe(self.episode, self.config.instruction)
+
+    def view(self) -> View:
+        """Return what is seen now, as policies of ``lemma evaluate`` are given it.
+
+        Pictures are rendered when they are asked for, whatever ``observation`` says.
+
+        Raises:
+            ResetNeededError: There is no episode yet.
+        """
+        return self._observer.view(self.episode.simulation.scene)
 
     def info(self) -> dict[str, Any]:
         """Return what every step and reset reports."""

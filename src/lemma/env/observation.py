@@ -7,17 +7,18 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray, Pose, wrap
 from lemma.core.registry import Registry
+from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
+from lemma.env.simulation import Simulation
+from lemma.env.view import View
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.build import ARMS
-from lemma.scene.rendering.renderer import CameraImage, Renderer
+from lemma.scene.raster import CEILING_M, RASTER
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ENTITIES
-from lemma.scene.topdown_map import MapImage, TopDownMap
 
 Observation = dict[str, Any]
 
@@ -36,9 +37,10 @@ class Contents:
     rgb: bool = False
     """``pixels``: for each robot's camera, (height, width, 3)."""
     depth: bool = False
-    """``depth``: for each robot's camera, (height, width) [m]; 0 where nothing is."""
+    """``depth``: for each robot's camera, (height, width) [m] in steps of 0.1 mm; 0
+    where nothing is."""
     topdown: bool = False
-    """``map``: what all cameras see, from above; see :mod:`lemma.scene.topdown_map`."""
+    """``map``: what all cameras see, from above; see :mod:`lemma.scene.raster`."""
     truth: bool = False
     """Poses of objects and robots, and the goal: not for a fair comparison."""
 
@@ -75,17 +77,15 @@ class Observer:
             mode: A name in :data:`OBSERVATIONS`.
             robots: Numbers of the robots that are observed, and whose cameras are used.
             size: Width and height of camera images [px].
+
+        Raises:
+            UnknownNameError: No such mode.
+            InvalidConfigError: No such images can be rendered.
         """
         self.contents = OBSERVATIONS[mode]
-        self.raster = TopDownMap()
+        self.rig = CameraRig(*size)
         self._robots = robots
         self._size = size
-        self._renderer: Renderer | None = None
-        if min(size) < 1:
-            raise InvalidConfigError(
-                f"Images of {size[0]} x {size[1]} pixels cannot be rendered. Both "
-                "sides must be at least 1."
-            )
         self._names = tuple(f"robot_{i}" for i in robots)
         self.space = spaces.Dict(self._proprioception())
         for name, space in self._vision().items():
@@ -118,8 +118,9 @@ class Observer:
             depth = spaces.Box(0.0, _LARGEST_DEPTH_M, (height, width), np.float32)
             found["depth"] = spaces.Dict(dict.fromkeys(self._names, depth))
         if self.contents.topdown:
-            shape = (self.raster.rows, self.raster.columns)
-            low, high = self.raster.floor_m, self.raster.ceiling_m
+            shape = (RASTER.rows, RASTER.columns)
+            ends = RASTER.encode_height((RASTER.floor_m, CEILING_M), np.ones(2, bool))
+            low, high = RASTER.decode_height(ends).tolist()
             found["map"] = spaces.Dict(
                 {
                     "rgb": spaces.Box(0, 255, (*shape, 3), np.uint8),
@@ -150,55 +151,47 @@ class Observer:
             RenderingError: Pictures are asked for, and OpenGL does not work here.
         """
         simulation = episode.simulation
-        scene = simulation.scene
-        names = [scene.spec.robot_names[i] for i in self._robots]
-        positions, rates, poses = [], [], []
-        for name in names:
-            position, rate = _joints(scene, name)
-            positions += position
-            rates += rate
-            tcp = Pose.from_matrix(simulation.arms[name].tcp_pose())
-            poses += [*tcp.position, *tcp.quaternion]
+        view = self.view(simulation.scene)
         found: Observation = {
-            "agent_pos": self._fit("agent_pos", positions),
-            "agent_vel": self._fit("agent_vel", rates),
-            "tcp_pose": self._fit("tcp_pose", poses),
+            "agent_pos": self._fit("agent_pos", _rows(view.joints, view.opening_m)),
+            "agent_vel": self._fit(
+                "agent_vel", _rows(view.joint_velocities, view.opening_m_s)
+            ),
+            "tcp_pose": self._fit("tcp_pose", self._tcp_poses(simulation)),
             "instruction": write_text(episode.instance.instructions[kind]),
         }
         if self.contents.renders:
-            found.update(self._see(scene))
+            found.update(self._see(view))
         if self.contents.truth:
             found.update(self._know(episode))
         return found
 
-    def images(self, scene: Scene) -> dict[str, CameraImage]:
-        """Render the camera of each observed robot: color, depth and calibration."""
-        if self._renderer is None:
-            self._renderer = Renderer(*self._size)
-        scene.refresh()
-        return {
-            name: self._renderer.rgbd(scene.model, scene.data, f"{name}/camera")
-            for name in self._names
-        }
+    def view(self, scene: Scene) -> View:
+        """Return what a policy sees now."""
+        return self.rig.look(scene, self._names)
 
     def close(self) -> None:
         """Free what rendering uses."""
-        if self._renderer is not None:
-            self._renderer.close()
+        self.rig.close()
 
-    def _see(self, scene: Scene) -> Observation:
-        images = self.images(scene)
+    def _tcp_poses(self, simulation: Simulation) -> list[float]:
+        poses: list[float] = []
+        for name in self._names:
+            tcp = Pose.from_matrix(simulation.arms[name].tcp_pose())
+            poses += [*tcp.position, *tcp.quaternion]
+        return poses
+
+    def _see(self, view: View) -> Observation:
         found: Observation = {}
         if self.contents.rgb:
-            found["pixels"] = {name: image.rgb for name, image in images.items()}
+            found["pixels"] = {name: view.cameras[name].rgb for name in self._names}
         if self.contents.depth:
-            found["depth"] = {name: image.depth_m for name, image in images.items()}
+            found["depth"] = {name: view.cameras[name].depth_m for name in self._names}
         if self.contents.topdown:
-            fused: MapImage = self.raster.fuse(list(images.values()))
             found["map"] = {
-                "rgb": fused.rgb,
-                "height_m": fused.height_m,
-                "coverage": fused.coverage.astype(np.int8),
+                "rgb": view.rgb,
+                "height_m": view.height_m,
+                "coverage": view.coverage.astype(np.int8),
             }
         return found
 
@@ -258,19 +251,11 @@ def object_poses(scene: Scene) -> dict[str, FloatArray]:
     return found
 
 
-def _joints(scene: Scene, name: str) -> tuple[list[float], list[float]]:
-    """Return six joint angles and the opening of a robot, and their rates."""
-    robot = scene.robot(name)
-    data = scene.data
-    fingers = [
-        int(scene.model.joint(f"{name}/finger_{side}").dofadr[0])
-        for side in ("left", "right")
-    ]
-    rate = sum(float(data.qvel[finger]) for finger in fingers)
-    return (
-        [*data.qpos[robot.qpos].tolist(), scene.opening_m(robot)],
-        [*data.qvel[robot.dof].tolist(), rate],
-    )
+def _rows(joints: FloatArray | None, opening: FloatArray | None) -> FloatArray:
+    """Return the numbers of all robots in a row: six joints, then the gripper."""
+    assert joints is not None
+    assert opening is not None
+    return np.column_stack((joints, opening)).ravel()
 
 
 def _box(low: Any, high: Any) -> spaces.Box:

@@ -9,7 +9,7 @@ from lemma.core.errors import InvalidActionError
 from lemma.env.action_spaces import Action
 from lemma.env.control_env import ControlEnv
 from lemma.env.observation import Observation, Observer
-from lemma.scene.rendering.renderer import RgbImage
+from lemma.scene.cameras import RgbImage
 
 _OPTIONS = ("split", "index", "instance")
 

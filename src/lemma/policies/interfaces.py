@@ -9,34 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lemma.core.poses import FloatArray
+from lemma.env.view import View
 from lemma.tasks.language.bank import sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 if TYPE_CHECKING:
     from lemma.env.episode import Episode
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """What is seen at a keyframe: the top-down map and the robots' joints.
-
-    Row 0 of the map lies at +y and column 0 at -x; see :mod:`lemma.scene.topdown_map`.
-    """
-
-    rgb: NDArray[np.uint8]
-    """Color, (rows, columns, 3)."""
-    height_m: NDArray[np.float32]
-    """Height above the table [m], (rows, columns); 0 where no camera sees."""
-    coverage: NDArray[np.bool_]
-    """Whether a camera sees the cell, (rows, columns)."""
-    joints: FloatArray
-    """Measured joint angles [rad], (robots, 6)."""
-    opening_m: FloatArray
-    """Measured gripper openings [m], (robots,)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ import mujoco
 from lemma.core.errors import UnknownNameError
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec, add_arm
 from lemma.scene.camera_mounts import camera_mount
-from lemma.scene.cameras import add_camera
+from lemma.scene.model_cameras import add_camera
 from lemma.scene.objects import (
     CONTACT_SOLIMP,
     CONTACT_SOLREF,

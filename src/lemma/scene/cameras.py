@@ -5,20 +5,23 @@ backward). Pixel coordinates follow OpenCV as well: u grows to the right, v grow
 downward, and the centre of the pixel in row r and column c is (u, v) = (c, r). An
 image thus spans u from -0.5 to width - 0.5, and its centre is ((width - 1) / 2,
 (height - 1) / 2). Depth is the distance along the camera's z axis, not along the ray.
+
+Plain data: nothing here needs MuJoCo. Cameras of a compiled scene are in
+:mod:`lemma.scene.model_cameras`.
 """
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.core.poses import FloatArray, Pose, quaternion_from_matrix
+from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import FloatArray, Pose
 
-# OpenCV's camera frame in MuJoCo's, and the reverse: half a turn about x.
-_FLIP = np.array([1.0, -1.0, -1.0])
+RgbImage = NDArray[np.uint8]
+DepthImage = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +129,17 @@ class Camera:
         return np.stack([x, y, depth], axis=-1) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+class CameraImage(NamedTuple):
+    """What a camera sees."""
+
+    rgb: RgbImage
+    """Color, shape (height, width, 3)."""
+    depth_m: DepthImage
+    """Distance along the camera's z axis [m], shape (height, width); 0: nothing."""
+    camera: Camera
+    """The camera, where it was."""
+
+
 @dataclass(frozen=True, slots=True)
 class FreeCamera:
     """A camera for people, that orbits a point; it is not part of the scene."""
@@ -158,67 +172,3 @@ class FreeCamera:
         matrix[:3, 3] = np.array(self.lookat) - self.distance * forward
         lens = CameraIntrinsics.from_fovy(math.radians(self.fovy_deg), width, height)
         return Camera("free", Pose.from_matrix(matrix), lens)
-
-
-def add_camera(
-    spec: mujoco.MjSpec, name: str, world_from_camera: Pose, fovy_rad: float
-) -> None:
-    """Add a fixed camera to a scene that is being composed.
-
-    Args:
-        spec: The scene.
-        name: The camera's name.
-        world_from_camera: Where it is; x right, y down, z forward.
-        fovy_rad: Vertical field of view [rad].
-    """
-    rotation = world_from_camera.matrix()[:3, :3] * _FLIP
-    spec.worldbody.add_camera(
-        name=name,
-        pos=world_from_camera.position,
-        quat=quaternion_from_matrix(rotation),
-        # In degrees whatever the unit of angles in the rest of the scene.
-        fovy=math.degrees(fovy_rad),
-    )
-
-
-def camera_from_model(
-    model: mujoco.MjModel, data: mujoco.MjData, name: str, width: int, height: int
-) -> Camera:
-    """Return a camera of a compiled scene, where it is now.
-
-    Args:
-        model: The scene.
-        data: Its state, with derived poses up to date (``mj_forward``).
-        name: The camera's name.
-        width: Image width [px].
-        height: Image height [px].
-
-    Raises:
-        UnknownNameError: The scene has no such camera.
-        InvalidConfigError: It is no perspective camera given by a field of view.
-    """
-    index = camera_index(model, name)
-    if model.cam_sensorsize[index].any() or model.cam_projection[index]:
-        raise InvalidConfigError(
-            f"Camera {name!r} is orthographic or has a sensor size. Only perspective "
-            "cameras given by their field of view (fovy) are supported."
-        )
-    matrix = np.eye(4)
-    matrix[:3, :3] = data.cam_xmat[index].reshape(3, 3) * _FLIP
-    matrix[:3, 3] = data.cam_xpos[index]
-    fovy_rad = math.radians(float(model.cam_fovy[index]))
-    lens = CameraIntrinsics.from_fovy(fovy_rad, width, height)
-    return Camera(name, Pose.from_matrix(matrix), lens)
-
-
-def camera_index(model: mujoco.MjModel, name: str) -> int:
-    """Return the number of a camera in a model.
-
-    Raises:
-        UnknownNameError: The scene has no such camera.
-    """
-    index: int = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA.value, name)
-    if index < 0:
-        names = [model.camera(i).name for i in range(model.ncam)]
-        raise UnknownNameError("camera", name, names)
-    return index

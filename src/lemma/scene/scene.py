@@ -171,6 +171,11 @@ class Scene:
         width = float(self.data.qpos[left]) + float(self.data.qpos[right])
         return min(max(width, 0.0), FINGER_OPENING_M)
 
+    def opening_m_s(self, robot: RobotIndex) -> float:
+        """Return the measured rate of the distance between the finger pads [m/s]."""
+        left, right = self.data.qvel[robot.dof.stop : robot.dof.stop + 2].tolist()
+        return float(left + right)
+
     def entity_of_body(self, body: int) -> str | None:
         """Return the entity that a MuJoCo body belongs to, if any."""
         return self._entity_by_body.get(body)
@@ -188,10 +193,26 @@ class Scene:
 
     def refresh(self) -> None:
         """Update derived poses, for rendering; leaves the integration state alone."""
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
+        _derive(self.model, self.data)
+
+    def posed(self, qpos: FloatArray) -> mujoco.MjData:
+        """Return data of their own with derived poses, for rendering.
+
+        Args:
+            qpos: The positions of all joints, (nq,).
+        """
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = qpos
+        _derive(self.model, data)
+        return data
 
     def state_hash(self) -> str:
         """Return the SHA-256 of the full integration state."""
         return hashlib.sha256(self.snapshot().tobytes()).hexdigest()
+
+
+def _derive(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Compute the poses of bodies, cameras and lights."""
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_camlight(model, data)

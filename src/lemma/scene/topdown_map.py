@@ -1,16 +1,13 @@
 """The top-down map: what all cameras see, as one orthographic picture of the table.
 
 Every pixel of every camera becomes a point in the world, and the highest point over
-each cell of the map gives its height and color. Row 0 lies at +y and column 0 at -x:
-seen in the usual way, x grows to the right and y upward.
+each cell of the map gives its height and color.
 
 Loops are written out and compiled by Numba: the same images give the same map on every
 machine, and a map of two 640 x 480 images takes a few milliseconds.
 """
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 import numpy as np
 from numba import njit
@@ -18,136 +15,73 @@ from numpy.typing import NDArray
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray
-from lemma.scene.cameras import Camera
+from lemma.scene.cameras import Camera, CameraImage
+from lemma.scene.raster import CEILING_M, RASTER, MapImage, Raster
 
 
-@dataclass(frozen=True, slots=True)
-class MapImage:
-    """A fused view from above."""
+def fuse(
+    images: Iterable[CameraImage], raster: Raster = RASTER, ceiling_m: float = CEILING_M
+) -> MapImage:
+    """Fuse calibrated images into a map.
 
-    rgb: NDArray[np.uint8]
-    """Color of the highest point, shape (rows, columns, 3); black where not seen."""
-    height_m: NDArray[np.float32]
-    """Height of the highest point above the table [m]; 0 where not seen."""
-    coverage: NDArray[np.bool_]
-    """Whether a camera sees the cell, shape (rows, columns)."""
+    Of points of equal height, the one of the first image counts, and within an image
+    the one nearest to its top left corner.
 
+    A camera's samples lie more than a cell apart where it looks at the table from afar
+    or at a flat angle. A cell without a sample takes the lower of two samples on
+    opposite sides of it: surfaces continue, and nothing grows.
 
-@dataclass(frozen=True, slots=True)
-class TopDownMap:
-    """The raster of a map, centred on the origin of the world."""
+    Args:
+        images: What the cameras see; a depth of 0 means that nothing was seen.
+        raster: The cells of the map.
+        ceiling_m: Points above it are dropped [m].
 
-    rows: int = 288
-    """Cells along y."""
-    columns: int = 416
-    """Cells along x."""
-    cell_m: float = 0.008
-    """Side of a cell [m]."""
-    ceiling_m: float = 0.6
-    """Points above it are dropped: the table below them counts as not seen [m]."""
-    floor_m: float = -0.1
-    """Points below it are dropped: whatever is beside the table [m]."""
-
-    def __post_init__(self) -> None:
-        """Check the raster."""
-        if self.rows < 1 or self.columns < 1 or not self.cell_m > 0:
-            raise InvalidConfigError(
-                f"A map of {self.rows} x {self.columns} cells of {self.cell_m} m has "
-                "no area. All three must be positive."
-            )
-        if not self.floor_m < self.ceiling_m:
-            raise InvalidConfigError(
-                f"No height lies between floor_m={self.floor_m} and "
-                f"ceiling_m={self.ceiling_m}. The floor must be lower."
-            )
-
-    @property
-    def size_m(self) -> tuple[float, float]:
-        """Extent along x and along y [m]."""
-        return (self.columns * self.cell_m, self.rows * self.cell_m)
-
-    def pixel_from_world(self, xy: tuple[float, float]) -> tuple[int, int] | None:
-        """Return the row and column of the cell that holds a point of the table.
-
-        Args:
-            xy: Position [m], world frame.
-
-        Returns:
-            The cell, or None if the point lies outside the map.
-        """
-        row = math.floor(self.rows / 2 - xy[1] / self.cell_m)
-        column = math.floor(self.columns / 2 + xy[0] / self.cell_m)
-        if 0 <= row < self.rows and 0 <= column < self.columns:
-            return row, column
-        return None
-
-    def world_from_pixel(self, row: float, column: float) -> tuple[float, float]:
-        """Return the position (x, y) of a cell's centre [m], world frame.
-
-        Args:
-            row: Row; fractions are allowed.
-            column: Column; fractions are allowed.
-        """
-        x = (column + 0.5 - self.columns / 2) * self.cell_m
-        y = (self.rows / 2 - row - 0.5) * self.cell_m
-        return x, y
-
-    def fuse(
-        self, images: Sequence[tuple[NDArray[np.uint8], NDArray[np.float32], Camera]]
-    ) -> MapImage:
-        """Fuse calibrated images into a map.
-
-        Of points of equal height, the one of the first image counts, and within an
-        image the one nearest to its top left corner.
-
-        A camera's samples lie more than a cell apart where it looks at the table from
-        afar or at a flat angle. A cell without a sample takes the lower of two
-        samples on opposite sides of it: surfaces continue, and nothing grows.
-
-        Args:
-            images: For each image, its color (H, W, 3), its depth (H, W) [m] with 0
-                where nothing was seen, and its camera: what
-                :meth:`lemma.scene.rendering.renderer.Renderer.rgbd` returns.
-
-        Raises:
-            InvalidConfigError: An image does not have its camera's size.
-        """
-        height = np.full((self.rows, self.columns), -np.inf, np.float32)
-        rgb = np.zeros((self.rows, self.columns, 3), np.uint8)
-        for color, depth, camera in images:
-            lens = camera.intrinsics
-            shape = (lens.height, lens.width)
-            if color.shape != (*shape, 3) or depth.shape != shape:
-                raise InvalidConfigError(
-                    f"The images of camera {camera.name!r} have shapes {color.shape} "
-                    f"and {depth.shape}. Valid: {(*shape, 3)} and {shape}."
-                )
-            splat(
-                np.ascontiguousarray(color),
-                np.ascontiguousarray(depth, dtype=np.float32),
-                self._cells_from_image(camera),
-                (self.floor_m, self.ceiling_m),
-                height,
-                rgb,
-            )
-        filled = height.copy()
-        coverage = close_gaps(height, filled, rgb)
-        return MapImage(rgb, filled, coverage)
-
-    def _cells_from_image(self, camera: Camera) -> FloatArray:
-        """Return the map from (u z, v z, z, 1) to (column, row, height), (3, 4)."""
+    Raises:
+        InvalidConfigError: An image does not have its camera's size, or nothing lies
+            between floor and ceiling.
+    """
+    if not raster.floor_m < ceiling_m:
+        raise InvalidConfigError(
+            f"No height lies between floor_m={raster.floor_m} and "
+            f"ceiling_m={ceiling_m}. The floor must be lower."
+        )
+    height = np.full((raster.rows, raster.columns), -np.inf, np.float32)
+    rgb = np.zeros((raster.rows, raster.columns, 3), np.uint8)
+    for color, depth, camera in images:
         lens = camera.intrinsics
-        pose = camera.world_from_camera.matrix()
-        result = np.empty((3, 4))
-        scale = (1.0 / self.cell_m, -1.0 / self.cell_m, 1.0)
-        shift = (self.columns / 2, self.rows / 2, 0.0)
-        for i in range(3):
-            a, b = float(pose[i, 0]) / lens.fx, float(pose[i, 1]) / lens.fy
-            c = float(pose[i, 2]) - a * lens.cx - b * lens.cy
-            for j, value in enumerate((a, b, c, float(pose[i, 3]))):
-                result[i, j] = value * scale[i]
-            result[i, 3] += shift[i]
-        return result
+        shape = (lens.height, lens.width)
+        if color.shape != (*shape, 3) or depth.shape != shape:
+            raise InvalidConfigError(
+                f"The images of camera {camera.name!r} have shapes {color.shape} "
+                f"and {depth.shape}. Valid: {(*shape, 3)} and {shape}."
+            )
+        splat(
+            np.ascontiguousarray(color),
+            np.ascontiguousarray(depth, dtype=np.float32),
+            _cells_from_image(camera, raster),
+            (raster.floor_m, ceiling_m),
+            height,
+            rgb,
+        )
+    filled = height.copy()
+    coverage = close_gaps(height, filled, rgb)
+    return MapImage(rgb, filled, coverage)
+
+
+def _cells_from_image(camera: Camera, raster: Raster) -> FloatArray:
+    """Return the map from (u z, v z, z, 1) to (column, row, height), (3, 4)."""
+    lens = camera.intrinsics
+    pose = camera.world_from_camera.matrix()
+    result = np.empty((3, 4))
+    scale = (1.0 / raster.cell_m, -1.0 / raster.cell_m, 1.0)
+    shift = (raster.columns / 2, raster.rows / 2, 0.0)
+    for i in range(3):
+        a, b = float(pose[i, 0]) / lens.fx, float(pose[i, 1]) / lens.fy
+        c = float(pose[i, 2]) - a * lens.cx - b * lens.cy
+        for j, value in enumerate((a, b, c, float(pose[i, 3]))):
+            result[i, j] = value * scale[i]
+        result[i, 3] += shift[i]
+    return result
 
 
 @njit(cache=True, nogil=True)

@@ -6,7 +6,8 @@ import numpy as np
 from PIL import Image
 
 from lemma.env.simulation import Simulation
-from lemma.scene.rendering.renderer import CameraImage, DepthImage, Renderer
+from lemma.scene.cameras import CameraImage, DepthImage
+from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS

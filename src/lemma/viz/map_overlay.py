@@ -9,10 +9,11 @@ from PIL import Image
 
 from lemma.core.poses import Pose2
 from lemma.robots.reach import reach_map, reach_of
-from lemma.scene.rendering.renderer import CameraImage
+from lemma.scene.cameras import CameraImage
+from lemma.scene.raster import RASTER, MapImage, Raster
 from lemma.scene.scene import Scene
 from lemma.scene.spec import STICK
-from lemma.scene.topdown_map import MapImage, TopDownMap
+from lemma.scene.topdown_map import fuse
 from lemma.tasks.instance import Instance
 from lemma.viz.annotate import (
     ENTITY_INK,
@@ -40,7 +41,7 @@ def annotated_map(
     scene: Scene,
     images: list[CameraImage],
     width: int,
-    raster: TopDownMap | None = None,
+    raster: Raster = RASTER,
 ) -> Image.Image:
     """Return the map of a scene with reach, names and goal drawn on it.
 
@@ -51,8 +52,7 @@ def annotated_map(
         width: Width of the picture [px]; its height follows.
         raster: The raster of the map.
     """
-    raster = raster or TopDownMap()
-    fused = raster.fuse(images)
+    fused = fuse(images, raster)
     scale = width / raster.columns
     picture = Image.fromarray(_shade(fused, instance, raster)).resize(
         (width, round(raster.rows * scale)), Image.Resampling.BICUBIC
@@ -80,9 +80,7 @@ def annotated_map(
     return canvas.picture()
 
 
-def _shade(
-    fused: MapImage, instance: Instance, raster: TopDownMap
-) -> NDArray[np.uint8]:
+def _shade(fused: MapImage, instance: Instance, raster: Raster) -> NDArray[np.uint8]:
     """Tint the region that all robots reach; pale where no camera sees anything."""
     x, y = np.empty(raster.columns), np.empty(raster.rows)
     for column in range(raster.columns):

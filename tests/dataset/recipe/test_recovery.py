@@ -44,7 +44,7 @@ from lemma.dataset.recipe.schema import (
     to_table,
 )
 from lemma.dataset.rendered.dense_form import DenseForm
-from lemma.dataset.rendered.keyframes.capture import RASTER, KeyframeForm
+from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.keyframes.dataset import KeyframeDataset
 from lemma.dataset.rendered.keyframes.schema import FORM, KEYFRAMES_VERSION, Header
 from lemma.dataset.rendered.render import RenderConfig, render
@@ -52,6 +52,7 @@ from lemma.env.episode import Episode
 from lemma.expert.disturbances import KINDS, NONE, Perturbation
 from lemma.expert.expert import Expert
 from lemma.motion.outcome import Outcome, SkillResult
+from lemma.scene.raster import RASTER
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import STOP

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from lemma.core.errors import DatasetError, UnknownNameError
 from lemma.dataset.files import METADATA_KEY
@@ -22,16 +20,12 @@ from lemma.dataset.rendered.keyframes.schema import (
     FORM,
     KEYFRAMES_VERSION,
     PARTS,
-    UNIT_M,
     Header,
-    Raster,
     camera_columns,
-    decode_depth,
     describe,
-    encode_depth,
     map_columns,
 )
-from lemma.scene.topdown_map import TopDownMap
+from lemma.scene.raster import Raster
 
 RASTER = Raster(rows=6, columns=10, cell_m=0.3, floor_m=-0.1)
 HEADER = Header(
@@ -190,34 +184,6 @@ def test_other_arrow_files_are_refused(tmp_path: Path) -> None:
     other_header(tmp_path / "other.arrow", form="sounds")
     with pytest.raises(DatasetError, match="holds no rendered keyframes"):
         KeyframeFile(tmp_path / "other.arrow")
-
-
-@given(st.floats(0.0001, 6.5))
-def test_depth_is_kept_to_half_a_unit(depth_m: float) -> None:
-    stored = encode_depth(np.array([depth_m], np.float32))
-    assert abs(float(decode_depth(stored)[0]) - depth_m) <= 0.5001 * UNIT_M
-    assert encode_depth(decode_depth(stored)) == stored
-
-
-def test_nothing_seen_stays_nothing_and_far_is_nothing() -> None:
-    assert encode_depth([0.0, 6.5535, 6.5536, 50.0]).tolist() == [0, 65535, 0, 0]
-
-
-@given(st.floats(-0.1, 0.6), st.booleans())
-def test_height_is_kept_to_half_a_unit(height_m: float, covered: bool) -> None:
-    stored = RASTER.encode_height(np.array([height_m], np.float32), np.array([covered]))
-    assert (stored[0] > 0) == covered
-    expected = height_m if covered else 0.0
-    assert abs(float(RASTER.decode_height(stored)[0]) - expected) <= 0.5005 * UNIT_M
-
-
-@given(st.floats(-1.6, 1.6), st.floats(-1.1, 1.1))
-def test_cells_are_those_of_the_map(x: float, y: float) -> None:
-    grid = TopDownMap()
-    raster = Raster(grid.rows, grid.columns, grid.cell_m, grid.floor_m)
-    cell = raster.pixel_from_world(x, y)
-    assert cell == grid.pixel_from_world((x, y))
-    assert raster.world_from_pixel(*cell) == grid.world_from_pixel(*cell)
 
 
 def test_every_column_is_described() -> None:

@@ -19,7 +19,7 @@ from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose
 from lemma.dataset.files import REVISION_VARIABLE
-from lemma.dataset.rendered.keyframes.capture import KeyframeForm, see
+from lemma.dataset.rendered.keyframes.capture import KeyframeForm, stored
 from lemma.dataset.rendered.keyframes.dataset import (
     CAMERA_COLUMNS,
     MAP_COLUMNS,
@@ -27,15 +27,16 @@ from lemma.dataset.rendered.keyframes.dataset import (
     KeyframeDataset,
     Sample,
 )
-from lemma.dataset.rendered.keyframes.schema import decode_depth
 from lemma.dataset.rendered.render import RenderConfig
+from lemma.env.camera_rig import CameraRig
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.scene.cameras import Camera, CameraIntrinsics
+from lemma.scene.cameras import Camera, CameraImage, CameraIntrinsics
 from lemma.scene.objects import CUBE_EDGE_M
 from lemma.scene.palette import OBJECT_COLORS
-from lemma.scene.rendering.renderer import CameraImage, Renderer
+from lemma.scene.raster import decode_depth
+from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
-from lemma.scene.topdown_map import TopDownMap
+from lemma.scene.topdown_map import fuse
 from lemma.tasks.instance import Instance
 
 pytestmark = pytest.mark.render
@@ -92,11 +93,11 @@ def test_every_keyframe_of_every_episode_is_there() -> None:
 
 
 def test_what_is_decoded_is_what_was_rendered_bit_for_bit() -> None:
-    dataset, renderer = everything(), Renderer()
+    dataset, rig = everything(), CameraRig()
     for episode, frames in enumerate(dataset.episodes()):
         for keyframe, index in enumerate(frames):
             sample = dataset[index]
-            shown = see(scene_at(episode, keyframe), renderer)
+            shown = stored(rig.look(scene_at(episode, keyframe)))
             for name in (*MAP_COLUMNS, *CAMERA_COLUMNS):
                 assert sample[name].dtype == shown[name].dtype
                 assert np.array_equal(sample[name], shown[name]), name
@@ -127,7 +128,7 @@ def test_what_is_stored_can_be_fused_to_the_same_map() -> None:
                 strict=True,
             )
         ]
-        fused = TopDownMap().fuse(images)
+        fused = fuse(images)
         assert np.array_equal(sample["map_coverage"], fused.coverage)
         differing = (sample["map_rgb"] != fused.rgb).any(-1)
         height = dataset.raster.decode_height(sample["map_height"])

@@ -12,6 +12,7 @@ import pytest
 
 from lemma.core.parallel import Serial
 from lemma.core.poses import Pose2
+from lemma.env.view import View
 from lemma.evaluation.run.evaluate import EPISODES, EvaluationConfig, evaluate
 from lemma.evaluation.run.fault_isolation import (
     POLICY_ERROR,
@@ -22,7 +23,7 @@ from lemma.evaluation.run.fault_isolation import (
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.motion.outcome import Outcome
 from lemma.policies.compose import PlannerWithGrounder
-from lemma.policies.interfaces import Decision, PolicyInput, View
+from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
 from lemma.policies.spec import PolicySpec
 from lemma.serve.protocol.faults import (

@@ -8,24 +8,25 @@ import numpy as np
 import pytest
 
 from lemma.core.poses import Pose2
-from lemma.dataset.rendered.keyframes.capture import RASTER
+from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
+from lemma.env.view import View
 from lemma.evaluation.run import server_probe as probing
-from lemma.evaluation.run.rollout import Eyes
 from lemma.evaluation.run.server_probe import SCENES, probe
 from lemma.expert.expert import Expert
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.policies.interfaces import Decision, PolicyInput, View
+from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
+from lemma.scene.raster import RASTER
 from lemma.scene.scene import Scene
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 from lemma.tasks.suite import load_instance
 
 
-class Shut(Eyes):
+class Shut(CameraRig):
     """Sees nothing, and needs no OpenGL for it."""
 
-    def look(self, scene: Scene) -> View:
+    def look(self, scene: Scene, robots: Sequence[str] | None = None) -> View:
         shape = (RASTER.rows, RASTER.columns)
         return View(
             np.zeros((*shape, 3), np.uint8),

@@ -8,9 +8,10 @@ import torch
 from batches import TEAM, drawn_batch
 from tiny_transformer import tiny
 
+from lemma.env.view import View
 from lemma.policies.batch import MAX_PAST, NOBODY, PLACES, STOP, Batch, Labels
 from lemma.policies.compose import MultiStep
-from lemma.policies.interfaces import PastStep, PolicyInput, View
+from lemma.policies.interfaces import PastStep, PolicyInput
 from lemma.policies.model import MODELS
 from lemma.policies.models.episodic_transformer.layout import SLOTS, of_batch
 from lemma.policies.models.episodic_transformer.model import (

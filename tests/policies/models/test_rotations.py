@@ -6,7 +6,6 @@ import pytest
 import torch
 from batches import RASTER
 
-from lemma.dataset.rendered.keyframes.schema import Raster
 from lemma.policies.models.cliport.correlation import correlate, correlate_directly
 from lemma.policies.models.cliport.grid import Cells, read_at
 from lemma.policies.models.cliport.rotations import (
@@ -17,6 +16,7 @@ from lemma.policies.models.cliport.rotations import (
     wrapped,
     yaw_of,
 )
+from lemma.scene.raster import Raster
 
 SMALL = Raster(rows=32, columns=48, cell_m=0.01, floor_m=-0.1)
 

@@ -33,8 +33,8 @@ from lemma.dataset.recipe.reader import read_group
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.labels import label
 from lemma.dataset.rendered.steps import NO_SUBTASK, DenseStep, iterate_steps
-from lemma.scene.cameras import Camera
-from lemma.scene.rendering.renderer import CameraImage, Renderer
+from lemma.scene.cameras import Camera, CameraImage
+from lemma.scene.rendering.renderer import Renderer
 from lemma.tasks.language.template import KINDS
 
 FRAMES = "frames.parquet"

@@ -19,7 +19,7 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from lemma.core.errors import DatasetError
-from lemma.scene.rendering.renderer import DepthImage
+from lemma.scene.cameras import DepthImage
 
 DEPTH_LEVEL_M = 0.001
 """Depth from one level to the next [m]."""

@@ -14,7 +14,6 @@ from importlib.resources import files
 from typing import Any
 
 from lemma.core.errors import DatasetError
-from lemma.dataset.rendered.keyframes.capture import RASTER
 from lemma.env.episode import LEAST_STEP_S
 from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.evaluation.analysis.failure_causes import POSE_TOLERANCE_MM
@@ -28,6 +27,7 @@ from lemma.evaluation.run.perturbed_starts import (
     TURN_RAD,
 )
 from lemma.scene.build import TIME_STEP_S
+from lemma.scene.raster import RASTER
 from lemma.tasks import goal
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.language.template import KINDS

@@ -6,9 +6,10 @@ from itertools import islice
 
 import numpy as np
 
-from lemma.dataset.rendered.keyframes.capture import RASTER, see
+from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
 from lemma.env.simulation import HORIZON_S
+from lemma.env.view import View
 from lemma.evaluation.run.clearance import ClearanceWatch
 from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise
 from lemma.evaluation.run.fault_isolation import POLICY_ERROR, Fault, IsolatedPolicy
@@ -18,11 +19,8 @@ from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.refusal import ground_or_refuse
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.policies.interfaces import Decision, PastStep, Policy, PolicyInput, View
+from lemma.policies.interfaces import Decision, PastStep, Policy, PolicyInput
 from lemma.policies.spec import PolicySpec
-from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
-from lemma.scene.rendering.renderer import Renderer
-from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
@@ -49,33 +47,6 @@ class TakenStep:
     """Simulated time at which it began [s]."""
     advice: ExpertFeedback
     """What the expert said of it."""
-
-
-class Eyes:
-    """The cameras of a scene, fused; OpenGL starts with the first look."""
-
-    def __init__(self) -> None:
-        """Look at nothing yet."""
-        self._renderer: Renderer | None = None
-
-    def look(self, scene: Scene) -> View:
-        """Return what is seen now, exactly as training data hold it.
-
-        Raises:
-            RenderingError: OpenGL does not work here.
-        """
-        if self._renderer is None:
-            self._renderer = Renderer(CAMERA_WIDTH_PX, CAMERA_HEIGHT_PX)
-        scene.refresh()
-        row = see(scene, self._renderer)
-        height = row["map_height"]
-        return View(
-            rgb=row["map_rgb"],
-            height_m=RASTER.decode_height(height),
-            coverage=height > 0,
-            joints=np.array([scene.data.qpos[r.qpos] for r in scene.robots]),
-            opening_m=np.array([scene.opening_m(r) for r in scene.robots]),
-        )
 
 
 @dataclass
@@ -125,13 +96,21 @@ class Rollout:
         """Why it failed; None if it succeeded or is not over."""
         return self.episode.failure if self.fault is None else POLICY_ERROR
 
-    def given(self, eyes: Eyes | None) -> PolicyInput:
-        """Return what the policy is given now; blind without eyes."""
-        scene = self.episode.simulation.scene
+    def given(self, rig: CameraRig | None) -> PolicyInput:
+        """Return what the policy is given now; it sees nothing without cameras.
+
+        Raises:
+            RenderingError: OpenGL does not work here.
+        """
+        view = _BLIND
+        if rig is not None:
+            view = rig.look(self.episode.simulation.scene)
+            # Rendered now: neither the policy's time nor its fault if it fails.
+            assert view.rgb.size
         return PolicyInput(
             instruction=self.instruction,
             robots=self._phrases,
-            view=eyes.look(scene) if eyes else _BLIND,
+            view=view,
             past=tuple(self.past),
             episode=self.episode,
         )
@@ -184,7 +163,7 @@ class Player:
     """A policy, and what it sees with."""
 
     policy: Policy
-    eyes: Eyes | None = None
+    rig: CameraRig | None = None
     """None for a policy that needs no images."""
 
     @classmethod
@@ -194,7 +173,7 @@ class Player:
         Raises:
             LemmaError: There is no such policy, or its weights are damaged.
         """
-        return cls(load_policy(spec), None if spec.blind else Eyes())
+        return cls(load_policy(spec), None if spec.blind else CameraRig())
 
 
 def roll_out(
@@ -221,7 +200,7 @@ def roll_out(
     waiting = iter(plays)
     running = list(islice(waiting, at_once))
     while running:
-        inputs = [play.given(player.eyes) for play in running]
+        inputs = [play.given(player.rig) for play in running]
         decisions = guard.decide(inputs)
         for play, given, decision in zip(running, inputs, decisions, strict=True):
             if isinstance(decision, Fault):

@@ -4,8 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, RenderingError
+from lemma.env.camera_rig import CameraRig
 from lemma.evaluation.run.loading import FOREVER_S
-from lemma.evaluation.run.rollout import Eyes
 from lemma.evaluation.run.server_probe import probe
 from lemma.policies.spec import TIMEOUT_S, PolicySpec
 from lemma.serve.client.conversation import ProtocolMode
@@ -34,7 +34,7 @@ def check_server(url: str, timeout_s: float = TIMEOUT_S) -> SelfTestReport:
         report = check(part.conversation)
         if not report.ok or not hasattr(part, "act"):
             return report
-        found = probe(part, Eyes())
+        found = probe(part, CameraRig())
         return replace(report, acts=str(found), mistakes=found.mistakes)
     except RenderingError:
         return replace(

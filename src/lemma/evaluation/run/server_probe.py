@@ -10,8 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from lemma.core.poses import Pose2
+from lemma.env.camera_rig import CameraRig
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
-from lemma.evaluation.run.rollout import Eyes, Rollout
+from lemma.evaluation.run.rollout import Rollout
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision, Policy
@@ -75,19 +76,19 @@ class _Pick:
     """Robots that reach the pose."""
 
 
-def probe(policy: Policy, eyes: Eyes) -> Probe:
+def probe(policy: Policy, rig: CameraRig) -> Probe:
     """Ask for the first decisions in a few scenes, and see what they hit.
 
     Args:
         policy: Decides.
-        eyes: What it sees with.
+        rig: What it sees with.
 
     Raises:
         PolicyUnreachableError: Its server is gone.
         RenderingError: OpenGL does not work here.
     """
     plays = [Rollout(load_instance(task, "val", index)) for task, index in SCENES]
-    answers = IsolatedPolicy(policy).decide([play.given(eyes) for play in plays])
+    answers = IsolatedPolicy(policy).decide([play.given(rig) for play in plays])
     faults = [answer for answer in answers if isinstance(answer, Fault)]
     if len(faults) == len(plays):
         why = f"It fails at every scene: {faults[0].kind}: {faults[0].explanation}"

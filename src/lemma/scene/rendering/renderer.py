@@ -1,7 +1,7 @@
 """Pictures of a scene: for robots (color and depth, fast) and for people (pretty)."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import mujoco
 import numpy as np
@@ -10,7 +10,8 @@ from PIL import Image
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
-from lemma.scene.cameras import Camera, FreeCamera, camera_from_model, camera_index
+from lemma.scene.cameras import CameraImage, DepthImage, FreeCamera, RgbImage
+from lemma.scene.model_cameras import camera_from_model, camera_index
 from lemma.scene.rendering.gl_context import (
     Tessellation,
     Upload,
@@ -18,8 +19,6 @@ from lemma.scene.rendering.gl_context import (
     upload,
 )
 
-RgbImage = NDArray[np.uint8]
-DepthImage = NDArray[np.float32]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -53,17 +52,6 @@ QUALITIES.add(
         scenery=True,
     ),
 )
-
-
-class CameraImage(NamedTuple):
-    """What a camera sees."""
-
-    rgb: RgbImage
-    """Color, shape (height, width, 3)."""
-    depth_m: DepthImage
-    """Distance along the camera's z axis [m], shape (height, width); 0: nothing."""
-    camera: Camera
-    """The camera, where it was."""
 
 
 class Renderer:

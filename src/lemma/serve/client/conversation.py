@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 from weakref import WeakKeyDictionary, finalize
 
-from lemma.policies.interfaces import PolicyInput, View
+from lemma.env.view import View
+from lemma.policies.interfaces import PolicyInput
 from lemma.serve.protocol.faults import (
     FaultKind,
     PolicyFailedError,

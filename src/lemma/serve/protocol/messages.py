@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from lemma.core.poses import Pose2, matrix_from_quaternion
-from lemma.policies.interfaces import Decision, View
+from lemma.env.view import View
+from lemma.policies.interfaces import Decision
 from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
@@ -49,7 +50,7 @@ def view_from_message(data: Mapping[str, Any]) -> View:
     Raises:
         ProtocolError: An array is missing, or of another type or shape.
     """
-    arrays = {}
+    arrays: dict[str, Any] = {}
     for name, (dtype, dimensions) in VIEW_TYPES.items():
         array = data.get(name)
         if not isinstance(array, np.ndarray):

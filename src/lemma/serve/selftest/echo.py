@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from lemma.policies.interfaces import View
+from lemma.env.view import View
 from lemma.serve.protocol.faults import ProtocolError
 from lemma.serve.protocol.messages import (
     Message,

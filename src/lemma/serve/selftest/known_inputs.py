@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lemma.policies.interfaces import View
+from lemma.env.view import View
 from lemma.serve.client.conversation import Conversation
 from lemma.serve.protocol.faults import PolicyFailedError
 from lemma.serve.protocol.messages import (

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lemma import __version__
-from lemma.policies.interfaces import PastStep, PolicyInput, View
+from lemma.env.view import View
+from lemma.policies.interfaces import PastStep, PolicyInput
 from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.serve.protocol.messages import (
     METHODS,

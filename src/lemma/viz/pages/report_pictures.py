@@ -20,9 +20,9 @@ from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.raster import RASTER
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
-from lemma.scene.topdown_map import TopDownMap
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 from lemma.viz.annotate import LIGHT, Canvas, Color, Point, label_plate
 from lemma.viz.camera_fit import outline, overview
@@ -237,8 +237,7 @@ def _opposed(one: GroundedSubTask, other: GroundedSubTask) -> bool:
 
 def _pixel(x: float, y: float, size: tuple[int, int]) -> Point:
     """Return the point of a map for a position [m]; what is outside is at its edge."""
-    raster = TopDownMap()
-    scale = size[0] / raster.columns / raster.cell_m
+    scale = size[0] / RASTER.columns / RASTER.cell_m
     across, down = size[0] / 2 + x * scale, size[1] / 2 - y * scale
     return min(max(across, 8.0), size[0] - 8.0), min(max(down, 8.0), size[1] - 8.0)
 

@@ -24,28 +24,23 @@ from lemma.dataset.rendered.keyframes.schema import (
     PARTS,
     SUFFIX,
     Header,
-    Raster,
     Row,
-    decode_depth,
     describe,
-    encode_depth,
 )
 from lemma.dataset.rendered.labels import entity_poses, expert_label, label
 from lemma.dataset.rendered.render import Found
+from lemma.env.camera_rig import CameraRig
 from lemma.env.observation import object_poses
+from lemma.env.view import View
 from lemma.expert.disturbances import NONE
 from lemma.motion.outcome import Outcome
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.raster import RASTER, encode_depth
 from lemma.scene.rendering.gl_backend import choose_backend
-from lemma.scene.rendering.renderer import CameraImage, Renderer
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ENTITIES
-from lemma.scene.topdown_map import TopDownMap
 from lemma.tasks.instance import Instance
 
-_MAP = TopDownMap()
-RASTER = Raster(_MAP.rows, _MAP.columns, _MAP.cell_m, _MAP.floor_m)
-"""The raster of rendered maps."""
 _STOPPED = str(Outcome.STOPPED)
 _DECISION = ("robot", "primitive", "pick", "place")
 _PER_FILE = ("part", "robots", "digests", "keyframes")
@@ -62,7 +57,7 @@ class KeyframeForm:
 
     def __post_init__(self) -> None:
         """Check the size."""
-        Renderer(self.width, self.height)
+        CameraRig(self.width, self.height)
 
     @property
     def name(self) -> str:
@@ -167,8 +162,8 @@ class KeyframeForm:
                 "keyframe": keyframe,
                 "time_s": record.keyframe_time_s[keyframe],
                 **_labels(record, keyframe),
-                **_truth(scene),
-                **see(scene, _renderer(self.width, self.height)),
+                "objects": entity_poses(object_poses(scene)),
+                **stored(_rig(self.width, self.height).look(scene)),
             }
 
     def card(self) -> str:
@@ -176,39 +171,31 @@ class KeyframeForm:
         return _CARD.format(columns=describe(), width=self.width, height=self.height)
 
 
-def see(scene: Scene, renderer: Renderer) -> Row:
-    """Return what the cameras of a scene see, and the map of it, as it is stored.
+def stored(view: View) -> Row:
+    """Return what is seen as it is stored.
 
-    The map is fused from the depths as they are stored, so that what is read can be
-    fused again, with another raster for example.
+    Depths and heights are seen in the steps in which they are stored, so that what is
+    read is what was seen, and maps can be fused again, with another raster for example.
     """
-    images = [
-        renderer.rgbd(scene.model, scene.data, f"{name}/camera")
-        for name in scene.spec.robot_names
-    ]
-    depths = [encode_depth(image.depth_m) for image in images]
-    fused = _MAP.fuse(
-        [
-            CameraImage(image.rgb, decode_depth(depth), image.camera)
-            for image, depth in zip(images, depths, strict=True)
-        ]
-    )
+    images = view.cameras.values()
     return {
+        "joints": view.joints,
+        "opening_m": view.opening_m,
         "intrinsics": np.array([i.camera.intrinsics.matrix() for i in images]),
         "world_from_camera": np.array(
             [image.camera.world_from_camera.matrix() for image in images]
         ),
         "rgb": np.array([image.rgb for image in images]),
-        "depth": np.array(depths),
-        "map_rgb": fused.rgb,
-        "map_height": RASTER.encode_height(fused.height_m, fused.coverage),
+        "depth": np.array([encode_depth(image.depth_m) for image in images]),
+        "map_rgb": view.rgb,
+        "map_height": RASTER.encode_height(view.height_m, view.coverage),
     }
 
 
 @lru_cache(maxsize=1)
-def _renderer(width: int, height: int) -> Renderer:
-    """Return the renderer of this process: starting one takes longer than a picture."""
-    return Renderer(width, height)
+def _rig(width: int, height: int) -> CameraRig:
+    """Return the cameras of this process: starting them takes longer than a picture."""
+    return CameraRig(width, height)
 
 
 def _episode_columns(record: EpisodeRecord, instance: Instance) -> Row:
@@ -261,14 +248,6 @@ def _poses(record: EpisodeRecord, keyframe: int) -> Row:
         "pick_pose": row.pick_pose,
         "place_pose": row.place_pose,
         "outcome": row.outcome,
-    }
-
-
-def _truth(scene: Scene) -> Row:
-    return {
-        "joints": np.array([scene.data.qpos[robot.qpos] for robot in scene.robots]),
-        "opening_m": np.array([scene.opening_m(robot) for robot in scene.robots]),
-        "objects": entity_poses(object_poses(scene)),
     }
 
 

@@ -25,7 +25,7 @@ from lemma.dataset.rendered.keyframes.dataset import (
     KeyframeDataset,
     Sample,
 )
-from lemma.dataset.rendered.keyframes.schema import Raster
+from lemma.scene.raster import Raster
 
 _THREADS = 16
 

@@ -5,89 +5,32 @@ any keyframe is found at once. Images are Arrow tensors: any Arrow library reads
 What a policy needs of every keyframe (map, joints, labels, sentences) and what few need
 (camera images) are in files apart, side by side, with the same rows.
 
-Lengths are stored as ``uint16`` in units of 0.1 mm. No depth camera is that accurate,
-and a pixel of these sees some millimetres; a millimetre would show as steps in slanted
-surfaces, and finer units would not fit the room into 16 bits. 0 means that nothing was
-seen.
+Lengths are stored as ``uint16`` in units of 0.1 mm; see :mod:`lemma.scene.raster`.
 
 Reading needs neither MuJoCo nor torch.
 """
 
 import json
-import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import ArrayLike, NDArray
 
 from lemma.core.errors import DatasetError
 from lemma.dataset.files import METADATA_KEY
 from lemma.dataset.recipe.schema import perturbed_as
+from lemma.scene.raster import RASTER, Raster
 
 FORM = "keyframes"
 KEYFRAMES_VERSION = "1"
-UNIT_M = 1e-4
-"""What 1 stands for in images of depth and height [m]."""
 PARTS = ("maps", "cameras")
 """Kinds of files."""
 SUFFIX = ".arrow"
 
 EXECUTED = "executed_"
 """What names of columns begin with that say what was done in perturbed executions."""
-
-_LARGEST = 65535
-
-
-@dataclass(frozen=True, slots=True)
-class Raster:
-    """Where the cells of a top-down map are; see :mod:`lemma.scene.topdown_map`."""
-
-    rows: int
-    """Cells along y; row 0 lies at +y."""
-    columns: int
-    """Cells along x; column 0 lies at -x."""
-    cell_m: float
-    """Side of a cell [m]."""
-    floor_m: float
-    """What a stored height of 1 stands for [m]."""
-
-    def pixel_from_world(self, x: float, y: float) -> tuple[int, int]:
-        """Return row and column of the cell that holds a point of the table [m]."""
-        row = math.floor(self.rows / 2 - y / self.cell_m)
-        return row, math.floor(self.columns / 2 + x / self.cell_m)
-
-    def world_from_pixel(self, row: float, column: float) -> tuple[float, float]:
-        """Return the position (x, y) of a cell's centre [m]."""
-        x = (column + 0.5 - self.columns / 2) * self.cell_m
-        return x, (self.rows / 2 - row - 0.5) * self.cell_m
-
-    def encode_height(
-        self, height_m: ArrayLike, coverage: NDArray[np.bool_]
-    ) -> NDArray[np.uint16]:
-        """Return heights [m] as they are stored; 0 where nothing was seen."""
-        above = np.asarray(height_m, np.float64) - self.floor_m
-        values = np.rint(above / UNIT_M) + 1.0
-        return np.where(coverage, values, 0.0).astype(np.uint16)
-
-    def decode_height(self, values: NDArray[np.uint16]) -> NDArray[np.float32]:
-        """Return stored heights above the table [m]; 0 where nothing was seen."""
-        height_m = values * np.float32(UNIT_M) + np.float32(self.floor_m - UNIT_M)
-        height_m[values == 0] = 0.0
-        return height_m
-
-
-def encode_depth(depth_m: ArrayLike) -> NDArray[np.uint16]:
-    """Return depths [m] as they are stored; 0 where nothing is within 6.5 m."""
-    values = np.rint(np.asarray(depth_m, np.float64) / UNIT_M)
-    return np.where(values <= _LARGEST, values, 0.0).astype(np.uint16)
-
-
-def decode_depth(values: NDArray[np.uint16]) -> NDArray[np.float32]:
-    """Return stored depths [m]; 0 where nothing was seen."""
-    return values * np.float32(UNIT_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,8 +113,7 @@ def _tensor(scalar: pa.DataType, *shape: int) -> pa.DataType:
 
 def describe() -> str:
     """Return all columns as Markdown, for ``docs/rendered_format.md``."""
-    raster = Raster(rows=288, columns=416, cell_m=0.008, floor_m=-0.1)
-    header = Header(FORM, "", "", {}, "", 2, 640, 480, raster, ("",) * 11)
+    header = Header(FORM, "", "", {}, "", 2, 640, 480, RASTER, ("",) * 11)
     lines = []
     for part, columns in zip(
         PARTS, (map_columns(header), camera_columns(header)), strict=True

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lemma.dataset.rendered.keyframes.schema import Raster
+from lemma.scene.raster import Raster
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.dataset.rendered.keyframes.schema import Raster
 from lemma.policies.models.cliport.clip_trunk import CLIPTrunk
 from lemma.policies.models.cliport.correlation import correlate
 from lemma.policies.models.cliport.grid import Cells, read_at
@@ -24,6 +23,7 @@ from lemma.policies.models.cliport.rotations import (
     turned,
     wrapped,
 )
+from lemma.scene.raster import Raster
 
 _FINER = 2
 """The pick has so many cells along a side of a cell of features."""

@@ -23,7 +23,6 @@ from torch.nn import functional as F
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
-from lemma.dataset.rendered.keyframes.schema import Raster
 from lemma.policies.batch import Batch, batch_of
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.model import MODELS, Model
@@ -41,6 +40,7 @@ from lemma.policies.models.cliport.poses import (
 )
 from lemma.policies.models.cliport.refinement import Zoom
 from lemma.policies.text.encoder import TextConfig, TextEncoder
+from lemma.scene.raster import Raster
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 AT_ONCE = 16

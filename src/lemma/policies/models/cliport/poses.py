@@ -7,7 +7,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from lemma.dataset.rendered.keyframes.schema import Raster
 from lemma.policies.batch import PLACES, PRIMITIVES, STOP, Labels
 from lemma.policies.models.cliport.heads import (
     Attention,
@@ -18,6 +17,7 @@ from lemma.policies.models.cliport.heads import (
 )
 from lemma.policies.models.cliport.refinement import Zoom
 from lemma.policies.models.cliport.rotations import nearest_bins, wrapped, yaw_of
+from lemma.scene.raster import Raster
 from lemma.scene.spec import ENTITIES, SHARED, STICK
 
 _YAW_WEIGHT = 0.5

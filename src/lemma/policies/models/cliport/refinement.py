@@ -12,12 +12,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.dataset.rendered.keyframes.schema import Raster
 from lemma.policies.models.cliport.clip_trunk import CLIPTrunk
 from lemma.policies.models.cliport.grid import read_at
 from lemma.policies.models.cliport.heads import Fit, HeadsConfig, place_cells, reader
 from lemma.policies.models.cliport.networks import TwoStreams
 from lemma.policies.models.cliport.rotations import crop_about, wrapped
+from lemma.scene.raster import Raster
 
 _UNIT_M = 0.03
 _UNIT_RAD = math.radians(15.0)

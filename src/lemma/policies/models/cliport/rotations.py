@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from lemma.dataset.rendered.keyframes.schema import Raster
+from lemma.scene.raster import Raster
 
 
 def wrapped(angle: Tensor) -> Tensor:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from lemma.env.view import View
 from lemma.policies.batch import MAX_PAST, NOBODY, Batch, decision_numbers
-from lemma.policies.interfaces import PolicyInput, View
+from lemma.policies.interfaces import PolicyInput
 
 SLOTS = MAX_PAST + 1
 """Frames of the longest history: one before each past decision, and the present."""

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.env.view import View
 from lemma.policies.batch import (
     NOBODY,
     PLACES,
@@ -22,7 +23,7 @@ from lemma.policies.batch import (
     STOP,
     Batch,
 )
-from lemma.policies.interfaces import PolicyInput, View
+from lemma.policies.interfaces import PolicyInput
 from lemma.policies.layers import (
     ResidualBlock,
     TransformerLayer,

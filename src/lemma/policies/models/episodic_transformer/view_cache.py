@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from lemma.policies.interfaces import View
+from lemma.env.view import View
 
 
 class ViewCache:

@@ -18,7 +18,6 @@ from torch.nn import functional as F
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
-from lemma.dataset.rendered.keyframes.schema import Raster
 from lemma.policies.batch import (
     NOBODY,
     STOP,
@@ -58,6 +57,7 @@ from lemma.policies.models.reachnet.scene_table import (
 )
 from lemma.policies.models.reachnet.scores import score_decisions
 from lemma.policies.text.encoder import WORDS_AND_VECTORS, TextConfig
+from lemma.scene.raster import Raster
 from lemma.scene.spec import ENTITIES
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
