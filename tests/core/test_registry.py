@@ -28,10 +28,48 @@ def test_names_come_in_the_order_of_registration(colors: Registry[int]) -> None:
     assert "green" not in colors
 
 
-def test_a_name_can_be_taken_once_only(colors: Registry[int]) -> None:
-    with pytest.raises(InvalidConfigError, match="color named 'red' is already"):
-        colors.add("red", 4)
+def add_from(module: str, colors: Registry[int], name: str, value: int) -> None:
+    """Add a record as a module of another name would."""
+    exec(
+        "colors.add(name, value)",
+        {"__name__": module, "colors": colors, "name": name, "value": value},
+    )
+
+
+def test_a_name_of_another_module_is_not_taken(colors: Registry[int]) -> None:
+    with pytest.raises(InvalidConfigError, match=f"'red' is already .*{__name__}"):
+        add_from("somebody", colors, "red", 4)
     assert colors["red"] == 1
+
+
+def test_a_module_replaces_its_own_with_a_warning(colors: Registry[int]) -> None:
+    with pytest.warns(UserWarning, match="color 'red' is replaced"):
+        colors.add("red", 4)
+    assert colors["red"] == 4
+    assert list(colors) == ["red", "white", "blue"]
+
+
+def test_replacing_on_purpose_is_quiet(colors: Registry[int]) -> None:
+    colors.add("red", 4, replace=True)
+    assert colors["red"] == 4
+
+
+def test_a_record_has_one_name() -> None:
+    class Named:
+        name = "a"
+
+    with pytest.raises(InvalidConfigError, match="'a' cannot be added as 'b'"):
+        Registry[Named]("thing").add("b", Named())
+
+
+def test_what_is_refused_on_the_way_in_is_not_kept() -> None:
+    def refuse(name: str, record: int) -> None:
+        raise InvalidConfigError("no")
+
+    registry: Registry[int] = Registry("thing", on_add=refuse)
+    with pytest.raises(InvalidConfigError, match="no"):
+        registry.add("a", 1)
+    assert "a" not in registry
 
 
 @pytest.mark.parametrize(

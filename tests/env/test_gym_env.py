@@ -16,7 +16,7 @@ from lemma.core.errors import (
     ResetNeededError,
 )
 from lemma.core.poses import Pose2
-from lemma.env.action_spaces import PICKS, PLACES, PRIMITIVES
+from lemma.env.action_spaces import PICKS, PLACES
 from lemma.env.base_env import LemmaEnv
 from lemma.env.skill_env import SkillEnv
 from lemma.expert.plan_env import PlanEnv
@@ -276,7 +276,7 @@ def test_sub_tasks_survive_encoding() -> None:
     rng = random.Random(0)
     plan, skill = plan_env(), skill_env()
     for _ in range(50):
-        primitive = rng.choice([p for p in PRIMITIVES if p is not Primitive.STOP])
+        primitive = rng.choice([p for p in Primitive if p is not Primitive.STOP])
         robot = rng.choice(["robot_0", "robot_1"])
         subtask = SubTask(robot, primitive, rng.choice(PICKS), rng.choice(PLACES))
         assert plan.decode(plan.encode(subtask)) == subtask

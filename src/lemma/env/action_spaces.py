@@ -17,10 +17,14 @@ from lemma.core.errors import InvalidActionError
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.scene.spec import ENTITIES, SHARED
-from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
+from lemma.tasks.subtask import (
+    STOP,
+    GroundedSubTask,
+    Primitive,
+    SubTask,
+    primitive_names,
+)
 
-PRIMITIVES = tuple(Primitive)
-"""The primitives in the order of their numbers."""
 PICKS = ("", *ENTITIES)
 """What a sub-task may pick; the first means nothing."""
 PLACES = (*PICKS, SHARED)
@@ -125,7 +129,7 @@ def skill_space(team_size: int) -> spaces.Dict:
     return spaces.Dict(
         {
             "robot": spaces.Discrete(team_size),
-            "primitive": spaces.Discrete(len(PRIMITIVES)),
+            "primitive": spaces.Discrete(len(primitive_names())),
             "poses": SKILL_POSES.box(np.float64),
         }
     )
@@ -136,7 +140,7 @@ def plan_space(team_size: int) -> spaces.Dict:
     return spaces.Dict(
         {
             "robot": spaces.Discrete(team_size),
-            "primitive": spaces.Discrete(len(PRIMITIVES)),
+            "primitive": spaces.Discrete(len(primitive_names())),
             "pick": spaces.Discrete(len(PICKS)),
             "place": spaces.Discrete(len(PLACES)),
         }
@@ -146,7 +150,7 @@ def plan_space(team_size: int) -> spaces.Dict:
 def encode_skill(subtask: GroundedSubTask | None) -> dict[str, Any]:
     """Return the skill-level action for a grounded sub-task, or ``stop`` for None."""
     if subtask is None:
-        stop = PRIMITIVES.index(Primitive.STOP)
+        stop = primitive_names().index(Primitive.STOP)
         return {"robot": 0, "primitive": stop, "poses": np.zeros((2, 3))}
     # Wrapping changes the last bits, so only what needs it is wrapped.
     poses = [
@@ -155,7 +159,7 @@ def encode_skill(subtask: GroundedSubTask | None) -> dict[str, Any]:
     ]
     return {
         "robot": _robot_number(subtask.robot),
-        "primitive": PRIMITIVES.index(subtask.primitive),
+        "primitive": primitive_names().index(subtask.primitive),
         "poses": np.array(poses),
     }
 
@@ -169,7 +173,7 @@ def decode_skill(action: Action, team_size: int) -> GroundedSubTask | None:
     keys = ("robot", "primitive", "poses")
     _check_keys(action, keys)
     robot = _number(action["robot"], "robot", _robot_names(team_size))
-    primitive = PRIMITIVES[_number(action["primitive"], "primitive", PRIMITIVES)]
+    primitive = _primitive(action["primitive"])
     pick, place = (Pose2(*row) for row in SKILL_POSES.check(action["poses"]).tolist())
     if primitive is Primitive.STOP:
         return None
@@ -189,7 +193,7 @@ def encode_plan(subtask: SubTask) -> dict[str, Any]:
             )
     return {
         "robot": _robot_number(subtask.robot) if subtask.robot else 0,
-        "primitive": PRIMITIVES.index(subtask.primitive),
+        "primitive": primitive_names().index(subtask.primitive),
         "pick": PICKS.index(subtask.pick),
         "place": PLACES.index(subtask.place),
     }
@@ -203,12 +207,17 @@ def decode_plan(action: Action, team_size: int) -> SubTask:
     """
     _check_keys(action, ("robot", "primitive", "pick", "place"))
     robot = _number(action["robot"], "robot", _robot_names(team_size))
-    primitive = PRIMITIVES[_number(action["primitive"], "primitive", PRIMITIVES)]
+    primitive = _primitive(action["primitive"])
     pick = PICKS[_number(action["pick"], "pick", PICKS)]
     place = PLACES[_number(action["place"], "place", PLACES)]
     if primitive is Primitive.STOP:
         return STOP
     return SubTask(f"robot_{robot}", primitive, pick, place)
+
+
+def _primitive(value: Any) -> Primitive:
+    names = primitive_names()
+    return Primitive(names[_number(value, "primitive", names)])
 
 
 def _robot_names(team_size: int) -> list[str]:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lemma.expert.grounding import GeometricGrounder, GroundedOption
+from lemma.expert.primitives import PRIMITIVES, Wish
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.scene.spec import SHARED, STICK
 from lemma.tasks.goal import Goal, On
@@ -139,28 +140,15 @@ def _candidates(
     now: SymbolicState, goal: Goal, robots: tuple[str, ...], grounder: GeometricGrounder
 ) -> Iterator[SubTask]:
     """Propose the sub-tasks that could serve the goal."""
-    for cube, places in _wanted(now, goal).items():
-        able = [name for name in robots if grounder.reaches(name, now.poses[cube])]
-        for robot in able:
-            for place in places:
-                yield SubTask(robot, Primitive.MOVE, cube, place)
-        if STICK in now.poses and not able and now.supports[cube] == "table":
-            for robot in robots:
-                yield from _tool_steps(robot, cube, now)
+    wanted = _wanted(now, goal)
     if STICK in now.poses and now.labels[STICK] != SHARED:
+        wanted[STICK] = [SHARED]
+    for item, places in wanted.items():
+        able = [name for name in robots if grounder.reaches(name, now.poses[item])]
+        wish = Wish(item, tuple(places), tuple(able))
         for robot in robots:
-            yield SubTask(robot, Primitive.MOVE, STICK, SHARED)
-
-
-def _tool_steps(robot: str, cube: str, now: SymbolicState) -> Iterator[SubTask]:
-    for prepare, use in (
-        (Primitive.PREHOOK, Primitive.HOOK),
-        (Primitive.PREPOKE, Primitive.POKE),
-    ):
-        if now.is_prepared(use, cube):
-            yield SubTask(robot, use, STICK, cube)
-        else:
-            yield SubTask(robot, prepare, STICK, cube)
+            for name in PRIMITIVES:
+                yield from PRIMITIVES[name].candidates(robot, wish, now)
 
 
 def _wanted(now: SymbolicState, goal: Goal) -> dict[str, list[str]]:

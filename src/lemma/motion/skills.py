@@ -6,13 +6,14 @@ ends with the robot parked and nothing held, whatever happened.
 """
 
 import math
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from lemma.core.poses import Pose2, wrap
+from lemma.core.registry import Registry
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand
 from lemma.motion.obstacles import around
@@ -55,15 +56,16 @@ class SkillRunner:
         """Execute a sub-task; yields once per servo tick, returns how it went.
 
         Afterwards the arm is parked and its gripper open, also after a failure.
+
+        Raises:
+            UnknownNameError: No robot can do such a thing.
         """
+        skill = SKILLS[subtask.primitive]
         start = self.scene.time_s
         arm = self.arms[subtask.robot]
         result = SkillResult(Outcome.SUCCESS, "Done.", 0.0)
         try:
-            if subtask.primitive in (Primitive.HOOK, Primitive.POKE):
-                yield from self._drag(arm, subtask)
-            else:
-                yield from self._move(arm, subtask)
+            yield from skill(self, arm, subtask)
         except SkillFailure as failure:
             result = SkillResult(failure.outcome, failure.explanation, 0.0)
             yield from Moves(arm).give_up()
@@ -73,17 +75,27 @@ class SkillRunner:
             result.outcome, result.explanation, self.scene.time_s - start
         )
 
-    def _move(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
+    def move(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
+        """Pick up what lies at the pick pose, and put it down at the place pose."""
+        held, grip_m = self.what_to_pick(subtask.pick)
+        yield from self._carry(arm, subtask, held, grip_m)
+
+    def prepare(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
+        """Move the stick to where it is used."""
+        yield from self._carry(arm, subtask, *self._stick_to_pick(subtask))
+
+    def _carry(
+        self, arm: ArmMotion, subtask: GroundedSubTask, held: str, grip_m: float
+    ) -> Motion:
         moves = Moves(arm)
-        held, grip_m = self._what_to_pick(subtask)
         subtask = _as_it_turns(subtask, arm)
-        low = _stand(subtask.pick, grip_m)
-        over = _stand(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
+        low = stand_at(subtask.pick, grip_m)
+        over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
         body = self.scene.model.body(held).id
         bottom = grip_m - _grip_above_bottom(held)
         support = self.surface(subtask.place, exclude=body)[0]
-        put = _stand(subtask.place, support + grip_m - bottom - _PRESS_M)
-        over_put = _stand(subtask.place, max(put[2], TRAVEL_HEIGHT_M))
+        put = stand_at(subtask.place, support + grip_m - bottom - _PRESS_M)
+        over_put = stand_at(subtask.place, max(put[2], TRAVEL_HEIGHT_M))
         for pose in (low, over):
             moves.check_reach(pose, "pick")
         for pose in (put, over_put):
@@ -98,19 +110,15 @@ class SkillRunner:
         yield from moves.lower(put, contact=True)
         yield from moves.release(put)
 
-    def _drag(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
+    def drag(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
+        """Push or pull a cube with the stick, which lies ready."""
         moves = Moves(arm)
-        held, _ = self._what_to_pick(subtask)
-        if held != STICK:
-            raise SkillFailure(
-                Outcome.INVALID,
-                f"{subtask.primitive} needs the stick, but the pick pose is on {held}.",
-            )
+        held, _ = self._stick_to_pick(subtask)
         subtask = _as_it_turns(subtask, arm)
-        low = _stand(subtask.pick, STICK_GRASP_HEIGHT_M)
-        over = _stand(subtask.pick, TRAVEL_HEIGHT_M)
-        start = _stand(subtask.pick, DRAG_HEIGHT_M)
-        end = _stand(subtask.place, DRAG_HEIGHT_M)
+        low = stand_at(subtask.pick, STICK_GRASP_HEIGHT_M)
+        over = stand_at(subtask.pick, TRAVEL_HEIGHT_M)
+        start = stand_at(subtask.pick, DRAG_HEIGHT_M)
+        end = stand_at(subtask.place, DRAG_HEIGHT_M)
         for pose in (low, over):
             moves.check_reach(pose, "pick")
         moves.check_reach(end, "place")
@@ -132,22 +140,29 @@ class SkillRunner:
         yield from moves.to(down, contact=True)
         yield from moves.release(down)
 
-    def _what_to_pick(self, subtask: GroundedSubTask) -> tuple[str, float]:
-        """Return what lies under the pick pose and the height to grasp it at [m]."""
-        top, entity = self.surface(subtask.pick)
-        if entity is None or entity not in self.scene.movable_names:
-            found = entity or "the bare table"
-            raise SkillFailure(
-                Outcome.NOTHING_TO_PICK,
-                f"Nothing to pick at ({subtask.pick.x:.3f}, {subtask.pick.y:.3f}): "
-                f"{found} is there.",
-            )
-        needs_stick = subtask.primitive is not Primitive.MOVE
-        if needs_stick and entity != STICK:
+    def _stick_to_pick(self, subtask: GroundedSubTask) -> tuple[str, float]:
+        """Return the stick under the pick pose and the height to grasp it at [m]."""
+        entity, grip_m = self.what_to_pick(subtask.pick)
+        if entity != STICK:
             raise SkillFailure(
                 Outcome.INVALID,
                 f"{subtask.primitive} needs the stick, but {entity} is at the pick "
                 "pose.",
+            )
+        return entity, grip_m
+
+    def what_to_pick(self, pose: Pose2) -> tuple[str, float]:
+        """Return what lies under a pick pose and the height to grasp it at [m].
+
+        Raises:
+            SkillFailure: Nothing that can be picked.
+        """
+        top, entity = self.surface(pose)
+        if entity is None or entity not in self.scene.movable_names:
+            found = entity or "the bare table"
+            raise SkillFailure(
+                Outcome.NOTHING_TO_PICK,
+                f"Nothing to pick at ({pose.x:.3f}, {pose.y:.3f}): {found} is there.",
             )
         kind = self.scene.spec.placement(entity).kind
         return entity, top - height_m(kind) + _grip_above_bottom(entity)
@@ -188,7 +203,20 @@ def _grip_above_bottom(entity: str) -> float:
     return STICK_GRASP_HEIGHT_M if entity == STICK else 0.5 * height_m("cube")
 
 
-def _stand(pose: Pose2, z: float) -> Stand:
+SkillMotion = Callable[[SkillRunner, ArmMotion, GroundedSubTask], Motion]
+"""Carries out a grounded sub-task; raises :class:`SkillFailure` where it cannot."""
+
+SKILLS: Registry[SkillMotion] = Registry("skill")
+"""How each primitive is carried out; ``stop`` needs no motion."""
+SKILLS.add(Primitive.MOVE, SkillRunner.move)
+SKILLS.add(Primitive.PREHOOK, SkillRunner.prepare)
+SKILLS.add(Primitive.HOOK, SkillRunner.drag)
+SKILLS.add(Primitive.PREPOKE, SkillRunner.prepare)
+SKILLS.add(Primitive.POKE, SkillRunner.drag)
+
+
+def stand_at(pose: Pose2, z: float) -> Stand:
+    """Return the waypoint above a pose on the table, at a height [m]."""
     return (pose.x, pose.y, z, pose.yaw)
 
 

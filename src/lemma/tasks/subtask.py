@@ -4,11 +4,17 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 
 
 class Primitive(StrEnum):
-    """What a robot can do (paper, section IV)."""
+    """What a robot can do (paper, section IV).
+
+    The members are the benchmark's six, which action spaces and trained weights number
+    in this order. ``Primitive("push")`` also finds what users have added to
+    :data:`lemma.expert.primitives.PRIMITIVES`.
+    """
 
     MOVE = "move"
     """Pick something up and put it down."""
@@ -23,6 +29,70 @@ class Primitive(StrEnum):
     STOP = "stop"
     """Say that the goal is reached."""
 
+    @classmethod
+    def _missing_(cls, value: object) -> "Primitive":
+        """Find a primitive that was added.
+
+        Raises:
+            UnknownNameError: There is none of that name.
+        """
+        if value not in _added:
+            raise UnknownNameError("primitive", value, primitive_names())
+        return _added[str(value)].member
+
+
+@dataclass(frozen=True, slots=True)
+class _Added:
+    """A primitive that is not one of the benchmark's."""
+
+    member: Primitive
+    phrase: str
+
+
+_added: dict[str, _Added] = {}
+
+
+def add_primitive(name: str, phrase: str) -> None:
+    """Make a name a primitive; see :data:`lemma.expert.primitives.PRIMITIVES`.
+
+    Args:
+        name: A lower-case word.
+        phrase: How sub-instructions say it, with slots ``{robot}``, ``{pick}`` and
+            ``{place}``.
+
+    Raises:
+        InvalidConfigError: The name is no lower-case word, or the phrase has another
+            slot.
+    """
+    if not (name.isidentifier() and name.islower()):
+        raise InvalidConfigError(
+            f"{name!r} cannot name a primitive. Use a lower-case word, such as 'push'."
+        )
+    try:
+        phrase.format(robot="", pick="", place="")
+    except (KeyError, IndexError, ValueError) as error:
+        raise InvalidConfigError(
+            f"The phrase {phrase!r} of primitive {name!r} cannot be filled: {error}. "
+            "Its slots are {robot}, {pick} and {place}."
+        ) from None
+    if name in _added:
+        member = _added[name].member
+    else:
+        # As Flag makes its members: equal names are one object, also after pickling.
+        member = str.__new__(Primitive, name)
+        member._name_, member._value_ = name.upper(), name
+    _added[name] = _Added(member, phrase)
+
+
+def primitive_names() -> tuple[str, ...]:
+    """Return every primitive in the order of their numbers: the six, then users'."""
+    return (*(str(primitive) for primitive in Primitive), *_added)
+
+
+def added_phrase(name: str) -> str | None:
+    """Return how a primitive is said that users have added; None for others."""
+    return _added[name].phrase if name in _added else None
+
 
 @dataclass(frozen=True, slots=True)
 class SubTask:
@@ -35,6 +105,10 @@ class SubTask:
     """Entity to grasp; the stick for all primitives but ``move``."""
     place: str = ""
     """Entity to put it on, ``"shared"``, or the cube that the stick acts on."""
+
+    def __post_init__(self) -> None:
+        """Take the primitive's name as well, and refuse one that nobody knows."""
+        object.__setattr__(self, "primitive", Primitive(self.primitive))
 
     def __str__(self) -> str:
         """Return one readable line."""
@@ -75,6 +149,10 @@ class GroundedSubTask:
     primitive: Primitive
     pick: Pose2
     place: Pose2
+
+    def __post_init__(self) -> None:
+        """Take the primitive's name as well, and refuse one that nobody knows."""
+        object.__setattr__(self, "primitive", Primitive(self.primitive))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""

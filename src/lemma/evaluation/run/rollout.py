@@ -15,8 +15,7 @@ from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise
 from lemma.evaluation.run.fault_isolation import POLICY_ERROR, Fault, IsolatedPolicy
 from lemma.evaluation.run.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.run.loading import load_policy
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.refusal import ground_or_refuse
+from lemma.expert.grounding import GeometricGrounder, ground_or_refuse
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.policies.interfaces import Decision, PastStep, Policy, PolicyInput

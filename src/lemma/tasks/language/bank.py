@@ -25,6 +25,7 @@ from lemma.tasks.language.template import (
     only_goal,
     split_entity,
 )
+from lemma.tasks.subtask import added_phrase, primitive_names
 
 __all__ = [
     "KINDS",
@@ -130,7 +131,8 @@ def sub_instruction(
 
     Args:
         robot: The robot's phrase, from :func:`robot_phrases`.
-        primitive: ``move``, ``prehook``, ``hook``, ``prepoke``, ``poke`` or ``stop``.
+        primitive: ``move``, ``prehook``, ``hook``, ``prepoke``, ``poke``, ``stop``, or
+            one that was added.
         pick: Entity that is picked; for hook and poke the stick or the cube.
         place: Entity where it goes; for hook and poke pick and place together name
             exactly one cube.
@@ -140,18 +142,18 @@ def sub_instruction(
         InvalidConfigError: An entity that the primitive needs is missing.
     """
     lines = _sub_instructions()
-    primitives = [name for name in lines if name != "move_to_shared"]
-    if primitive not in primitives:
-        raise UnknownNameError("primitive", primitive, primitives)
+    if primitive not in primitive_names():
+        raise UnknownNameError("primitive", primitive, primitive_names())
     if primitive == "stop":
         return lines["stop"]
-    if primitive == "move":
+    added = added_phrase(primitive)
+    if primitive == "move" or added is not None:
         if pick is None or place is None:
             raise InvalidConfigError(
-                f"'move' needs pick and place, got pick={pick!r}, place={place!r}. "
-                "Name both, such as 'red_cube' and 'shared'."
+                f"{primitive!r} needs pick and place, got pick={pick!r}, "
+                f"place={place!r}. Name both, such as 'red_cube' and 'shared'."
             )
-        line = lines["move_to_shared" if place == "shared" else "move"]
+        line = added or lines["move_to_shared" if place == "shared" else "move"]
         return line.format(robot=robot, pick=phrase(pick), place=phrase(place))
     cubes = {e for e in (pick, place) if e is not None and e.endswith("_cube")}
     if len(cubes) != 1:

@@ -1,0 +1,174 @@
+"""Geometry of a scene for whoever grounds sub-tasks: reach, grasps, drags, free places.
+
+A ground function of :class:`lemma.expert.primitives.PrimitiveSpec` is given one.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+from lemma.core.poses import Pose2
+from lemma.expert.free_spots import FreeSpots
+from lemma.expert.symbolic_state import SymbolicState
+from lemma.robots.collision_model import sweep_radius_m
+from lemma.robots.reach import reach_of
+from lemma.scene.objects import PAD_RADIUS_M
+from lemma.scene.spec import STICK, RobotPlacement, SceneSpec
+from lemma.tasks.drags import Disc, Drag, find_drag, stick_gap
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+
+_FINGER_CENTRE_M = 0.059
+"""Of an open finger from the tool centre point."""
+_FINGER_RADIUS_M = 0.014
+_ENOUGH_M = 0.008
+_CUBE_DISC_M = 0.036
+_CUBE_FOOTPRINT_M = 0.028
+
+_HANDLING_S = 5.5
+"""What every sub-task takes, wherever it happens: descend, grasp, lift, lower."""
+_SWING_RAD_S = 1.6
+_RADIAL_M_S = 0.6
+_GOOD_MARGIN_M = 0.10
+
+
+_DragKey = tuple[str, str, bool, Pose2, tuple[Disc, ...]]
+
+
+@dataclass(frozen=True)
+class GroundedOption:
+    """A sub-task with poses, its predicted effect and its worth."""
+
+    subtask: SubTask
+    grounded: GroundedSubTask
+    after: SymbolicState
+    quality: float
+    """q in [0, 1]: how far inside reach it happens."""
+    duration_s: float
+    """tau: predicted time [s]."""
+
+
+class SceneGeometry:
+    """What can be reached, grasped, dragged and put down, by the true state."""
+
+    def __init__(self, spec: SceneSpec) -> None:
+        """Prepare for a scene.
+
+        Args:
+            spec: The scene; robots do not move their bases.
+        """
+        self._robots = dict(zip(spec.robot_names, spec.robots, strict=True))
+        self.places = FreeSpots(spec.robots)
+        """Where things can be put down so that everyone reaches them."""
+        self._drags: dict[_DragKey, Drag | None] = {}
+
+    @property
+    def robots(self) -> dict[str, RobotPlacement]:
+        """The team by name."""
+        return self._robots
+
+    def reaches(self, robot: str, pose: Pose2) -> bool:
+        """Whether a robot can grasp and carry at a position."""
+        placed = self._robots[robot]
+        return reach_of(placed.arm).margin(placed.base, pose.x, pose.y) > 0.0
+
+    def drag(self, subtask: SubTask, now: SymbolicState) -> Drag | None:
+        """Return the best drag for a cube: into one's own reach, or into another's."""
+        cube = subtask.place
+        hooking = subtask.primitive in (Primitive.PREHOOK, Primitive.HOOK)
+        obstacles = self.discs(now, but=cube)
+        receivers = (
+            [subtask.robot]
+            if hooking
+            else [name for name in self._robots if name != subtask.robot]
+        )
+        for name in receivers:
+            placed = self._robots[name]
+            reach = reach_of(placed.arm)
+            key = (subtask.robot, name, hooking, now.poses[cube], obstacles)
+            if key not in self._drags:
+                self._drags[key] = find_drag(
+                    Primitive.HOOK if hooking else Primitive.POKE,
+                    self._robots[subtask.robot],
+                    now.poses[cube],
+                    partial(reach.margin, placed.base),
+                    obstacles,
+                )
+            if self._drags[key] is not None:
+                return self._drags[key]
+        return None
+
+    def grasp(self, robot: str, cube: str, now: SymbolicState) -> Pose2:
+        """Return the gripper pose that grasps a cube with most room for the fingers."""
+        pose = now.poses[cube]
+        natural = self.bearing(robot, pose)
+        quarter = 0.5 * math.pi
+        first = pose.yaw + quarter * round((natural - pose.yaw) / quarter)
+        best = max(
+            (first, first + quarter),
+            key=lambda yaw: min(
+                _ENOUGH_M, self._finger_room(Pose2(pose.x, pose.y, yaw), cube, now)
+            ),
+        )
+        return Pose2(pose.x, pose.y, best)
+
+    def _finger_room(self, grip: Pose2, cube: str, now: SymbolicState) -> float:
+        """Return the distance of the open fingers to what stands around [m]."""
+        room = math.inf
+        for side in (-1.0, 1.0):
+            finger = grip @ Pose2(0.0, side * _FINGER_CENTRE_M)
+            for name, pose in now.poses.items():
+                if name in (cube, now.supports.get(cube)) or name.endswith("_pad"):
+                    continue
+                if name == STICK:
+                    gap = stick_gap(pose, finger.x, finger.y) - 0.015
+                else:
+                    gap = finger.distance(pose) - _CUBE_FOOTPRINT_M
+                room = min(room, gap - _FINGER_RADIUS_M)
+        return room
+
+    def discs(self, now: SymbolicState, but: str) -> tuple[Disc, ...]:
+        """Return the bases and every object but one and the stick, as discs."""
+        found = [
+            (r.base.x, r.base.y, sweep_radius_m(r.arm)) for r in self._robots.values()
+        ]
+        for name, pose in now.poses.items():
+            if name not in (but, STICK):
+                radius = PAD_RADIUS_M if name.endswith("_pad") else _CUBE_DISC_M
+                found.append((pose.x, pose.y, radius))
+        return tuple(found)
+
+    def margin(self, robot: str, *poses: Pose2) -> float:
+        """Return how far inside a robot's reach the outermost of some poses is [m]."""
+        placed = self._robots[robot]
+        reach = reach_of(placed.arm)
+        return min(reach.margin(placed.base, pose.x, pose.y) for pose in poses)
+
+    def quality(self, robot: str, *poses: Pose2) -> float:
+        """Return q in [0, 1]: how far inside a robot's reach some poses are."""
+        return min(1.0, self.margin(robot, *poses) / _GOOD_MARGIN_M)
+
+    def bearing(self, robot: str, pose: Pose2) -> float:
+        """Return the direction of a pose from a robot's base [rad]."""
+        base = self._robots[robot].base
+        return math.atan2(pose.y - base.y, pose.x - base.x)
+
+    def duration_s(self, robot: str, pick: Pose2, place: Pose2) -> float:
+        """Predict how long a robot takes [s]: there, over, and back to where it waits.
+
+        Args:
+            robot: Name of the robot.
+            pick: Where it grasps.
+            place: Where it lets go.
+        """
+        base = self._robots[robot].base
+        local = [base.inverse() @ pose for pose in (pick, place)]
+        bearings = [math.atan2(p.y, p.x) for p in local]
+        radii = [math.hypot(p.x, p.y) for p in local]
+        park = 2.0
+        swing = (
+            abs(park - bearings[0])
+            + abs(bearings[1] - bearings[0])
+            + abs(park - bearings[1])
+        )
+        stretch = abs(radii[1] - radii[0])
+        return _HANDLING_S + swing / _SWING_RAD_S / 2.0 + stretch / _RADIAL_M_S

@@ -1,0 +1,318 @@
+"""What robots can do: one record per primitive, and what it means to every layer.
+
+The benchmark's six come first, in the order in which action spaces and trained weights
+number them; what users add is numbered after them.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import Pose2
+from lemma.core.registry import Registry
+from lemma.expert.geometry import GroundedOption, SceneGeometry
+from lemma.expert.symbolic_state import TABLE, SymbolicState
+from lemma.motion.skills import SKILLS, SkillMotion
+from lemma.scene.spec import SHARED, STICK
+from lemma.tasks.drags import grasp_on_stick, stick_discs, stick_in_grasp
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask, add_primitive
+
+_DRAG_M_S = 0.2
+
+
+@dataclass(frozen=True)
+class Wish:
+    """An object that the planner would like elsewhere."""
+
+    item: str
+    """The object: a cube, or the stick."""
+    places: tuple[str, ...]
+    """Where it is wanted: entities, or ``"shared"``; none if anywhere else will do."""
+    able: tuple[str, ...]
+    """Robots that can grasp it where it is."""
+
+
+Ground = Callable[[SceneGeometry, SubTask, SymbolicState], GroundedOption | None]
+"""Poses for a sub-task and what follows, or None where its robot cannot do it."""
+WhyNot = Callable[[SubTask, SymbolicState], str | None]
+"""Why nobody could do a sub-task now; None if somebody might."""
+Candidates = Callable[[str, Wish, SymbolicState], Iterable[SubTask]]
+"""Sub-tasks by which a robot might fulfil a wish."""
+
+
+def _cannot(
+    geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
+) -> GroundedOption | None:
+    return None
+
+
+def _nothing_against(subtask: SubTask, now: SymbolicState) -> str | None:
+    return None
+
+
+def _none(robot: str, wish: Wish, now: SymbolicState) -> Iterable[SubTask]:
+    return ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrimitiveSpec:
+    """One primitive: how it is carried out, grounded, proposed, refused and said."""
+
+    name: str
+    """A lower-case word: ``"push"``."""
+    phrase: str
+    """Sub-instruction with slots ``{robot}``, ``{pick}`` and ``{place}``."""
+    skill: SkillMotion | None = None
+    """Carries it out: a generator that yields once per servo tick. None for ``stop``
+    alone."""
+    ground: Ground = _cannot
+    """Finds poses for it, for plan level and the expert. By default none are ever
+    found, so that it can be executed at skill level only."""
+    candidates: Candidates = _none
+    """Proposes it to the planner; by default never."""
+    why_not: WhyNot = _nothing_against
+    """Says why a sub-task makes no sense, beyond that its entities must be there."""
+    tool: bool = False
+    """Whether it is done with the stick, to a cube: ``pick`` is the stick, ``place``
+    the cube."""
+
+
+def _share(name: str, spec: PrimitiveSpec) -> None:
+    """Tell the layers below of a primitive: its name, its words, its motion."""
+    if name in tuple(Primitive):
+        return
+    if spec.skill is None:
+        raise InvalidConfigError(
+            f"Primitive {name!r} has no skill, so nothing can carry it out."
+        )
+    add_primitive(name, spec.phrase)
+    SKILLS.add(name, spec.skill, replace=True)
+
+
+PRIMITIVES: Registry[PrimitiveSpec] = Registry("primitive", on_add=_share)
+"""Every primitive, in the order of their numbers."""
+
+
+def ground_move(
+    geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
+) -> GroundedOption | None:
+    """Ground ``move``: a cube to an entity or the shared region, the stick to it."""
+    if subtask.pick == STICK:
+        return _ground_pass_stick(geometry, subtask, now)
+    cube = subtask.pick
+    if cube not in now.supports or now.on_top_of(cube) is not None:
+        return None
+    start = now.poses[cube]
+    if subtask.place == SHARED:
+        obstacles = geometry.discs(now, but=cube)
+        if STICK in now.poses:
+            obstacles += stick_discs(now.poses[STICK])
+        spot = geometry.places.free_spot(obstacles)
+        if spot is None:
+            return None
+        target, support, label = spot, TABLE, SHARED
+    elif subtask.place in now.poses and subtask.place != cube:
+        if now.on_top_of(subtask.place) is not None:
+            return None
+        target, support = now.poses[subtask.place], subtask.place
+        label = f"on {support}"
+    else:
+        return None
+    if geometry.margin(subtask.robot, start, target) <= 0.0:
+        return None
+    pick = geometry.grasp(subtask.robot, cube, now)
+    turn = geometry.bearing(subtask.robot, target) - geometry.bearing(
+        subtask.robot, start
+    )
+    yaw = pick.yaw + turn
+    if support.endswith("_cube"):
+        # Faces aligned: quarter turns away from the lower cube.
+        yaw = target.yaw + 0.5 * math.pi * round((yaw - target.yaw) * 2 / math.pi)
+    place = Pose2(target.x, target.y, yaw)
+    resting = Pose2(target.x, target.y, start.yaw + yaw - pick.yaw)
+    return GroundedOption(
+        subtask,
+        GroundedSubTask(subtask.robot, subtask.primitive, pick, place),
+        now.moved(cube, resting, support, label),
+        geometry.quality(subtask.robot, start, target),
+        geometry.duration_s(subtask.robot, pick, place),
+    )
+
+
+def _ground_pass_stick(
+    geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
+) -> GroundedOption | None:
+    if subtask.place != SHARED:
+        return None
+    pick = grasp_on_stick(now.poses[STICK])
+    place = geometry.places.free_stick(geometry.discs(now, but=STICK))
+    if place is None or geometry.margin(subtask.robot, pick, place) <= 0.0:
+        return None
+    return GroundedOption(
+        subtask,
+        GroundedSubTask(subtask.robot, subtask.primitive, pick, place),
+        now.moved(STICK, stick_in_grasp(place), TABLE, SHARED),
+        geometry.quality(subtask.robot, pick, place),
+        geometry.duration_s(subtask.robot, pick, place),
+    )
+
+
+def ground_prepare(
+    geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
+) -> GroundedOption | None:
+    """Ground ``prehook`` or ``prepoke``: the stick to where it is used."""
+    drag = geometry.drag(subtask, now)
+    pick = grasp_on_stick(now.poses[STICK])
+    if drag is None or not geometry.reaches(subtask.robot, pick):
+        return None
+    return GroundedOption(
+        subtask,
+        GroundedSubTask(subtask.robot, subtask.primitive, pick, drag.prepared),
+        now.moved(
+            STICK,
+            stick_in_grasp(drag.prepared),
+            TABLE,
+            f"{subtask.primitive} {subtask.place} {subtask.robot}",
+        ),
+        geometry.quality(subtask.robot, pick),
+        geometry.duration_s(subtask.robot, pick, drag.prepared),
+    )
+
+
+def ground_drag(
+    geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
+) -> GroundedOption | None:
+    """Ground ``hook`` or ``poke``: the stick lies prepared, pull or push it."""
+    pick = grasp_on_stick(now.poses[STICK])
+    if not now.is_prepared(subtask.primitive, subtask.place):
+        return None
+    drag = geometry.drag(subtask, now)
+    if drag is None or not geometry.reaches(subtask.robot, pick):
+        return None
+    # Along the stick as it lies, which is not to the millimetre where it should.
+    length = drag.prepared.distance(drag.end)
+    sign = 1.0 if subtask.primitive is Primitive.POKE else -1.0
+    end = pick @ Pose2(sign * length, 0.0)
+    after = now.moved(
+        subtask.place, drag.cube, TABLE, f"{subtask.primitive} {subtask.robot}"
+    ).moved(STICK, stick_in_grasp(end), TABLE, f"used {subtask.place}")
+    return GroundedOption(
+        subtask,
+        GroundedSubTask(subtask.robot, subtask.primitive, pick, end),
+        after,
+        geometry.quality(subtask.robot, pick),
+        geometry.duration_s(subtask.robot, pick, end) + length / _DRAG_M_S,
+    )
+
+
+def _propose_move(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
+    if wish.item == STICK or robot in wish.able:
+        for place in wish.places:
+            yield SubTask(robot, Primitive.MOVE, wish.item, place)
+
+
+def _tool_can_help(wish: Wish, now: SymbolicState) -> bool:
+    """Whether nobody can grasp what is wanted, and the stick could bring it."""
+    return STICK in now.poses and not wish.able and now.supports.get(wish.item) == TABLE
+
+
+def _propose_preparing(
+    prepare: Primitive, use: Primitive
+) -> Callable[[str, Wish, SymbolicState], Iterator[SubTask]]:
+    def propose(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
+        if _tool_can_help(wish, now) and not now.is_prepared(use, wish.item):
+            yield SubTask(robot, prepare, STICK, wish.item)
+
+    return propose
+
+
+def _propose_using(
+    use: Primitive,
+) -> Callable[[str, Wish, SymbolicState], Iterator[SubTask]]:
+    def propose(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
+        if _tool_can_help(wish, now) and now.is_prepared(use, wish.item):
+            yield SubTask(robot, use, STICK, wish.item)
+
+    return propose
+
+
+def _why_not_move(subtask: SubTask, now: SymbolicState) -> str | None:
+    pick, place = subtask.pick, subtask.place
+    if pick == STICK:
+        return None if place == SHARED else f"The stick cannot be put on {place}."
+    if pick not in now.supports:
+        return f"The {pick} is fixed to the table."
+    if place in (pick, STICK):
+        return f"The {pick} cannot be put on {place}."
+    for name in (pick, place):
+        above = None if name == SHARED else now.on_top_of(name)
+        if above is not None and above != pick:
+            return f"The {above} lies on the {name}."
+    return f"The {pick} lies there already." if now.supports[pick] == place else None
+
+
+def _unless_prepared(prepare: Primitive) -> WhyNot:
+    def why_not(subtask: SubTask, now: SymbolicState) -> str | None:
+        if now.is_prepared(subtask.primitive, subtask.place):
+            return None
+        return (
+            f"The stick does not lie ready for {subtask.place}: {prepare} comes first."
+        )
+
+    return why_not
+
+
+def _add_tool(
+    prepare: Primitive, prepare_phrase: str, use: Primitive, use_phrase: str
+) -> None:
+    """Add the two primitives of one way to use the stick."""
+    PRIMITIVES.add(
+        prepare,
+        PrimitiveSpec(
+            name=prepare,
+            phrase=prepare_phrase,
+            skill=SKILLS[prepare],
+            ground=ground_prepare,
+            candidates=_propose_preparing(prepare, use),
+            tool=True,
+        ),
+    )
+    PRIMITIVES.add(
+        use,
+        PrimitiveSpec(
+            name=use,
+            phrase=use_phrase,
+            skill=SKILLS[use],
+            ground=ground_drag,
+            candidates=_propose_using(use),
+            why_not=_unless_prepared(prepare),
+            tool=True,
+        ),
+    )
+
+
+PRIMITIVES.add(
+    Primitive.MOVE,
+    PrimitiveSpec(
+        name=Primitive.MOVE,
+        phrase="{robot}: move the {pick} onto the {place}",
+        skill=SKILLS[Primitive.MOVE],
+        ground=ground_move,
+        candidates=_propose_move,
+        why_not=_why_not_move,
+    ),
+)
+_add_tool(
+    Primitive.PREHOOK,
+    "{robot}: put the {pick} behind the {place}",
+    Primitive.HOOK,
+    "{robot}: hook the {place} with the {pick}",
+)
+_add_tool(
+    Primitive.PREPOKE,
+    "{robot}: put the {pick} in front of the {place}",
+    Primitive.POKE,
+    "{robot}: poke the {place} with the {pick}",
+)
+PRIMITIVES.add(Primitive.STOP, PrimitiveSpec(name=Primitive.STOP, phrase="done"))
