@@ -29,6 +29,18 @@ def test_import_loads_nothing_heavy() -> None:
     assert heavy == "set()\n"
 
 
+def test_what_is_wrong_with_a_module_is_not_hidden(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(name: str) -> None:
+        raise AttributeError("'NoneType' object has no attribute 'glGetError'")
+
+    monkeypatch.setattr(lemma, "import_module", fail)
+    monkeypatch.delitem(vars(lemma), "SUITE", raising=False)
+    with pytest.raises(ImportError, match="glGetError"):
+        exec("from lemma import SUITE")
+
+
 def test_names_are_those_of_the_tasks() -> None:
     assert list(TASK_IDS) == list(lemma.SUITE)
     assert {name: lemma.TASKS[name].gym_id for name in TASK_IDS} == TASK_IDS

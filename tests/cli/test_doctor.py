@@ -1,4 +1,5 @@
 import json
+import sys
 import tomllib
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from packaging.requirements import Requirement
 from lemma.bench import checks
 from lemma.cli.main import main
 from lemma.core.errors import RenderingError
+from lemma.scene.rendering import gl_backend
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
 DEPENDENCIES = [Requirement(text) for text in PROJECT["project"]["dependencies"]]
@@ -36,11 +38,24 @@ def test_doctor_says_what_is_wrong(
     def nothing_renders() -> None:
         raise RenderingError("No OpenGL here. Install [libegl1].")
 
-    monkeypatch.setattr(checks, "choose_backend", nothing_renders)
+    monkeypatch.setattr(gl_backend, "choose_backend", nothing_renders)
     assert run("doctor") == 1
     text = capsys.readouterr().out
     assert "FAILED" in text
     assert "Install [libegl1]" in text
+
+
+def test_what_cannot_be_imported_is_an_answer(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    monkeypatch.setitem(sys.modules, "lemma.env.simulation", None)
+    assert run("doctor", "--json") == 1
+    report = json.loads(capsys.readouterr().out)
+    failed = {c["name"]: c for c in report["checks"] if not c["ok"]}
+    assert {"physics and expert", "video encoder"} <= set(failed)
+    assert "cannot be imported" in failed["video encoder"]["found"]
+    assert "--force-reinstall" in failed["video encoder"]["advice"]
 
 
 def test_what_is_not_essential_does_not_fail(

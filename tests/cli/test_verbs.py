@@ -1,5 +1,8 @@
 import json
 import re
+import subprocess
+import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -34,7 +37,57 @@ def test_help_lists_every_verb(
 ) -> None:
     assert run(*words) == 0
     text = capsys.readouterr().out
-    assert all(f"• {verb}" in text for verb in VERBS)
+    assert re.findall(r"^  ([a-z-]+) ", text, re.MULTILINE) == list(VERBS)
+    told = " ".join(text.split())
+    assert all(f"{verb} {summary}" in told for verb, summary in VERBS.items())
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_summary_begins_the_help_of_its_verb(verb: str) -> None:
+    name = verb.replace("-", "_")
+    function = getattr(import_module(f"lemma.cli.{name}"), name)
+    assert function.__doc__.partition("\n")[0] == VERBS[verb]
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["evalaute"]])
+def test_what_runs_nothing_imports_nothing(words: list[str]) -> None:
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys\n"
+            "from lemma.cli.main import main\n"
+            "try: main(sys.argv[1:])\n"
+            "except SystemExit: pass\n"
+            "print(*sys.modules, file=sys.stderr)",
+            *words,
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = set(done.stderr.split())
+    assert "lemma.cli.main" in loaded
+    heavy = {"mujoco", "numba", "scipy", "pyarrow", "av", "PIL", "torch", "matplotlib"}
+    assert loaded & heavy == set()
+    assert not any(f"lemma.cli.{v.replace('-', '_')}" in loaded for v in VERBS)
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("evalaute", "evaluate"), ("task", "tasks")]
+)
+def test_a_misspelled_verb_is_understood(
+    typed: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(typed, "--policy", "oracle") == 2
+    assert f"Did you mean '{meant}'?" in capsys.readouterr().err
+
+
+def test_completion_of_the_shell(capsys: pytest.CaptureFixture[str]) -> None:
+    assert not run("--tyro-print-completion", "bash")
+    text = capsys.readouterr().out
+    assert all(verb in text for verb in VERBS)
+    assert "--perturb-start" in text
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

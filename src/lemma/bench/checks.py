@@ -1,22 +1,16 @@
-"""What `lemma doctor` looks at, one function per question."""
+"""What `lemma doctor` looks at, one function per question.
+
+Each imports what it looks at, so that what cannot even be imported is an answer too.
+"""
 
 import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import av
-import mujoco
-
 from lemma import __version__
 from lemma.bench.machine import installed_version
 from lemma.core.errors import LemmaError
-from lemma.env.simulation import Simulation
-from lemma.expert.expert import Expert
-from lemma.robots.ur.kinematics import frames
-from lemma.scene.rendering.gl_backend import choose_backend
-from lemma.scene.rendering.renderer import Renderer
-from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
 
 ENGINE = "3.17"
 """The series of MuJoCo that results are tied to."""
@@ -24,7 +18,7 @@ PYTHONS = ((3, 11), (3, 14))
 """The first supported Python, and the first that is not."""
 PACKAGES = (
     *("numpy", "scipy", "numba", "gymnasium", "pettingzoo", "pyarrow", "pillow"),
-    *("av", "tyro", "rich"),
+    *("av", "matplotlib", "jinja2", "msgspec", "filelock", "tyro", "rich"),
 )
 _INSTALL = "python -m pip install lemma-bench"
 _TASK = "stack"
@@ -46,13 +40,16 @@ class Check:
 
 def run_checks() -> list[Check]:
     """Return every check; none of them raises."""
-    checks = [_python(), Check("lemma", True, __version__), _engine()]
+    checks = [_python(), Check("lemma", True, __version__)]
+    checks.append(_attempt("mujoco", _engine))
     checks += [_package(name) for name in PACKAGES]
     checks.append(_attempt("rendering", _backend))
     checks.append(_attempt("physics and expert", _smoke))
     if checks[-2].ok:
         checks.append(_attempt("camera picture", _picture))
-    checks += [_attempt("instances", _frozen), _cache(), _video()]
+    checks.append(_attempt("instances", _frozen))
+    checks.append(_attempt("compiled code", _cache, essential=False))
+    checks.append(_attempt("video encoder", _video, essential=False))
     return checks
 
 
@@ -67,14 +64,17 @@ def _python() -> Check:
     )
 
 
-def _engine() -> Check:
-    found = mujoco.__version__
-    return Check(
-        "mujoco",
-        found.split(".")[:2] == ENGINE.split("."),
-        found,
-        f"Results are tied to the engine: python -m pip install 'mujoco~={ENGINE}.0'",
-    )
+def _engine() -> str:
+    from lemma.core.engine import mujoco
+
+    found: str = mujoco.__version__
+    if found.split(".")[:2] != ENGINE.split("."):
+        raise _NotWellError(
+            found,
+            "Results are tied to the engine: python -m pip install "
+            f"'mujoco~={ENGINE}.0'",
+        )
+    return found
 
 
 def _package(name: str) -> Check:
@@ -82,26 +82,45 @@ def _package(name: str) -> Check:
     return Check(name, found is not None, found or "missing", _INSTALL)
 
 
-def _attempt(name: str, question: Callable[[], str]) -> Check:
+class _NotWellError(Exception):
+    """Carries what there is instead, and what to do about it."""
+
+    def __init__(self, found: str, advice: str) -> None:
+        super().__init__(found)
+        self.found, self.advice = found, advice
+
+
+def _attempt(name: str, question: Callable[[], str], essential: bool = True) -> Check:
     """Answer with what a function returns, or with what it raises."""
     try:
-        return Check(name, True, question())
+        return Check(name, True, question(), essential=essential)
+    except _NotWellError as error:
+        found, advice = error.found, error.advice
     except LemmaError as error:
-        return Check(name, False, "does not work", str(error))
+        found, advice = "does not work", str(error)
+    except ImportError as error:
+        found, advice = f"cannot be imported: {error}", f"{_INSTALL} --force-reinstall"
     except Exception as error:
-        return Check(name, False, f"{type(error).__name__}: {error}", _REPORT)
+        found, advice = f"{type(error).__name__}: {error}", _REPORT
+    return Check(name, False, found, advice, essential)
 
 
 _REPORT = "This should not happen: please report it with the output of this command."
 
 
 def _backend() -> str:
+    from lemma.scene.rendering.gl_backend import choose_backend
+
     backend = choose_backend()
     kind = "software" if backend.is_software else "hardware"
     return f"{backend.name}: {backend.renderer} ({kind}; {backend.detail})"
 
 
 def _smoke() -> str:
+    from lemma.env.simulation import Simulation
+    from lemma.expert.expert import Expert
+    from lemma.tasks.suite import FREE_SPLIT, load_instance
+
     instance = load_instance(_TASK, FREE_SPLIT, 0)
     simulation = Simulation(instance.scene)
     simulation.tick()
@@ -112,6 +131,10 @@ def _smoke() -> str:
 
 
 def _picture() -> str:
+    from lemma.env.simulation import Simulation
+    from lemma.scene.rendering.renderer import Renderer
+    from lemma.tasks.suite import FREE_SPLIT, load_instance
+
     instance = load_instance(_TASK, FREE_SPLIT, 0)
     scene = Simulation(instance.scene).scene
     scene.refresh()
@@ -123,29 +146,32 @@ def _picture() -> str:
 
 
 def _frozen() -> str:
+    from lemma.tasks.suite import SUITE, load_instance
+
     return f"{len([load_instance(name, 'test', 0) for name in SUITE])} tasks' lists"
 
 
-def _cache() -> Check:
+def _cache() -> str:
+    from lemma.robots.ur.kinematics import frames
+
     # Where one compiled function is kept, all are.
     path = frames.stats.cache_path
-    return Check(
-        "compiled code",
-        path is not None and os.access(path, os.W_OK),
-        f"kept in {path}",
-        "The folder is read-only, so that every start compiles for half a minute. "
-        "Set NUMBA_CACHE_DIR to a folder that you may write to.",
-        essential=False,
-    )
+    if path is None or not os.access(path, os.W_OK):
+        raise _NotWellError(
+            f"kept in {path}",
+            "The folder is read-only, so that every start compiles for half a minute. "
+            "Set NUMBA_CACHE_DIR to a folder that you may write to.",
+        )
+    return f"kept in {path}"
 
 
-def _video() -> Check:
-    codec = "libx264" in av.codecs_available
-    return Check(
-        "video encoder",
-        codec,
-        "libx264" if codec else "missing",
-        "Only the videos of 'lemma demo' need it: python -m pip install --force "
-        "--only-binary :all: av",
-        essential=False,
-    )
+def _video() -> str:
+    import av
+
+    if "libx264" not in av.codecs_available:
+        raise _NotWellError(
+            "missing",
+            "Only videos need it: python -m pip install --force-reinstall "
+            "--only-binary :all: av",
+        )
+    return "libx264"

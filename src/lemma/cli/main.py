@@ -5,23 +5,48 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 
 import tyro
+from rich.table import Table
+from rich.text import Text
 
 from lemma import __version__
 from lemma.cli.options import complain, output
-from lemma.core.errors import LemmaError
+from lemma.core.errors import LemmaError, UnknownNameError
 
-VERBS = (
-    *("tasks", "demo", "show", "doctor", "bench"),
-    *("generate", "replay", "inspect", "push-to-hub", "pull"),
-    *("render", "instructions", "train", "evaluate", "serve"),
-    *("compare", "report", "reproduce"),
-)
-"""Each is a function of the same name in a module of the same name in this package,
-with underscores for dashes."""
+VERBS = {
+    "tasks": "List the eight tasks of the suite.",
+    "demo": "Let a policy solve one instance of each task; write videos and a page.",
+    "show": "Draw an instance: cameras, depth, map, reach, goal and instructions, "
+    "in one PNG.",
+    "doctor": "Check versions, rendering, physics and the expert; say what is missing.",
+    "bench": "Measure speed, memory and, if asked to, the expert's success.",
+    "generate": "Let the expert solve the frozen instances, and write what it did.",
+    "replay": "Execute a recipe again, and say where its states cannot be reproduced.",
+    "inspect": "Say what is in a recipe; with --task and --index, draw one episode.",
+    "push-to-hub": "Check a dataset and upload it to the Hugging Face Hub.",
+    "pull": "Fetch a dataset from the Hugging Face Hub, and check it.",
+    "render": "Make images, or steps, from a recipe.",
+    "instructions": "Draw instructions of a task, as training sees them or of one "
+    "kind.",
+    "train": "Train a model, or go on with it where it was stopped.",
+    "evaluate": "Let a policy play the episodes of a frozen split, and count its "
+    "successes.",
+    "serve": "Answer for a policy over a socket, until Ctrl-C; or test a server with "
+    "--check.",
+    "compare": "Compare two policies on the same episodes, one by one.",
+    "report": "Write results as a page with tables, figures and failures, and as "
+    "Markdown.",
+    "reproduce": "Evaluate every row of the tables, and write the tables.",
+}
+"""What each verb does, in the first sentence of its help.
+
+A verb is a function of the same name in a module of the same name in this package, with
+underscores for dashes. It is imported when it is called, and when it is asked for help:
+what all of them need takes seconds to import.
+"""
 
 _DESCRIPTION = (
     "LEMMA Bench: two robot arms, a table, and instructions that neither arm can "
-    "follow alone.\n\n'lemma VERB --help' says more about each verb."
+    "follow alone."
 )
 BAD_INPUT = 2
 """Exit code for what the user can put right; argument errors use it as well."""
@@ -42,18 +67,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if words == ["--version"]:
         output().print(f"lemma {__version__}")
         raise SystemExit(0)
-    words = words or ["--help"]
-    # What one verb needs takes a second to import, so the others do without.
-    asked = words[0] if words[:1] and words[0] in VERBS else None
-    verbs = (asked,) if asked else VERBS
+    if not words or words[0] in ("-h", "--help"):
+        _print_help()
+        raise SystemExit(0)
     try:
-        functions: dict[str, Callable[..., int]] = {
-            verb: getattr(import_module(f"lemma.cli.{name}"), name)
-            for verb in verbs
-            for name in (verb.replace("-", "_"),)
-        }
         code = tyro.extras.subcommand_cli_from_dict(
-            functions, prog="lemma", description=_DESCRIPTION, args=words
+            _functions(words),
+            prog="lemma",
+            description=_DESCRIPTION,
+            args=words,
         )
     except LemmaError as error:
         complain(str(error))
@@ -73,6 +95,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
         complain(str(error))
         code = BAD_INPUT
     raise SystemExit(code)
+
+
+def _functions(words: Sequence[str]) -> dict[str, Callable[..., int]]:
+    """Return the verbs that a command line needs.
+
+    Raises:
+        UnknownNameError: Its first word is none.
+        ImportError: Something is not installed.
+    """
+    first = words[0]
+    if first in VERBS:
+        return {first: _imported(first)}
+    if not first.startswith("-"):
+        raise UnknownNameError("verb", first, VERBS)
+    # Completion of the shell knows every option of every verb.
+    return {verb: _imported(verb) for verb in VERBS}
+
+
+def _imported(verb: str) -> Callable[..., int]:
+    name = verb.replace("-", "_")
+    function: Callable[..., int] = getattr(import_module(f"lemma.cli.{name}"), name)
+    return function
+
+
+def _print_help() -> None:
+    console = output()
+    console.print(f"usage: lemma [--help] [--version] VERB ...\n\n{_DESCRIPTION}\n")
+    verbs = Table.grid(padding=(0, 2))
+    for verb, summary in VERBS.items():
+        verbs.add_row(f"  {verb}", Text(summary))
+    console.print(verbs)
+    console.print("\n'lemma VERB --help' says more about each verb.")
 
 
 def _about_missing(error: ImportError) -> str:

@@ -7,9 +7,9 @@ generation and viewers all drive it; whoever wants to watch registers an observe
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
+from lemma.core.engine import mujoco
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import FloatArray
 from lemma.motion.arm_motion import ArmMotion

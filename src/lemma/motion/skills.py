@@ -9,9 +9,9 @@ import math
 from collections.abc import Callable, Generator
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 
+from lemma.core.engine import mujoco
 from lemma.core.poses import Pose2, wrap
 from lemma.core.registry import Registry
 from lemma.motion.arm_motion import ArmMotion

@@ -7,8 +7,7 @@ anything (group 2). Neither carries mass: links state their inertia themselves.
 import math
 from dataclasses import dataclass
 
-import mujoco
-
+from lemma.core.engine import mujoco
 from lemma.robots.ur.lofts import Surface, Vector
 
 Rgba = tuple[float, float, float, float]

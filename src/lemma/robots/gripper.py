@@ -7,8 +7,7 @@ the pads hold, they hold by friction.
 
 from functools import lru_cache
 
-import mujoco
-
+from lemma.core.engine import mujoco
 from lemma.robots.geometry import (
     DARK,
     METAL,

@@ -2,8 +2,7 @@
 
 import math
 
-import mujoco
-
+from lemma.core.engine import mujoco
 from lemma.core.errors import UnknownNameError
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec, add_arm
 from lemma.scene.camera_mounts import camera_mount

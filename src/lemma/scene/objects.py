@@ -2,8 +2,7 @@
 
 import math
 
-import mujoco
-
+from lemma.core.engine import mujoco
 from lemma.core.poses import Pose2
 from lemma.scene.palette import OBJECT_COLORS, STICK, Rgba
 from lemma.scene.spec import ObjectPlacement

@@ -4,9 +4,9 @@ import hashlib
 import math
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
+from lemma.core.engine import mujoco
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import FloatArray, Pose, Pose2
 from lemma.robots.gripper import FINGER_OPENING_M

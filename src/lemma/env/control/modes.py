@@ -12,9 +12,9 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
+from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import FloatArray, matrix_from_quaternion
 from lemma.core.registry import Registry

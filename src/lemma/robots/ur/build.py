@@ -13,8 +13,7 @@ inertia is at least ``h * damping / 0.9`` at a step of ``h`` = 5 ms.
 
 import math
 
-import mujoco
-
+from lemma.core.engine import mujoco
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.robots.geometry import (

@@ -23,10 +23,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from lemma.core.engine import mujoco
 from lemma.core.errors import RenderingError
 from lemma.scene.rendering.gl_backend import Backend, choose_backend, forget_backend
 

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import TypeVar
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
 from lemma.scene.cameras import CameraImage, DepthImage, FreeCamera, RgbImage

@@ -9,10 +9,10 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-import mujoco
 from PIL import Image
 
 from lemma import __version__
+from lemma.core.engine import mujoco
 from lemma.tasks.suite import task_named
 from lemma.viz.recording import RecordedStep, Recording, robot_titles
 
