@@ -36,7 +36,7 @@ def train(
     """
     try:
         # What trains takes torch with it.
-        from lemma.policies.training import loop  # noqa: PLC0415
+        from lemma.policies.training import loop
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] not in _EXTRA:
             raise

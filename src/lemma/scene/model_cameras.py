@@ -6,9 +6,9 @@ MuJoCo's camera frames have y up and z backward; ours are those of
 
 import math
 
-import mujoco
 import numpy as np
 
+from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose, quaternion_from_matrix
 from lemma.scene.cameras import Camera, CameraIntrinsics
