@@ -9,7 +9,7 @@ Run from the repository:
 import argparse
 from pathlib import Path
 
-from lemma.evaluation.experiments.leaderboard import (
+from lemma.evaluation.report.leaderboard import (
     board_page,
     check_submission,
     read_board,

@@ -6,12 +6,9 @@ from pathlib import Path
 
 from lemma.core.parallel import Serial
 from lemma.core.poses import Pose2
-from lemma.evaluation.run.evaluate import (
-    SUMMARY,
-    EvaluationConfig,
-    evaluate,
-    summary_of,
-)
+from lemma.evaluation.analysis.result import summarise
+from lemma.evaluation.records import SUMMARY, read_about
+from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
 from lemma.policies.spec import PolicySpec
@@ -62,5 +59,5 @@ def play_clumsily(folder: Path) -> Path:
         episodes=EPISODES,
     )
     rows = evaluate(order, Serial())
-    summary_of(order, rows).write(folder / SUMMARY)
+    summarise(rows, read_about(folder), order.command()).write(folder / SUMMARY)
     return folder

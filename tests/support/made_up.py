@@ -3,15 +3,14 @@
 from collections.abc import Sequence
 from typing import Any
 
-from lemma.evaluation.analysis.coordination import count_steps
 from lemma.evaluation.analysis.result import Result, summarise
+from lemma.evaluation.run.expert_feedback import count_steps
 
 STEP = {
     "robot": "robot_0",
     "primitive": "move",
     "pick": "red_cube",
     "place": "white_pad",
-    "outcome": "success",
 }
 ABOUT = {
     "policy": {"name": "oracle", "planning": "single-step", "gta": False},
@@ -38,15 +37,23 @@ def step(
     able: bool | None = True,
 ) -> dict[str, Any]:
     """Return one sub-task of an episode, before which the expert needed so many."""
-    said = {
-        "expected": {k: v for k, v in STEP.items() if k != "outcome"},
+    feedback = {
+        "expected": STEP,
         "left": left,
         "departure": departure,
         "able": able,
         "pick_error_mm": pick_mm,
         "place_error_mm": place_mm,
     }
-    return {**STEP, "outcome": outcome, "expert": said}
+    return {
+        **STEP,
+        "grounded": None,
+        "outcome": outcome,
+        "explanation": "",
+        "start_s": 0.0,
+        "duration_s": 1.0,
+        "expert": feedback,
+    }
 
 
 def row(
@@ -74,6 +81,7 @@ def row(
         "success": success,
         "progress": float(success),
         "failure": None if success else failure,
+        "policy_error": None,
         "elapsed_s": 30.0,
         "idle_s": {"robot_0": 5.0, "robot_1": 25.0},
         "coordination": {

@@ -38,7 +38,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def cases(folder: Path) -> list[Case]:
-    return cases_of(entries_of(read_results([folder])), [folder])
+    found, _ = cases_of(entries_of(read_results([folder])), [folder])
+    return found
 
 
 @pytest.fixture(scope="module")

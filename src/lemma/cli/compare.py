@@ -12,7 +12,7 @@ from lemma.evaluation.analysis.comparison import Comparison
 from lemma.evaluation.analysis.comparison import compare as run
 
 ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-"""A folder that ``lemma evaluate`` wrote."""
+"""A folder that ``lemma evaluate`` wrote, or lines of the leaderboard."""
 
 
 def compare(
@@ -25,8 +25,8 @@ def compare(
     McNemar's exact test. Results of other episodes or versions are refused.
 
     Args:
-        first: Folder of a result.
-        second: Folder of the other.
+        first: Folder of a result, or lines of the leaderboard (NAME.jsonl.gz).
+        second: The other.
         as_json: Print one JSON object instead of a table.
     """
     found = run(first, second)

@@ -11,8 +11,9 @@ from rich.table import Table
 from lemma.cli.options import Flag, JsonFlag, Number, complain, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.evaluation.analysis.intervals import Rate, mean_over_tasks, rates_by
-from lemma.evaluation.analysis.result import Cell, Row
-from lemma.evaluation.run.evaluate import SUMMARY, EvaluationConfig, summary_of
+from lemma.evaluation.analysis.result import Cell, summarise
+from lemma.evaluation.records import SUMMARY, Row, read_about, tasks_in_order
+from lemma.evaluation.run.evaluate import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate as run
 from lemma.evaluation.run.protocol import NAME, departures
 from lemma.evaluation.run.server_check import check_served
@@ -96,7 +97,7 @@ def evaluate(
         check_served(order.policy)
     with progress_bar("evaluate", order.total) as advance:
         rows = run(order, working.make_engine(), advance)
-    result = summary_of(order, rows)
+    result = summarise(rows, read_about(out), order.command())
     result.write(out / SUMMARY)
     complain_of(rows)
     if as_json:
@@ -144,13 +145,15 @@ def table(cells: tuple[Cell, ...]) -> Table:
     shown.add_column("success [%]", style="bold", no_wrap=True)
     for kind in kinds:
         shown.add_column(kind.replace("_", "-"), justify="right", no_wrap=True)
-    for task in SUITE:
-        if any(t == task for _, t in rates):
-            row = (rates.get((kind, task)) for kind in kinds)
-            shown.add_row(task, *(_cell(rate) for rate in row))
+    tasks = tasks_in_order(cell.task for cell in cells)
+    for task in tasks:
+        row = (rates.get((kind, task)) for kind in kinds)
+        shown.add_row(task, *(_cell(rate) for rate in row))
     shown.add_section()
     means = (mean_over_tasks(c for c in cells if c.kind == kind) for kind in kinds)
-    shown.add_row("mean over tasks", *(f"{100 * mean:.1f}" for mean in means))
+    whole = set(tasks) == set(SUITE)
+    over = "the tasks" if whole else f"{len(tasks)} of the tasks"
+    shown.add_row(f"mean over {over}", *(f"{100 * mean:.1f}" for mean in means))
     return shown
 
 

@@ -87,7 +87,12 @@ def report(
             "reproduce' wrote; what was not finished has no result yet."
         )
     entries = entries_of(read, complete=complete)
-    cases = cases_of(entries, results)
+    cases, uncounted = cases_of(entries, results)
+    for folder in uncounted:
+        complain(
+            f"The lines in {folder} are of no result that is reported: run 'lemma "
+            "evaluate' to its end, which counts them."
+        )
     found = _findings(cases, wishes, out)
     write_text(out / REPORT, page(entries))
     write_figures(out / FIGURES, figures_of(entries))

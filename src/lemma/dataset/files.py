@@ -302,7 +302,7 @@ def read_json(path: Path) -> dict[str, Any]:
             f"{path} is missing: nothing was written there, or not to the end. "
             "'lemma generate' writes it; run it again to complete the recipe."
         ) from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(
             f"{path} cannot be read: {error}. Fetch it again, or delete it and run the "
             "command again that wrote it."

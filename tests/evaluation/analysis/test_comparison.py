@@ -99,3 +99,15 @@ def test_the_verb_prints_both(
     assert verb(first, second, as_json=True) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["high_level"]["stack"]["only_first"] == 1
+
+
+def test_lines_of_the_leaderboard_are_compared(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    board = Path(__file__).parents[3] / "leaderboard"
+    first, second = board / "reachnet.jsonl.gz", board / "et-cliport.jsonl.gz"
+    found = compare(first, second)
+    assert found["high_level"]["all"].episodes == 480
+    assert found["unseen"]["all"].rates == (419 / 480, 0.0)
+    assert verb(first, second) == 0
+    assert "hook_stack" in capsys.readouterr().out

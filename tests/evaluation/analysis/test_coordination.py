@@ -12,9 +12,10 @@ from made_up import row, step
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
 from lemma.env.simulation import Simulation
-from lemma.evaluation.analysis.coordination import coordination_of, count_steps
+from lemma.evaluation.analysis.coordination import coordination_of
+from lemma.evaluation.records import Departure
 from lemma.evaluation.run.clearance import PERIOD_S, ClearanceWatch
-from lemma.evaluation.run.expert_feedback import Departure, ExpertFeedback, advise
+from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise, count_steps
 from lemma.expert.expert import Expert, solve
 from lemma.policies.interfaces import Decision
 from lemma.robots.collision_model import envelope_of, place_capsules, segment_distance

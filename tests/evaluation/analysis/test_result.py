@@ -1,14 +1,18 @@
 """Summaries: complete, the same bytes for the same episodes, and readable again."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from made_up import ABOUT, result, row, step
 
 from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.result import read_result, summarise
-from lemma.evaluation.run.loading import learned_parts, training_seed, weights_of
+from lemma.evaluation.records import EPISODES, SUMMARY, training_seed, write_rows
+from lemma.evaluation.report.policy_results import read_results
+from lemma.evaluation.run.loading import learned_parts, weights_of
 from lemma.policies.spec import PolicySpec
 
 ROWS = [
@@ -96,3 +100,115 @@ def test_the_seed_is_told_by_the_weights() -> None:
     made = result(3)
     other = replace(made, about={**made.about, "weights": {"x": {"seed": 4}}})
     assert other.seed == 4
+
+
+def kept(folder: Path, rows: list[dict[str, Any]]) -> Path:
+    """Write what `lemma evaluate` writes, and return the folder."""
+    folder.mkdir()
+    summarise(rows, ABOUT, "lemma evaluate").write(folder / SUMMARY)
+    write_rows(folder / EPISODES, rows)
+    return folder
+
+
+def test_lines_that_fit_are_read(tmp_path: Path) -> None:
+    folder = kept(tmp_path / "a", ROWS)
+    # Another run into the same folder, of more.
+    write_rows(folder / EPISODES, [*ROWS, row("stack", 2), row("hook", 0)])
+    (result_read,) = read_results([folder])
+    assert sum(cell.episodes for cell in result_read.cells) == len(ROWS)
+
+
+def test_lines_that_do_not_fit_their_summary_are_found(tmp_path: Path) -> None:
+    folder = kept(tmp_path / "a", ROWS)
+    won = [row("stack", 1, success=True) if r is ROWS[1] else r for r in ROWS]
+    write_rows(folder / EPISODES, won)
+    with pytest.raises(DatasetError, match="stack: 1 of 2 in the summary, 2 of 2 in"):
+        read_results([folder])
+    write_rows(folder / EPISODES, ROWS[:1])
+    with pytest.raises(DatasetError, match="pass: 1 of 1 in the summary, none in"):
+        read_results([folder])
+    # The same rates, but another episode.
+    write_rows(folder / EPISODES, [{**r, "instruction": "Do it"} for r in ROWS])
+    with pytest.raises(DatasetError, match="the same rates, other episodes"):
+        read_results([folder / SUMMARY])
+
+
+def test_lines_beside_a_file_of_a_seed_are_counted_too(tmp_path: Path) -> None:
+    folder = kept(tmp_path / "seed-0", ROWS)
+    (folder / SUMMARY).rename(tmp_path / "seed-0.json")
+    write_rows(folder / EPISODES, [{**r, "progress": 0.25} for r in ROWS])
+    with pytest.raises(DatasetError, match="does not fit the lines"):
+        read_results([tmp_path])
+
+
+def test_a_summary_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
+    folder = kept(tmp_path / "a", ROWS)
+    data = json.loads((folder / SUMMARY).read_text())
+    data["cells"][1]["successes"] = 2
+    (folder / SUMMARY).write_text(json.dumps(data))
+    with pytest.raises(DatasetError, match=r"0 failed .* of stack, and"):
+        read_result(folder / SUMMARY)
+    data["cells"][1]["successes"] = 3
+    (folder / SUMMARY).write_text(json.dumps(data))
+    with pytest.raises(DatasetError, match="cannot be"):
+        read_result(folder / SUMMARY)
+
+
+DEEP = "[" * 100_000
+
+
+@pytest.mark.parametrize("file", [SUMMARY, EPISODES])
+@pytest.mark.parametrize(
+    "text", ["", "[]", "null", "3", '"x"', "{", "\x00", DEEP, '{"version": "1"}', "NaN"]
+)
+def test_what_is_no_result_is_refused(tmp_path: Path, file: str, text: str) -> None:
+    folder = kept(tmp_path / "a", ROWS)
+    (folder / file).write_text(text + "\n")
+    with pytest.raises(DatasetError):
+        read_results([folder])
+
+
+@pytest.mark.parametrize("file", [SUMMARY, EPISODES])
+@pytest.mark.parametrize("value", [None, 3, "x", [], {}, [[]], -1, True, "1e9"])
+def test_wrong_types_are_refused(tmp_path: Path, file: str, value: object) -> None:
+    folder = kept(tmp_path / "a", ROWS)
+    first, _, rest = (folder / file).read_text().partition("\n")
+    data = json.loads(first if file == EPISODES else first + rest)
+    for name in data:
+        if type(data[name]) is type(value) or name == "wall_s":
+            continue
+        changed = json.dumps({**data, name: value})
+        if (data | {name: value}) == data or name in ("left", "asked", "asked_holds"):
+            continue
+        (folder / file).write_text(
+            f"{changed}\n{rest}" if file == EPISODES else changed
+        )
+        with pytest.raises(DatasetError):
+            read_results([folder])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("policy", "reachnet"),
+        ("policy", {"name": 1}),
+        ("weights", {"reachnet": "0"}),
+        ("split", "exam"),
+        ("horizon_s", "long"),
+        ("protocol", None),
+    ],
+)
+def test_notes_are_checked(tmp_path: Path, name: str, value: object) -> None:
+    folder = kept(tmp_path / "a", ROWS)
+    data = json.loads((folder / SUMMARY).read_text())
+    data["about"][name] = value
+    (folder / SUMMARY).write_text(json.dumps(data))
+    with pytest.raises(DatasetError):
+        read_results([folder])
+
+
+def test_an_episode_is_there_once(tmp_path: Path) -> None:
+    folder = kept(tmp_path / "a", ROWS)
+    write_rows(folder / EPISODES, [*ROWS, ROWS[0]])
+    with pytest.raises(DatasetError, match="high_level stack 0 twice"):
+        read_results([folder])

@@ -9,10 +9,10 @@ from made_up import ABOUT, row, step
 
 from lemma.env.episode import Episode
 from lemma.evaluation.analysis.failure_causes import Cause
+from lemma.evaluation.records import EPISODES as LINES
 from lemma.evaluation.report.episodes import Case, cases_of, explanation, spread
 from lemma.evaluation.report.policy_results import entries_of, read_results
 from lemma.evaluation.report.replay import retrace
-from lemma.evaluation.run.evaluate import EPISODES as LINES
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def cases(folder: Path) -> list[Case]:
-    return cases_of(entries_of(read_results([folder])), [folder])
+    found, uncounted = cases_of(entries_of(read_results([folder])), [folder])
+    assert uncounted == []
+    return found
 
 
 def made_up(**more: object) -> Case:
@@ -76,15 +78,17 @@ def test_lines_that_a_result_does_not_quote_are_left_out(
     lines = [json.loads(one) for one in (folder / LINES).read_text().splitlines()]
     lines[0]["progress"] = 0.5
     (tmp_path / LINES).write_text("".join(json.dumps(one) + "\n" for one in lines))
-    assert cases_of(entries, [tmp_path]) == []
-    assert len(cases_of(entries, [tmp_path, folder])) == len(lines)
+    assert cases_of(entries, [tmp_path]) == ([], [tmp_path])
+    found, uncounted = cases_of(entries, [tmp_path, folder])
+    assert (len(found), uncounted) == (len(lines), [tmp_path])
 
 
 def test_lines_lie_beside_a_file_of_a_result(folder: Path, tmp_path: Path) -> None:
     entries = entries_of(read_results([folder]))
     (tmp_path / "seed-0").mkdir()
     (tmp_path / "seed-0" / LINES).write_bytes((folder / LINES).read_bytes())
-    assert len(cases_of(entries, [tmp_path / "seed-0.json"])) == EPISODES * len(KINDS)
+    found, _ = cases_of(entries, [tmp_path / "seed-0.json"])
+    assert len(found) == EPISODES * len(KINDS)
 
 
 def test_pictures_are_spread_over_causes_and_tasks() -> None:

@@ -13,8 +13,9 @@ from lemma.cli.workers import Workers
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.parallel import Job, ProcessPool, Serial
 from lemma.evaluation.analysis.intervals import rates_by, wilson_interval
-from lemma.evaluation.analysis.result import Row, cells_of
-from lemma.evaluation.run.evaluate import ABOUT, EPISODES, EvaluationConfig, evaluate
+from lemma.evaluation.analysis.result import cells_of
+from lemma.evaluation.records import ABOUT, EPISODES, Row
+from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.evaluation.run.protocol import quote
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.suite import load_instance

@@ -13,9 +13,9 @@ import pytest
 from lemma.core.parallel import Serial
 from lemma.core.poses import Pose2
 from lemma.env.view import View
-from lemma.evaluation.run.evaluate import EPISODES, EvaluationConfig, evaluate
+from lemma.evaluation.records import EPISODES, POLICY_ERROR
+from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.evaluation.run.fault_isolation import (
-    POLICY_ERROR,
     Fault,
     IsolatedPolicy,
     check,

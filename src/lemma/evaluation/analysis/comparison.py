@@ -6,13 +6,19 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError
-from lemma.dataset.files import read_json
 from lemma.evaluation.analysis.intervals import mcnemar_p, paired_interval
-from lemma.evaluation.analysis.result import Row
-from lemma.evaluation.run.evaluate import ABOUT, EPISODES, read_rows
+from lemma.evaluation.records import (
+    EPISODES,
+    PACKED,
+    EpisodeKey,
+    key_of,
+    read_about,
+    read_lines,
+    read_rows,
+    tasks_in_order,
+)
 from lemma.evaluation.run.protocol import check_protocol
 from lemma.tasks.language.template import KINDS
-from lemma.tasks.suite import SUITE
 
 _SAME = ("split", "lemma")
 """What decides the episodes and the world, and not the policy."""
@@ -72,11 +78,12 @@ class Comparison:
 
 
 def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
-    """Compare two results that ``lemma evaluate`` wrote.
+    """Compare two results.
 
     Args:
-        first: Folder of one.
-        second: Folder of the other.
+        first: Folder that ``lemma evaluate`` wrote, or lines of the leaderboard,
+            ``NAME.jsonl.gz``.
+        second: The other.
 
     Returns:
         By kind of instructions, and then for ``"all"`` and by task.
@@ -84,7 +91,7 @@ def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
     Raises:
         DatasetError: One is missing, or they are of other episodes or versions.
     """
-    successes = [_successes(folder) for folder in (first, second)]
+    successes = [_successes(path) for path in (first, second)]
     _check_same_world(first, second)
     _check_same_episodes(first, second, successes)
     pairs = {name: (won, successes[1][name]) for name, won in successes[0].items()}
@@ -93,14 +100,10 @@ def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
         of_kind = {name: pair for name, pair in pairs.items() if name[0] == kind}
         if of_kind:
             found[kind] = {"all": _count(of_kind.values())}
-            for task in SUITE:
+            for task in tasks_in_order(name[1] for name in of_kind):
                 of_task = [pair for name, pair in of_kind.items() if name[1] == task]
-                if of_task:
-                    found[kind][task] = _count(of_task)
+                found[kind][task] = _count(of_task)
     return found
-
-
-_Name = tuple[str, str, int]
 
 
 def _count(pairs: Iterable[tuple[bool, bool]]) -> Comparison:
@@ -113,22 +116,20 @@ def _count(pairs: Iterable[tuple[bool, bool]]) -> Comparison:
     )
 
 
-def _successes(folder: Path) -> dict[_Name, bool]:
-    rows: Sequence[Row] = read_rows(folder)
+def _successes(path: Path) -> dict[EpisodeKey, bool]:
+    rows = read_lines(path) if path.name.endswith(PACKED) else read_rows(path)
     if not rows:
         raise DatasetError(
-            f"There are no episodes in {folder}: {EPISODES} is missing. 'lemma "
-            f"evaluate --out {folder}' writes it, and 'lemma reproduce' into a folder "
-            "for each training seed, as results/reachnet/seed-0."
+            f"There are no episodes in {path}: {EPISODES} is missing. 'lemma "
+            f"evaluate --out {path}' writes it, and 'lemma reproduce' into a folder "
+            "for each training seed. Or name lines of the leaderboard, such as "
+            f"leaderboard/reachnet{PACKED}."
         )
-    return {
-        (row["instruction_kind"], row["task"], row["index"]): bool(row["success"])
-        for row in rows
-    }
+    return {key_of(row): row["success"] for row in rows}
 
 
 def _check_same_world(first: Path, second: Path) -> None:
-    abouts = [read_json(folder / ABOUT) for folder in (first, second)]
+    abouts = [read_about(path) for path in (first, second)]
     check_protocol(abouts[0], abouts[1], first, second)
     for name in _SAME:
         values = [about.get(name) for about in abouts]
@@ -141,7 +142,7 @@ def _check_same_world(first: Path, second: Path) -> None:
 
 
 def _check_same_episodes(
-    first: Path, second: Path, successes: Sequence[dict[_Name, bool]]
+    first: Path, second: Path, successes: Sequence[dict[EpisodeKey, bool]]
 ) -> None:
     for here, there, mine, others in (
         (first, second, successes[0], successes[1]),

@@ -20,15 +20,10 @@ clearance           smallest distance between the two arms, looked at ten times 
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from lemma.evaluation.run.expert_feedback import Departure
-from lemma.motion.outcome import Outcome
-
-Row = Mapping[str, Any]
-"""One episode, as it stands in ``episodes.jsonl``."""
+from lemma.evaluation.records import Row
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,34 +58,6 @@ class Coordination:
     """Episodes in which it was 0 or less."""
 
 
-def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:
-    """Count what the expert said of the sub-tasks of an episode.
-
-    Args:
-        steps: Sub-tasks of its line.
-        left: How many the expert needs after the last; None where it has no plan.
-
-    Returns:
-        ``doable``, ``able``, ``planned``, ``as_expert`` and ``order_violations``.
-    """
-    said = [step["expert"] for step in steps]
-    lefts = [_number(each["left"]) for each in said] + [_number(left)]
-    departures = [Departure(each["departure"]) for each in said]
-    as_expert = sum(d in (Departure.NONE, Departure.ORDER) for d in departures)
-    return {
-        "doable": sum(each["able"] is not None for each in said),
-        "able": sum(each["able"] is True for each in said),
-        "planned": as_expert + departures.count(Departure.ROBOT),
-        "as_expert": as_expert,
-        "order_violations": sum(
-            departures[i] is Departure.ORDER
-            and lefts[i + 1] >= lefts[i]
-            and (not said[i]["able"] or step["outcome"] == Outcome.SUCCESS)
-            for i, step in enumerate(steps)
-        ),
-    }
-
-
 def coordination_of(rows: Sequence[Row], kind: str, task: str) -> Coordination:
     """Sum the figures of episodes of one kind and task; at least one."""
     figures = [row["coordination"] for row in rows]
@@ -120,11 +87,6 @@ def coordination_of(rows: Sequence[Row], kind: str, task: str) -> Coordination:
         nearest_mm=min(clearances, default=None),
         touching=sum(each <= 0.0 for each in clearances),
     )
-
-
-def _number(left: int | None) -> float:
-    """Return how many sub-tasks are left; no number is enough where no plan exists."""
-    return math.inf if left is None else left
 
 
 def _sum(values: Iterable[float]) -> float:

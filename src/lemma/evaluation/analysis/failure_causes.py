@@ -13,13 +13,8 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Any
 
-from lemma.evaluation.run.expert_feedback import Departure
-from lemma.evaluation.run.fault_isolation import POLICY_ERROR
+from lemma.evaluation.records import POLICY_ERROR, POSE_TOLERANCE_MM, Departure
 from lemma.motion.outcome import Outcome
-
-POSE_TOLERANCE_MM = 20.0
-"""A pose further off than this is missed: a cube that is held, or laid on another, so
-far off its middle may fall."""
 
 
 class Cause(StrEnum):

@@ -6,27 +6,30 @@ The same episodes give the same bytes: there is no clock in a result.
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+import msgspec
+
 from lemma.core.errors import DatasetError
 from lemma.dataset.files import read_json, write_text
 from lemma.evaluation.analysis.coordination import Coordination, coordination_of
-from lemma.evaluation.analysis.failure_causes import POSE_TOLERANCE_MM, cause_of
-from lemma.evaluation.run.loading import training_seed
+from lemma.evaluation.analysis.failure_causes import cause_of
+from lemma.evaluation.records import (
+    POSE_TOLERANCE_MM,
+    RESULT_VERSION,
+    WALL_CLOCK,
+    Row,
+    check_about,
+    place_of,
+    task_place,
+    training_seed,
+)
 from lemma.tasks.language.template import KINDS
-from lemma.tasks.suite import SUITE
-
-RESULT_VERSION = "1"
-WALL_CLOCK = ("wall_s",)
-"""Fields of an episode's line that depend on the machine."""
-
-Row = Mapping[str, Any]
-"""One episode, as it stands in ``episodes.jsonl``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,21 +119,15 @@ class Result:
         write_text(path, text + "\n}\n")
 
 
-_LISTS: dict[str, Callable[..., Any]] = {
-    "cells": Cell,
-    "losses": Loss,
-    "precisions": Precision,
-    "coordination": Coordination,
-    "asked": Asked,
-}
-"""Fields with an entry in each line, and what the entries are."""
+_LISTS = ("cells", "losses", "precisions", "coordination", "asked")
+"""Fields with an entry in each line."""
 
 
 def read_result(path: Path) -> Result:
     """Read a result.
 
     Raises:
-        DatasetError: It is missing, damaged, or of another version.
+        DatasetError: It is missing, damaged, of another version, or contradicts itself.
     """
     data = read_json(path)
     if data.get("version") != RESULT_VERSION:
@@ -139,17 +136,97 @@ def read_result(path: Path) -> Result:
             "results as summary.json, 'lemma reproduce' as seed-N.json."
         )
     try:
-        return Result(
-            **data
-            | {
-                name: tuple(kind(**entry) for entry in data[name])
-                for name, kind in _LISTS.items()
-            }
-        )
-    except (KeyError, TypeError) as error:
+        result = msgspec.convert(data, Result)
+    except msgspec.ValidationError as error:
         raise DatasetError(
             f"{path} is damaged: {error}. Delete it and evaluate again."
         ) from error
+    check_about(result.about, path)
+    _check_counts(path, result)
+    return result
+
+
+def _check_counts(path: Path, result: Result) -> None:
+    """Check that kinds are known, rates lie within [0, 1], and all losses have causes.
+
+    Raises:
+        DatasetError: Not so.
+    """
+    failed: Counter[tuple[str, str]] = Counter()
+    for cell in result.cells:
+        name = cell.kind, cell.task
+        within = cell.kind in KINDS and 0 <= cell.successes <= cell.episodes
+        if not (within and cell.episodes >= 1 and 0 <= cell.progress <= cell.episodes):
+            raise DatasetError(f"{path} counts what cannot be: {cell}. Evaluate again.")
+        failed[name] += cell.episodes - cell.successes
+    lost: Counter[tuple[str, str]] = Counter()
+    for loss in result.losses:
+        lost[loss.kind, loss.task] += loss.episodes
+    for kind, task in failed.keys() | lost.keys():
+        if failed[kind, task] != lost[kind, task]:
+            raise DatasetError(
+                f"{path} counts {failed[kind, task]} failed {kind} episodes of {task}, "
+                f"and causes of {lost[kind, task]}. Delete it and evaluate again."
+            )
+
+
+def lines_of(result: Result, rows: Iterable[Row]) -> list[Row]:
+    """Return the lines that a result counts: the first ones of its kinds and tasks.
+
+    A folder that was evaluated more than once holds more.
+    """
+    counted: Counter[tuple[str, str]] = Counter()
+    for cell in result.cells:
+        counted[cell.kind, cell.task] += cell.episodes
+    return [row for row in rows if row["index"] < counted[_question(row)]]
+
+
+def check_lines(result: Result, rows: Iterable[Row], path: Path, lines: Path) -> None:
+    """Count the lines of a result again, and compare.
+
+    Args:
+        result: The result.
+        rows: Lines beside it, of which it may count some.
+        path: Where the result is.
+        lines: Where the lines are.
+
+    Raises:
+        DatasetError: They do not give the result.
+    """
+    again = summarise(
+        lines_of(result, rows), result.about, result.command, result.experiment
+    )
+    if again.episodes_sha256 == result.episodes_sha256 and again == result:
+        return
+    told, found = _rates(result), _rates(again)
+    differing = [
+        f"{kind} {task}: {_ratio(told.get(name))} in the summary, "
+        f"{_ratio(found.get(name))} in the lines"
+        for name in sorted({*told, *found}, key=_order)
+        for kind, task in [name]
+        if told.get(name) != found.get(name)
+    ]
+    what = "; ".join(differing[:_MOST_NAMED]) or "the same rates, other episodes"
+    raise DatasetError(
+        f"{path} does not fit the lines in {lines}: {what}. One of them was changed. "
+        "Run 'lemma evaluate' again with the same --out, which counts the lines anew; "
+        "or remove the lines to report the summary alone."
+    )
+
+
+_MOST_NAMED = 3
+
+
+def _rates(result: Result) -> dict[tuple[str, str], tuple[int, int]]:
+    found: dict[tuple[str, str], tuple[int, int]] = {}
+    for cell in result.cells:
+        won, played = found.get((cell.kind, cell.task), (0, 0))
+        found[cell.kind, cell.task] = won + cell.successes, played + cell.episodes
+    return found
+
+
+def _ratio(rate: tuple[int, int] | None) -> str:
+    return "none" if rate is None else f"{rate[0]} of {rate[1]}"
 
 
 def summarise(
@@ -202,12 +279,6 @@ def cells_of(rows: Iterable[Row]) -> tuple[Cell, ...]:
     )
 
 
-def place_of(row: Row) -> tuple[int, int, int]:
-    """Return what lines are ordered by: kind, task, number."""
-    kind, task = _question(row)
-    return KINDS.index(kind), SUITE.index(task), row["index"]
-
-
 def _question(row: Row) -> tuple[str, str]:
     return row["instruction_kind"], row["task"]
 
@@ -226,7 +297,7 @@ def _asked(rows: Iterable[Row]) -> Iterable[Asked]:
 
 def _order(name: Sequence[Any]) -> tuple[Any, ...]:
     kind, task, *rest = name
-    return KINDS.index(kind), SUITE.index(task), *rest
+    return KINDS.index(kind), task_place(task), *rest
 
 
 def _digest(rows: Iterable[Row]) -> str:
@@ -247,10 +318,10 @@ def _precisions(rows: Iterable[Row]) -> Iterable[Precision]:
     errors: dict[tuple[str, str, str], list[float]] = {}
     for row in rows:
         for step in row["subtasks"]:
-            said = step["expert"]
+            feedback = step["expert"]
             for end in ("pick", "place"):
-                error = said[f"{end}_error_mm"]
-                if error is not None and not said["departure"]:
+                error = feedback[f"{end}_error_mm"]
+                if error is not None and not feedback["departure"]:
                     errors.setdefault((*_question(row), end), []).append(error)
     for name in sorted(errors, key=_order):
         found = errors[name]

@@ -29,7 +29,7 @@ DATA_COMMANDS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """One policy whose success is reported, and by what it is judged."""
+    """One policy whose success is reported."""
 
     name: str
     """Folder of its results."""
@@ -47,8 +47,6 @@ class Experiment:
     """Whether objects begin a little elsewhere."""
     paper: Mapping[str, Figures] = field(default_factory=dict)
     """By kind; what the paper reports for this row."""
-    targets: Mapping[str, float] = field(default_factory=dict)
-    """By kind; the mean over the tasks that it should reach at least [%]."""
 
     def runs(self, seed: int) -> str:
         """Return the folder that :meth:`Training.command` puts its weights into."""
@@ -125,11 +123,11 @@ def _add(experiment: Experiment) -> None:
 
 
 _TWO_LEVELS = "episodic-transformer+cliport"
-for _planning, _gta, _figures, _targets in (
-    ("single-step", False, paper.SINGLE_STEP, {"high_level": 55.0, "human": 35.0}),
-    ("single-step", True, paper.SINGLE_STEP_GTA, {"high_level": 80.0}),
-    ("multi-step", False, paper.MULTI_STEP, {"high_level": 50.0}),
-    ("multi-step", True, paper.MULTI_STEP_GTA, {}),
+for _planning, _gta, _figures in (
+    ("single-step", False, paper.SINGLE_STEP),
+    ("single-step", True, paper.SINGLE_STEP_GTA),
+    ("multi-step", False, paper.MULTI_STEP),
+    ("multi-step", True, paper.MULTI_STEP_GTA),
 ):
     _add(
         Experiment(
@@ -138,7 +136,6 @@ for _planning, _gta, _figures, _targets in (
             suite="paper",
             policy=PolicySpec(_TWO_LEVELS, _planning, _gta),
             paper=_figures,
-            targets=_targets,
         )
     )
 _add(
@@ -156,7 +153,6 @@ _add(
         title="ReachNet (ours)",
         suite="ours",
         policy=PolicySpec("reachnet"),
-        targets={"high_level": 95.0, "human": 92.0, "unseen": 80.0},
     )
 )
 _add(
@@ -165,7 +161,6 @@ _add(
         title="ReachNet, reach from demonstrations alone",
         suite="ours",
         policy=PolicySpec("reachnet-demonstrations"),
-        targets={"high_level": 88.0},
     )
 )
 for _name, _title, _policy in (

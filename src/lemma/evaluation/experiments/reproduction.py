@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from importlib import import_module
 from pathlib import Path
 
 from lemma.core.errors import DatasetError
@@ -17,8 +16,9 @@ from lemma.evaluation.experiments.catalog import (
     Experiment,
     Training,
 )
-from lemma.evaluation.run.evaluate import ABOUT, EvaluationConfig, evaluate
-from lemma.evaluation.run.loading import learned_parts, training_seed, weights_of
+from lemma.evaluation.records import ABOUT, training_seed
+from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.evaluation.run.loading import learned_parts, weights_of
 from lemma.policies.spec import PolicySpec
 
 _FILE = "weights.safetensors"
@@ -91,16 +91,21 @@ class Reproduction:
     def _found(self, experiment: Experiment) -> PolicySpec:
         """Return the policy with parts that can be loaded."""
         policy = experiment.policy
+        learned = learned_parts(policy.name)
+        if not learned:
+            return policy
+        # torch is an extra, which the expert does without.
+        from lemma.policies.weights import shipped_weights  # noqa: PLC0415
+
         parts = policy.name.split("+")
-        for part in learned_parts(policy.name):
+        for part in learned:
             if self.weights is not None:
                 path = self.weights / part
                 missing = not (path / _FILE).is_file()
                 where = f"are not in {self.weights}"
                 parts[parts.index(part)] = str(path)
             else:
-                shipped = import_module("lemma.policies.weights").shipped_weights()
-                missing, where = part not in shipped, "do not ship yet"
+                missing, where = part not in shipped_weights(), "do not ship yet"
             if missing:
                 raise MissingWeightsError(
                     f"The weights of {part} {where}. They are made by: "

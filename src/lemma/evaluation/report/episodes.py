@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from lemma.evaluation.analysis.failure_causes import Cause, cause_of, mistake_of
-from lemma.evaluation.analysis.result import Result, Row, summarise
-from lemma.evaluation.report.policy_results import PolicyResults
-from lemma.evaluation.run.evaluate import EPISODES, read_rows, start_of
-from lemma.evaluation.run.expert_feedback import Departure
+from lemma.evaluation.analysis.result import Result, lines_of, summarise
+from lemma.evaluation.records import EPISODES, Departure, Row, read_rows
+from lemma.evaluation.report.policy_results import PolicyResults, lines_beside
+from lemma.evaluation.run.evaluate import start_of
 from lemma.motion.outcome import Outcome
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.bank import robot_phrases, sub_instruction
@@ -60,7 +60,9 @@ class Case:
         return bool(self.about["benchmark"] == BENCHMARK_VERSION)
 
 
-def cases_of(entries: Iterable[PolicyResults], paths: Iterable[Path]) -> list[Case]:
+def cases_of(
+    entries: Iterable[PolicyResults], paths: Iterable[Path]
+) -> tuple[list[Case], list[Path]]:
     """Return the episodes that results count, where their lines are at hand.
 
     Lines belong to a result if they have the digest that it quotes, wherever they lie.
@@ -68,9 +70,12 @@ def cases_of(entries: Iterable[PolicyResults], paths: Iterable[Path]) -> list[Ca
     Args:
         entries: The results.
         paths: Files and folders that were reported.
+
+    Returns:
+        The episodes, and the folders whose lines no result counts.
     """
-    found = [(file.parent, read_rows(file.parent)) for file in _line_files(paths)]
-    cases = []
+    found = {folder: read_rows(folder) for folder in _line_folders(paths)}
+    cases: list[Case] = []
     for entry in entries:
         for result in entry.results:
             name = entry.title
@@ -78,35 +83,28 @@ def cases_of(entries: Iterable[PolicyResults], paths: Iterable[Path]) -> list[Ca
                 name += f", seed {result.seed}"
             for folder, rows in _lines_of(result, found):
                 cases += [Case(name, row, result.about, folder) for row in rows]
-    return cases
+    counted = {case.folder for case in cases}
+    return cases, [folder for folder in found if folder not in counted]
 
 
-def _line_files(paths: Iterable[Path]) -> list[Path]:
-    files: list[Path] = []
+def _line_folders(paths: Iterable[Path]) -> list[Path]:
+    folders: list[Path] = []
     for path in paths:
         if path.is_dir():
-            files += sorted(path.rglob(EPISODES))
+            folders += sorted(file.parent for file in path.rglob(EPISODES))
         else:
-            beside = (path.parent / EPISODES, path.with_suffix("") / EPISODES)
-            files += [file for file in beside if file.is_file()]
-    return list({file.resolve(): file for file in files}.values())
+            folders += lines_beside(path)
+    return list({folder.resolve(): folder for folder in folders}.values())
 
 
 def _lines_of(
-    result: Result, found: Iterable[tuple[Path, Sequence[Row]]]
+    result: Result, found: Mapping[Path, Sequence[Row]]
 ) -> list[tuple[Path, list[Row]]]:
-    """Return the lines of a result; a file may hold more kinds and tasks."""
-    counted = {(cell.kind, cell.task) for cell in result.cells}
-    episodes = sum(cell.episodes for cell in result.cells)
-    for folder, lines in found:
-        rows = [r for r in lines if (r["instruction_kind"], r["task"]) in counted]
-        if len(rows) == episodes and _digest(rows) == result.episodes_sha256:
+    for folder, lines in found.items():
+        rows = lines_of(result, lines)
+        if rows and summarise(rows, {}).episodes_sha256 == result.episodes_sha256:
             return [(folder, rows)]
     return []
-
-
-def _digest(rows: Sequence[Row]) -> str:
-    return summarise(rows, {}).episodes_sha256
 
 
 def spread(cases: Iterable[Case], most: int) -> list[Case]:
@@ -130,9 +128,9 @@ def subtask_words(case: Case, subtask: Mapping[str, str]) -> str:
         return "stop"
     robot = subtask["robot"]
     if case.is_known:
-        robots = case.instance.scene.robots
-        phrases = robot_phrases(tuple(placed.color for placed in robots))
-        robot = phrases[case.instance.scene.robot_names.index(robot)]
+        scene = case.instance.scene
+        phrases = robot_phrases(tuple(placed.color for placed in scene.robots))
+        robot = dict(zip(scene.robot_names, phrases, strict=True)).get(robot, robot)
     pick, place = subtask["pick"], subtask["place"]
     if not (pick and place):
         # A model that acts from end to end names no objects.

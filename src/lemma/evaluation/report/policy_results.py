@@ -7,18 +7,17 @@ from pathlib import Path
 from statistics import fmean, stdev
 
 from lemma.core.errors import DatasetError
-from lemma.evaluation.analysis.intervals import (
-    mean_over_tasks,
-    rate_of,
-    wilson_interval,
-)
-from lemma.evaluation.analysis.result import Cell, Result, read_result
+from lemma.evaluation.analysis.intervals import mean_over_tasks, rate_of
+from lemma.evaluation.analysis.result import Cell, Result, check_lines, read_result
 from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS, Experiment
-from lemma.evaluation.run.evaluate import SUMMARY
+from lemma.evaluation.records import EPISODES, SUMMARY, read_rows, tasks_in_order
 from lemma.evaluation.run.language_controls import FULL
 from lemma.evaluation.run.protocol import check_protocol
+from lemma.tasks.suite import SUITE
 
 NOTHING = "–"
+PARTIAL = "†"
+"""Marks a mean over other tasks than all of the suite."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def shown(seeds: list[list[Cell]], rate: Callable[[list[Cell]], float]) -> str:
     if len(rates) > 1:
         return f"{fmean(rates):.1f} ± {stdev(rates):.1f}"
     counted = rate_of(next(cells for cells in seeds if cells))
-    low, high = wilson_interval(counted.successes, counted.episodes)
+    low, high = counted.interval
     return f"{rates[0]:.1f} ({100 * low:.0f}–{100 * high:.0f})"
 
 
@@ -79,10 +78,36 @@ def pooled(cells: list[Cell]) -> float:
     return rate_of(cells).success_rate
 
 
-def mean_of(entry: PolicyResults, kind: str) -> float | None:
-    """Return the mean over tasks and seeds [%]; None where it was not run."""
-    rates = [mean_over_tasks(cells) for cells in entry.select(kind) if cells]
-    return 100.0 * fmean(rates) if rates else None
+def shown_mean(seeds: list[list[Cell]]) -> str:
+    """Return the mean over the tasks [%] as a table shows it.
+
+    A mean over other tasks than all of the suite is marked by :data:`PARTIAL`.
+    """
+    text = shown(seeds, mean_over_tasks)
+    whole = all({cell.task for cell in cells} == set(SUITE) for cells in seeds if cells)
+    return text if whole else f"{text} {PARTIAL}"
+
+
+def tasks_of(
+    entries: Iterable[PolicyResults], kind: str | None = None
+) -> tuple[str, ...]:
+    """Return the tasks that were played, in the order of tables.
+
+    Args:
+        entries: By whom.
+        kind: Only with this kind of instructions.
+
+    Returns:
+        Their names; those of the suite where nobody played.
+    """
+    played = tasks_in_order(
+        cell.task
+        for entry in entries
+        for result in entry.results
+        for cell in result.cells
+        if kind in (None, cell.kind)
+    )
+    return played or SUITE
 
 
 def read_results(paths: Iterable[Path]) -> list[Result]:
@@ -93,7 +118,8 @@ def read_results(paths: Iterable[Path]) -> list[Result]:
             over.
 
     Raises:
-        DatasetError: One is missing or damaged, or they are of different protocols.
+        DatasetError: One is missing or damaged, does not fit the lines that lie beside
+            it, or they are of different protocols.
     """
     results: list[Result] = []
     for path in dict.fromkeys(file for each in paths for file in _files(each)):
@@ -105,8 +131,16 @@ def read_results(paths: Iterable[Path]) -> list[Result]:
                 f"{path} is of split {result.about['split']}, and others are of "
                 f"{first.about['split']}: they cannot be compared. Report them apart."
             )
+        for lines in lines_beside(path):
+            check_lines(result, read_rows(lines), path, lines)
         results.append(result)
     return results
+
+
+def lines_beside(path: Path) -> list[Path]:
+    """Return the folders with the lines of the file of a result: one or none."""
+    folder = path.parent if path.name == SUMMARY else path.with_suffix("")
+    return [folder] if (folder / EPISODES).is_file() else []
 
 
 def _files(path: Path) -> list[Path]:

@@ -5,8 +5,7 @@ from typing import Any
 
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
-from lemma.evaluation.analysis.result import Row
-from lemma.evaluation.run.fault_isolation import POLICY_ERROR
+from lemma.evaluation.records import POLICY_ERROR, Row
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 

@@ -3,15 +3,17 @@
 Made from results and from nothing else.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from lemma.evaluation.analysis.result import Result
 from lemma.evaluation.experiments.catalog import SEEDS, SUITES
 from lemma.evaluation.report import tables
-from lemma.evaluation.report.policy_results import PolicyResults
+from lemma.evaluation.report.policy_results import PARTIAL, PolicyResults, tasks_of
 from lemma.evaluation.report.tables import ResultTable, markdown
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
+from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE
 
 REPORT = "results.md"
@@ -22,8 +24,7 @@ Success rates of policies on the frozen lists, skills executed in the simulator.
 page is written by a command, from {source} and from nothing else.
 
 - **What a number is.** {protocol}
-  Some rows are of fewer: the table *How each row is made* says of how many. An episode
-  counts if its goal holds at the end. {guide} says what else fixes a number.
+  An episode counts if its goal holds at the end. {guide} says what else fixes a number.
 - **Intervals.** With one training seed: the rate and its 95 % Wilson interval over the
   episodes. With several: mean ± standard deviation over the seeds. The simulator is
   deterministic, so a second run of the same weights gives the same episodes.
@@ -73,7 +74,9 @@ def page(
         protocol=protocol_words(entries),
         not_run=tables.NOT_RUN,
     )
-    return text + "".join(map(_written, sections(entries, guide)))
+    return text + "".join(
+        _written(section) for section in sections(entries, guide) if section.table.rows
+    )
 
 
 def sections(
@@ -93,7 +96,6 @@ def _paper_sections(
     entries: Sequence[PolicyResults],
 ) -> Iterator[tuple[str, str, ResultTable]]:
     """Yield title, note and table of what is in the paper, too."""
-    yield "What was aimed at", "", tables.targets(entries)
     yield (
         "High-level instructions",
         "As in the paper.",
@@ -177,7 +179,7 @@ def _own_sections(
 
 def _written(section: Section) -> str:
     title, note, table = section.title, section.note, section.table
-    body = markdown(table) if table.rows else "There are no results yet.\n"
+    body = markdown(table)
     return f"\n## {title}\n\n{note}\n\n{body}" if note else f"\n## {title}\n\n{body}"
 
 
@@ -187,26 +189,78 @@ def _is_detailed(entry: PolicyResults) -> bool:
     return detailed and any(result.losses for result in entry.results)
 
 
-def protocol_words(entries: Iterable[PolicyResults]) -> str:
-    """Return what was played, in a sentence."""
-    abouts = [result.about for entry in entries for result in entry.results]
-    told = abouts[0] if abouts else {"split": "test", "benchmark": BENCHMARK_VERSION}
-    split, benchmark = told["split"], told["benchmark"]
-    text = (
-        f"Split `{split}` of benchmark `{benchmark}`: {SPLITS[split]} episodes of each "
-        "of the eight tasks for each kind of instructions"
-    )
-    if abouts:
-        text += f"; {told['horizon_s']:.0f} simulated seconds; MuJoCo {told['mujoco']}"
+def protocol_words(entries: Sequence[PolicyResults]) -> str:
+    """Return what was played, in a sentence or two; a part is called a part."""
+    results = [result for entry in entries for result in entry.results]
+    about = results[0].about if results else {}
+    split = about.get("split", "test")
+    benchmark = about.get("benchmark", BENCHMARK_VERSION)
+    text = f"Split `{split}` of benchmark `{benchmark}`: "
+    counts = [count for result in results for count in _extents(result).values()]
+    whole = not results or any(_is_whole(result) for result in results)
+    if whole:
+        text += f"{SPLITS[split]} episodes of each of the eight tasks"
+    else:
+        text += f"**in part**, {_part_words(tasks_of(entries), counts, split)}"
+    text += f", with {_kind_words(results)} instructions"
+    if about:
+        text += (
+            f"; {about['horizon_s']:.0f} simulated seconds; MuJoCo {about['mujoco']}"
+        )
+    if whole and not all(_is_whole(result) for result in results):
+        text += (
+            ". Some rows are of fewer: the table *How each row is made* says of how "
+            "many"
+        )
+    if any({task for _, task in _extents(one)} != set(SUITE) for one in results):
+        text += f". {PARTIAL} marks a mean over other tasks than the suite's eight"
     return f"{text}."
+
+
+def _part_words(tasks: Sequence[str], counts: Sequence[int], split: str) -> str:
+    least, most = min(counts), max(counts)
+    number = f"{most}" if least == most else f"{least} to {most}"
+    if split in SPLITS:
+        number += f" of {SPLITS[split]}"
+    unknown = [task for task in tasks if task not in SUITE]
+    of = (
+        f"{len(tasks)} task{'s' * (len(tasks) > 1)}"
+        if unknown
+        else (f"{len(tasks)} of the eight tasks")
+    )
+    return f"{number} episodes of each of {of} ({', '.join(tasks)})"
+
+
+def _kind_words(results: Iterable[Result]) -> str:
+    found = {cell.kind for result in results for cell in result.cells}
+    kinds = [tables.words(kind, "-") for kind in KINDS if kind in found or not found]
+    return " and ".join([", ".join(kinds[:-1]), kinds[-1]] if kinds[1:] else kinds)
+
+
+def _extents(result: Result) -> dict[tuple[str, str], int]:
+    """Return the episodes of a result by kind and task."""
+    counted: Counter[tuple[str, str]] = Counter()
+    for cell in result.cells:
+        counted[cell.kind, cell.task] += cell.episodes
+    return dict(counted)
+
+
+def _is_whole(result: Result) -> bool:
+    """Whether all episodes of all tasks of the suite were played, with some kinds."""
+    found = _extents(result)
+    every = SPLITS.get(result.about["split"])
+    kinds = {kind for kind, _ in found}
+    return all(found.get((kind, task)) == every for kind in kinds for task in SUITE)
 
 
 def _extent(result: Result) -> str:
     """Return of how many episodes a result is, and whether there should be more."""
-    episodes = sum(cell.episodes for cell in result.cells)
-    kinds = {cell.kind for cell in result.cells}
-    every = len(kinds) * len(SUITE) * SPLITS[result.about["split"]]
-    return str(episodes) if episodes == every else f"{episodes} of {every}"
+    found = _extents(result)
+    episodes = sum(found.values())
+    split = result.about["split"]
+    if _is_whole(result) or split not in SPLITS:
+        return str(episodes)
+    return f"{episodes} of {len({k for k, _ in found}) * len(SUITE) * SPLITS[split]}"
 
 
 def _provenance(entries: Iterable[PolicyResults]) -> Section:

@@ -2,22 +2,23 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
+from typing import Any
 
 from lemma.evaluation.analysis.coordination import Coordination
 from lemma.evaluation.analysis.failure_causes import Cause
-from lemma.evaluation.analysis.intervals import mean_over_tasks
 from lemma.evaluation.analysis.result import Result
 from lemma.evaluation.experiments.catalog import ABLATIONS, SUITES
 from lemma.evaluation.report.policy_results import (
     NOTHING,
     PolicyResults,
-    mean_of,
     pooled,
     shown,
+    shown_mean,
     starts_perturbed,
+    tasks_of,
 )
 from lemma.evaluation.run.language_controls import FULL, LANGUAGES
 from lemma.tasks.language.template import KINDS
@@ -51,51 +52,26 @@ def words(name: str, gap: str = " ") -> str:
     return name.replace("_", gap)
 
 
-def targets(entries: Iterable[PolicyResults]) -> ResultTable:
-    """Return what each policy should reach, and whether it does."""
-    rows = []
-    for entry in entries:
-        experiment = entry.experiment
-        for kind in experiment.targets if experiment else ():
-            assert experiment is not None
-            least, mean = experiment.targets[kind], mean_of(entry, kind)
-            if mean is None and entry.results:
-                continue
-            verdict = NOT_RUN if mean is None else "yes" if mean >= least else "**no**"
-            rows.append(
-                (
-                    entry.title,
-                    words(kind, "-"),
-                    _paper_mean(entry, kind),
-                    f"{least:.0f}",
-                    _mean(entry, kind),
-                    verdict,
-                )
-            )
-    header = ("mean over the tasks [%]", "instructions", "paper", "at least", "here")
-    return ResultTable((*header, "reached"), tuple(rows), labels=2)
-
-
 def by_task(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
     """Return success by task with one kind of instructions; paper's figures below."""
+    reporting = _reporting(entries, kind)
+    tasks = tasks_of(reporting, kind)
     rows = []
-    for entry in _reporting(entries, kind):
-        each = [shown(entry.select(kind, task=task), pooled) for task in SUITE]
+    for entry in reporting:
+        each = [shown(entry.select(kind, task=task), pooled) for task in tasks]
         rows.append((entry.title, *each, _mean(entry, kind)))
-        rows += _paper_rows(entry, kind)
-    return ResultTable(("success [%]", *SUITE, "mean"), tuple(rows))
+        rows += _paper_rows(entry, kind, tasks)
+    return ResultTable(("success [%]", *tasks, "mean"), tuple(rows))
 
 
 def by_distractors(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
     """Return success by number of distractors, over all tasks."""
-    counts = [str(count) for count in DISTRACTORS]
-    columns = [{"distractors": count} for count in DISTRACTORS]
-    return _breakdown(entries, kind, counts, columns)
+    return _breakdown(entries, kind, "distractors")
 
 
 def by_team(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
     """Return success by types of the robots, over all tasks."""
-    return _breakdown(entries, kind, TEAMS, [{"team": team} for team in TEAMS])
+    return _breakdown(entries, kind, "team")
 
 
 def ablations(entries: Sequence[PolicyResults]) -> ResultTable:
@@ -131,7 +107,7 @@ def losses_by_task(entry: PolicyResults) -> ResultTable:
     """Return why episodes of one policy failed, by kind and task; where any did."""
     rows = []
     for kind in KINDS:
-        for task in SUITE:
+        for task in tasks_of([entry], kind):
             counted = _causes(entry, kind, task)
             if counted:
                 episodes = _episodes(entry, kind, task=task)
@@ -139,16 +115,17 @@ def losses_by_task(entry: PolicyResults) -> ResultTable:
     return ResultTable(("instructions", "task", *_CAUSES_HEADER), tuple(rows), labels=2)
 
 
-def precision(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
+def precision(entries: Sequence[PolicyResults], kind: str) -> ResultTable:
     """Return how far off poses are [mm], and how many are missed, by task."""
+    tasks = tasks_of(entries, kind)
     rows = []
     for entry in entries:
         for end in ("pick", "place"):
-            cells = [_precision(entry, kind, task, end) for task in SUITE]
+            cells = [_precision(entry, kind, task, end) for task in tasks]
             if any(cell != NOTHING for cell in cells):
                 rows.append((entry.title, end, *cells))
     return ResultTable(
-        ("median error [mm] (missed)", "end", *SUITE), tuple(rows), labels=2
+        ("median error [mm] (missed)", "end", *tasks), tuple(rows), labels=2
     )
 
 
@@ -189,11 +166,11 @@ def language(entries: Iterable[PolicyResults]) -> ResultTable:
     families = _families(entries, lambda result: not starts_perturbed(result))
     rows = []
     for title, results in families.items():
-        said = {told: _by_language(results, told) for told in LANGUAGES}
+        by_control = {told: _by_language(results, told) for told in LANGUAGES}
         for kind in KINDS:
-            each = [_mean_of(said[told], kind) for told in LANGUAGES]
+            each = [_mean_of(by_control[told], kind) for told in LANGUAGES]
             if any(cell != NOTHING for cell in each[1:]):
-                held = _asked(said["swapped"], kind)
+                held = _asked(by_control["swapped"], kind)
                 rows.append((title, words(kind, "-"), *each, held))
     header = ("mean over the tasks [%]", "instructions", *LANGUAGES, "swapped goal")
     return ResultTable(header, tuple(rows), labels=2)
@@ -322,7 +299,7 @@ def _by_language(results: Iterable[Result], told: str) -> list[Result]:
 
 def _mean_of(results: Iterable[Result], kind: str) -> str:
     seeds = [[cell for cell in one.cells if cell.kind == kind] for one in results]
-    return shown(seeds, mean_over_tasks)
+    return shown_mean(seeds)
 
 
 def _asked(results: Iterable[Result], kind: str) -> str:
@@ -334,21 +311,35 @@ def _asked(results: Iterable[Result], kind: str) -> str:
     return f"{100 * sum(one.held for one in listed) / episodes:.1f} of {episodes}"
 
 
-def _breakdown(
-    entries: Iterable[PolicyResults],
-    kind: str,
-    names: Sequence[str],
-    columns: Sequence[Mapping[str, object]],
-) -> ResultTable:
+def values_of(
+    entries: Iterable[PolicyResults], kind: str, field: str
+) -> tuple[Any, ...]:
+    """Return the values of a field of cells that occur, those of the suite first.
+
+    Args:
+        entries: Where.
+        kind: Of instructions.
+        field: ``"team"`` or ``"distractors"``.
+    """
+    order = {"team": TEAMS, "distractors": DISTRACTORS}[field]
+    seeds = (cells for entry in entries for cells in entry.select(kind))
+    found = {getattr(cell, field) for cells in seeds for cell in cells}
+    known = [value for value in order if value in found or not found]
+    return (*known, *sorted(found.difference(order)))
+
+
+def _breakdown(entries: Iterable[PolicyResults], kind: str, field: str) -> ResultTable:
+    reporting = _reporting(entries, kind)
+    values = values_of(reporting, kind, field)
     rows = [
         (
             entry.title,
-            *(shown(entry.select(kind, **where), pooled) for where in columns),
+            *(shown(entry.select(kind, **{field: v}), pooled) for v in values),
             shown(entry.select(kind), pooled) if entry.results else NOT_RUN,
         )
-        for entry in _reporting(entries, kind)
+        for entry in reporting
     ]
-    return ResultTable(("success [%]", *names, "all"), tuple(rows))
+    return ResultTable(("success [%]", *map(str, values), "all"), tuple(rows))
 
 
 def _reporting(entries: Iterable[PolicyResults], kind: str) -> list[PolicyResults]:
@@ -386,17 +377,16 @@ def _is_ablation(entry: PolicyResults) -> bool:
 
 
 def _mean(entry: PolicyResults, kind: str) -> str:
-    return shown(entry.select(kind), mean_over_tasks) if entry.results else NOT_RUN
+    return shown_mean(entry.select(kind)) if entry.results else NOT_RUN
 
 
-def _paper_mean(entry: PolicyResults, kind: str) -> str:
-    figures = entry.experiment.paper.get(kind) if entry.experiment else None
-    return NOTHING if figures is None or figures.mean is None else f"{figures.mean:.1f}"
-
-
-def _paper_rows(entry: PolicyResults, kind: str) -> list[tuple[str, ...]]:
+def _paper_rows(
+    entry: PolicyResults, kind: str, tasks: Sequence[str]
+) -> list[tuple[str, ...]]:
     figures = entry.experiment.paper.get(kind) if entry.experiment else None
     if figures is None:
         return []
-    each = (f"≈ {figures.tasks[t]}" if t in figures.tasks else NOTHING for t in SUITE)
-    return [("*paper*", *each, _paper_mean(entry, kind))]
+    each = (f"≈ {figures.tasks[t]}" if t in figures.tasks else NOTHING for t in tasks)
+    # The paper's mean is over all of them.
+    known = figures.mean is not None and set(tasks) == set(SUITE)
+    return [("*paper*", *each, f"{figures.mean:.1f}" if known else NOTHING)]

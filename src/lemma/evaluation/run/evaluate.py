@@ -5,7 +5,6 @@ on what else is in its batch. A group is written whole or not at all, so that a 
 run, resumed, gives what an undisturbed one gives.
 """
 
-import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -17,7 +16,7 @@ from shutil import rmtree
 from time import perf_counter
 from typing import Any
 
-from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.parallel import Engine
 from lemma.dataset.files import (
     check_same,
@@ -26,11 +25,18 @@ from lemma.dataset.files import (
     read_json,
     versions,
     write_json,
-    write_text,
 )
-from lemma.evaluation.analysis.coordination import count_steps
-from lemma.evaluation.analysis.result import Result, Row, place_of, summarise
-from lemma.evaluation.run.expert_feedback import left_in
+from lemma.evaluation.records import (
+    ABOUT,
+    EPISODES,
+    Row,
+    key_of,
+    place_of,
+    read_lines,
+    read_rows,
+    write_rows,
+)
+from lemma.evaluation.run.expert_feedback import count_steps, left_in
 from lemma.evaluation.run.expert_times import TIMED_SPLITS, expert_s, perturbed_start
 from lemma.evaluation.run.language_controls import FULL, LANGUAGES, say
 from lemma.evaluation.run.loading import served_parts, weights_of
@@ -41,9 +47,6 @@ from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE, load_instance
 
-EPISODES = "episodes.jsonl"
-ABOUT = "about.json"
-SUMMARY = "summary.json"
 _PARTS = ".parts"
 
 
@@ -171,7 +174,7 @@ def evaluate(
         else:
             write_json(note, about)
         parts = (order.out / _PARTS).absolute()
-        done = {_name(row): row for row in read_rows(order.out)}
+        done = {key_of(row): row for row in read_rows(order.out)}
         jobs = []
         for kind, task, indices in order.groups():
             path = parts / f"{kind}-{task}-{indices.start}-{indices.stop}.jsonl"
@@ -183,31 +186,16 @@ def evaluate(
         for count in engine.run(play_group, jobs):
             advance(count)
         for path in sorted(parts.glob("*.jsonl")):
-            done.update((_name(row), row) for row in _read(path))
+            done.update((key_of(row), row) for row in read_lines(path))
         rows = sorted(done.values(), key=place_of)
-        _write(order.out / EPISODES, rows)
+        write_rows(order.out / EPISODES, rows)
         rmtree(parts, ignore_errors=True)
     wanted = {
         (kind, task, index)
         for kind, task, indices in order.groups()
         for index in indices
     }
-    return [row for row in rows if _name(row) in wanted]
-
-
-def read_rows(folder: Path) -> list[Row]:
-    """Return the episodes of a result; none if there is none yet.
-
-    Raises:
-        DatasetError: The file is damaged.
-    """
-    path = folder / EPISODES
-    return _read(path) if path.exists() else []
-
-
-def summary_of(order: EvaluationConfig, rows: list[Row]) -> Result:
-    """Count what :func:`evaluate` returned, with the note that was made then."""
-    return summarise(rows, read_json(order.out / ABOUT), order.command())
+    return [row for row in rows if key_of(row) in wanted]
 
 
 def start_of(task: str, split: str, index: int, *, moved: bool) -> Instance:
@@ -236,7 +224,7 @@ def play_group(
     over = list(roll_out(plays, player, len(plays)))
     wall_s = (perf_counter() - start) / len(over)
     rows = sorted((_row(play, order, wall_s) for play in over), key=place_of)
-    _write(path, rows)
+    write_rows(path, rows)
     return len(rows)
 
 
@@ -287,20 +275,3 @@ def _row(play: Rollout, order: EvaluationConfig, wall_s: float) -> Row:
         "left": left,
         "wall_s": round(wall_s, 3),
     }
-
-
-def _name(row: Row) -> tuple[str, str, int]:
-    return row["instruction_kind"], row["task"], row["index"]
-
-
-def _read(path: Path) -> list[Row]:
-    try:
-        return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
-    except (OSError, json.JSONDecodeError) as error:
-        raise DatasetError(
-            f"{path} cannot be read: {error}. Remove it and evaluate again."
-        ) from error
-
-
-def _write(path: Path, rows: list[Row]) -> None:
-    write_text(path, "".join(json.dumps(row) + "\n" for row in rows))

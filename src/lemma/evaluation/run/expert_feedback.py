@@ -6,32 +6,19 @@ sub-task served the goal, whichever of several good ones it was.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import Any
 
 from lemma.env.episode import Episode
+from lemma.evaluation.records import Departure, Row
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import SymbolicState
+from lemma.motion.outcome import Outcome
 from lemma.policies.interfaces import Decision
 from lemma.scene.spec import STICK
 from lemma.tasks.subtask import STOP, Primitive, SubTask
-
-
-class Departure(StrEnum):
-    """In what a sub-task departs from what the expert would do now."""
-
-    NONE = ""
-    """In nothing: it is the same in symbols."""
-    ROBOT = "robot"
-    """Another robot should do this; now or later in the expert's plan."""
-    ORDER = "order"
-    """It is in the expert's plan, but further on."""
-    PRIMITIVE = "primitive"
-    """Another primitive is due; acting where all is done counts here."""
-    OBJECT = "object"
-    """The primitive is right, what is picked or where it goes is not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +81,34 @@ def advise(episode: Episode, decision: Decision) -> ExpertFeedback:
     )
 
 
+def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:
+    """Count what the expert said of the sub-tasks of an episode.
+
+    Args:
+        steps: Sub-tasks of its line.
+        left: How many the expert needs after the last; None where it has no plan.
+
+    Returns:
+        ``doable``, ``able``, ``planned``, ``as_expert`` and ``order_violations``.
+    """
+    told = [step["expert"] for step in steps]
+    lefts = [_enough(each["left"]) for each in told] + [_enough(left)]
+    departures = [Departure(each["departure"]) for each in told]
+    as_expert = sum(d in (Departure.NONE, Departure.ORDER) for d in departures)
+    return {
+        "doable": sum(each["able"] is not None for each in told),
+        "able": sum(each["able"] is True for each in told),
+        "planned": as_expert + departures.count(Departure.ROBOT),
+        "as_expert": as_expert,
+        "order_violations": sum(
+            departures[i] is Departure.ORDER
+            and lefts[i + 1] >= lefts[i]
+            and (not told[i]["able"] or step["outcome"] == Outcome.SUCCESS)
+            for i, step in enumerate(steps)
+        ),
+    }
+
+
 def departure(subtask: SubTask, plan: tuple[SubTask, ...]) -> Departure:
     """Return in what a sub-task departs from a plan; the first that applies.
 
@@ -128,6 +143,11 @@ def _plan(
 ) -> tuple[SubTask, ...] | None:
     plan = find_plan(now, episode.instance.goal, geometry)
     return None if plan is None else plan.subtasks
+
+
+def _enough(left: int | None) -> float:
+    """Return how many sub-tasks are left; no number is enough where no plan exists."""
+    return math.inf if left is None else left
 
 
 def _millimetres(metres: float | None) -> float | None:

@@ -22,8 +22,6 @@ from lemma.serve.protocol.faults import (
 )
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
-POLICY_ERROR = "policy_error"
-"""Why an episode failed whose policy did."""
 FARTHEST_M = 100.0
 """A pose farther from the middle of the table was never meant in metres."""
 

@@ -1,9 +1,8 @@
 """Policies by name, with other people's kept at a distance."""
 
-from importlib import import_module
 from typing import Any
 
-from lemma.core.errors import DatasetError
+from lemma.dataset.files import sha256_of
 from lemma.policies.interfaces import Policy
 from lemma.policies.spec import ORACLE, PolicySpec, load_part
 from lemma.serve.client.conversation import ProtocolMode
@@ -72,29 +71,19 @@ def weights_of(spec: PolicySpec) -> Weights:
         LemmaError: They are missing or damaged.
     """
     found: Weights = {}
-    for part in learned_parts(spec.name):
-        # torch is an extra, which the oracle and other people's policies do without.
-        path = import_module("lemma.policies.weights").find_weights(part)
-        about = import_module("lemma.policies.checkpoints").read_about(path)
+    parts = learned_parts(spec.name)
+    if not parts:
+        return found
+    # torch is an extra, which the oracle and other people's policies do without.
+    from lemma.policies.checkpoints import read_about  # noqa: PLC0415
+    from lemma.policies.weights import find_weights  # noqa: PLC0415
+
+    for part in parts:
+        path = find_weights(part)
+        about = read_about(path)
         found[about.model] = {
-            "sha256": import_module("lemma.dataset.files").sha256_of(path),
+            "sha256": sha256_of(path),
             "seed": about.training.get("seed", 0),
             "data": about.data,
         }
     return found
-
-
-def training_seed(weights: Weights) -> int:
-    """Return the seed that a policy was trained with; 0 without weights.
-
-    Raises:
-        DatasetError: Its parts were trained with different seeds.
-    """
-    seeds = {entry["seed"] for entry in weights.values()}
-    if len(seeds) > 1:
-        told = ", ".join(f"{name}: {entry['seed']}" for name, entry in weights.items())
-        raise DatasetError(
-            f"The parts of the policy were trained with different seeds ({told}), so "
-            "its result belongs to none of them. Take parts of the same seed."
-        )
-    return int(seeds.pop()) if seeds else 0

@@ -16,8 +16,7 @@ from typing import Any
 from lemma.core.errors import DatasetError
 from lemma.env.episode import LEAST_STEP_S
 from lemma.env.simulation import HORIZON_S, TICK_S
-from lemma.evaluation.analysis.failure_causes import POSE_TOLERANCE_MM
-from lemma.evaluation.analysis.result import RESULT_VERSION
+from lemma.evaluation.records import POSE_TOLERANCE_MM, RESULT_VERSION
 from lemma.evaluation.run.expert_times import times_sha256
 from lemma.evaluation.run.language_controls import LANGUAGES
 from lemma.evaluation.run.perturbed_starts import (

@@ -10,9 +10,10 @@ from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
 from lemma.env.simulation import HORIZON_S
 from lemma.env.view import View
+from lemma.evaluation.records import POLICY_ERROR
 from lemma.evaluation.run.clearance import ClearanceWatch
 from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise
-from lemma.evaluation.run.fault_isolation import POLICY_ERROR, Fault, IsolatedPolicy
+from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.evaluation.run.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.run.loading import load_policy
 from lemma.expert.grounding import GeometricGrounder, ground_or_refuse

@@ -15,6 +15,7 @@ from lemma import __version__
 from lemma.dataset.files import write_text
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.analysis.intervals import mean_over_tasks
+from lemma.evaluation.records import Departure
 from lemma.evaluation.report.episodes import (
     DEPARTURES,
     Case,
@@ -25,7 +26,6 @@ from lemma.evaluation.report.latex import latex
 from lemma.evaluation.report.policy_results import PolicyResults, shown
 from lemma.evaluation.report.sections import Section, protocol_words, sections
 from lemma.evaluation.report.tables import NOT_RUN, ResultTable, markdown, words
-from lemma.evaluation.run.expert_feedback import Departure
 from lemma.evaluation.run.language_controls import FULL
 from lemma.policies.spec import PLANNINGS
 from lemma.serve.client.websocket import is_address

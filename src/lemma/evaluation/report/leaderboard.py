@@ -20,24 +20,31 @@ from lemma.evaluation.analysis.intervals import (
     wilson_interval,
 )
 from lemma.evaluation.analysis.result import (
-    WALL_CLOCK,
     Result,
-    Row,
-    place_of,
     read_result,
     summarise,
 )
+from lemma.evaluation.records import (
+    BOARD_SPLIT,
+    PACKED,
+    SUMMARY,
+    WALL_CLOCK,
+    Row,
+    key_of,
+    place_of,
+    read_about,
+    read_lines,
+    read_rows,
+)
 from lemma.evaluation.report.policy_results import starts_perturbed
 from lemma.evaluation.report.tables import ResultTable, markdown, words
-from lemma.evaluation.run.evaluate import ABOUT, SUMMARY, read_rows
 from lemma.evaluation.run.language_controls import FULL
 from lemma.evaluation.run.protocol import NAME, frozen, sha256_of_protocol
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE, load_instance
 
-SPLIT = "test"
-_LINES = ".jsonl.gz"
+_PER_TASK = SPLITS[BOARD_SPLIT]
 _FREE = ("policy", "weights", "served", "lemma", "numpy", "numba", "revision")
 """What an entry says of how it was made, besides the protocol."""
 
@@ -105,12 +112,12 @@ def submit(folder: Path, board: Path, name: str, **told: str) -> Path:
     beside = folder.with_name(f"{folder.name}.json")
     command = read_result(beside if beside.exists() else folder / SUMMARY).command
     rows = [_without_clock(row) for row in read_rows(folder)]
-    result = summarise(rows, read_json(folder / ABOUT), command)
+    result = summarise(rows, read_about(folder), command)
     entry = board / f"{name}.json"
     write_json(entry, asdict(submission_of(result, **told)))
     text = "".join(json.dumps(row) + "\n" for row in sorted(rows, key=place_of))
     packed = gzip.compress(text.encode(), compresslevel=9, mtime=0)
-    write_whole(entry.with_suffix(_LINES), lambda draft: _write(draft, packed))
+    write_whole(entry.with_suffix(PACKED), lambda draft: _write(draft, packed))
     return entry
 
 
@@ -139,15 +146,15 @@ def check_submission(board: Path, name: str) -> None:
         InvalidConfigError: The lines cannot be those of an entry.
     """
     said = read_board(board)[name]
-    path = board / f"{name}{_LINES}"
-    rows = _read_lines(path)
+    path = board / f"{name}{PACKED}"
+    rows = read_lines(path)
     _check_lines(path, rows)
     about = {
         **said.about,
         "protocol": said.protocol,
         "language": FULL,
         "perturb_start": False,
-        "split": SPLIT,
+        "split": BOARD_SPLIT,
     }
     result = summarise(rows, about, said.command)
     made = submission_of(result, said.title, said.who, said.link)
@@ -161,28 +168,17 @@ def check_submission(board: Path, name: str) -> None:
         )
 
 
-def _read_lines(path: Path) -> list[Row]:
-    try:
-        lines = gzip.decompress(path.read_bytes()).decode().splitlines()
-        return [json.loads(line) for line in lines]
-    except (OSError, EOFError, ValueError) as error:
-        raise DatasetError(f"{path} cannot be read: {error}. Submit again.") from error
-
-
 def _check_lines(path: Path, rows: list[Row]) -> None:
-    """Check that each line is of another episode, from its own start and sentence."""
-    seen = set()
+    """Check that each line begins with its own start and sentence."""
     for row in rows:
-        name = row["instruction_kind"], row["task"], row["index"]
-        own = load_instance(row["task"], SPLIT, row["index"])
-        plain = row["split"] == SPLIT and not row["perturb_start"]
+        own = load_instance(row["task"], BOARD_SPLIT, row["index"])
+        plain = row["split"] == BOARD_SPLIT and not row["perturb_start"]
         sentence = own.instructions[row["instruction_kind"]]
-        if not plain or row["instruction"] != sentence or name in seen:
+        if not plain or row["instruction"] != sentence:
             raise DatasetError(
-                f"{path} has a line that is no episode of the board, or has it twice: "
-                f"{' '.join(map(str, name))}. Submit the result again."
+                f"{path} has a line that is no episode of the board: "
+                f"{' '.join(map(str, key_of(row)))}. Submit the result again."
             )
-        seen.add(name)
 
 
 def leaders(board: dict[str, Submission], kind: str) -> ResultTable:
@@ -194,7 +190,8 @@ def leaders(board: dict[str, Submission], kind: str) -> ResultTable:
         told = one.success[kind]
         low, high = wilson_interval(told["successes"], told["episodes"])
         mean = f"{told['mean']:.1f} ({100 * low:.0f}–{100 * high:.0f})"
-        each = (f"{100 * told['tasks'][task] / SPLITS[SPLIT]:.1f}" for task in SUITE)
+        won = (told["tasks"][task] for task in SUITE)
+        each = (f"{100 * count / _PER_TASK:.1f}" for count in won)
         title = f"[{one.title}]({one.link})" if one.link else one.title
         rows.append((title, one.who, *each, mean, f"`{one.episodes_sha256[:12]}`"))
     header = ("success [%]", "who", *SUITE, "mean", "episodes")
@@ -240,9 +237,10 @@ def _check(result: Result) -> None:
             f"The result follows protocol {about.get('protocol')}, and the leaderboard "
             f"is of {ships} ({NAME}). Evaluate again with this version."
         )
-    if about["split"] != SPLIT or about["language"] != FULL or starts_perturbed(result):
+    plain = about["language"] == FULL and not starts_perturbed(result)
+    if about["split"] != BOARD_SPLIT or not plain:
         raise InvalidConfigError(
-            f"The leaderboard takes the {SPLIT} split with whole sentences and the "
+            f"The leaderboard takes split {BOARD_SPLIT!r} with whole sentences and the "
             "instances' own starts. Evaluate without --split, --language and "
             "--perturb-start."
         )
@@ -251,9 +249,9 @@ def _check(result: Result) -> None:
         for task in SUITE:
             found = episodes.get((kind, task))
             count = 0 if found is None else found.episodes
-            if count != SPLITS[SPLIT]:
+            if count != _PER_TASK:
                 raise InvalidConfigError(
-                    f"The result has {count} of the {SPLITS[SPLIT]} {kind} episodes of "
+                    f"The result has {count} of the {_PER_TASK} {kind} episodes of "
                     f"{task}. Evaluate all of them."
                 )
 

@@ -13,7 +13,7 @@ from made_up import ABOUT, row, step
 
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.evaluation.analysis.result import Result, summarise
-from lemma.evaluation.experiments.leaderboard import (
+from lemma.evaluation.report.leaderboard import (
     check_submission,
     leaders,
     read_board,

@@ -1,0 +1,294 @@
+"""Records that all the rest reads and writes: lines of episodes, and their files.
+
+``episodes.jsonl`` holds one line per episode, ``about.json`` what decides them, and
+``summary.json`` what was counted of them. What is read is checked: it may come from
+anywhere.
+"""
+
+import gzip
+import json
+from collections.abc import Iterable, Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from lemma.core.errors import DatasetError
+from lemma.dataset.files import read_json, write_text
+from lemma.tasks.instance import SPLITS
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE
+
+EPISODES = "episodes.jsonl"
+ABOUT = "about.json"
+SUMMARY = "summary.json"
+PACKED = ".jsonl.gz"
+"""End of the name of the lines of an entry of the leaderboard."""
+BOARD_SPLIT = "test"
+"""Split that the leaderboard is about."""
+RESULT_VERSION = "1"
+"""Of the summaries."""
+WALL_CLOCK = ("wall_s",)
+"""Fields of an episode's line that depend on the machine."""
+POLICY_ERROR = "policy_error"
+"""Why an episode failed whose policy did."""
+POSE_TOLERANCE_MM = 20.0
+"""A pose further off than this is missed: a cube that is held, or laid on another, so
+far off its middle may fall."""
+
+Row = Mapping[str, Any]
+"""One episode, as it stands in ``episodes.jsonl``; :class:`_Line` names its fields."""
+
+EpisodeKey = tuple[str, str, int]
+"""Kind of instruction, task and number: which episode of a result it is."""
+
+
+class Departure(StrEnum):
+    """In what a sub-task departs from what the expert would do now."""
+
+    NONE = ""
+    """In nothing: it is the same in symbols."""
+    ROBOT = "robot"
+    """Another robot should do this; now or later in the expert's plan."""
+    ORDER = "order"
+    """It is in the expert's plan, but further on."""
+    PRIMITIVE = "primitive"
+    """Another primitive is due; acting where all is done counts here."""
+    OBJECT = "object"
+    """The primitive is right, what is picked or where it goes is not."""
+
+
+class _SubTask(msgspec.Struct):
+    robot: str
+    primitive: str
+    pick: str
+    place: str
+
+
+class _Grounded(msgspec.Struct):
+    robot: str
+    primitive: str
+    pick: tuple[float, float, float]
+    place: tuple[float, float, float]
+
+
+class _Feedback(msgspec.Struct):
+    expected: _SubTask
+    left: int | None
+    departure: Departure
+    able: bool | None
+    pick_error_mm: float | None
+    place_error_mm: float | None
+
+
+class _Step(_SubTask, kw_only=True):
+    grounded: _Grounded | None
+    outcome: str
+    explanation: str
+    start_s: float
+    duration_s: float
+    expert: _Feedback
+
+
+class _Coordination(msgspec.Struct):
+    expert_s: float | None
+    doable: int
+    able: int
+    planned: int
+    as_expert: int
+    order_violations: int
+    clearance_mm: float | None
+
+
+class _Fault(msgspec.Struct):
+    kind: str
+    explanation: str
+
+
+class _Line(msgspec.Struct):
+    """The fields of an episode's line."""
+
+    task: str
+    split: str
+    index: int
+    team: str
+    distractors: int
+    perturb_start: bool
+    instruction_kind: str
+    instruction: str
+    asked: list[tuple[str, str]] | None
+    asked_holds: bool | None
+    success: bool
+    progress: float
+    failure: str | None
+    policy_error: _Fault | None
+    elapsed_s: float
+    idle_s: dict[str, float]
+    coordination: _Coordination
+    subtasks: list[_Step]
+    left: int | None
+
+
+class _Policy(msgspec.Struct):
+    name: str
+    planning: str
+    gta: bool
+
+
+class _Weights(msgspec.Struct):
+    sha256: str
+    seed: int
+    data: dict[str, Any]
+
+
+class _About(msgspec.Struct):
+    policy: _Policy
+    weights: dict[str, _Weights]
+    language: str
+    split: str
+    protocol: str
+    horizon_s: float
+    benchmark: str
+    mujoco: str
+    perturb_start: bool = False
+
+
+def key_of(row: Row) -> EpisodeKey:
+    """Return which episode a line is of: kind of instruction, task and number."""
+    return row["instruction_kind"], row["task"], row["index"]
+
+
+def place_of(row: Row) -> tuple[Any, ...]:
+    """Return what lines are ordered by: kind, task, number."""
+    kind, task, index = key_of(row)
+    return KINDS.index(kind), task_place(task), index
+
+
+def task_place(task: str) -> tuple[int, str]:
+    """Return what tasks are ordered by: the suite's as there, then others by name."""
+    return (SUITE.index(task), "") if task in SUITE else (len(SUITE), task)
+
+
+def tasks_in_order(tasks: Iterable[str]) -> tuple[str, ...]:
+    """Return tasks in the order of tables, each once."""
+    return tuple(sorted(set(tasks), key=task_place))
+
+
+def training_seed(weights: Mapping[str, Mapping[str, Any]]) -> int:
+    """Return the seed that a policy was trained with; 0 without weights.
+
+    Args:
+        weights: By name of the model, as in ``about.json``.
+
+    Raises:
+        DatasetError: Its parts were trained with different seeds.
+    """
+    seeds = {entry["seed"] for entry in weights.values()}
+    if len(seeds) > 1:
+        told = ", ".join(f"{name}: {entry['seed']}" for name, entry in weights.items())
+        raise DatasetError(
+            f"The parts of the policy were trained with different seeds ({told}), so "
+            "its result belongs to none of them. Take parts of the same seed."
+        )
+    return int(seeds.pop()) if seeds else 0
+
+
+def read_rows(folder: Path) -> list[Row]:
+    """Return the episodes of a result; none if there is none yet.
+
+    Raises:
+        DatasetError: The file is damaged.
+    """
+    path = folder / EPISODES
+    return read_lines(path) if path.exists() else []
+
+
+def read_lines(path: Path) -> list[Row]:
+    """Return lines of episodes; those of the leaderboard are packed by gzip.
+
+    Raises:
+        DatasetError: The file is missing or damaged, or holds an episode twice.
+    """
+    number = 0
+    rows: list[Row] = []
+    try:
+        content = path.read_bytes()
+        if path.name.endswith(".gz"):
+            content = gzip.decompress(content)
+        for line in content.decode().splitlines():
+            number += 1
+            row = json.loads(line, parse_constant=_refuse)
+            _check(msgspec.convert(row, _Line))
+            rows.append(row)
+    except (OSError, EOFError, ValueError, RecursionError, msgspec.MsgspecError) as why:
+        where = f"Line {number} of {path}" if number else str(path)
+        raise DatasetError(
+            f"{where} cannot be read: {why}. Remove the file and evaluate again."
+        ) from why
+    keys = [key_of(row) for row in rows]
+    if len(set(keys)) < len(keys):
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise DatasetError(
+            f"{path} has the episode {' '.join(map(str, twice))} twice. Remove one."
+        )
+    return rows
+
+
+def write_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Write lines of episodes, all of them or none."""
+    write_text(path, "".join(json.dumps(row) + "\n" for row in rows))
+
+
+def read_about(path: Path) -> dict[str, Any]:
+    """Return what decides the episodes of a result.
+
+    Args:
+        path: Folder of the result, or the lines of an entry of the leaderboard.
+
+    Raises:
+        DatasetError: The note is missing or damaged.
+    """
+    if path.name.endswith(PACKED):
+        note = path.with_name(path.name.removesuffix(PACKED) + ".json")
+        told = read_json(note)
+        own = told.get("about")
+        if not isinstance(own, dict):
+            raise DatasetError(f"{note} is no entry of a leaderboard: no 'about'.")
+        return {**own, "protocol": told.get("protocol"), "split": BOARD_SPLIT}
+    return read_json(path / ABOUT)
+
+
+def check_about(about: object, path: Path) -> None:
+    """Check that a note holds what reports read of it.
+
+    Args:
+        about: What the file says.
+        path: The file.
+
+    Raises:
+        DatasetError: It does not.
+    """
+    try:
+        found = msgspec.convert(about, _About)
+    except msgspec.ValidationError as error:
+        raise DatasetError(
+            f"{path} is damaged: {error} of 'about'. Delete it and evaluate again."
+        ) from error
+    if found.split not in SPLITS:
+        raise DatasetError(
+            f"{path} is of a split that is unknown here: {found.split!r}. Known: "
+            f"{', '.join(SPLITS)}."
+        )
+
+
+def _check(line: _Line) -> None:
+    """Check what no type says."""
+    if line.instruction_kind not in KINDS:
+        raise ValueError(f"no kind of instruction: {line.instruction_kind!r}")
+    if not 0.0 <= line.progress <= 1.0:
+        raise ValueError(f"progress {line.progress} is not from 0 to 1")
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is no number of JSON")
