@@ -56,7 +56,11 @@ def posed(**pose: Any) -> Decision:
 
 
 def named(**names: Any) -> Decision:
-    return Decision(replace(MOVE, **names), None)
+    subtask = replace(MOVE)
+    for name, value in names.items():
+        # Past the checks of the class, as what was unpickled or made by hand.
+        object.__setattr__(subtask, name, value)
+    return Decision(subtask, None)
 
 
 WRONG: dict[str, tuple[Any, FaultKind, str]] = {
