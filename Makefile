@@ -20,7 +20,7 @@ CHECKED := src tests examples scripts docs
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup setup-dev demo bench test lint types layers docs tests kernels \
+.PHONY: help setup setup-dev demo bench test lint types layers docs tests \
 	test-lerobot format clean
 
 help: ## Say what the targets do.
@@ -52,7 +52,7 @@ layers: setup-dev ## Which module may import which.
 docs: setup-dev ## The documentation, in out/docs.
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs $(OUT)/docs
 
-tests: setup-dev kernels ## The tests alone.
+tests: setup-dev ## The tests alone.
 	$(BIN)/pytest -n $(JOBS)
 
 # The newest lerobot, and the newest for Python 3.11, each in an environment of its own:
@@ -78,11 +78,6 @@ $(LEROBOT_VENV)/%.stamp: tests/lerobot/requirements-%.txt
 	@$(LEROBOT_VENV)/$*/bin/python -m pip install -qq --no-deps --ignore-requires-python \
 		torchvision==0.25.0 lerobot==$*
 	@touch $@
-
-# Numba keeps a compiled kernel until its own file changes, also where it has inlined one
-# of another file: edited kernels are tested only if all are compiled anew.
-kernels:
-	@find src -name '*.nb[ic]' -delete
 
 format: setup-dev ## Format the code and fix what can be fixed.
 	$(BIN)/ruff format $(CHECKED)

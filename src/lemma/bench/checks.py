@@ -152,15 +152,16 @@ def _frozen() -> str:
 
 
 def _cache() -> str:
+    from lemma.core.kernels import cache_folder
     from lemma.robots.ur.kinematics import frames
 
-    # Where one compiled function is kept, all are.
-    path = frames.stats.cache_path
+    # Where one kernel is kept, all are.
+    path = cache_folder(frames)
     if path is None or not os.access(path, os.W_OK):
         raise _NotWellError(
-            f"kept in {path}",
-            "The folder is read-only, so that every start compiles for half a minute. "
-            "Set NUMBA_CACHE_DIR to a folder that you may write to.",
+            "not kept" if path is None else f"kept in {path}",
+            "There is no folder to write to, so that every start compiles for half a "
+            "minute. Set NUMBA_CACHE_DIR to one that you may write to.",
         )
     return f"kept in {path}"
 

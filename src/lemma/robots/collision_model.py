@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.robots.gripper import FINGERTIP_BEYOND_TCP_M, TCP_OFFSET_M
 from lemma.robots.ur.build import ARMS
@@ -89,7 +89,7 @@ def sweep_radius_m(arm_name: str) -> float:
     return arm.shoulder_offset + 2.0 * arm.shoulder_radius
 
 
-@njit(cache=True)
+@kernel
 def place_capsules(
     all_frames: FloatArray, links: FloatArray, capsules: FloatArray, out: FloatArray
 ) -> None:
@@ -112,7 +112,7 @@ def place_capsules(
         out[k, 6] = capsules[k, 6]
 
 
-@njit(cache=True)
+@kernel
 def segment_points(
     a: FloatArray, b: FloatArray, on_a: FloatArray, on_b: FloatArray
 ) -> float:
@@ -157,14 +157,14 @@ def segment_points(
     return math.sqrt(distance)
 
 
-@njit(cache=True)
+@kernel
 def segment_distance(a: FloatArray, b: FloatArray) -> float:
     """Return the distance between two segments, (6+,) each [m]."""
     distance: float = segment_points(a, b, np.empty(3), np.empty(3))
     return distance
 
 
-@njit(cache=True)
+@kernel
 def closest_points(
     a: FloatArray, b: FloatArray, on_a: FloatArray, on_b: FloatArray
 ) -> float:
@@ -197,7 +197,7 @@ SELF_PAIRS = np.array(
 )
 
 
-@njit(cache=True)
+@kernel
 def self_clearance(placed: FloatArray) -> float:
     """Return the smallest distance between links that could meet [m].
 
@@ -212,7 +212,7 @@ def self_clearance(placed: FloatArray) -> float:
     return least
 
 
-@njit(cache=True)
+@kernel
 def obstacle_clearance(placed: FloatArray, obstacles: FloatArray) -> float:
     """Return the smallest distance between an arm and obstacle capsules [m].
 
@@ -228,7 +228,7 @@ def obstacle_clearance(placed: FloatArray, obstacles: FloatArray) -> float:
     return least
 
 
-@njit(cache=True)
+@kernel
 def table_clearance(placed: FloatArray) -> float:
     """Return the height of the lowest point of links 2 to 5 above the table [m]."""
     least = np.inf

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray, Pose2
 from lemma.robots.collision_model import (
     envelope_of,
@@ -87,7 +87,7 @@ def gripper_ik(
     )
 
 
-@njit(cache=True)
+@kernel
 def _usable(
     dh: FloatArray,
     base: FloatArray,

@@ -10,10 +10,10 @@ machine, and a map of two 640 x 480 images takes a few milliseconds.
 from collections.abc import Iterable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lemma.core.errors import InvalidConfigError
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.scene.cameras import Camera, CameraImage
 from lemma.scene.raster import CEILING_M, RASTER, MapImage, Raster
@@ -84,7 +84,7 @@ def _cells_from_image(camera: Camera, raster: Raster) -> FloatArray:
     return result
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def splat(
     color: NDArray[np.uint8],
     depth: NDArray[np.float32],
@@ -128,7 +128,7 @@ def splat(
                     rgb[row, column, k] = color[v, u, k]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def close_gaps(
     height: NDArray[np.float32], filled: NDArray[np.float32], rgb: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:

@@ -5,8 +5,7 @@ Plain loops, compiled: the same numbers on every machine.
 
 import math
 
-from numba import njit
-
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow.policy import solve
 from lemma.scene.build import TIME_STEP_S
@@ -15,14 +14,14 @@ ACCELERATION_RAD_S2 = 10.0
 """Largest acceleration of a joint's reference: what a stretched arm can follow."""
 
 
-@njit(cache=True)
+@kernel
 def saturate(control: FloatArray, q: FloatArray, span: FloatArray) -> None:
     """Bring commands (6,) within ``span`` of the joint angles, in place [rad]."""
     for i in range(6):
         control[i] = min(q[i] + span[i], max(q[i] - span[i], control[i]))
 
 
-@njit(cache=True)
+@kernel
 def approach(state: FloatArray, target: FloatArray, speeds: FloatArray) -> None:
     """Advance the speeds of a reference, (2, 6), by one physics step.
 
@@ -39,7 +38,7 @@ def approach(state: FloatArray, target: FloatArray, speeds: FloatArray) -> None:
         state[1, i] += change
 
 
-@njit(cache=True)
+@kernel
 def advance(state: FloatArray, limits: FloatArray) -> None:
     """Advance the angles of a reference, (2, 6), by one physics step."""
     for i in range(6):
@@ -49,7 +48,7 @@ def advance(state: FloatArray, limits: FloatArray) -> None:
             state[1, i] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def accelerate(
     state: FloatArray, wanted: FloatArray, speeds: FloatArray, limits: FloatArray
 ) -> None:
@@ -64,7 +63,7 @@ def accelerate(
         state[1, i] += min(most, max(-most, goal[i] - state[1, i]))
 
 
-@njit(cache=True)
+@kernel
 def bound(
     q: FloatArray, rates: FloatArray, speeds: FloatArray, limits: FloatArray
 ) -> bool:
@@ -83,7 +82,7 @@ def bound(
     return changed
 
 
-@njit(cache=True)
+@kernel
 def predict(
     inertia: FloatArray,
     bias: FloatArray,
@@ -105,7 +104,7 @@ def predict(
         out[i] = rates[i] + TIME_STEP_S * out[i]
 
 
-@njit(cache=True)
+@kernel
 def steer(
     inertia: FloatArray,
     bias: FloatArray,

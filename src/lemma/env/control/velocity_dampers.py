@@ -8,8 +8,8 @@ possible. Plain loops, compiled: the same numbers on every machine.
 import math
 
 import numpy as np
-from numba import njit
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.robots.collision_model import SELF_PAIRS, closest_points, place_capsules
 from lemma.robots.gripper import (
@@ -57,7 +57,7 @@ _SELF_MARGIN_M = 0.007
 """How much thicker the housings are than the capsules that stand for them."""
 
 
-@njit(cache=True)
+@kernel
 def restrain(
     placed: FloatArray,
     capsules: FloatArray,
@@ -105,7 +105,7 @@ def restrain(
     return _project(rows[:count], rates, limits)
 
 
-@njit(cache=True)
+@kernel
 def _add_table_rows(
     placed: FloatArray, capsules: FloatArray, world: FloatArray, rows: FloatArray
 ) -> int:
@@ -123,7 +123,7 @@ def _add_table_rows(
     return count
 
 
-@njit(cache=True)
+@kernel
 def _add_hand_rows(
     placed: FloatArray,
     corners: FloatArray,
@@ -153,7 +153,7 @@ def _add_hand_rows(
     return count
 
 
-@njit(cache=True)
+@kernel
 def _add_self_rows(
     placed: FloatArray,
     capsules: FloatArray,
@@ -177,7 +177,7 @@ def _add_self_rows(
     return count
 
 
-@njit(cache=True)
+@kernel
 def _add_object_rows(
     placed: FloatArray,
     capsules: FloatArray,
@@ -202,7 +202,7 @@ def _add_object_rows(
     return count
 
 
-@njit(cache=True)
+@kernel
 def _add_row(
     placed: FloatArray,
     links: tuple[int, int],
@@ -248,7 +248,7 @@ def _add_row(
     return count + 1
 
 
-@njit(cache=True)
+@kernel
 def _add_soft_row(
     placed: FloatArray,
     near: FloatArray,
@@ -264,7 +264,7 @@ def _add_soft_row(
     return after
 
 
-@njit(cache=True)
+@kernel
 def _project(rows: FloatArray, rates: FloatArray, limits: FloatArray) -> bool:
     """Project joint speeds onto what every row allows; return whether they changed."""
     changed = False

@@ -4,8 +4,8 @@ import math
 from itertools import combinations
 
 import numpy as np
-from numba import njit
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.env.simulation import TICK_S, Simulation
 from lemma.robots.collision_model import envelope_of, place_capsules, segment_distance
@@ -68,7 +68,7 @@ class _Arm:
         return self._placed
 
 
-@njit(cache=True)
+@kernel
 def _nearest(first: FloatArray, second: FloatArray, least: float) -> float:
     """Return the smallest gap between capsules of two arms, if below ``least`` [m]."""
     for i in range(first.shape[0]):
@@ -81,7 +81,7 @@ def _nearest(first: FloatArray, second: FloatArray, least: float) -> float:
     return least
 
 
-@njit(cache=True)
+@kernel
 def _ball_gap(a: FloatArray, b: FloatArray) -> float:
     """Return a lower bound of the gap between two capsules [m]."""
     middle = length_a = length_b = 0.0

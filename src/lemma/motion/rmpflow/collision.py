@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow import leaves
 
@@ -15,7 +15,7 @@ OWN_BASE_RANGE_M = 0.06
 _FIRST_WRIST_LINK = 4
 
 
-@njit(cache=True)
+@kernel
 def add_collision_leaves(
     root: np.record, spheres: FloatArray, qd: FloatArray, obstacles: FloatArray
 ) -> None:
@@ -49,7 +49,7 @@ def add_collision_leaves(
                 _add_one(root, qd, link, centre, away, gap - radius, obstacles[o, 7])
 
 
-@njit(cache=True)
+@kernel
 def _base_distance(
     root: np.record, point: tuple[float, float, float]
 ) -> tuple[float, tuple[float, float, float]]:
@@ -62,7 +62,7 @@ def _base_distance(
     return capsule_distance(column, point)
 
 
-@njit(cache=True)
+@kernel
 def capsule_distance(
     capsule: FloatArray, point: tuple[float, float, float]
 ) -> tuple[float, tuple[float, float, float]]:
@@ -82,7 +82,7 @@ def capsule_distance(
     return gap - capsule[6], (x * scale, y * scale, z * scale)
 
 
-@njit(cache=True)
+@kernel
 def _add_one(
     root: np.record,
     qd: FloatArray,

@@ -9,8 +9,7 @@ publishes for Lula, with its UR10 parameters where it gives them.
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 
 
@@ -114,7 +113,7 @@ class Leaves(NamedTuple):
     """Bound on the norm of the joint accelerations [rad/s2]."""
 
 
-@njit(cache=True)
+@kernel
 def sigmoid(x: float) -> float:
     """Return the logistic function, without overflow."""
     if x >= 0:
@@ -123,7 +122,7 @@ def sigmoid(x: float) -> float:
     return e / (1.0 + e)
 
 
-@njit(cache=True)
+@kernel
 def target(
     leaf: TargetLeaf,
     error: FloatArray,
@@ -161,7 +160,7 @@ def target(
     return distance
 
 
-@njit(cache=True)
+@kernel
 def axes(
     leaf: AxisLeaf,
     rotation: FloatArray,
@@ -198,14 +197,14 @@ def axes(
     return 2.0 * leaf.metric * boost(leaf.boost, leaf.boost_sigma_m, distance)
 
 
-@njit(cache=True)
+@kernel
 def boost(factor: float, sigma_m: float, distance: float) -> float:
     """Return a weight that grows from 1 far away to ``factor`` at the target."""
     beta = math.exp(-0.5 * (distance / sigma_m) ** 2)
     return beta * factor + (1.0 - beta)
 
 
-@njit(cache=True)
+@kernel
 def joint_limit(
     leaf: JointLimitLeaf, distance: float, velocity: float
 ) -> tuple[float, float]:
@@ -230,7 +229,7 @@ def joint_limit(
     )
 
 
-@njit(cache=True)
+@kernel
 def velocity_cap(
     leaf: VelocityCapLeaf, velocity: float, limit: float
 ) -> tuple[float, float]:
@@ -252,7 +251,7 @@ def velocity_cap(
     return -sign * leaf.damping * excess, leaf.metric / (1.0 - ratio * ratio)
 
 
-@njit(cache=True)
+@kernel
 def collision(
     leaf: CollisionLeaf, distance: float, velocity: float, radius: float
 ) -> tuple[float, float]:

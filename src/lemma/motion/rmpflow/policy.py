@@ -11,8 +11,8 @@ The kernels read and write one flat record, see
 import math
 
 import numpy as np
-from numba import njit
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow import leaves
 from lemma.motion.rmpflow.collision import add_collision_leaves
@@ -70,7 +70,7 @@ def integrate(  # noqa: PLR0913 - all that the motion depends on
     _integrate(root.record, root.spheres, state, obstacles, step_s, substeps)
 
 
-@njit(cache=True)
+@kernel
 def _integrate(
     record: np.ndarray,
     spheres: FloatArray,
@@ -98,7 +98,7 @@ def _integrate(
                 state[1, i] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def _accelerate_array(
     record: np.ndarray,
     spheres: FloatArray,
@@ -109,7 +109,7 @@ def _accelerate_array(
     _accelerate(record[0], spheres, state, obstacles, out)
 
 
-@njit(cache=True)
+@kernel
 def _accelerate(
     root: np.record,
     spheres: FloatArray,
@@ -137,7 +137,7 @@ def _accelerate(
             out[i] *= root.leaves.max_acceleration / norm
 
 
-@njit(cache=True)
+@kernel
 def update_motion(root: np.record, q: FloatArray, qd: FloatArray) -> None:
     """Compute link frames, and their motion if no joint accelerated (for Jdot qd)."""
     frames(root.dh, root.world_from_base, q, root.frames)
@@ -160,7 +160,7 @@ def update_motion(root: np.record, q: FloatArray, qd: FloatArray) -> None:
             acc[i + 1, k] = acc[i, k] + drift[k]
 
 
-@njit(cache=True)
+@kernel
 def point_drift(root: np.record, link: int, rx: float, ry: float, rz: float) -> Triple:
     """Return wd x r + w x (w x r): the acceleration at one end of r, less the other's.
 
@@ -181,7 +181,7 @@ def point_drift(root: np.record, link: int, rx: float, ry: float, rz: float) -> 
     )
 
 
-@njit(cache=True)
+@kernel
 def _pull_back(root: np.record) -> None:
     """Add J^T M J and J^T M a to the root, for the leaf in its scratch memory."""
     jacobian, weight, wanted = root.jacobian, root.weight, root.wanted
@@ -198,7 +198,7 @@ def _pull_back(root: np.record) -> None:
             )
 
 
-@njit(cache=True)
+@kernel
 def _add_target_leaf(root: np.record, qd: FloatArray) -> float:
     """Draw the tool centre point to the goal; return its distance [m]."""
     f, goal, offset = root.frames[6], root.goal, root.tcp_offset_m
@@ -224,7 +224,7 @@ def _add_target_leaf(root: np.record, qd: FloatArray) -> float:
     return distance
 
 
-@njit(cache=True)
+@kernel
 def _add_axis_leaf(root: np.record, distance: float) -> None:
     """Turn the gripper's axes to those of the goal."""
     metric = leaves.axes(
@@ -245,7 +245,7 @@ def _add_axis_leaf(root: np.record, distance: float) -> None:
     _pull_back(root)
 
 
-@njit(cache=True)
+@kernel
 def _add_posture_and_damping(root: np.record, q: FloatArray, qd: FloatArray) -> None:
     posture, damping = root.leaves.posture, root.leaves.damping
     error, speed = 0.0, 0.0
@@ -263,7 +263,7 @@ def _add_posture_and_damping(root: np.record, q: FloatArray, qd: FloatArray) -> 
         root.force[i] -= damping.metric * speed * damping.damping * speed * qd[i]
 
 
-@njit(cache=True)
+@kernel
 def _add_joint_limits(root: np.record, q: FloatArray, qd: FloatArray) -> None:
     limit = root.leaves.joint_limit
     for i in range(6):
@@ -283,7 +283,7 @@ def _add_joint_limits(root: np.record, q: FloatArray, qd: FloatArray) -> None:
             root.force[i] += sign * metric * acceleration / span
 
 
-@njit(cache=True)
+@kernel
 def solve(metric: FloatArray, force: FloatArray, out: FloatArray) -> None:
     """Solve a 6 x 6 positive definite system by Cholesky.
 

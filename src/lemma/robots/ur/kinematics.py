@@ -12,8 +12,8 @@ explicit loops: no BLAS, whose last bits depend on the CPU.
 import math
 
 import numpy as np
-from numba import njit
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 
 ALPHA = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
@@ -26,7 +26,7 @@ _SIN_ALPHA = np.array([1.0, 0.0, 0.0, 1.0, -1.0, 0.0])
 _WRIST_SINGULAR = 1e-9
 
 
-@njit(cache=True)
+@kernel
 def multiply(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     """Write the product of two homogeneous transforms, each (4, 4), to ``out``."""
     for i in range(3):
@@ -37,7 +37,7 @@ def multiply(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     out[3, 3] = 1.0
 
 
-@njit(cache=True)
+@kernel
 def invert(a: FloatArray, out: FloatArray) -> None:
     """Write the inverse of a homogeneous transform, (4, 4), to ``out``."""
     for i in range(3):
@@ -49,7 +49,7 @@ def invert(a: FloatArray, out: FloatArray) -> None:
     out[3, 3] = 1.0
 
 
-@njit(cache=True)
+@kernel
 def link_transform(dh: FloatArray, index: int, angle: float, out: FloatArray) -> None:
     """Write the transform from frame ``index`` to the frame before it to ``out``."""
     ct, st = math.cos(angle), math.sin(angle)
@@ -69,7 +69,7 @@ def link_transform(dh: FloatArray, index: int, angle: float, out: FloatArray) ->
     out[3, 3] = 1.0
 
 
-@njit(cache=True)
+@kernel
 def frames(dh: FloatArray, base: FloatArray, q: FloatArray, out: FloatArray) -> None:
     """Write all seven link frames to ``out``.
 
@@ -86,7 +86,7 @@ def frames(dh: FloatArray, base: FloatArray, q: FloatArray, out: FloatArray) -> 
         multiply(out[i], link, out[i + 1])
 
 
-@njit(cache=True)
+@kernel
 def forward(dh: FloatArray, q: FloatArray) -> FloatArray:
     """Return base from flange, (4, 4), at joint angles ``q`` (6,) [rad]."""
     all_frames: FloatArray = np.empty((7, 4, 4))
@@ -95,7 +95,7 @@ def forward(dh: FloatArray, q: FloatArray) -> FloatArray:
     return flange
 
 
-@njit(cache=True)
+@kernel
 def point_jacobian(
     all_frames: FloatArray, links: int, point: FloatArray, out: FloatArray
 ) -> None:
@@ -120,7 +120,7 @@ def point_jacobian(
         out[2, j] = zx * ry - zy * rx
 
 
-@njit(cache=True)
+@kernel
 def inverse(dh: FloatArray, flange: FloatArray) -> FloatArray:
     """Return every joint vector that puts the flange at a pose.
 
@@ -170,7 +170,7 @@ def inverse(dh: FloatArray, flange: FloatArray) -> FloatArray:
     return solutions[:count].copy()
 
 
-@njit(cache=True)
+@kernel
 def _add_elbows(
     dh: FloatArray,
     flange: FloatArray,
@@ -222,7 +222,7 @@ def _add_elbows(
     return count
 
 
-@njit(cache=True)
+@kernel
 def top_down(x: float, y: float, z: float, yaw: float) -> FloatArray:
     """Return the pose, (4, 4), of a gripper that points straight down.
 

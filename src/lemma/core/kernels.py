@@ -1,0 +1,164 @@
+"""Kernels: plain loops that Numba compiles once and keeps for the next start.
+
+Numba keeps compiled code until the file that holds it changes. Kernels take in kernels
+and constants of other files, though: after a change of one of those, the kept code
+would go on computing the old numbers. So what is kept here belongs to every source that
+can go into a kernel.
+
+Processes that start together compile each kernel once, and one of them says so.
+"""
+
+import contextlib
+import hashlib
+import inspect
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, overload
+
+from filelock import FileLock, Timeout
+from numba import njit
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+SOURCES = ("core", "robots", "scene", "motion", "env/control")
+"""Folders of the package that kernels may take kernels and constants from, beside the
+file that they are in."""
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_PATIENCE_S = 120.0
+"""How long to wait for another process that compiles; all kernels take a quarter."""
+
+
+@overload
+def kernel(function: Function, /) -> Function: ...
+
+
+@overload
+def kernel(*, nogil: bool) -> Callable[[Function], Function]: ...
+
+
+def kernel(function: Any = None, /, *, nogil: bool = False) -> Any:
+    """Compile a function at its first call, and keep the code for the next start.
+
+    Only plain loops over scalars and arrays give the same bits on every machine: no
+    BLAS, no NumPy functions that are vectorised by processor.
+
+    Args:
+        function: What to compile; it may call other kernels.
+        nogil: Whether other threads may run meanwhile; for what takes milliseconds.
+    """
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher: Any = njit(nogil=nogil)(function)
+        kept: NullCache | _KernelCache
+        try:
+            kept = _KernelCache(function)
+        except RuntimeError:
+            # No folder can be written to: every start compiles. `lemma doctor` says so.
+            kept = _NoCache()
+        dispatcher._cache = kept
+        return dispatcher
+
+    return compiled if function is None else compiled(function)
+
+
+def cache_folder(function: Callable[..., Any]) -> str | None:
+    """Return where the code of a kernel is kept, or None if it is not."""
+    path: str | None = function.stats.cache_path  # type: ignore[attr-defined]
+    return path
+
+
+class _KernelCache(FunctionCache):
+    """What is kept of one kernel: a file for every signature, and an index."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        tag = sys.implementation.cache_tag
+        # Without a line number: code that was moved is overwritten, not left behind.
+        name = f"{function.__module__}.{function.__qualname__}.{tag}"
+        stamp = source_stamp(inspect.getfile(function))
+        self._cache_file = IndexDataCacheFile(self.cache_path, name, stamp)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return kept code, or None: then Numba compiles, and calls save_overload."""
+        found = super().load_overload(sig, target_context)
+        if found is None and _acquire():
+            found = super().load_overload(sig, target_context)
+            if found is not None:
+                _lock().release()
+        # A kernel that is known for other types takes a second, not worth a word.
+        if found is None and not self._cache_file._load_index():
+            _announce()
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep code."""
+        try:
+            super().save_overload(sig, data)
+        finally:
+            _lock().release()
+
+
+class _NoCache(NullCache):
+    """Keeps nothing."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> None:
+        """Say that something is going to be compiled."""
+        _announce()
+
+
+@cache
+def source_stamp(path: str) -> str:
+    """Return a hash of all that the kernels of a file may be made of."""
+    digest = hashlib.sha256(_shared_sources())
+    digest.update(Path(path).read_bytes())
+    return digest.hexdigest()
+
+
+@cache
+def _shared_sources() -> bytes:
+    digest = hashlib.sha256()
+    for folder in SOURCES:
+        for path in sorted((_PACKAGE / folder).rglob("*.py")):
+            source = path.read_bytes()
+            digest.update(f"{path.relative_to(_PACKAGE)} {len(source)}\n".encode())
+            digest.update(source)
+    return digest.digest()
+
+
+@cache
+def _lock() -> FileLock:
+    """Return the lock of whoever compiles this package's kernels on this machine."""
+    user = getattr(os, "getuid", int)()
+    place = hashlib.sha256(f"{user} {_PACKAGE}".encode()).hexdigest()[:16]
+    return FileLock(Path(tempfile.gettempdir()) / f"lemma-kernels-{place}.lock")
+
+
+def _acquire() -> bool:
+    try:
+        _lock().acquire(timeout=_PATIENCE_S)
+    except (Timeout, OSError):
+        # Compiling twice is slow, and does no harm.
+        return False
+    return True
+
+
+@cache
+def _announce() -> None:
+    """Say what takes so long, unless another process has just said it."""
+    said = Path(_lock().lock_file).with_suffix(".said")
+    with contextlib.suppress(OSError):
+        if time.time() - said.stat().st_mtime < _PATIENCE_S:
+            return
+    with contextlib.suppress(OSError):
+        said.touch()
+    sys.stderr.write(
+        "Compiling the numerical kernels for this machine, about half a minute. This "
+        "happens once after each installation or update.\n"
+    )
