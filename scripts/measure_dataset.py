@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lemma.bench.machine import describe_machine
-from lemma.core.parallel import ProcessPool, Serial, peak_memory_mb, usable_cores
+from lemma.core.parallel import ProcessPool, peak_memory_mb, usable_cores
 from lemma.dataset.instructions import Language
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.rendered.dense_form import DenseForm
@@ -67,8 +67,9 @@ def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
     # The first pictures compile and start things, which is not counted.
     (first, *_) = RenderConfig(recipe=recipe, out=frames).groups()
     warm = RenderConfig(recipe=recipe, out=frames, tasks=(first[0].stem,))
-    before = render(warm, KeyframeForm(), Serial())
-    made = render(RenderConfig(recipe=recipe, out=frames), KeyframeForm(), Serial())
+    before = render(warm, KeyframeForm(), ProcessPool(1))
+    every = RenderConfig(recipe=recipe, out=frames)
+    made = render(every, KeyframeForm(), ProcessPool(1))
     counted = made.rows - before.rows
     figures["keyframes"] = made.rows
     figures["render_keyframes_per_s_and_core"] = round(counted / made.seconds, 1)
@@ -76,7 +77,7 @@ def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
     for part in ("maps", "cameras"):
         size = sum(path.stat().st_size for path in (frames / part).rglob("*.arrow"))
         figures[f"{part}_kb_per_keyframe"] = round(size / made.rows / 1e3, 1)
-    dense = render(RenderConfig(recipe=recipe, out=steps), DenseForm(), Serial())
+    dense = render(RenderConfig(recipe=recipe, out=steps), DenseForm(), ProcessPool(1))
     figures["dense_steps_per_s_and_core"] = round(dense.rows / dense.seconds)
     figures["dense_bytes_per_step"] = round(dense.size_mb * 1e6 / dense.rows)
     maps = KeyframeDataset(frames, SPLIT, columns=(*MAP_COLUMNS, *POLICY_COLUMNS))

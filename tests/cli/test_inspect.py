@@ -6,10 +6,10 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from in_process import Serial
 from PIL import Image
 
 from lemma.cli.main import main
-from lemma.core.parallel import Serial
 from lemma.dataset.recipe.balance import Balance, Evenness
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.viz.charts import Part, Range, histogram, ranges, rates, stacked

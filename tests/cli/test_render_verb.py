@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from in_process import Serial
 from rendered_sets import TASKS, recipe_folder
 
 from lemma.cli import render as verb
@@ -11,7 +12,6 @@ from lemma.cli.main import main
 from lemma.cli.render import RenderOptions, choose_form
 from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
-from lemma.core.parallel import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 
@@ -75,7 +75,7 @@ def test_every_form_works_where_it_is_told_and_can_be_interrupted(
     assert run(recipe_folder(), "--out", tmp_path / "set", "--form", form) == 130
     assert given[-1] is engine
     told = capsys.readouterr().err
-    assert "Interrupted with 3 of 4 episodes made" in " ".join(told.split())
+    assert "Interrupted: 3 of 4 episodes are made" in " ".join(told.split())
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Engines: every job is done once, whoever dies."""
+"""Engines: every job is done once, whoever dies, and nobody outlives Ctrl-C."""
 
 import os
 import signal
@@ -8,17 +8,21 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import in_process
 import pytest
+from in_process import Serial
 
-from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.errors import DatasetError, InvalidConfigError, WorkerError
 from lemma.core.parallel import (
     Engine,
     Job,
     ProcessPool,
-    RayCluster,
-    Serial,
     peak_memory_mb,
+    report,
+    run_in_order,
+    usable_cores,
 )
+from lemma.core.ray_cluster import RayCluster
 
 
 def double(number: int) -> tuple[int, int]:
@@ -40,6 +44,10 @@ def die_once(number: int, folder: str) -> int:
     return number
 
 
+def die_at_seven(number: int) -> int:
+    return die(number) if number == 7 else number
+
+
 def die(number: int) -> int:
     os.kill(os.getpid(), signal.SIGKILL)
     return number
@@ -56,6 +64,30 @@ def interrupts_are_held(number: int) -> bool:
 
 def wait_long(number: int) -> None:
     time.sleep(600)
+
+
+def count_up(most: int) -> int:
+    for number in range(most):
+        report(number)
+    return most
+
+
+def later_is_faster(number: int) -> int:
+    time.sleep(0.3 if number == 0 else 0.0)
+    return number
+
+
+def answer_with_a_function(number: int) -> object:
+    return lambda: number
+
+
+class Unsendable(Exception):
+    def __init__(self, number: int, *, why: str) -> None:
+        super().__init__(f"{number}: {why}")
+
+
+def fail_unsendably(number: int) -> None:
+    raise Unsendable(number, why="it has two arguments")
 
 
 @pytest.fixture(scope="module", params=["serial", "processes"])
@@ -97,8 +129,58 @@ def test_a_worker_that_dies_is_replaced(tmp_path: Path) -> None:
 
 
 def test_workers_that_always_die_are_not_replaced_for_ever() -> None:
-    with pytest.raises(DatasetError, match=r"died 5 times.*--workers"):
+    with pytest.raises(WorkerError, match=r"5 worker processes died.*--workers"):
         list(ProcessPool(1).run(die, [(0,)]))
+
+
+def test_others_are_not_lost_by_a_job_that_kills_its_workers() -> None:
+    jobs: list[Job] = [(7,), *((i,) for i in range(3))]
+    results = ProcessPool(2).run(die_at_seven, jobs)
+    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(WorkerError):
+        next(results)
+
+
+def test_reports_arrive_before_the_job_has_ended(engine: Engine) -> None:
+    heard: list[int] = []
+    for most in engine.run(count_up, [(3,)] * 4, heard.append):
+        assert len(heard) >= most
+    assert sorted(heard) == sorted([0, 1, 2] * 4)
+
+
+def test_outside_of_a_job_nobody_hears_reports() -> None:
+    assert count_up(2) == 2
+
+
+def test_results_in_the_order_of_the_jobs() -> None:
+    jobs: list[Job] = [(i,) for i in range(8)]
+    pool = ProcessPool(2)
+    assert list(run_in_order(pool, later_is_faster, jobs)) == list(range(8))
+    assert next(pool.run(later_is_faster, jobs)) != 0
+
+
+def test_what_cannot_be_sent_is_an_error_with_its_cause() -> None:
+    with pytest.raises(AttributeError, match="lambda"):
+        list(ProcessPool(1).run(answer_with_a_function, [(0,)]))
+    with pytest.raises(WorkerError, match=r"Unsendable.*it has two arguments"):
+        list(ProcessPool(1).run(fail_unsendably, [(3,)]))
+
+
+def test_an_error_says_where_in_the_worker_it_was_raised() -> None:
+    with pytest.raises(DatasetError) as caught:
+        list(ProcessPool(1).run(fail_at, [(4, 4)]))
+    assert "in fail_at" in caught.value.__notes__[0]
+
+
+def test_workers_are_gone_when_the_iteration_ends() -> None:
+    before = children(os.getpid())
+    results = ProcessPool(2).run(pid, [(i,) for i in range(100)])
+    assert next(results) in children(os.getpid())
+    start = time.monotonic()
+    results.close()  # type: ignore[attr-defined]
+    assert time.monotonic() - start < 1.0
+    # What keeps account of semaphores stays.
+    assert len(children(os.getpid()) - before) <= 1
 
 
 def test_ctrl_c_is_not_for_workers() -> None:
@@ -113,6 +195,7 @@ def test_there_must_be_workers() -> None:
 
 def test_an_engine_says_how_many_work() -> None:
     assert (Serial().workers, ProcessPool(3).workers) == (1, 3)
+    assert ProcessPool().workers == usable_cores()
 
 
 def needs_memory(megabytes: int) -> float:
@@ -148,23 +231,24 @@ def alive(processes: set[int]) -> set[int]:
 
 @pytest.fixture
 def parent() -> Iterator[subprocess.Popen[bytes]]:
+    """Start a process with two workers that would work for ten minutes."""
+    folders = [str(Path(__file__).parent), str(Path(in_process.__file__).parent)]
     code = (
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"import sys; sys.path[:0] = {folders}\n"
         "from lemma.core.parallel import ProcessPool\n"
         "from test_parallel import wait_long\n"
         "if __name__ == '__main__':\n"
         "    list(ProcessPool(2).run(wait_long, [(0,), (1,)]))\n"
     )
-    process = subprocess.Popen([sys.executable, "-c", code])
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stderr=subprocess.PIPE, start_new_session=True
+    )
     yield process
     process.kill()
-    process.wait()
+    process.communicate()
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_workers_end_with_the_process_that_started_them(
-    parent: subprocess.Popen[bytes],
-) -> None:
+def workers_of(parent: subprocess.Popen[bytes]) -> set[int]:
     deadline = time.monotonic() + 30
     # Two workers, and the process that keeps account of semaphores.
     while len(started := children(parent.pid)) < 3 and time.monotonic() < deadline:
@@ -172,14 +256,43 @@ def test_workers_end_with_the_process_that_started_them(
     assert len(started) == 3
     # Workers that are still starting cannot know yet.
     time.sleep(1.0)
+    return started
+
+
+def all_end(processes: set[int]) -> bool:
+    deadline = time.monotonic() + 10
+    while alive(processes) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return not alive(processes)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_workers_end_with_the_process_that_started_them(
+    parent: subprocess.Popen[bytes],
+) -> None:
+    started = workers_of(parent)
     parent.kill()
     parent.wait()
-    while alive(started) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert not alive(started)
+    assert all_end(started)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@pytest.mark.parametrize("to", ["parent", "group"])
+def test_ctrl_c_ends_everything_at_once(
+    parent: subprocess.Popen[bytes], to: str
+) -> None:
+    started = workers_of(parent)
+    start = time.monotonic()
+    (os.killpg if to == "group" else os.kill)(parent.pid, signal.SIGINT)
+    _, said = parent.communicate(timeout=10)
+    assert time.monotonic() - start < 2.0
+    assert all_end(started)
+    # One traceback: that of the process whose job it is to say something.
+    assert said.count(b"Traceback") == 1
+    assert said.rstrip().endswith(b"KeyboardInterrupt")
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(DatasetError, match=r"lemma-bench\[scale\]"):
+    with pytest.raises(WorkerError, match=r"lemma-bench\[scale\]"):
         RayCluster("auto")

@@ -13,8 +13,9 @@ import ray
 from ray.cluster_utils import Cluster
 from recipes import bytes_of, lemma, small_recipe
 
-from lemma.core.errors import DatasetError
-from lemma.core.parallel import RayCluster, is_worker
+from lemma.core.errors import DatasetError, WorkerError
+from lemma.core.parallel import is_worker
+from lemma.core.ray_cluster import RayCluster
 from lemma.dataset.files import read_json
 
 pytestmark = pytest.mark.slow
@@ -141,7 +142,7 @@ def test_what_a_job_raises_comes_out(engine: RayCluster, tmp_path: Path) -> None
 
 
 def test_a_job_that_always_dies_is_given_up(engine: RayCluster) -> None:
-    with pytest.raises(DatasetError, match=r"cluster lost a job.*same command again"):
+    with pytest.raises(WorkerError, match=r"cluster lost a job.*same command again"):
         list(engine.run(os._exit, [(1,)]))
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from shutil import copytree
 
 import pytest
+from in_process import Serial
 from recipes import (
     bytes_of,
     lemma,
@@ -15,7 +16,6 @@ from recipes import (
     write_recipe,
 )
 
-from lemma.core.parallel import Serial
 from lemma.dataset.files import (
     MANIFEST,
     open_table,

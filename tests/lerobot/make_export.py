@@ -10,8 +10,8 @@ from shutil import rmtree
 from typing import Any
 
 import numpy as np
+from in_process import Serial
 
-from lemma.core.parallel import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
 from lemma.dataset.lerobot.layout import Style
 from lemma.dataset.recipe.generate import GenerateConfig, generate

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from faulty_policies import Scripted, given
+from in_process import Serial
 from serving_processes import end, start
 
 from lemma.cli.evaluate import EvaluateOptions
@@ -17,7 +18,7 @@ from lemma.cli.options import complain
 from lemma.cli.serve import serve as serve_verb
 from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
-from lemma.core.parallel import Job, ProcessPool, Serial
+from lemma.core.parallel import Job, Listener, ProcessPool, ignore
 from lemma.evaluation.analysis.result import Row
 from lemma.evaluation.run import loading
 from lemma.evaluation.run.evaluate import (
@@ -97,7 +98,9 @@ class Restarts:
     def __init__(self, url: str, process: Any) -> None:
         self.port, self.process = int(url.rpartition(":")[2]), process
 
-    def run(self, function: Any, jobs: Sequence[Job]) -> Iterator[Any]:
+    def run(
+        self, function: Any, jobs: Sequence[Job], on_report: Listener = ignore
+    ) -> Iterator[Any]:
         for job in jobs:
             killing = threading.Thread(target=self.restart)
             killing.start()
@@ -131,10 +134,12 @@ def test_a_server_gone_for_good_ends_the_run_and_keeps_what_was_done(
     with PolicyServer(Scripted(), port=0) as server:
 
         class Closes(Serial):
-            def run(self, function: Any, jobs: Any) -> Iterator[Any]:
+            def run(
+                self, function: Any, jobs: Any, on_report: Any = None
+            ) -> Iterator[Any]:
                 yield function(*jobs[0])
                 server.close()
-                yield from super().run(function, jobs[1:])
+                yield from super().run(function, jobs[1:], on_report)
 
         with pytest.raises(PolicyUnreachableError, match="same command again"):
             evaluate(order(tmp_path, server.url), Closes())

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from lemma.core.parallel import Serial
+from in_process import Serial
+
 from lemma.core.poses import Pose2
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.records import SUMMARY, read_about

@@ -9,9 +9,9 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+from in_process import Serial
 from rendered_sets import recipe_folder, scratch
 
-from lemma.core.parallel import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
 from lemma.dataset.lerobot.layout import Style, features
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary

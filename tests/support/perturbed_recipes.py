@@ -6,7 +6,8 @@ from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
 
-from lemma.core.parallel import Serial
+from in_process import Serial
+
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.schema import PerturbedRecord

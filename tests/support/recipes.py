@@ -15,9 +15,9 @@ from tempfile import mkdtemp
 
 import numpy as np
 import pytest
+from in_process import Serial
 
 from lemma.cli.main import main
-from lemma.core.parallel import Serial
 from lemma.dataset.files import (
     MANIFEST,
     REVISION_VARIABLE,

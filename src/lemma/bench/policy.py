@@ -1,17 +1,15 @@
 """The figures of `lemma bench --policy`: how long it thinks, and how much it needs."""
 
-import multiprocessing
 import os
 import statistics
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from lemma.bench.speed import peak_memory_mb
 from lemma.cli.demo import demo
+from lemma.core.parallel import ProcessPool, peak_memory_mb
 from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.instance import Instance
@@ -84,9 +82,8 @@ def _play(
 
 
 def _measure_demo_mb(policy: str, task: str) -> float:
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as pool:
-        return pool.submit(_demo_mb, policy, task).result()
+    (peak_mb,) = ProcessPool(1).run(_demo_mb, [(policy, task)])
+    return float(peak_mb)
 
 
 def _demo_mb(policy: str, task: str) -> float:

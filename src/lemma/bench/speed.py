@@ -3,17 +3,12 @@
 Every figure has one function, which returns plain numbers.
 """
 
-import multiprocessing
-import re
-import resource
 import statistics
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
+from lemma.core.parallel import ProcessPool, peak_memory_mb, run_in_order
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
 from lemma.scene.cameras import CameraImage
@@ -134,9 +129,8 @@ def measure_reset(
 
 def measure_peak_mb(instance: Instance) -> float:
     """Return the peak memory of a new process that does all an environment does."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as pool:
-        return pool.submit(_peak_mb_of_episode, instance).result()
+    (peak_mb,) = ProcessPool(1).run(_peak_mb_of_episode, [(instance,)])
+    return float(peak_mb)
 
 
 def _peak_mb_of_episode(instance: Instance) -> float:
@@ -147,18 +141,6 @@ def _peak_mb_of_episode(instance: Instance) -> float:
     for _ in solve(episode, Expert(scene, instance.goal)):
         fuse(_look(scene, renderer))
     return peak_memory_mb()
-
-
-def peak_memory_mb() -> float:
-    """Return the largest memory that this process has had [MB]."""
-    try:
-        # Unlike getrusage, this does not count the process that started this one.
-        status = Path("/proc/self/status").read_text()
-        kilobytes = int(re.findall(r"VmHWM:\s*(\d+) kB", status)[0])
-        return kilobytes * 1024 / 1e6
-    except (OSError, IndexError):
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak * (1 if sys.platform == "darwin" else 1024) / 1e6
 
 
 def run_trials(tasks: Iterable[str], episodes: int, workers: int) -> Iterator[Trial]:
@@ -178,17 +160,17 @@ def run_trials(tasks: Iterable[str], episodes: int, workers: int) -> Iterator[Tr
         for fresh in (False, True)
         for index in range(episodes)
     ]
-    if workers == 1:
-        yield from map(run_trial, jobs)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        yield from pool.map(run_trial, jobs, chunksize=4)
+    yield from run_in_order(ProcessPool(workers), run_trial, jobs)
 
 
-def run_trial(job: tuple[str, bool, int]) -> Trial:
-    """Let the expert work on one instance: a task, whether fresh, and an index."""
-    task, fresh, index = job
+def run_trial(task: str, fresh: bool, index: int) -> Trial:
+    """Let the expert work on one instance.
+
+    Args:
+        task: Name of the task.
+        fresh: Whether to sample it, instead of taking it from the frozen list.
+        index: Number of the instance.
+    """
     rejected = 0
     if fresh:
         drawn = sample(task_named(task), FREE_SPLIT, index)

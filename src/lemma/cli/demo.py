@@ -74,12 +74,18 @@ def _solve_and_film(
         _solve(console, instance, player, style.frame_s) for instance in instances
     ]
     console.print(f"\nRendering {len(recordings)} videos in {page.parent} ...")
-    illustrations = illustrate_all(
-        recordings,
-        page.parent,
-        style,
-        on_video=lambda path: console.print(f"  {path.name}"),
-    )
+    try:
+        illustrations = illustrate_all(
+            recordings,
+            page.parent,
+            style,
+            on_video=lambda path: console.print(f"  {path.name}"),
+        )
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"Interrupted: videos that were named are in {page.parent}; the page is "
+            "not written."
+        ) from None
     write_page(page, recordings, illustrations, style.speed)
     return recordings
 

@@ -23,6 +23,11 @@ from lemma.tasks.suite import SUITE
 
 _ALL = "all"
 _COMPLAINTS = 5
+_AT_INTERRUPT = (
+    "{done} of {total} episodes are kept in episodes.jsonl. The same command goes on "
+    "from there; it plays groups of ten again that were not finished, because the last "
+    "bits of a network depend on what is in its batch."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +100,7 @@ def evaluate(
         complain(f"This is not protocol {NAME}, and its result says so: {departure}.")
     if not ask.skip_check:
         check_served(order.policy)
-    with progress_bar("evaluate", order.total) as advance:
+    with progress_bar("evaluate", order.total, _AT_INTERRUPT) as advance:
         rows = run(order, working.make_engine(), advance)
     result = summarise(rows, read_about(out), order.command())
     result.write(out / SUMMARY)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 from rich.table import Table
 
-from lemma.cli.options import JsonFlag, Number, Word, complain, output, print_json
+from lemma.cli.options import JsonFlag, Number, Word, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.digests import differing
@@ -19,7 +19,9 @@ from lemma.expert.disturbances import Perturbation
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.suite import SUITE
 
-INTERRUPTED = 130
+_AT_INTERRUPT = (
+    "{done} of {total} episodes are written. The same command goes on from there."
+)
 _ALL, _SPLITS = "all", ",".join(SPLITS)
 _RECIPE, _RECOVERY = Path("data/lemma-v1"), Path("data/lemma-v1-recovery")
 
@@ -97,22 +99,8 @@ def generate(
             "choose another folder; nothing is ever deleted."
         )
     engine = working.make_engine()
-    done = 0
-    try:
-        with progress_bar("generate", order.total) as advance:
-
-            def count(more: int) -> None:
-                nonlocal done
-                done += more
-                advance(more)
-
-            summary = write_recipe(order, engine, count)
-    except KeyboardInterrupt:
-        complain(
-            f"Interrupted with {done} of {order.total} episodes written. The same "
-            "command goes on from there."
-        )
-        return INTERRUPTED
+    with progress_bar("generate", order.total, _AT_INTERRUPT) as advance:
+        summary = write_recipe(order, engine, advance)
     found: dict[str, Any] = dict(figures(summary, engine.workers))
     if not as_json:
         _print(out, found)

@@ -48,6 +48,8 @@ _DESCRIPTION = (
     "LEMMA Bench: two robot arms, a table, and instructions that neither arm can "
     "follow alone."
 )
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
 BAD_INPUT = 2
 """Exit code for what the user can put right; argument errors use it as well."""
 _EXTRAS = {"torch": "learn", "safetensors": "learn", "tensorboard": "learn"}
@@ -83,9 +85,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except ImportError as error:
         complain(_about_missing(error))
         code = BAD_INPUT
-    except KeyboardInterrupt:
-        complain("Interrupted.")
-        code = 130
+    except KeyboardInterrupt as interrupt:
+        # A verb says what is kept, see progress_bar.
+        complain(str(interrupt) or "Interrupted: nothing is kept.")
+        code = INTERRUPTED
     except BrokenPipeError:
         # Whoever read our output has seen enough; closing it must not fail as well.
         sys.stderr.close()

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lemma.cli.options import Flag, JsonFlag, complain, output, print_json
+from lemma.cli.options import Flag, JsonFlag, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.core.parallel import Engine
@@ -19,7 +19,9 @@ from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.dataset.rendered.render import render as render_form
 
-INTERRUPTED = 130
+_AT_INTERRUPT = (
+    "{done} of {total} episodes are made. The same command goes on from there."
+)
 _ALL = "all"
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
@@ -82,22 +84,8 @@ def render(
     )
     make = choose_form(form, order, look)
     engine = working.make_engine()
-    total, done = order.episodes(), 0
-    try:
-        with progress_bar("render", total) as advance:
-
-            def count(more: int) -> None:
-                nonlocal done
-                done += more
-                advance(more)
-
-            summary = make(engine, count)
-    except KeyboardInterrupt:
-        complain(
-            f"Interrupted with {done} of {total} episodes made. The same command goes "
-            "on from there."
-        )
-        return INTERRUPTED
+    with progress_bar("render", order.episodes(), _AT_INTERRUPT) as advance:
+        summary = make(engine, advance)
     if as_json:
         print_json({"form": form, **asdict(summary)})
     else:

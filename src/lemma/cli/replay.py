@@ -8,13 +8,16 @@ from typing import Annotated, Any
 import tyro
 from rich.table import Table
 
-from lemma.cli.options import Flag, JsonFlag, Number, Word, complain, output, print_json
+from lemma.cli.options import Flag, JsonFlag, Number, Word, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.reader import Recipe, load
 from lemma.dataset.recipe.replay import Replay, replay_all
 
-INTERRUPTED = 130
+_AT_INTERRUPT = (
+    "{done} of {total} episodes were compared; nothing was changed, and what was "
+    "found is not kept."
+)
 _SHOWN = 20
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
@@ -44,12 +47,8 @@ def replay(
     recipe = choose(load(data), task, split, limit)
     engine = working.make_engine()
     start = perf_counter()
-    try:
-        with progress_bar("replay", len(recipe)) as advance:
-            drifting = replay_all(recipe, engine, advance)
-    except KeyboardInterrupt:
-        complain("Interrupted: nothing was changed, and nothing is proven.")
-        return INTERRUPTED
+    with progress_bar("replay", len(recipe), _AT_INTERRUPT) as advance:
+        drifting = replay_all(recipe, engine, advance)
     seconds = perf_counter() - start
     if as_json:
         print_json(_report(len(recipe), drifting, seconds))

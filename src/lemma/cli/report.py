@@ -32,6 +32,9 @@ ResultPaths = Annotated[
 MOST_MB = 16.0
 """All pictures of a page [MB]. In it they take a third more, and episodes some MB."""
 VIDEOS = "videos"
+_AT_INTERRUPT = (
+    "no page was written, and pictures are not kept. '--failures 0' needs no pictures."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +157,7 @@ def _findings(cases: Sequence[Case], wishes: ReportOptions, out: Path) -> Findin
         complain(str(error))
         return Findings(cases, {}, "There are no pictures: OpenGL does not work here.")
     videos = out / VIDEOS if wishes.videos else None
-    with progress_bar("failures", len(chosen)) as advance:
+    with progress_bar("failures", len(chosen), _AT_INTERRUPT) as advance:
         drawn = picture_all(chosen, videos, wishes.workers or usable_cores(), advance)
     kept = within(drawn, MOST_MB * 1e6)
     return Findings(cases, kept, _left_out(failed, len(kept)))

@@ -20,6 +20,11 @@ from lemma.evaluation.report.policy_results import entries_of, read_results
 from lemma.evaluation.report.sections import REPORT, page
 from lemma.evaluation.run.protocol import check_protocol, quote
 
+_AT_INTERRUPT = (
+    "{done} of {total} episodes of this experiment are kept. The same command goes on "
+    "from there."
+)
+
 OptionalFolder = Annotated[
     Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
 ]
@@ -85,7 +90,7 @@ def reproduce(
         except MissingWeightsError as error:
             messages().print(f"Skipped {experiment.name}: {error}", soft_wrap=True)
             continue
-        with progress_bar(experiment.name, order.total) as advance:
+        with progress_bar(experiment.name, order.total, _AT_INTERRUPT) as advance:
             plan.run(experiment, engine, advance)
     entries = entries_of(read_results([out]) if out.exists() else [], complete=True)
     write_text(out / REPORT, page(entries))

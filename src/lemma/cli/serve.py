@@ -63,7 +63,8 @@ def serve(
         "weights": weights_of(spec),
     }
     run(spec.load(), host=host, port=port, about=about, on_ready=_announce)
-    return 0
+    # It returns at Ctrl-C alone.
+    raise KeyboardInterrupt("Interrupted: nobody is answered any more.")
 
 
 def _announce(url: str) -> None:

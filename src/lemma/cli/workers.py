@@ -20,7 +20,8 @@ from rich.text import Text
 
 from lemma.cli.options import Number, messages
 from lemma.core.errors import InvalidConfigError
-from lemma.core.parallel import Engine, ProcessPool, RayCluster, usable_cores
+from lemma.core.parallel import Engine, ProcessPool
+from lemma.core.ray_cluster import RayCluster
 
 _RATE_PERIOD_S = 60.0
 
@@ -41,7 +42,7 @@ class Workers:
 
         Raises:
             InvalidConfigError: The number of processes is below one, or beside Ray.
-            DatasetError: There is no Ray, or no cluster.
+            WorkerError: There is no Ray, or no cluster.
         """
         if self.engine == "ray":
             if self.workers is not None:
@@ -50,7 +51,7 @@ class Workers:
                     "of its cluster. Leave out one of the two."
                 )
             return RayCluster(self.ray_address)
-        return ProcessPool(usable_cores() if self.workers is None else self.workers)
+        return ProcessPool(self.workers)
 
 
 DEFAULT = Workers()
@@ -70,15 +71,22 @@ class _Rate(ProgressColumn):
 
 
 @contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
+def progress_bar(
+    what: str, total: int, at_interrupt: str
+) -> Iterator[Callable[[int], None]]:
     """Show a bar with rate and time left on the error stream.
 
     Args:
         what: What is done, a word or two.
         total: How many there are.
+        at_interrupt: What to say after Ctrl-C: what is kept, and how to go on. It may
+            name ``{done}`` and ``{total}``.
 
     Yields:
         A function that is told how many were done since it was last told.
+
+    Raises:
+        KeyboardInterrupt: With what to say.
     """
     columns = (
         TextColumn("{task.description}"),
@@ -92,4 +100,15 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
         *columns, console=messages(), speed_estimate_period=_RATE_PERIOD_S
     ) as progress:
         task = progress.add_task(what, total=total)
-        yield lambda count: progress.advance(task, count)
+        done = 0
+
+        def advance(count: int) -> None:
+            nonlocal done
+            done += count
+            progress.advance(task, count)
+
+        try:
+            yield advance
+        except KeyboardInterrupt:
+            text = at_interrupt.format(done=done, total=total)
+            raise KeyboardInterrupt(f"Interrupted: {text}") from None

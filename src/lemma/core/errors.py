@@ -58,3 +58,7 @@ class ResetNeededError(LemmaError, RuntimeError):
 
 class DatasetError(LemmaError, RuntimeError):
     """A dataset that cannot be read, written or trusted."""
+
+
+class WorkerError(LemmaError, RuntimeError):
+    """Processes or machines that work keep dying, or cannot be had."""

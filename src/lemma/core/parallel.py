@@ -1,33 +1,39 @@
-"""Where jobs run: in this process, in several, or on a Ray cluster.
+"""The worker pool: many calls of one function, in several processes of this machine.
 
-A job is a plain function of plain arguments that writes its own result, so an engine
-need only say which jobs are done.
+A job is a plain function of plain arguments. What it returns comes back in the order in
+which jobs end; what it reports before, such as progress, comes back at once. A Ray
+cluster does the same for many machines, see :mod:`lemma.core.ray_cluster`.
 """
 
+import atexit
 import os
-import resource
+import pickle
 import signal
-import socket
 import sys
 import threading
+import traceback
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process, resource_tracker
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Protocol
 
-from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.errors import InvalidConfigError, WorkerError
 
 Job = tuple[Any, ...]
 """Arguments of one call."""
+Listener = Callable[[Any], None]
+"""Is told what jobs report."""
 
-_MOST_BREAKS = 5
-_AHEAD = 2
-_PATIENCE_S = 10.0
+MOST_DEATHS = 5
+"""How many workers may die of one job."""
 _WORKER = "LEMMA_WORKER"
 """Environment variable that is set in worker processes."""
+_END_S = 2.0
+"""How long a worker that has nothing left to do may take to end [s]."""
 
 
 def usable_cores() -> int:
@@ -35,6 +41,20 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this process ever held [MB]."""
+    try:
+        # Unlike getrusage, this does not count the process that started this one.
+        status = Path("/proc/self/status").read_text()
+        return int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6
+    except (OSError, IndexError, ValueError):
+        import resource  # noqa: PLC0415 - not on every system
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        # Bytes on macOS, kilobytes elsewhere.
+        return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 
 
 class Engine(Protocol):
@@ -45,105 +65,279 @@ class Engine(Protocol):
         """How many jobs run at a time."""
         ...
 
-    def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
-        """Yield what each job returned, in the order in which they end."""
+    def run(
+        self,
+        function: Callable[..., Any],
+        jobs: Sequence[Job],
+        on_report: Listener = ...,
+    ) -> Iterator[Any]:
+        """Yield what each job returned, in the order in which they end.
+
+        Args:
+            function: What every job calls; a function of a module.
+            jobs: Arguments of each call.
+            on_report: Told what jobs :func:`report`, before they have ended.
+        """
         ...
 
 
-class Serial:
-    """Runs jobs one after another in this process."""
+def ignore(message: Any) -> None:
+    """Take no notice."""
 
-    workers = 1
 
-    def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
-        """Yield what each job returned."""
-        for job in jobs:
-            yield function(*job)
+_listener: Listener = ignore
+"""Who hears what the job in this process reports."""
+
+
+def report(message: Any) -> None:
+    """Tell whoever runs this job something before it ends: that a part of it is done.
+
+    Args:
+        message: Anything that can be pickled. Outside of a job nobody hears it.
+    """
+    _listener(message)
+
+
+@contextmanager
+def heard_by(listener: Listener) -> Iterator[None]:
+    """Let somebody hear what is reported in this process meanwhile."""
+    global _listener
+    before, _listener = _listener, listener
+    try:
+        yield
+    finally:
+        _listener = before
+
+
+def run_in_order(
+    engine: Engine, function: Callable[..., Any], jobs: Sequence[Job]
+) -> Iterator[Any]:
+    """Yield what each job returned, in the order of the jobs.
+
+    Args:
+        engine: Where to work.
+        function: What every job calls.
+        jobs: Arguments of each call.
+    """
+    early: dict[int, Any] = {}
+    following = 0
+    numbered = [(number, function, job) for number, job in enumerate(jobs)]
+    for number, result in engine.run(_numbered, numbered):
+        early[number] = result
+        while following in early:
+            yield early.pop(following)
+            following += 1
+
+
+def _numbered(number: int, function: Callable[..., Any], job: Job) -> tuple[int, Any]:
+    return number, function(*job)
 
 
 class ProcessPool:
     """Runs jobs in several processes of this machine.
 
-    A process that dies takes along what its fellows were doing; that is done again.
+    A process that dies is replaced, and its job is done again. Processes are killed
+    when the iteration ends before its time: by an error, by Ctrl-C, or because nobody
+    goes on with it. Ctrl-C itself does not reach them.
     """
 
-    def __init__(self, workers: int) -> None:
+    def __init__(self, workers: int | None = None) -> None:
         """Set the number of processes.
+
+        Args:
+            workers: Most processes at a time; as many as there are cores if None.
 
         Raises:
             InvalidConfigError: Fewer than one.
         """
-        if workers < 1:
+        self.workers = usable_cores() if workers is None else workers
+        if self.workers < 1:
             raise InvalidConfigError(f"Workers are 1 or more, not {workers}.")
-        self.workers = workers
 
-    def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
+    def run(
+        self,
+        function: Callable[..., Any],
+        jobs: Sequence[Job],
+        on_report: Listener = ignore,
+    ) -> Iterator[Any]:
         """Yield what each job returned, in the order in which they end.
 
-        Raises:
-            DatasetError: Processes keep dying.
-        """
-        left = dict(enumerate(jobs))
-        breaks = 0
-        while left:
-            before = len(left)
-            try:
-                for number, result in self._once(function, dict(left)):
-                    del left[number]
-                    yield result
-            except BrokenProcessPool as error:
-                # As long as something is done in between, it is worth going on.
-                breaks = 0 if len(left) < before else breaks + 1
-                if breaks == _MOST_BREAKS:
-                    raise DatasetError(
-                        f"Worker processes died {_MOST_BREAKS} times before any of "
-                        "them finished an episode. If the system ends them for lack "
-                        "of memory, use fewer with --workers; each needs 500 MB."
-                    ) from error
-
-    def _once(
-        self, function: Callable[..., Any], jobs: dict[int, Job]
-    ) -> Iterator[tuple[int, Any]]:
-        """Yield numbers of jobs and results until all are done.
+        Args:
+            function: What every job calls; a function of a module.
+            jobs: Arguments of each call.
+            on_report: Told what jobs :func:`report`, in the order in which it arrives.
 
         Raises:
-            BrokenProcessPool: A process died.
+            WorkerError: Processes keep dying of a job.
         """
-        waiting = iter(jobs.items())
-        running: dict[Future[Any], int] = {}
-        pool = ProcessPoolExecutor(
-            min(self.workers, len(jobs)),
-            mp_context=get_context("spawn"),
-            initializer=_become_worker,
-        )
+        waiting = deque(_Task(function, job) for job in jobs)
+        team: set[_Worker] = set()
         try:
-            while True:
-                while len(running) < _AHEAD * self.workers and (
-                    following := next(waiting, None)
-                ):
-                    number, job = following
-                    with _interrupts_held():
-                        running[pool.submit(function, *job)] = number
-                if not running:
-                    return
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in done:
-                    yield running.pop(future), future.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            for _ in range(min(self.workers, len(jobs))):
+                _hire(team)
+            for worker in tuple(team):
+                worker.begin(waiting.popleft())
+            while any(worker.task for worker in team):
+                for worker in _wait_for_any(team):
+                    yield from self._hear(worker, team, waiting, on_report)
+        except BaseException:
+            _end(team)
+            raise
+        _end(team, patience_s=_END_S)
+
+    def _hear(
+        self,
+        worker: "_Worker",
+        team: "set[_Worker]",
+        waiting: "deque[_Task]",
+        on_report: Listener,
+    ) -> Iterator[Any]:
+        """Deal with one message of a worker, or with its death; yield a result.
+
+        Raises:
+            WorkerError: It was one death too many.
+        """
+        try:
+            kind, content = worker.pipe.recv()
+        except (EOFError, OSError):
+            task = worker.task
+            _end({worker})
+            team.discard(worker)
+            if task is not None:
+                task.outlive()
+                _hire(team).begin(task)
+            return
+        if kind == "report":
+            on_report(content)
+            return
+        if kind == "error":
+            raise content
+        worker.task = None
+        if waiting:
+            worker.begin(waiting.popleft())
+        yield content
+
+
+@dataclass(slots=True, eq=False)
+class _Task:
+    """A job, and how many workers died of it."""
+
+    function: Callable[..., Any]
+    job: Job
+    deaths: int = 0
+
+    def outlive(self) -> None:
+        """Count a death.
+
+        Raises:
+            WorkerError: It was one too many.
+        """
+        self.deaths += 1
+        if self.deaths == MOST_DEATHS:
+            raise WorkerError(
+                f"{MOST_DEATHS} worker processes died, one after another, of the same "
+                "job. If the system ends them for lack of memory, use fewer with "
+                "--workers; each needs 500 MB."
+            )
+
+
+class _Worker:
+    """A process of its own at the other end of a pipe, which does one job at a time."""
+
+    def __init__(self) -> None:
+        # OpenGL does not survive a fork.
+        context = get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_work, args=(theirs,))
+        self.process.start()
+        theirs.close()
+        self.task: _Task | None = None
+
+    def begin(self, task: _Task) -> None:
+        """Send a job."""
+        self.task = task
+        # If the process is gone already, that shows when it is listened to.
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self.pipe.send((task.function, task.job))
+
+
+_working: set[_Worker] = set()
+"""All workers of this process: it must not end before them, and wait for them."""
+
+
+def _hire(team: set[_Worker]) -> _Worker:
+    """Start a worker of a team."""
+    # The first worker would start it, and that lets go of interrupts.
+    resource_tracker.ensure_running()
+    with interrupts_held():
+        worker = _Worker()
+        team.add(worker)
+        _working.add(worker)
+    return worker
+
+
+def _wait_for_any(team: set[_Worker]) -> list[_Worker]:
+    """Wait until workers say something or die; return those."""
+    # A pipe alone may stay open behind a dead worker: what it started may hold it.
+    ends = {worker.process.sentinel: worker for worker in team}
+    pipes = {worker.pipe: worker for worker in team}
+    ready = set(wait([*pipes, *ends]))
+    spoke = [worker for pipe, worker in pipes.items() if pipe in ready]
+    died = [worker for end, worker in ends.items() if end in ready]
+    for worker in died:
+        if worker not in spoke:
+            worker.pipe.close()
+            spoke.append(worker)
+    return spoke
+
+
+def _end(team: set[_Worker], patience_s: float = 0.0) -> None:
+    """End workers, by force where they take longer.
+
+    Args:
+        team: The workers.
+        patience_s: How long one may take to end by itself [s]; 0 to kill it.
+    """
+    # A second Ctrl-C must not leave some of them.
+    with interrupts_held():
+        for worker in team:
+            worker.pipe.close()
+        for worker in team:
+            if patience_s > 0.0:
+                worker.process.join(patience_s)
+            worker.process.kill()
+            worker.process.join()
+            _working.discard(worker)
+
+
+# Before multiprocessing's own, which was registered first and waits for every process.
+atexit.register(lambda: _end(set(_working)))
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
+def interrupts_held() -> Iterator[None]:
     """Hold Ctrl-C back, here for a moment and in processes started now for good.
 
     The terminal sends it to all of them, and each would die with a traceback.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    # The mask is inherited, yet it is of this thread alone: another one may take the
+    # signal, and then Python calls the handler here all the same.
+    handler = signal.getsignal(signal.SIGINT)
+    is_ours = threading.current_thread() is threading.main_thread() and callable(
+        handler
+    )
+    came: list[int] = []
+    if is_ours:
+        signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
     try:
         yield
     finally:
+        if is_ours:
+            signal.signal(signal.SIGINT, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if came:
+            signal.raise_signal(signal.SIGINT)
 
 
 def is_worker() -> bool:
@@ -151,119 +345,49 @@ def is_worker() -> bool:
     return _WORKER in os.environ
 
 
-def _become_worker() -> None:
+def become_worker() -> None:
+    """Note that this process works for another."""
     os.environ[_WORKER] = "1"
-    _die_with_parent()
 
 
-def _work_for_another(function: Callable[..., Any], *job: Any) -> Any:
-    os.environ[_WORKER] = "1"
-    return function(*job)
+def _work(pipe: "Connection[Any, Any]") -> None:
+    """Do jobs until nobody asks any more."""
+    become_worker()
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    # What says that there is no more is a pipe that was closed.
+    gone = suppress(EOFError, ConnectionResetError, BrokenPipeError)
+    with gone, heard_by(lambda message: pipe.send(("report", message))):
+        while True:
+            pipe.send_bytes(_answer(pipe))
+
+
+def _answer(pipe: "Connection[Any, Any]") -> bytes:
+    """Return what comes of the next job.
+
+    Raises:
+        EOFError: There is none.
+    """
+    request = pipe.recv_bytes()
+    try:
+        function, job = pickle.loads(request)
+        return pickle.dumps(("result", function(*job)))
+    except BaseException as error:
+        return pickle.dumps(("error", _portable(error)))
+
+
+def _portable(error: BaseException) -> BaseException:
+    """Return an exception as it can be sent, with a note where it comes from."""
+    error.add_note("In a worker: " + "".join(traceback.format_exception(error)))
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return WorkerError(f"{type(error).__name__} in a worker process: {error}")
+    return error
 
 
 def _die_with_parent() -> None:
     """End this process as soon as its parent is gone, however it went."""
     parent = parent_process()
-
-    def watch() -> None:
-        if parent is not None:
-            parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def peak_memory_mb() -> float:
-    """Return the most memory that this process ever held [MB]."""
-    try:
-        # Unlike getrusage, this does not count the process that started this one.
-        status = Path("/proc/self/status").read_text()
-        return int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6
-    except (OSError, IndexError, ValueError):
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        # Bytes on macOS, kilobytes elsewhere.
-        return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
-
-
-class RayCluster:
-    """Runs jobs on a Ray cluster whose machines share a file system."""
-
-    def __init__(self, address: str) -> None:
-        """Connect to a cluster, or use the one that this process is connected to.
-
-        Args:
-            address: Of the cluster, or ``"auto"``.
-
-        Raises:
-            DatasetError: Ray is not installed, or there is no such cluster.
-        """
-        try:
-            import ray  # noqa: PLC0415 - an extra, used here alone
-        except ImportError as error:
-            raise DatasetError(
-                "Ray is not installed. Install it with: pip install "
-                "'lemma-bench[scale]'."
-            ) from error
-        self._ray = ray
-        try:
-            if not ray.is_initialized():
-                _knock(address)
-                ray.init(address=address, log_to_driver=False, logging_level="warning")
-        except (OSError, ValueError, ray.exceptions.RayError) as error:
-            raise DatasetError(
-                f"There is no Ray cluster at {address!r}: {str(error).rstrip('.')}. "
-                "Start one with 'ray start --head', or use --engine processes."
-            ) from error
-
-    @property
-    def workers(self) -> int:
-        """Cores of the cluster."""
-        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
-
-    def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
-        """Yield what each job returned, in the order in which they end.
-
-        Raises:
-            DatasetError: Machines of the cluster keep dying.
-            LemmaError: What a job raised.
-        """
-        # A machine that dies takes along its jobs; others do them again.
-        remote = self._ray.remote(max_retries=_MOST_BREAKS)(_work_for_another)
-        most = _AHEAD * self.workers
-        waiting = iter(jobs)
-        running: list[Any] = []
-        while True:
-            while len(running) < most and (job := next(waiting, None)) is not None:
-                running.append(remote.remote(function, *job))
-            if not running:
-                return
-            done, running = self._ray.wait(running)
-            try:
-                results = self._ray.get(done)
-            except self._ray.exceptions.RayTaskError as error:
-                # The cause alone: the message of the wrapper is a traceback.
-                raise error.cause from error
-            except self._ray.exceptions.RayError as error:
-                raise DatasetError(
-                    f"The Ray cluster lost a job {_MOST_BREAKS} times, or itself: "
-                    f"{_first_line(error)}. What was written is kept: look after the "
-                    "cluster ('ray status') and run the same command again."
-                ) from error
-            yield from results
-
-
-def _knock(address: str) -> None:
-    """Check that somebody listens at an address; Ray alone would try for minutes.
-
-    Raises:
-        OSError: Nobody does.
-    """
-    if address == "auto":
-        address = os.environ.get("RAY_ADDRESS", address)
-    host, _, port = address.rpartition("://")[2].rpartition(":")
-    if host and port.isdecimal():
-        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE_S).close()
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().partition("\n")[0].rstrip(".")
+    if parent is not None:
+        parent.join()
+    os._exit(1)

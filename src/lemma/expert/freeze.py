@@ -9,13 +9,11 @@ import gzip
 import hashlib
 import json
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 from lemma.core.errors import SamplingError
+from lemma.core.parallel import ProcessPool, run_in_order
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
 from lemma.tasks.instance import SPLITS, Instance
@@ -24,7 +22,6 @@ from lemma.tasks.suite import SUITE, task_named
 
 _ATTEMPTS = 20
 MANIFEST = "manifest.json"
-_CHUNK = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +62,8 @@ def accept(task: str, split: str, index: int) -> Accepted:
 
 def accept_all(task: str, split: str, workers: int) -> Iterator[Accepted]:
     """Yield the instances of a list in order, working in several processes."""
-    job = partial(accept, task, split)
-    indices = range(SPLITS[split])
-    if workers <= 1:
-        yield from map(job, indices)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(job, indices, chunksize=_CHUNK)
+    jobs = [(task, split, index) for index in range(SPLITS[split])]
+    yield from run_in_order(ProcessPool(workers), accept, jobs)
 
 
 def write_list(instances: list[Instance], path: Path) -> str:

@@ -1,12 +1,9 @@
 """Pictures for recordings, rendered by several processes at once."""
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 
-from lemma.core.parallel import usable_cores
+from lemma.core.parallel import ProcessPool
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.viz.map_overlay import annotated_map
@@ -34,28 +31,18 @@ def illustrate_all(
     folder.mkdir(parents=True, exist_ok=True)
     # The longest first, so that no core waits for it at the end.
     order = sorted(recordings, key=lambda recording: -recording.elapsed_s)
-    with ProcessPoolExecutor(
-        max(1, min(usable_cores(), len(order))),
-        # OpenGL does not survive a fork.
-        mp_context=get_context("spawn"),
-        initializer=draw_in_one_thread,
-    ) as pool:
-        futures = {
-            recording.instance.key: pool.submit(illustrate, recording, folder, style)
-            for recording in order
-        }
-        try:
-            for done in as_completed(futures.values()):
-                on_video(done.result().video)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-        return [futures[recording.instance.key].result() for recording in recordings]
+    jobs = [(recording, folder, style) for recording in order]
+    done: dict[str, Illustration] = {}
+    for key, illustration in ProcessPool().run(_illustrate_one, jobs):
+        done[key] = illustration
+        on_video(illustration.video)
+    return [done[recording.instance.key] for recording in recordings]
 
 
-def draw_in_one_thread() -> None:
-    """Keep Mesa from starting as many threads as there are cores, in each process."""
-    os.environ.setdefault("LP_NUM_THREADS", "0")
+def _illustrate_one(
+    recording: Recording, folder: Path, style: VideoStyle
+) -> tuple[str, Illustration]:
+    return recording.instance.key, illustrate(recording, folder, style)
 
 
 def illustrate(recording: Recording, folder: Path, style: VideoStyle) -> Illustration:

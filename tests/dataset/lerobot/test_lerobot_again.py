@@ -1,17 +1,17 @@
 """An export that is interrupted, repeated, or impossible; and what it is made of."""
 
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from in_process import Killed, KilledAfter, Serial
 from lerobot_sets import STYLE, decode_at, folder, order, psnr_db
 from rendered_sets import SPLIT, TASKS, contents, own_copy, recipe_folder
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
-from lemma.core.parallel import Job, ProcessPool, Serial
+from lemma.core.parallel import ProcessPool
 from lemma.dataset.files import REVISION_VARIABLE
 from lemma.dataset.lerobot.assembly import allot
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
@@ -28,23 +28,6 @@ from lemma.dataset.lerobot.video import (
 )
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.rendered.render import RenderConfig
-
-
-class Killed(BaseException):
-    pass
-
-
-class KilledAfter(Serial):
-    """Does some jobs, and is gone."""
-
-    def __init__(self, jobs: int) -> None:
-        self.jobs = jobs
-
-    def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
-        for number, result in enumerate(super().run(function, jobs)):
-            if number == self.jobs:
-                raise Killed
-            yield result
 
 
 @pytest.fixture(autouse=True)

@@ -7,10 +7,11 @@ from pathlib import Path
 from shutil import copytree
 
 import pytest
+from in_process import Serial
 from recipes import bytes_of, made_up, small_order, small_recipe
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
-from lemma.core.parallel import ProcessPool, Serial
+from lemma.core.parallel import ProcessPool
 from lemma.dataset.files import (
     MANIFEST,
     only_writer,

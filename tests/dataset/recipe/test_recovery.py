@@ -8,6 +8,7 @@ from shutil import copytree
 from typing import Any
 
 import pytest
+from in_process import Serial
 from perturbed_recipes import (
     EPISODES,
     PERTURBATION,
@@ -20,7 +21,7 @@ from recipes import bytes_of, lemma, small_order, small_recipe
 
 from lemma.cli.generate import GenerateOptions
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.core.parallel import ProcessPool, Serial
+from lemma.core.parallel import ProcessPool
 from lemma.dataset.files import (
     MANIFEST,
     METADATA_KEY,

@@ -8,10 +8,11 @@ from shutil import copytree
 
 import numpy as np
 import pytest
+from in_process import Serial
 from recipes import made_up, small_recipe, write_recipe
 
 from lemma.core.errors import DatasetError
-from lemma.core.parallel import ProcessPool, Serial
+from lemma.core.parallel import ProcessPool
 from lemma.dataset.files import MANIFEST, read_json, versions, write_json
 from lemma.dataset.recipe.generate import recipe_file
 from lemma.dataset.recipe.reader import load

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from in_process import Serial
 from rendered_sets import (
     SPLIT,
     TASKS,
@@ -22,7 +23,6 @@ from rendered_sets import (
 
 import lemma
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
-from lemma.core.parallel import Serial
 from lemma.dataset.files import METADATA_KEY, REVISION_VARIABLE
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.dense_form import DenseForm

@@ -1,10 +1,10 @@
 """Rendering that is interrupted, repeated, or finds what it should not."""
 
-from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
+from in_process import Killed, KilledAfter, Serial
 from rendered_sets import (
     SPLIT,
     TASKS,
@@ -15,7 +15,7 @@ from rendered_sets import (
 )
 
 from lemma.core.errors import DatasetError
-from lemma.core.parallel import Job, ProcessPool, Serial
+from lemma.core.parallel import ProcessPool
 from lemma.dataset.files import MANIFEST, REVISION_VARIABLE, open_table
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
@@ -31,23 +31,6 @@ SMALL = KeyframeForm(80, 60)
 @pytest.fixture(autouse=True)
 def _one_revision(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(REVISION_VARIABLE, "of-the-tests")
-
-
-class Killed(BaseException):
-    pass
-
-
-class KilledAfter(Serial):
-    """Does some jobs, and is gone."""
-
-    def __init__(self, jobs: int) -> None:
-        self.jobs = jobs
-
-    def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
-        for number, result in enumerate(super().run(function, jobs)):
-            if number == self.jobs:
-                raise Killed
-            yield result
 
 
 def order(out: Path, **changes: Any) -> RenderConfig:

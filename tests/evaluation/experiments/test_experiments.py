@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 import tyro
+from in_process import Serial
 
 from lemma.core.errors import UnknownNameError
-from lemma.core.parallel import Serial
 from lemma.evaluation.analysis.result import read_result
 from lemma.evaluation.experiments.catalog import (
     ABLATIONS,

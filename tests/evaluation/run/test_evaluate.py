@@ -6,15 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from in_process import Serial
 
 from lemma.cli.evaluate import EvaluateOptions
 from lemma.cli.evaluate import evaluate as verb
 from lemma.cli.workers import Workers
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
-from lemma.core.parallel import Job, ProcessPool, Serial
+from lemma.core.parallel import Job, Listener, ProcessPool, ignore
 from lemma.evaluation.analysis.intervals import rates_by, wilson_interval
 from lemma.evaluation.analysis.result import cells_of
-from lemma.evaluation.records import ABOUT, EPISODES, Row
+from lemma.evaluation.records import ABOUT, EPISODES, Row, read_rows
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.evaluation.run.protocol import quote
 from lemma.policies.spec import PolicySpec
@@ -37,14 +38,28 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
     return evaluate(order(tmp_path_factory.mktemp("whole")), Serial())
 
 
-class Breaks:
-    """An engine that dies after its first group."""
+class Breaks(Serial):
+    """An engine that is interrupted after some episodes."""
 
-    workers = 1
+    def __init__(self, episodes: int) -> None:
+        self.episodes = episodes
 
-    def run(self, function: Callable[..., Any], jobs: Sequence[Job]) -> Iterator[Any]:
-        yield function(*jobs[0])
-        raise KeyboardInterrupt
+    def run(
+        self,
+        function: Callable[..., Any],
+        jobs: Sequence[Job],
+        on_report: Listener = ignore,
+    ) -> Iterator[Any]:
+        left = self.episodes
+
+        def hear(row: Any) -> None:
+            nonlocal left
+            on_report(row)
+            left -= 1
+            if left == 0:
+                raise KeyboardInterrupt
+
+        return super().run(function, jobs, hear)
 
 
 def test_the_expert_succeeds_in_every_line(whole: list[Row]) -> None:
@@ -59,12 +74,21 @@ def test_the_expert_succeeds_in_every_line(whole: list[Row]) -> None:
 def test_interrupted_and_resumed_gives_the_same(
     tmp_path: Path, whole: list[Row]
 ) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        evaluate(order(tmp_path), Breaks())
     counts: list[int] = []
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(order(tmp_path), Breaks(episodes=13), counts.append)
+    # A whole group and three episodes of the next are kept.
+    assert counts == [1] * 13
+    kept = read_rows(tmp_path)
+    assert len(kept) == 13
+    equal = {(row["task"], row["index"]): row for row in without_times(whole)}
+    for row in without_times(kept):
+        assert row == equal[row["task"], row["index"]]
+    counts.clear()
     rows = evaluate(order(tmp_path), Serial(), counts.append)
     assert without_times(rows) == without_times(whole)
     assert sum(counts) == 24
+    assert counts[0] == 10
     lines = (tmp_path / EPISODES).read_text().splitlines()
     assert [json.loads(line) for line in lines] == rows
 

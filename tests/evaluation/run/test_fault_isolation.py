@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from in_process import Serial
 
-from lemma.core.parallel import Serial
 from lemma.core.poses import Pose2
 from lemma.env.view import View
 from lemma.evaluation.records import EPISODES, POLICY_ERROR

@@ -6,7 +6,6 @@ loses what was being worked on, and the next one goes on there. The same recipe 
 the same bytes, wherever it was interrupted; for images, on machines that draw alike.
 """
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from time import perf_counter
 from typing import Any, Protocol
 
 from lemma.core.errors import DatasetError, UnknownNameError
-from lemma.core.parallel import Engine, is_worker
+from lemma.core.parallel import Engine
 from lemma.dataset.files import (
     CARD,
     MANIFEST,
@@ -244,9 +243,6 @@ def _at_home(chunk: _Chunk) -> _Chunk:
 
 def render_chunk(form: Form, chunk: _Chunk, about: dict[str, Any]) -> int:
     """Make the files of one row group; return how many episodes that were."""
-    if is_worker():
-        # Mesa would start as many threads as there are cores, in each process.
-        os.environ.setdefault("LP_NUM_THREADS", "0")
     records = read_group(chunk.source, chunk.group)
     form.write(chunk.paths, records, chunk.digests, about)
     return len(records)

@@ -1,8 +1,9 @@
 """A policy on a frozen split: one JSON line per episode, resumable.
 
 Episodes are played in groups of fixed composition, because a network's last bits depend
-on what else is in its batch. A group is written whole or not at all, so that a killed
-run, resumed, gives what an undisturbed one gives.
+on what else is in its batch. A run that was killed has whole groups; after an
+interrupt, episodes of unfinished groups are kept as well. Unfinished groups are played
+again, so that a run that goes on gives what an undisturbed one gives.
 """
 
 import sys
@@ -17,7 +18,7 @@ from time import perf_counter
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.core.parallel import Engine
+from lemma.core.parallel import Engine, report
 from lemma.dataset.files import (
     check_same,
     clear_drafts,
@@ -154,7 +155,8 @@ def evaluate(
     Args:
         order: What is wanted.
         engine: Where to work.
-        advance: Told of episodes that are there.
+        advance: Told how many episodes were there at the beginning, and then of every
+            one that has ended.
 
     Returns:
         All episodes, in the order of kinds, tasks and numbers.
@@ -183,13 +185,24 @@ def evaluate(
                 advance(len(indices))
             else:
                 jobs.append((order, kind, task, indices, path))
-        for count in engine.run(play_group, jobs):
-            advance(count)
-        for path in sorted(parts.glob("*.jsonl")):
-            done.update((key_of(row), row) for row in read_lines(path))
-        rows = sorted(done.values(), key=place_of)
-        write_rows(order.out / EPISODES, rows)
-        rmtree(parts, ignore_errors=True)
+        ended: dict[tuple[str, str, int], Row] = {}
+
+        def take(row: Row) -> None:
+            # Of a worker that died, episodes end twice.
+            if key_of(row) not in ended:
+                advance(1)
+            ended[key_of(row)] = row
+
+        try:
+            for _ in engine.run(play_group, jobs, take):
+                pass
+        finally:
+            done = ended | done
+            for path in sorted(parts.glob("*.jsonl")):
+                done.update((key_of(row), row) for row in read_lines(path))
+            rows = sorted(done.values(), key=place_of)
+            write_rows(order.out / EPISODES, rows)
+            rmtree(parts, ignore_errors=True)
     wanted = {
         (kind, task, index)
         for kind, task, indices in order.groups()
@@ -213,19 +226,22 @@ def start_of(task: str, split: str, index: int, *, moved: bool) -> Instance:
 
 def play_group(
     order: EvaluationConfig, kind: str, task: str, indices: range, path: Path
-) -> int:
-    """Play some episodes, write them, and return how many they are."""
+) -> None:
+    """Play some episodes, report each as it ends, and write them all."""
     player = _player(order.policy)
     plays = []
     for index in indices:
         instance = start_of(task, order.split, index, moved=order.perturb_start)
         plays.append(Rollout(instance, kind, said=say(order.language, instance, kind)))
+    rows: list[Row] = []
     start = perf_counter()
-    over = list(roll_out(plays, player, len(plays)))
-    wall_s = (perf_counter() - start) / len(over)
-    rows = sorted((_row(play, order, wall_s) for play in over), key=place_of)
-    write_rows(path, rows)
-    return len(rows)
+    for play in roll_out(plays, player, len(plays)):
+        wall_s = (perf_counter() - start) / (len(rows) + 1)
+        rows.append(_row(play, order, wall_s))
+        report(rows[-1])
+    # They were played together, so each took its part.
+    even = [{**row, "wall_s": rows[-1]["wall_s"]} for row in rows]
+    write_rows(path, sorted(even, key=place_of))
 
 
 @lru_cache(maxsize=1)

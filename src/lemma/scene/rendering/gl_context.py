@@ -5,9 +5,9 @@ time. Scenes are compiled anew at every reset, while what OpenGL holds of them (
 textures and the shapes of primitives) stays the same: so uploads are kept, and found
 again by comparing those assets, not by the identity of the model.
 
-Mesa in software draws with as many threads as the process may use cores. To run many
-processes on one machine, set ``LP_NUM_THREADS=0`` before the first picture, so that
-each draws in its own thread; the pixels are the same.
+Mesa in software draws with as many threads as the process may use cores; a process of
+our worker pool draws in its own thread alone. To run many processes of your own on one
+machine, set ``LP_NUM_THREADS=0`` before the first picture; the pixels are the same.
 """
 
 import atexit
@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from lemma.core.engine import mujoco
 from lemma.core.errors import RenderingError
+from lemma.core.parallel import is_worker, usable_cores
 from lemma.scene.rendering.gl_backend import Backend, choose_backend, forget_backend
 
 logger = logging.getLogger(__name__)
@@ -222,12 +223,12 @@ def _this_process() -> _Process:
 
 def _start() -> _Process:
     backend = choose_backend()
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 0
+    threads = 0 if is_worker() else usable_cores()
     settings = {
         # Read by MuJoCo when it first loads OpenGL's functions.
         "MUJOCO_GL": backend.name,
         # Mesa counts the machine's cores, not those that this process may use.
-        "LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS") or str(cores or 1),
+        "LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS") or str(threads),
         # MuJoCo sets it when it is unset; then child processes would inherit it.
         "PYOPENGL_PLATFORM": os.environ.get("PYOPENGL_PLATFORM", ""),
     }

@@ -1,15 +1,13 @@
 """Pictures and videos of failed episodes, done again from their lines."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from lemma.core.parallel import ProcessPool
 from lemma.core.poses import FloatArray
 from lemma.env.episode import Episode
 from lemma.env.simulation import TICK_S
@@ -26,7 +24,6 @@ from lemma.scene.scene import Scene
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 from lemma.viz.annotate import LIGHT, Canvas, Color, Point, label_plate
 from lemma.viz.camera_fit import outline, overview
-from lemma.viz.illustrate import draw_in_one_thread
 from lemma.viz.map_overlay import annotated_map
 from lemma.viz.pages.demo import jpeg
 from lemma.viz.recording import RecordedStep, Recording, robot_titles
@@ -70,7 +67,7 @@ def picture_all(
     Args:
         cases: Number and episode of each.
         videos: Folder for videos; None for none.
-        workers: Processes; with one, this one does it.
+        workers: Processes.
         advance: Told of episodes that are done.
 
     Raises:
@@ -82,30 +79,16 @@ def picture_all(
         else None
         for number, case in cases
     }
+    jobs = [(number, case, paths[number]) for number, case in cases]
     done: dict[int, Pictures] = {}
-    with _pool(min(workers, len(cases))) as pool:
-        futures = {
-            pool.submit(picture, case, paths[number]): number for number, case in cases
-        }
-        for future in as_completed(futures):
-            done[futures[future]] = future.result()
-            advance(1)
+    for number, pictures in ProcessPool(workers).run(_picture_one, jobs):
+        done[number] = pictures
+        advance(1)
     return done
 
 
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    with ProcessPoolExecutor(
-        max(1, workers),
-        # OpenGL does not survive a fork.
-        mp_context=get_context("spawn"),
-        initializer=draw_in_one_thread,
-    ) as pool:
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+def _picture_one(number: int, case: Case, video: Path | None) -> tuple[int, Pictures]:
+    return number, picture(case, video)
 
 
 def picture(case: Case, video: Path | None = None) -> Pictures:

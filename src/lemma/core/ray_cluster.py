@@ -1,0 +1,129 @@
+"""The worker pool of many machines: a Ray cluster, which is an extra."""
+
+import os
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from lemma.core.errors import WorkerError
+from lemma.core.parallel import (
+    MOST_DEATHS,
+    Job,
+    Listener,
+    become_worker,
+    heard_by,
+    ignore,
+)
+
+_AHEAD = 2
+"""Jobs per core that the cluster is told of at a time."""
+_PATIENCE_S = 10.0
+
+
+class RayCluster:
+    """Runs jobs on a Ray cluster whose machines share a file system."""
+
+    def __init__(self, address: str) -> None:
+        """Connect to a cluster, or use the one that this process is connected to.
+
+        Args:
+            address: Of the cluster, or ``"auto"``.
+
+        Raises:
+            WorkerError: Ray is not installed, or there is no such cluster.
+        """
+        try:
+            import ray  # noqa: PLC0415 - an extra, used here alone
+        except ImportError as error:
+            raise WorkerError(
+                "Ray is not installed. Install it with: pip install "
+                "'lemma-bench[scale]'."
+            ) from error
+        self._ray = ray
+        try:
+            if not ray.is_initialized():
+                _check_reachable(address)
+                ray.init(address=address, log_to_driver=False, logging_level="warning")
+        except (OSError, ValueError, ray.exceptions.RayError) as error:
+            raise WorkerError(
+                f"There is no Ray cluster at {address!r}: {str(error).rstrip('.')}. "
+                "Start one with 'ray start --head', or use --engine processes."
+            ) from error
+
+    @property
+    def workers(self) -> int:
+        """Cores of the cluster."""
+        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+
+    def run(
+        self,
+        function: Callable[..., Any],
+        jobs: Sequence[Job],
+        on_report: Listener = ignore,
+    ) -> Iterator[Any]:
+        """Yield what each job returned, in the order in which they end.
+
+        Args:
+            function: What every job calls; a function of a module.
+            jobs: Arguments of each call.
+            on_report: Told what jobs report, all of it when a job has ended.
+
+        Raises:
+            WorkerError: Machines of the cluster keep dying.
+            LemmaError: What a job raised.
+        """
+        # A machine that dies takes along its jobs; others do them again.
+        remote = self._ray.remote(max_retries=MOST_DEATHS)(_work_for_another)
+        most = _AHEAD * self.workers
+        waiting = iter(jobs)
+        running: list[Any] = []
+        while True:
+            while len(running) < most and (job := next(waiting, None)) is not None:
+                running.append(remote.remote(function, *job))
+            if not running:
+                return
+            done, running = self._ray.wait(running)
+            for reports, result in self._results(done):
+                for message in reports:
+                    on_report(message)
+                yield result
+
+    def _results(self, done: list[Any]) -> list[tuple[list[Any], Any]]:
+        try:
+            results: list[tuple[list[Any], Any]] = self._ray.get(done)
+        except self._ray.exceptions.RayTaskError as error:
+            # The cause alone: the message of the wrapper is a traceback.
+            raise error.cause from error
+        except self._ray.exceptions.RayError as error:
+            raise WorkerError(
+                f"The Ray cluster lost a job {MOST_DEATHS} times, or itself: "
+                f"{_first_line(error)}. What was written is kept: look after the "
+                "cluster ('ray status') and run the same command again."
+            ) from error
+        return results
+
+
+def _work_for_another(function: Callable[..., Any], *job: Any) -> tuple[list[Any], Any]:
+    """Return what a job reported, and what it returned."""
+    become_worker()
+    reports: list[Any] = []
+    with heard_by(reports.append):
+        result = function(*job)
+    return reports, result
+
+
+def _check_reachable(address: str) -> None:
+    """Check that somebody listens at an address; Ray alone would try for minutes.
+
+    Raises:
+        OSError: Nobody does.
+    """
+    if address == "auto":
+        address = os.environ.get("RAY_ADDRESS", address)
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if host and port.isdecimal():
+        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE_S).close()
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().partition("\n")[0].rstrip(".")
