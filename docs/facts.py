@@ -24,7 +24,7 @@ from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.build import ARMS
 from lemma.scene.build import compile_model
-from lemma.scene.spec import STICK
+from lemma.scene.objects.entity import STICK
 from lemma.tasks.drags import find_drag
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS

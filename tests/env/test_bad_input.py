@@ -17,7 +17,7 @@ from lemma.core.poses import Pose2
 from lemma.env.base_env import LemmaEnv
 from lemma.env.skill_env import SkillEnv
 from lemma.expert.plan_env import PlanEnv
-from lemma.scene.spec import ENTITIES
+from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 LEVELS = ("control", "skill", "plan")

@@ -12,7 +12,7 @@ from lemma.core.poses import FloatArray, Pose
 from lemma.env.control_env import ControlEnv
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down
-from lemma.scene.objects import CUBE_EDGE_M
+from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.scene import Scene
 
 CONTROLS = ("ee_pose", "joint_position", "joint_velocity", "joint_torque")

@@ -9,9 +9,9 @@ from gymnasium import spaces
 import lemma
 from lemma.core.poses import matrix_from_quaternion
 from lemma.env.observation import OBSERVATIONS, read_text, write_text
-from lemma.scene.objects import CUBE_EDGE_M
+from lemma.scene.objects.cube import CUBE_EDGE_M
+from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import RASTER
-from lemma.scene.spec import ENTITIES
 
 
 def observe(observation: str, **options: Any) -> tuple[dict[str, Any], Any]:

@@ -15,8 +15,8 @@ from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.robots.reach import reach_of
+from lemma.scene.objects.entity import STICK
 from lemma.scene.scene import Scene
-from lemma.scene.spec import STICK
 from lemma.tasks.drags import stick_gap
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import STOP, Primitive

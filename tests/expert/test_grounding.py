@@ -15,8 +15,9 @@ from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import TABLE, SymbolicState
 from lemma.robots.reach import reach_of
+from lemma.scene.objects.entity import SHARED, STICK
 from lemma.scene.scene import Scene
-from lemma.scene.spec import SHARED, STICK, SceneSpec
+from lemma.scene.spec import SceneSpec
 from lemma.tasks.drags import (
     LARGEST_HEADING_RAD,
     grasp_on_stick,

@@ -14,8 +14,9 @@ from lemma.expert.allocation import allocate, pose_problem
 from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.planner import Plan, find_plan, utility
 from lemma.expert.symbolic_state import SymbolicState
+from lemma.scene.objects.entity import SHARED, STICK
 from lemma.scene.scene import Scene
-from lemma.scene.spec import SHARED, STICK, ObjectPlacement, RobotPlacement, SceneSpec
+from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import Primitive, SubTask

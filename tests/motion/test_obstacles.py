@@ -7,7 +7,7 @@ from small_tables import cube, facing, pad, stick
 from lemma.core.poses import FloatArray, Pose2
 from lemma.env.simulation import Simulation
 from lemma.motion.obstacles import around
-from lemma.scene.spec import STICK
+from lemma.scene.objects.entity import STICK
 
 SPEC = facing(
     "ur5",

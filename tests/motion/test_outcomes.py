@@ -23,8 +23,8 @@ from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down
-from lemma.scene.objects import CUBE_EDGE_M
-from lemma.scene.spec import STICK
+from lemma.scene.objects.cube import CUBE_EDGE_M
+from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 FAR = Pose((1.2, 0.9, CUBE_EDGE_M / 2))

@@ -19,8 +19,10 @@ from lemma.env.simulation import Simulation
 from lemma.motion.outcome import Outcome
 from lemma.motion.skills import SkillRunner
 from lemma.robots.reach import reach_of
-from lemma.scene.objects import CUBE_EDGE_M, PAD_THICKNESS_M
-from lemma.scene.spec import STICK, ObjectPlacement
+from lemma.scene.objects.cube import CUBE_EDGE_M
+from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.pad import PAD_THICKNESS_M
+from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.drags import (
     Drag,
     find_drag,

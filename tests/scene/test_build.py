@@ -8,7 +8,7 @@ from recorded_episodes import EPISODES, first_instance
 from lemma.core.errors import UnknownNameError
 from lemma.robots.ur.build import ARMS, JOINTS
 from lemma.scene.build import ACTUATIONS, TIME_STEP_S, compile_model
-from lemma.scene.spec import STICK
+from lemma.scene.objects.entity import STICK
 
 
 @pytest.mark.parametrize(("task", "team"), EPISODES)

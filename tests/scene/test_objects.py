@@ -6,18 +6,11 @@ import mujoco
 import pytest
 
 from lemma.core.poses import Pose2
-from lemma.scene.objects import (
-    CUBE_EDGE_M,
-    CUBE_MASS_KG,
-    HANDLE_LENGTH_M,
-    HOOK_LENGTH_M,
-    PAD_RADIUS_M,
-    PAD_THICKNESS_M,
-    STICK_SECTION_M,
-    add_object,
-    height_m,
-    resting_quaternion,
-)
+from lemma.scene.objects.bodies import add_object, resting_quaternion
+from lemma.scene.objects.cube import CUBE_EDGE_M, CUBE_MASS_KG
+from lemma.scene.objects.kind import OBJECT_KINDS
+from lemma.scene.objects.pad import PAD_RADIUS_M, PAD_THICKNESS_M
+from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
 from lemma.scene.palette import OBJECT_COLORS, STICK
 from lemma.scene.spec import ObjectPlacement
 
@@ -27,7 +20,7 @@ POSE = Pose2(0.3, -0.2, 0.7)
 def compiled(kind: str, color: str = "pink") -> tuple[mujoco.MjModel, mujoco.MjData]:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    add_object(spec, ObjectPlacement(kind, color, POSE))
+    add_object(spec, ObjectPlacement(kind, color, POSE).entity, POSE)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -38,7 +31,7 @@ def test_sizes_are_those_of_the_design() -> None:
     assert CUBE_EDGE_M == 0.05
     assert PAD_RADIUS_M == 0.06
     assert (HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M) == (0.5, 0.15, 0.03)
-    assert [height_m(kind) for kind in ("cube", "pad", "stick")] == [0.05, 0.004, 0.03]
+    assert [OBJECT_KINDS[kind].height_m for kind in OBJECT_KINDS] == [0.05, 0.004, 0.03]
 
 
 @pytest.mark.parametrize("color", OBJECT_COLORS)

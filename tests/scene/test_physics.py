@@ -13,7 +13,7 @@ from lemma.core.poses import FloatArray, Pose, Pose2
 from lemma.env.simulation import Simulation
 from lemma.motion.moves import Moves, Stand
 from lemma.robots.gripper import GRIP_FORCE_N
-from lemma.scene.objects import CUBE_EDGE_M
+from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.drags import grasp_on_stick
 

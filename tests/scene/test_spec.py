@@ -1,6 +1,5 @@
 """What a scene may consist of, and what is said of one that may not be."""
 
-import json
 import math
 
 import pytest
@@ -8,7 +7,6 @@ import pytest
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
-from lemma.tasks.suite import SUITE, load_instance
 
 HERE = Pose2(0.1, 0.2, 0.3)
 
@@ -74,9 +72,3 @@ def test_robots_are_counted_from_the_first() -> None:
         RobotPlacement("ur5", "red", Pose2(x, 0.0, math.pi)) for x in (0.0, 1.0, 2.0)
     )
     assert SceneSpec(robots, ()).robot_names == ("robot_0", "robot_1", "robot_2")
-
-
-@pytest.mark.parametrize("task", SUITE)
-def test_a_scene_survives_json(task: str) -> None:
-    spec = load_instance(task, "val", 7).scene
-    assert SceneSpec.from_dict(json.loads(json.dumps(spec.to_dict()))) == spec

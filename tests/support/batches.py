@@ -22,9 +22,9 @@ from lemma.policies.batch import (
 )
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.model import Model
+from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.scene.raster import Raster
-from lemma.scene.spec import ENTITIES
 from lemma.tasks.language.bank import robot_phrases
 
 RASTER = Raster(rows=64, columns=96, cell_m=0.025, floor_m=-0.1)

@@ -21,9 +21,9 @@ from lemma.dataset.rendered.keyframes.schema import (
     KEYFRAMES_VERSION,
     Header,
 )
+from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.palette import OBJECT_COLORS, STICK, TABLE
 from lemma.scene.raster import Raster
-from lemma.scene.spec import ENTITIES
 from lemma.tasks.instance import BENCHMARK_VERSION
 from lemma.tasks.language.bank import instruct, robot_phrases, sub_instruction
 

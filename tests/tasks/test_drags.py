@@ -9,12 +9,8 @@ from hypothesis import strategies as st
 
 from lemma.core.poses import Pose2, wrap
 from lemma.robots.reach import reach_of
-from lemma.scene.objects import (
-    CUBE_EDGE_M,
-    HANDLE_LENGTH_M,
-    HOOK_LENGTH_M,
-    STICK_SECTION_M,
-)
+from lemma.scene.objects.cube import CUBE_EDGE_M
+from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.drags import (
     MAX_DRAG_M,

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose, Pose2
-from lemma.scene.objects import CUBE_EDGE_M, PAD_RADIUS_M, PAD_THICKNESS_M
+from lemma.scene.objects.cube import CUBE_EDGE_M
+from lemma.scene.objects.pad import PAD_RADIUS_M, PAD_THICKNESS_M
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal, On

@@ -101,16 +101,25 @@ def test_a_team_is_named_from_small_to_large(arms: tuple[str, str], team: str) -
 @pytest.mark.parametrize(
     ("pair", "what"),
     [
-        (("red_pad", "blue_pad"), "top must be a cube"),
-        (("stick", "blue_pad"), "top must be a cube"),
+        (("red_pad", "blue_pad"), "top must be something that can be put somewhere"),
+        (("stick", "blue_pad"), "top must be something that can be put somewhere"),
         (("red_cube", "red_cube"), "not the bottom itself"),
-        (("red_cube", "stick"), "bottom must be a cube or a pad"),
-        (("red_cube", "shared"), "bottom must be a cube or a pad"),
+        (("red_cube", "stick"), "nothing can lie on the bottom"),
     ],
 )
 def test_what_cannot_be_stacked_is_no_goal(pair: tuple[str, str], what: str) -> None:
     with pytest.raises(InvalidConfigError, match=what):
         Goal.from_pairs((pair,))
+
+
+def test_a_region_is_no_part_of_a_goal() -> None:
+    with pytest.raises(UnknownNameError, match="entity 'shared'"):
+        Goal.from_pairs((("red_cube", "shared"),))
+
+
+def test_a_goal_asks_for_something() -> None:
+    with pytest.raises(InvalidConfigError, match="asks for nothing"):
+        Goal(())
 
 
 def test_a_spoilt_line_is_refused() -> None:

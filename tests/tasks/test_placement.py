@@ -10,8 +10,9 @@ from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
 from lemma.robots.reach import reach_of
+from lemma.scene.objects.entity import STICK
 from lemma.scene.palette import OBJECT_COLORS
-from lemma.scene.spec import STICK, ObjectPlacement, RobotPlacement
+from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.tasks.drags import LARGEST_HEADING_RAD, grasp_on_stick, heading_from
 from lemma.tasks.placement import Board, PlacementError
 from lemma.tasks.subtask import Primitive

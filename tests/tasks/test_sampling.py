@@ -13,14 +13,11 @@ from lemma.robots.reach import GRASP_HEIGHT_M, TRAVEL_HEIGHT_M, can_hold, reach_
 from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX, camera_mount
 from lemma.scene.cameras import Camera, CameraIntrinsics
-from lemma.scene.objects import (
-    CUBE_EDGE_M,
-    HANDLE_LENGTH_M,
-    HOOK_LENGTH_M,
-    PAD_RADIUS_M,
-    STICK_SECTION_M,
-)
-from lemma.scene.spec import STICK, ObjectPlacement
+from lemma.scene.objects.cube import CUBE_EDGE_M
+from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.pad import PAD_RADIUS_M
+from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
+from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.drags import grasp_on_stick
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance

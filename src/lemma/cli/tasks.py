@@ -6,7 +6,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from lemma.cli.options import JsonFlag, output, print_json
-from lemma.scene.spec import STICK
+from lemma.scene.objects.entity import STICK
 from lemma.tasks.suite import SUITE, load_instance
 from lemma.tasks.task import TASKS
 

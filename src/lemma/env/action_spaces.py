@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
-from lemma.scene.spec import ENTITIES, SHARED
+from lemma.scene.objects.entity import ENTITIES, SHARED
 from lemma.tasks.subtask import (
     STOP,
     GroundedSubTask,

@@ -16,9 +16,9 @@ from lemma.env.view import View
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.build import ARMS
+from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import CEILING_M, RASTER
 from lemma.scene.scene import Scene
-from lemma.scene.spec import ENTITIES
 
 Observation = dict[str, Any]
 

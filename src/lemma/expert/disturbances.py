@@ -15,7 +15,8 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.scene.spec import SHARED, STICK, SceneSpec
+from lemma.scene.objects.entity import SHARED, STICK
+from lemma.scene.spec import SceneSpec
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 NONE = "none"

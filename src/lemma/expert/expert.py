@@ -8,8 +8,8 @@ from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.planner import Plan, find_plan
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import SkillResult
+from lemma.scene.objects.entity import STICK
 from lemma.scene.scene import Scene
-from lemma.scene.spec import STICK
 from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import STOP, GroundedSubTask, SubTask
 

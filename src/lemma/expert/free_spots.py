@@ -6,7 +6,7 @@ from functools import lru_cache
 from lemma.core.poses import Pose2
 from lemma.robots.reach import reach_of
 from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
-from lemma.scene.objects import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
+from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.drags import (
     LARGEST_HEADING_RAD,
@@ -40,15 +40,22 @@ class FreeSpots:
         self._bases = tuple(robot.base for robot in robots)
         self._stick_places: dict[tuple[Disc, ...], Pose2 | None] = {}
 
-    def free_spot(self, obstacles: tuple[Disc, ...]) -> Pose2 | None:
-        """Return the best place for a cube: well inside reach, clear of the rest."""
+    def free_spot(
+        self, obstacles: tuple[Disc, ...], wider_m: float = 0.0
+    ) -> Pose2 | None:
+        """Return the best place for a cube: well inside reach, clear of the rest.
+
+        Args:
+            obstacles: What lies around.
+            wider_m: By how much more room is needed than for a cube [m].
+        """
         best, best_score = None, -math.inf
         for x, y, margin in self._spots:
             if margin + _GOOD_CLEARANCE_M <= best_score:
                 break
             clearance = _GOOD_CLEARANCE_M
             for ox, oy, radius in obstacles:
-                gap = math.hypot(ox - x, oy - y) - radius
+                gap = math.hypot(ox - x, oy - y) - radius - wider_m
                 if gap < clearance:
                     clearance = gap
                     if clearance < _CLEARANCE_M:

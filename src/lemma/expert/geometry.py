@@ -12,8 +12,8 @@ from lemma.expert.free_spots import FreeSpots
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
-from lemma.scene.objects import PAD_RADIUS_M
-from lemma.scene.spec import STICK, RobotPlacement, SceneSpec
+from lemma.scene.objects.entity import STICK, kind_of
+from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.tasks.drags import Disc, Drag, find_drag, stick_gap
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
@@ -21,8 +21,8 @@ _FINGER_CENTRE_M = 0.059
 """Of an open finger from the tool centre point."""
 _FINGER_RADIUS_M = 0.014
 _ENOUGH_M = 0.008
-_CUBE_DISC_M = 0.036
-_CUBE_FOOTPRINT_M = 0.028
+_FLAT_M = 0.01
+"""Fingers that grasp something come down over what is lower than this."""
 
 _HANDLING_S = 5.5
 """What every sub-task takes, wherever it happens: descend, grasp, lift, lower."""
@@ -92,19 +92,28 @@ class SceneGeometry:
                     now.poses[cube],
                     partial(reach.margin, placed.base),
                     obstacles,
+                    kind_of(cube),
                 )
             if self._drags[key] is not None:
                 return self._drags[key]
         return None
 
-    def grasp(self, robot: str, cube: str, now: SymbolicState) -> Pose2:
-        """Return the gripper pose that grasps a cube with most room for the fingers."""
-        pose = now.poses[cube]
+    def grasp(self, robot: str, cube: str, now: SymbolicState) -> Pose2 | None:
+        """Return the gripper pose that grasps a cube with most room for the fingers.
+
+        Returns:
+            None for a kind that no gripper can hold.
+        """
+        pose, grasp = now.poses[cube], kind_of(cube).grasp
+        if grasp is None:
+            return None
         natural = self.bearing(robot, pose)
-        quarter = 0.5 * math.pi
-        first = pose.yaw + quarter * round((natural - pose.yaw) / quarter)
+        first, turn = natural, 0.5 * math.pi
+        if grasp.turn_rad:
+            turn, yaw = grasp.turn_rad, pose.yaw + grasp.at.yaw
+            first = yaw + turn * round((natural - yaw) / turn)
         best = max(
-            (first, first + quarter),
+            (first, first + turn),
             key=lambda yaw: min(
                 _ENOUGH_M, self._finger_room(Pose2(pose.x, pose.y, yaw), cube, now)
             ),
@@ -117,12 +126,13 @@ class SceneGeometry:
         for side in (-1.0, 1.0):
             finger = grip @ Pose2(0.0, side * _FINGER_CENTRE_M)
             for name, pose in now.poses.items():
-                if name in (cube, now.supports.get(cube)) or name.endswith("_pad"):
+                kind = kind_of(name)
+                if name in (cube, now.supports.get(cube)) or kind.height_m < _FLAT_M:
                     continue
                 if name == STICK:
                     gap = stick_gap(pose, finger.x, finger.y) - 0.015
                 else:
-                    gap = finger.distance(pose) - _CUBE_FOOTPRINT_M
+                    gap = finger.distance(pose) - kind.side_m
                 room = min(room, gap - _FINGER_RADIUS_M)
         return room
 
@@ -133,8 +143,7 @@ class SceneGeometry:
         ]
         for name, pose in now.poses.items():
             if name not in (but, STICK):
-                radius = PAD_RADIUS_M if name.endswith("_pad") else _CUBE_DISC_M
-                found.append((pose.x, pose.y, radius))
+                found.append((pose.x, pose.y, kind_of(name).disc_m))
         return tuple(found)
 
     def margin(self, robot: str, *poses: Pose2) -> float:

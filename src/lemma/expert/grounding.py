@@ -11,7 +11,7 @@ from lemma.expert.geometry import GroundedOption, SceneGeometry
 from lemma.expert.primitives import PRIMITIVES
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.scene.spec import SHARED, STICK
+from lemma.scene.objects.entity import SHARED, STICK
 from lemma.tasks.subtask import Primitive, SubTask
 
 __all__ = ["GeometricGrounder", "GroundedOption", "ground_or_refuse"]

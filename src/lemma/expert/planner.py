@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.primitives import PRIMITIVES, Wish
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.scene.spec import SHARED, STICK
+from lemma.scene.objects.entity import SHARED, STICK, kind_of
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.subtask import Primitive, SubTask
 
@@ -162,7 +162,7 @@ def _wanted(now: SymbolicState, goal: Goal) -> dict[str, list[str]]:
             blocker = now.on_top_of(blocked)
             if blocker is not None and blocker != on.top:
                 wanted.setdefault(blocker, [])
-        if on.bottom.endswith("_cube"):
+        if kind_of(on.bottom).cargo:
             wanted.setdefault(on.bottom, [])
     for cube, places in wanted.items():
         if now.labels[cube] != SHARED:

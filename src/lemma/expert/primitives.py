@@ -14,7 +14,8 @@ from lemma.core.registry import Registry
 from lemma.expert.geometry import GroundedOption, SceneGeometry
 from lemma.expert.symbolic_state import TABLE, SymbolicState
 from lemma.motion.skills import SKILLS, SkillMotion
-from lemma.scene.spec import SHARED, STICK
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.entity import SHARED, STICK, kind_of
 from lemma.tasks.drags import grasp_on_stick, stick_discs, stick_in_grasp
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask, add_primitive
 
@@ -103,12 +104,12 @@ def ground_move(
     cube = subtask.pick
     if cube not in now.supports or now.on_top_of(cube) is not None:
         return None
-    start = now.poses[cube]
+    start, kind = now.poses[cube], kind_of(cube)
     if subtask.place == SHARED:
         obstacles = geometry.discs(now, but=cube)
         if STICK in now.poses:
             obstacles += stick_discs(now.poses[STICK])
-        spot = geometry.places.free_spot(obstacles)
+        spot = geometry.places.free_spot(obstacles, kind.disc_m - CUBE.disc_m)
         if spot is None:
             return None
         target, support, label = spot, TABLE, SHARED
@@ -122,11 +123,13 @@ def ground_move(
     if geometry.margin(subtask.robot, start, target) <= 0.0:
         return None
     pick = geometry.grasp(subtask.robot, cube, now)
+    if pick is None:
+        return None
     turn = geometry.bearing(subtask.robot, target) - geometry.bearing(
         subtask.robot, start
     )
     yaw = pick.yaw + turn
-    if support.endswith("_cube"):
+    if support != TABLE and kind.faceted and kind_of(support).faceted:
         # Faces aligned: quarter turns away from the lower cube.
         yaw = target.yaw + 0.5 * math.pi * round((yaw - target.yaw) * 2 / math.pi)
     place = Pose2(target.x, target.y, yaw)
@@ -243,7 +246,7 @@ def _why_not_move(subtask: SubTask, now: SymbolicState) -> str | None:
         return None if place == SHARED else f"The stick cannot be put on {place}."
     if pick not in now.supports:
         return f"The {pick} is fixed to the table."
-    if place in (pick, STICK):
+    if place == pick or (place != SHARED and kind_of(place).support_m is None):
         return f"The {pick} cannot be put on {place}."
     for name in (pick, place):
         above = None if name == SHARED else now.on_top_of(name)

@@ -3,15 +3,18 @@
 from dataclasses import dataclass, replace
 
 from lemma.core.poses import Pose2
-from lemma.scene.objects import CUBE_EDGE_M, PAD_RADIUS_M
+from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.scene import Scene
-from lemma.scene.spec import STICK, SceneSpec
+from lemma.scene.spec import SceneSpec
 from lemma.tasks.drags import is_prepared
 from lemma.tasks.subtask import Primitive
 
 TABLE = "table"
 _ON_M = 0.03
-_STACKED_Z_M = 1.2 * CUBE_EDGE_M
+"""A thing lies on another when their middles are no farther apart, or as far as the
+other's kind allows."""
+_LIFTED_M = 0.035
+"""What lies higher than this above the table lies on something taller than a plate."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,7 @@ class SymbolicState:
     poses: dict[str, Pose2]
     """Every object."""
     supports: dict[str, str]
-    """What each cube lies on: an entity or the table."""
+    """What each thing lies on that is no tool and not fixed: an entity or the table."""
     labels: dict[str, str]
     """How each movable object got where it is: two ways to one place are one state."""
 
@@ -35,7 +38,7 @@ class SymbolicState:
         supports = {
             name: _support(name, poses, heights)
             for name in scene.movable_names
-            if name != STICK
+            if kind_of(name).cargo
         }
         labels = dict.fromkeys(scene.movable_names, "start")
         labels.update({n: f"on {s}" for n, s in supports.items() if s != TABLE})
@@ -47,24 +50,25 @@ class SymbolicState:
         return tuple(sorted(self.labels.items()))
 
     def on_top_of(self, name: str) -> str | None:
-        """Return the cube that lies on an object, if any."""
+        """Return what lies on an object, if anything does."""
         for cube, support in self.supports.items():
             if support == name:
                 return cube
         return None
 
     def is_prepared(self, primitive: Primitive, cube: str) -> bool:
-        """Whether the stick lies ready to hook or to poke a cube."""
+        """Whether the stick lies ready to hook or to poke something."""
         if STICK not in self.poses:
             return False
-        return is_prepared(primitive, self.poses[STICK], self.poses[cube])
+        stick, pose = self.poses[STICK], self.poses[cube]
+        return is_prepared(primitive, stick, pose, kind_of(cube))
 
     def moved(
         self, name: str, pose: Pose2, support: str, label: str
     ) -> "SymbolicState":
         """Return the situation after an object was moved."""
         supports = self.supports
-        if name != STICK:
+        if name in supports:
             supports = {**supports, name: support}
         return replace(
             self,
@@ -75,19 +79,27 @@ class SymbolicState:
 
 
 def _support(name: str, poses: dict[str, Pose2], heights: dict[str, float]) -> str:
-    """Return what a cube lies on."""
-    if heights[name] > _STACKED_Z_M:
-        below = [
-            other
-            for other in poses
-            if other.endswith("_cube")
-            and other != name
-            and heights[other] < heights[name] - 0.5 * CUBE_EDGE_M
-            and poses[other].distance(poses[name]) < _ON_M
-        ]
-        return max(below, key=lambda other: heights[other], default=TABLE)
-    for other in poses:
-        near = poses[other].distance(poses[name]) < PAD_RADIUS_M - 0.01
-        if other.endswith("_pad") and near:
-            return other
-    return TABLE
+    """Return what an object lies on."""
+    bottom = heights[name] - kind_of(name).origin_m
+    below = [
+        other
+        for other in poses
+        if other != name and _is_below(other, poses, heights, bottom, poses[name])
+    ]
+    # Of a stack, what lies highest; of plates, the first.
+    return max(below, key=lambda other: heights[other], default=TABLE)
+
+
+def _is_below(
+    name: str,
+    poses: dict[str, Pose2],
+    heights: dict[str, float],
+    bottom: float,
+    above: Pose2,
+) -> bool:
+    """Whether an object may carry what has its bottom at a height and its middle at."""
+    kind = kind_of(name)
+    lifted, tall = bottom > _LIFTED_M, heights[name] + kind.top_m > _LIFTED_M
+    if kind.support_m is None or lifted != tall or (lifted and heights[name] >= bottom):
+        return False
+    return poses[name].distance(above) < max(_ON_M, kind.support_m)

@@ -6,9 +6,8 @@ import numpy as np
 
 from lemma.core.poses import FloatArray, Pose2
 from lemma.motion.arm_motion import ArmMotion
-from lemma.scene.objects import CUBE_EDGE_M, HANDLE_LENGTH_M, STICK_SECTION_M
+from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene
-from lemma.scene.spec import STICK
 
 _ARM_RANGE_M = 0.15
 _OBJECT_RANGE_M = 0.05
@@ -41,7 +40,7 @@ def around(
             rows.append(np.c_[capsules, np.full(len(capsules), _ARM_RANGE_M)])
     near = [
         capsule
-        for name in arm.scene.movable_names
+        for name in arm.scene.spec.object_names
         if name != held
         for capsule in _object_capsules(arm.scene, name)
         if target is None or _gap(capsule, target) > _WORK_AREA_M
@@ -52,15 +51,16 @@ def around(
 
 
 def _object_capsules(scene: Scene, name: str) -> list[list[float]]:
-    """Return capsules, each (8,), that stand for a cube or the stick."""
-    x, y, z = scene.pose(name).position
-    if name != STICK:
-        radius = 0.5 * CUBE_EDGE_M
-        return [[x, y, z, x, y, z, radius, _OBJECT_RANGE_M]]
-    pose = scene.pose2(name)
-    tip = pose @ Pose2(HANDLE_LENGTH_M, 0.0)
-    radius = 0.5 * STICK_SECTION_M
-    return [[x, y, z, tip.x, tip.y, z, radius, _OBJECT_RANGE_M]]
+    """Return capsules, each (8,), that stand for an object, upright as it stood."""
+    pose, z = scene.pose2(name), scene.pose(name).position[2]
+    found = []
+    for capsule in kind_of(name).obstacle:
+        ends = []
+        for x, y, up in (capsule.start, capsule.end):
+            end = pose @ Pose2(x, y)
+            ends += [end.x, end.y, z + up]
+        found.append([*ends, capsule.radius_m, _OBJECT_RANGE_M])
+    return found
 
 
 def _gap(capsule: list[float], target: Pose2) -> float:

@@ -20,14 +20,13 @@ from lemma.motion.obstacles import around
 from lemma.motion.outcome import Outcome, SkillFailure, SkillResult
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import top_down
-from lemma.scene.objects import height_m
-from lemma.scene.spec import STICK
+from lemma.scene.objects.entity import STICK, kind_of
+from lemma.scene.objects.kind import Grasp
+from lemma.scene.objects.stick import STICK_GRASP_HEIGHT_M
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 Skill = Generator[None, None, SkillResult]
 
-STICK_GRASP_HEIGHT_M = 0.018
-"""The fingertips end 6 mm above the table, so they never touch it."""
 DRAG_HEIGHT_M = 0.022
 """While it pushes or pulls, the stick hovers 4 mm above the table."""
 DRAG_SPEED_M_S = 0.2
@@ -92,7 +91,7 @@ class SkillRunner:
         low = stand_at(subtask.pick, grip_m)
         over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
         body = self.scene.model.body(held).id
-        bottom = grip_m - _grip_above_bottom(held)
+        bottom = grip_m - _grasp_of(held).height_m
         support = self.surface(subtask.place, exclude=body)[0]
         put = stand_at(subtask.place, support + grip_m - bottom - _PRESS_M)
         over_put = stand_at(subtask.place, max(put[2], TRAVEL_HEIGHT_M))
@@ -164,8 +163,8 @@ class SkillRunner:
                 Outcome.NOTHING_TO_PICK,
                 f"Nothing to pick at ({pose.x:.3f}, {pose.y:.3f}): {found} is there.",
             )
-        kind = self.scene.spec.placement(entity).kind
-        return entity, top - height_m(kind) + _grip_above_bottom(entity)
+        bottom = top - kind_of(entity).height_m
+        return entity, bottom + _grasp_of(entity).height_m
 
     def surface(self, pose: Pose2, exclude: int = -1) -> tuple[float, str | None]:
         """Return what a depth camera above would see at a table position.
@@ -198,9 +197,12 @@ class SkillRunner:
         return max(0.0, start_z - distance), self.scene.entity_of_body(body)
 
 
-def _grip_above_bottom(entity: str) -> float:
-    """Return how far above its own bottom an object is grasped [m]."""
-    return STICK_GRASP_HEIGHT_M if entity == STICK else 0.5 * height_m("cube")
+def _grasp_of(entity: str) -> Grasp:
+    """Return how an object is held; fail where no gripper can."""
+    grasp = kind_of(entity).grasp
+    if grasp is None:
+        raise SkillFailure(Outcome.INVALID, f"No gripper can hold the {entity}.")
+    return grasp
 
 
 SkillMotion = Callable[[SkillRunner, ArmMotion, GroundedSubTask], Motion]

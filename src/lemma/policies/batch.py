@@ -16,8 +16,8 @@ from lemma.dataset.rendered.keyframes.loader import MapsInMemory
 from lemma.dataset.rendered.keyframes.schema import EXECUTED
 from lemma.dataset.rendered.shards import keyframe_shards
 from lemma.policies.interfaces import PolicyInput
+from lemma.scene.objects.entity import ENTITIES, SHARED
 from lemma.scene.raster import UNIT_M, Raster
-from lemma.scene.spec import ENTITIES, SHARED
 from lemma.tasks.language.bank import robot_phrases, sub_instruction
 from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.subtask import Primitive

@@ -7,7 +7,7 @@ from lemma.core.errors import UnknownNameError
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec, add_arm
 from lemma.scene.camera_mounts import camera_mount
 from lemma.scene.model_cameras import add_camera
-from lemma.scene.objects import (
+from lemma.scene.objects.bodies import (
     CONTACT_SOLIMP,
     CONTACT_SOLREF,
     OBJECT_FRICTION,
@@ -50,7 +50,7 @@ def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjMode
         add_camera(world, f"{name}/camera", pose, fovy)
         _set_actuation(world, name, ARMS[robot.arm], actuation)
     for placed in spec.objects:
-        add_object(world, placed)
+        add_object(world, placed.entity, placed.pose)
     return world.compile()
 
 

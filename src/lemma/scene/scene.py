@@ -61,7 +61,7 @@ class Scene:
         self._free_qpos = {
             placed.name: int(self.model.joint(placed.name).qposadr[0])
             for placed in spec.objects
-            if placed.kind != "pad"
+            if not placed.entity.kind.fixed
         }
         self._entity_by_body = {
             self.model.body(placed.name).id: placed.name for placed in spec.objects
@@ -116,17 +116,18 @@ class Scene:
 
     @property
     def movable_names(self) -> tuple[str, ...]:
-        """Names of the cubes and of the stick."""
+        """Names of the objects that are not fixed to the table."""
         return tuple(self._free_qpos)
 
     def pose(self, name: str) -> Pose:
         """Return the pose of an object's body frame in the world."""
         address = self._free_qpos.get(name)
         if address is None:
-            fixed = self.spec.placement(name).pose
-            half = fixed.yaw / 2
+            placed = self.spec.placement(name)
+            half = placed.pose.yaw / 2
             return Pose(
-                (fixed.x, fixed.y, 0.0), (math.cos(half), 0.0, 0.0, math.sin(half))
+                (placed.pose.x, placed.pose.y, placed.entity.kind.origin_m),
+                (math.cos(half), 0.0, 0.0, math.sin(half)),
             )
         q = self.data.qpos[address : address + 7].tolist()
         return Pose((q[0], q[1], q[2]), (q[3], q[4], q[5], q[6]))
@@ -139,7 +140,7 @@ class Scene:
         return Pose2(pose.position[0], pose.position[1], yaw)
 
     def set_pose(self, name: str, pose: Pose) -> None:
-        """Move a cube or the stick and stop it."""
+        """Move an object that is not fixed to the table, and stop it."""
         address = self._free_qpos.get(name)
         if address is None:
             raise UnknownNameError("movable object", name, self._free_qpos)
@@ -149,7 +150,7 @@ class Scene:
         self.data.qvel[dof : dof + 6] = 0.0
 
     def speed(self, name: str) -> float:
-        """Return the linear speed of an object [m/s]; pads never move."""
+        """Return the linear speed of an object [m/s]; what is fixed has none."""
         if name not in self._free_qpos:
             return 0.0
         dof = int(self.model.joint(name).dofadr[0])

@@ -1,15 +1,16 @@
 """What a scene consists of: frozen data, no physics."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
-from lemma.robots.ur.build import ARMS
+from lemma.core.robot_names import robot_names
+from lemma.robots.ur.arms import ARMS
+from lemma.scene.objects.entity import Entity
+from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.palette import OBJECT_COLORS
 
 ROBOT_COLORS = ("red", "white")
-OBJECT_KINDS = ("cube", "pad", "stick")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,24 +36,28 @@ class ObjectPlacement:
     """One object: what it is and where it lies."""
 
     kind: str
-    """``"cube"``, ``"pad"`` or ``"stick"``."""
+    """A name in ``lemma.scene.objects.kind.OBJECT_KINDS``: ``"cube"``."""
     color: str
-    """A name in ``lemma.scene.palette.OBJECT_COLORS``; ``"yellow"`` for the stick."""
+    """A name in ``lemma.scene.palette.OBJECT_COLORS``. What comes in one color only may
+    say any word: the stick is ``"yellow"``."""
     pose: Pose2
-    """World from object, lying on the table. The stick's origin is the free end of its
-    handle, its x axis points along the handle to the hook, which bends to +y."""
+    """World from object, lying on the table."""
 
     def __post_init__(self) -> None:
         """Check the names."""
-        if self.kind not in OBJECT_KINDS:
-            raise UnknownNameError("object kind", self.kind, OBJECT_KINDS)
-        if self.kind != "stick":
+        if OBJECT_KINDS[self.kind].colored:
             OBJECT_COLORS[self.color]
+
+    @property
+    def entity(self) -> Entity:
+        """What it is."""
+        kind = OBJECT_KINDS[self.kind]
+        return Entity(self.color if kind.colored else "", kind)
 
     @property
     def name(self) -> str:
         """Entity name: ``"red_cube"``, ``"white_pad"``, ``"stick"``."""
-        return STICK if self.kind == "stick" else f"{self.color}_{self.kind}"
+        return self.entity.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +80,7 @@ class SceneSpec:
     @property
     def robot_names(self) -> tuple[str, ...]:
         """``("robot_0", "robot_1", ...)``."""
-        return tuple(f"robot_{i}" for i in range(len(self.robots)))
+        return robot_names(len(self.robots))
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -92,33 +97,3 @@ class SceneSpec:
             if placed.name == name:
                 return placed
         raise UnknownNameError("object in this scene", name, self.object_names)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> "SceneSpec":
-        """Make a scene from what :meth:`to_dict` returned."""
-        return cls(
-            tuple(
-                RobotPlacement(r["arm"], r["color"], Pose2(**r["base"]))
-                for r in data["robots"]
-            ),
-            tuple(
-                ObjectPlacement(o["kind"], o["color"], Pose2(**o["pose"]))
-                for o in data["objects"]
-            ),
-        )
-
-
-STICK = "stick"
-"""Name of the one L-shaped stick."""
-SHARED = "shared"
-"""Place entity: the region that every robot of the team reaches."""
-ENTITIES = (
-    *(f"{color}_cube" for color in OBJECT_COLORS),
-    *(f"{color}_pad" for color in OBJECT_COLORS),
-    STICK,
-)
-"""Every object that may be on a table, in the order of their numbers."""

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 from lemma.core.poses import Pose2, wrap
 from lemma.robots.reach import reach_of
-from lemma.scene.objects import (
-    CUBE_EDGE_M,
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.kind import ObjectKind
+from lemma.scene.objects.stick import (
+    GRASP_FROM_END_M,
     HANDLE_LENGTH_M,
     HOOK_LENGTH_M,
     STICK_SECTION_M,
@@ -19,29 +21,13 @@ from lemma.scene.objects import (
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.subtask import Primitive
 
-GRASP_FROM_END_M = 0.05
-"""Where the handle is grasped, from its free end: the stick then reaches farthest."""
 LARGEST_HEADING_RAD = math.radians(100.0)
 """How far a stick that a robot shall pick up may point away from straight outward."""
 PREPARE_GAP_M = 0.02
 """Between the stick and the cube before the drag: a cube turned by 45 degrees fits."""
 
-_HALF = CUBE_EDGE_M / 2
 _INNER_FACE_M = HANDLE_LENGTH_M - STICK_SECTION_M
-# The cube in the stick's frame while it is dragged: in the middle of the hook's free
-# length, or of the head's outer face.
-_CONTACT = {
-    Primitive.HOOK: (
-        _INNER_FACE_M - _HALF,
-        0.5 * (HOOK_LENGTH_M - STICK_SECTION_M) + STICK_SECTION_M / 2,
-    ),
-    Primitive.POKE: (
-        HANDLE_LENGTH_M + _HALF,
-        0.5 * HOOK_LENGTH_M - STICK_SECTION_M / 2,
-    ),
-}
 _DIRECTION = {Primitive.HOOK: -1.0, Primitive.POKE: 1.0}
-_CUBE_RADIUS_M = 0.036
 _STICK_CLEARANCE_M = STICK_SECTION_M / 2 + 0.012
 _GRIP_MARGIN_M = 0.015
 _END_MARGIN_M = 0.05
@@ -99,6 +85,7 @@ def find_drag(
     cube: Pose2,
     margin_at: Callable[[float, float], float],
     obstacles: Sequence[Disc],
+    kind: ObjectKind = CUBE,
 ) -> Drag | None:
     """Find the best way for a robot to bring a cube where it is wanted.
 
@@ -108,18 +95,21 @@ def find_drag(
         cube: Where the cube is.
         margin_at: How far inside the wanted region a position is [m].
         obstacles: What the stick and the cube keep clear of.
+        kind: What is dragged, if it is no cube.
 
     Returns:
         The drag with the best margin, among equals the shortest and straightest; None
-        if there is no way.
+        if there is no way, or the kind cannot be dragged.
     """
+    if kind.drag_m is None:
+        return None
     reach = reach_of(robot.arm)
     base = robot.base
     outward = math.atan2(cube.y - base.y, cube.x - base.x)
     found: list[Drag] = []
     for turn in _BEARINGS_RAD:
         bearing = outward + turn
-        prepared = _gripper(primitive, cube, bearing, PREPARE_GAP_M)
+        prepared = _gripper(primitive, cube, bearing, PREPARE_GAP_M, kind.drag_m)
         if reach.margin(base, prepared.x, prepared.y) < _GRIP_MARGIN_M:
             continue
         sign = _DIRECTION[primitive]
@@ -129,27 +119,40 @@ def find_drag(
             margin = margin_at(moved.x, moved.y)
             if margin < _END_MARGIN_M:
                 continue
-            end = _gripper(primitive, moved, bearing, 0.0)
+            end = _gripper(primitive, moved, bearing, 0.0, kind.drag_m)
             if reach.margin(base, end.x, end.y) < _GRIP_MARGIN_M:
                 continue
             score = min(margin, _GOOD_MARGIN_M) - 0.15 * length - 0.03 * abs(turn)
             found.append(Drag(primitive, prepared, end, moved, score))
     found.sort(key=lambda drag: -drag.score)
     for drag in found:
-        if _is_free(drag, cube, obstacles):
+        if _is_free(drag, cube, obstacles, kind.disc_m):
             return drag
     return None
 
 
-def _gripper(primitive: Primitive, cube: Pose2, bearing: float, gap_m: float) -> Pose2:
+def _contact(primitive: Primitive, half_m: float) -> tuple[float, float]:
+    """Return a dragged cube in the stick's frame, by its half width [m].
+
+    It is in the middle of the hook's free length, or of the head's outer face.
+    """
+    if primitive is Primitive.HOOK:
+        across = 0.5 * (HOOK_LENGTH_M - STICK_SECTION_M) + STICK_SECTION_M / 2
+        return _INNER_FACE_M - half_m, across
+    return HANDLE_LENGTH_M + half_m, 0.5 * HOOK_LENGTH_M - STICK_SECTION_M / 2
+
+
+def _gripper(
+    primitive: Primitive, cube: Pose2, bearing: float, gap_m: float, half_m: float
+) -> Pose2:
     """Return the gripper pose that has the cube in contact, or ``gap_m`` before it."""
-    u, v = _CONTACT[primitive]
+    u, v = _contact(primitive, half_m)
     u += _DIRECTION[primitive] * gap_m
     stick = Pose2(cube.x, cube.y, bearing) @ Pose2(-u, -v)
     return grasp_on_stick(stick)
 
 
-def _is_free(drag: Drag, cube: Pose2, obstacles: Sequence[Disc]) -> bool:
+def _is_free(drag: Drag, cube: Pose2, obstacles: Sequence[Disc], disc_m: float) -> bool:
     """Whether stick and cube meet nothing, where the stick is put and all along."""
     for i in range(6):
         t = i / 5
@@ -162,7 +165,7 @@ def _is_free(drag: Drag, cube: Pose2, obstacles: Sequence[Disc]) -> bool:
         y = cube.y + t * (drag.cube.y - cube.y)
         stick = stick_in_grasp(grip)
         for ox, oy, radius in obstacles:
-            if math.hypot(ox - x, oy - y) < radius + _CUBE_RADIUS_M + 0.01:
+            if math.hypot(ox - x, oy - y) < radius + disc_m + 0.01:
                 return False
             if stick_gap(stick, ox, oy) < radius + _STICK_CLEARANCE_M:
                 return False
@@ -190,9 +193,13 @@ def stick_discs(stick: Pose2) -> tuple[Disc, ...]:
     return tuple((pose.x, pose.y, half) for pose in placed)
 
 
-def is_prepared(primitive: Primitive, stick: Pose2, cube: Pose2) -> bool:
+def is_prepared(
+    primitive: Primitive, stick: Pose2, cube: Pose2, kind: ObjectKind = CUBE
+) -> bool:
     """Whether a stick lies so that a drag would take the cube along."""
-    u, v = _CONTACT[primitive]
+    if kind.drag_m is None:
+        return False
+    u, v = _contact(primitive, kind.drag_m)
     u += _DIRECTION[primitive] * PREPARE_GAP_M
     local = stick.inverse() @ cube
     return abs(local.x - u) < 0.025 and abs(local.y - v) < 0.025

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from typing import Self
 
 from lemma.core.errors import InvalidConfigError
-from lemma.scene.objects import CUBE_EDGE_M, PAD_RADIUS_M, PAD_THICKNESS_M
+from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene
 
-_REST_M_S = 0.02
-_HEIGHT_TOLERANCE_M = 0.006
-_ON_PAD_M = PAD_RADIUS_M - 0.01
-_ON_CUBE_M = CUBE_EDGE_M / 2
+REST_M_S = 0.02
+"""Slower than this a thing is at rest."""
+HEIGHT_TOLERANCE_M = 0.006
+"""How far the height of a thing may be from where its support would have it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,34 +21,41 @@ class On:
     bottom: str
 
     def __post_init__(self) -> None:
-        """Check that the kinds can be stacked."""
-        if not self.top.endswith("_cube") or self.top == self.bottom:
+        """Check that the kinds can be stacked.
+
+        Raises:
+            UnknownNameError: No such entity.
+            InvalidConfigError: The top is fixed or a tool, nothing can lie on the
+                bottom, or they are one thing.
+        """
+        if not kind_of(self.top).cargo or self.top == self.bottom:
             raise InvalidConfigError(
-                f"On({self.top!r}, {self.bottom!r}): the top must be a cube that is "
-                "not the bottom itself."
+                f"On({self.top!r}, {self.bottom!r}): the top must be something that "
+                "can be put somewhere, such as a cube, and not the bottom itself."
             )
-        if not self.bottom.endswith(("_cube", "_pad")):
+        if kind_of(self.bottom).support_m is None:
             raise InvalidConfigError(
-                f"On({self.top!r}, {self.bottom!r}): the bottom must be a cube or a "
-                "pad."
+                f"On({self.top!r}, {self.bottom!r}): nothing can lie on the bottom; it "
+                "must be a cube, a pad or another kind with support_m."
             )
 
     def holds(self, scene: Scene) -> bool:
         """Whether it is true now, with the top at rest.
 
-        A cube is on a pad when its centre is at least 1 cm inside the pad's edge, and
-        on a cube when its centre is above the lower cube's top face; its height must
-        say that nothing else carries it.
+        The top's middle is no farther from the bottom's than the bottom's kind allows:
+        on a pad at least 1 cm inside its edge, on a cube above its top face. Its height
+        must say that nothing else carries it.
         """
+        upper, lower = kind_of(self.top), kind_of(self.bottom)
+        limit = lower.support_m
+        assert limit is not None
         top, bottom = scene.pose(self.top).position, scene.pose(self.bottom).position
-        on_pad = self.bottom.endswith("_pad")
-        limit = _ON_PAD_M if on_pad else _ON_CUBE_M
-        rise = PAD_THICKNESS_M + CUBE_EDGE_M / 2 if on_pad else CUBE_EDGE_M
+        rise = lower.top_m + upper.origin_m
         dx, dy = top[0] - bottom[0], top[1] - bottom[1]
         return (
             dx * dx + dy * dy <= limit * limit
-            and abs(top[2] - bottom[2] - rise) <= _HEIGHT_TOLERANCE_M
-            and scene.speed(self.top) < _REST_M_S
+            and abs(top[2] - bottom[2] - rise) <= HEIGHT_TOLERANCE_M
+            and scene.speed(self.top) < REST_M_S
         )
 
 
@@ -57,6 +64,17 @@ class Goal:
     """Several ``On`` that shall hold at once."""
 
     conjuncts: tuple[On, ...]
+
+    def __post_init__(self) -> None:
+        """Check that it asks for something.
+
+        Raises:
+            InvalidConfigError: It has no conjuncts.
+        """
+        if not self.conjuncts:
+            raise InvalidConfigError(
+                "A goal without On(top, bottom) asks for nothing. Give at least one."
+            )
 
     @classmethod
     def from_pairs(cls, pairs: tuple[tuple[str, str], ...]) -> Self:

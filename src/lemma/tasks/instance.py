@@ -5,7 +5,8 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from lemma.scene.spec import SceneSpec
+from lemma.core.poses import Pose2
+from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 
 BENCHMARK_VERSION = "v1"
@@ -63,19 +64,19 @@ class Instance:
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "Instance":
         """Make an instance from what :meth:`to_dict` returned."""
-        robots = [
-            {"arm": arm, "color": color, "base": {"x": x, "y": y, "yaw": yaw}}
+        robots = tuple(
+            RobotPlacement(arm, color, Pose2(x, y, yaw))
             for arm, color, x, y, yaw in data["robots"]
-        ]
-        objects = [
-            {"kind": kind, "color": color, "pose": {"x": x, "y": y, "yaw": yaw}}
+        )
+        objects = tuple(
+            ObjectPlacement(kind, color, Pose2(x, y, yaw))
             for kind, color, x, y, yaw in data["objects"]
-        ]
+        )
         return cls(
             task=data["task"],
             split=data["split"],
             index=data["index"],
-            scene=SceneSpec.from_dict({"robots": robots, "objects": objects}),
+            scene=SceneSpec(robots, objects),
             goal=Goal.from_pairs(tuple((top, bottom) for top, bottom in data["goal"])),
             instructions=dict(data["instructions"]),
             distractors=tuple(data["distractors"]),

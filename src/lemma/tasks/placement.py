@@ -10,14 +10,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lemma.core.errors import SamplingError
+from lemma.core.errors import InvalidConfigError, SamplingError
 from lemma.core.poses import Pose2
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import Reach, reach_of
 from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.scene.camera_mounts import camera_sees
-from lemma.scene.objects import HANDLE_LENGTH_M, HOOK_LENGTH_M, PAD_RADIUS_M
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
+from lemma.scene.objects.stick import (
+    HANDLE_LENGTH_M,
+    HOOK_LENGTH_M,
+    STICK_KIND,
+)
+from lemma.scene.palette import BENCHMARK_COLORS, OBJECT_COLORS
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.tasks.drags import (
     LARGEST_HEADING_RAD,
@@ -39,14 +45,9 @@ _EDGE_M = 0.10
 _FACING_RAD = math.radians(65.0)
 """Objects lie in front of their robot: at its sides the waiting arm hides them."""
 _BESIDE_BASE_M = 0.06
-_SPACING_M = {
-    ("cube", "cube"): 0.125,
-    ("cube", "pad"): 0.15,
-    ("pad", "cube"): 0.15,
-    ("pad", "pad"): 0.16,
-}
-_STICK_SPACING_M = {"cube": 0.10, "pad": PAD_RADIUS_M + 0.05}
-_CUBE_DISC_M = 0.036
+
+_KINDS = ("cube", "pad")
+"""Kinds whose colors are shuffled first of all, in the benchmark's order."""
 
 Zone = Callable[[Pose2], bool]
 """Whether something may lie at a pose."""
@@ -71,10 +72,7 @@ class Board:
         self.robots = robots
         self.rng = rng
         self.objects: list[ObjectPlacement] = []
-        self._free = {
-            kind: [str(c) for c in rng.permutation(list(OBJECT_COLORS))]
-            for kind in ("cube", "pad")
-        }
+        self._free = {kind: self._shuffled() for kind in _KINDS}
         self._drags: list[tuple[Primitive, int, int, int]] = []
         order = rng.permutation(len(robots))
         self.order: tuple[int, ...] = tuple(int(i) for i in order)
@@ -84,17 +82,64 @@ class Board:
         """Return the reach of a robot."""
         return reach_of(self.robots[robot].arm)
 
-    def cube(self, zone: Zone) -> str:
-        """Put a cube of a color not used yet into a zone; return its name."""
-        return self._put("cube", zone)
+    def cube(self, zone: Zone, color: str | None = None) -> str:
+        """Put a cube into a zone; see :meth:`put`."""
+        return self.put("cube", zone, color)
 
-    def pad(self, zone: Zone) -> str:
-        """Put a pad of a color not used yet into a zone; return its name."""
-        return self._put("pad", zone)
+    def pad(self, zone: Zone, color: str | None = None) -> str:
+        """Put a pad into a zone; see :meth:`put`."""
+        return self.put("pad", zone, color)
+
+    def put(self, kind: str, zone: Zone, color: str | None = None) -> str:
+        """Put an object into a zone.
+
+        Args:
+            kind: A name in :data:`~lemma.scene.objects.kind.OBJECT_KINDS`.
+            zone: Where it may lie.
+            color: Its color; one of the benchmark's that the kind has not used yet if
+                None. Colors that were registered are put only where they are named.
+
+        Returns:
+            The entity's name.
+
+        Raises:
+            UnknownNameError: No such kind or color.
+            SamplingError: The kind has no such color left.
+            PlacementError: No place was found.
+        """
+        record = OBJECT_KINDS[kind]
+        if record.tool:
+            raise InvalidConfigError(f"A {kind} is put with Board.{kind}(robot).")
+        free = self._free.get(kind)
+        if free is None:
+            free = self._free[kind] = self._shuffled() if record.colored else [kind]
+        if color is not None:
+            OBJECT_COLORS[color]
+        taken = color is not None and any(
+            (placed.kind, placed.color) == (kind, color) for placed in self.objects
+        )
+        if taken or (color is None and not free):
+            raise SamplingError(
+                f"A task asks for more {color or ''} {kind}s than there are: one of "
+                f"each of {len(BENCHMARK_COLORS)} colors, or name another color."
+            )
+        for _ in range(_TRIES):
+            pose = self._draw()
+            if self._faces(pose) and self._fits(record, pose) and zone(pose):
+                chosen = color or free[0]
+                if chosen in free:
+                    free.remove(chosen)
+                placed = ObjectPlacement(kind, chosen, pose)
+                self.objects.append(placed)
+                return placed.name
+        raise PlacementError(kind)
 
     def has_colors(self, kind: str) -> bool:
         """Whether another cube or pad of a new color can be put."""
         return bool(self._free[kind])
+
+    def _shuffled(self) -> list[str]:
+        return [str(color) for color in self.rng.permutation(list(BENCHMARK_COLORS))]
 
     def stick(self, robot: int) -> str:
         """Put the stick where one robot alone can pick it up and swing it out."""
@@ -134,7 +179,9 @@ class Board:
             for r in range(len(self.robots))
         )
 
-    def tool_only(self, primitive: Primitive, robot: int, partner: int) -> Zone:
+    def tool_only(
+        self, primitive: Primitive, robot: int, partner: int, kind: str = "cube"
+    ) -> Zone:
         """Where nobody reaches, and the stick helps in exactly one way.
 
         Args:
@@ -143,8 +190,9 @@ class Board:
                 reach, and not drag it into its own.
             robot: Who uses the stick.
             partner: The other robot.
+            kind: What will be put there.
         """
-        nobody = self.nobody()
+        nobody, dragged = self.nobody(), OBJECT_KINDS[kind]
         receiver = robot if primitive is Primitive.HOOK else partner
         ways = [(Primitive.HOOK, robot, robot), (Primitive.POKE, robot, partner)]
         if primitive is Primitive.HOOK:
@@ -156,8 +204,12 @@ class Board:
             # Other ways must be closed by distance, not by what happens to be around.
             return (
                 nobody(pose)
-                and self.can_drag(primitive, robot, receiver, pose, self.discs())
-                and not any(self.can_drag(*way, pose, self._bases()) for way in ways)
+                and self.can_drag(
+                    primitive, robot, receiver, pose, self.discs(), dragged
+                )
+                and not any(
+                    self.can_drag(*way, pose, self._bases(), dragged) for way in ways
+                )
             )
 
         self._drags.append((primitive, robot, receiver, len(self.objects)))
@@ -170,6 +222,7 @@ class Board:
         receiver: int,
         pose: Pose2,
         obstacles: list[Disc],
+        kind: ObjectKind = CUBE,
     ) -> bool:
         """Whether a robot with the stick brings a cube into a robot's own reach."""
         base, reach = self.robots[receiver].base, self.reach(receiver)
@@ -179,6 +232,7 @@ class Board:
             pose,
             lambda x, y: reach.margin(base, x, y),
             obstacles,
+            kind,
         )
         return drag is not None
 
@@ -190,17 +244,17 @@ class Board:
         """
         for primitive, robot, receiver, which in self._drags:
             cube = self.objects[which]
-            others = self.discs(but=cube.name)
-            if not self.can_drag(primitive, robot, receiver, cube.pose, others):
+            others, kind = self.discs(but=cube.name), cube.entity.kind
+            if not self.can_drag(primitive, robot, receiver, cube.pose, others, kind):
                 raise PlacementError(f"{primitive} {cube.name}")
 
     def discs(self, but: str = "") -> list[Disc]:
         """Return what lies on the table and the bases, without the stick, as discs."""
         found = self._bases()
         for placed in self.objects:
-            if placed.kind != "stick" and placed.name != but:
-                radius = _CUBE_DISC_M if placed.kind == "cube" else PAD_RADIUS_M
-                found.append((placed.pose.x, placed.pose.y, radius))
+            if not placed.entity.kind.tool and placed.name != but:
+                disc = (placed.pose.x, placed.pose.y, placed.entity.kind.disc_m)
+                found.append(disc)
         return found
 
     def _bases(self) -> list[Disc]:
@@ -216,20 +270,6 @@ class Board:
         base = self.robots[robot].base
         return self.reach(robot).excess(base, pose.x, pose.y) >= OUTSIDE_M
 
-    def _put(self, kind: str, zone: Zone) -> str:
-        if not self._free[kind]:
-            raise SamplingError(
-                f"A task asks for more than {len(OBJECT_COLORS)} {kind}s; there is "
-                "one of each color. Ask for fewer."
-            )
-        for _ in range(_TRIES):
-            pose = self._draw()
-            if self._faces(pose) and self._fits(kind, pose) and zone(pose):
-                placed = ObjectPlacement(kind, self._free[kind].pop(0), pose)
-                self.objects.append(placed)
-                return placed.name
-        raise PlacementError(kind)
-
     def _draw(self) -> Pose2:
         x = self.rng.uniform(_EDGE_M - TABLE_HALF_X_M, TABLE_HALF_X_M - _EDGE_M)
         y = self.rng.uniform(_EDGE_M - TABLE_HALF_Y_M, TABLE_HALF_Y_M - _EDGE_M)
@@ -244,16 +284,18 @@ class Board:
                 return True
         return False
 
-    def _fits(self, kind: str, pose: Pose2) -> bool:
+    def _fits(self, kind: ObjectKind, pose: Pose2) -> bool:
         for robot in self.robots:
             if robot.base.distance(pose) < sweep_radius_m(robot.arm) + _BESIDE_BASE_M:
                 return False
         for placed in self.objects:
-            if placed.kind == "stick":
-                gap = stick_gap(placed.pose, pose.x, pose.y)
-                if gap < _STICK_SPACING_M[kind]:
-                    return False
-            elif placed.pose.distance(pose) < _SPACING_M[kind, placed.kind]:
+            other = placed.entity.kind
+            gap = (
+                stick_gap(placed.pose, pose.x, pose.y)
+                if other.tool
+                else placed.pose.distance(pose)
+            )
+            if gap < kind.spacing_to(other):
                 return False
         return True
 
@@ -271,6 +313,6 @@ class Board:
                 return False
         return all(
             stick_gap(pose, placed.pose.x, placed.pose.y)
-            >= _STICK_SPACING_M[placed.kind]
+            >= placed.entity.kind.spacing_to(STICK_KIND)
             for placed in self.objects
         )

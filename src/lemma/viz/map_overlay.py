@@ -10,9 +10,9 @@ from PIL import Image
 from lemma.core.poses import Pose2
 from lemma.robots.reach import reach_map, reach_of
 from lemma.scene.cameras import CameraImage
+from lemma.scene.objects.entity import STICK
 from lemma.scene.raster import RASTER, MapImage, Raster
 from lemma.scene.scene import Scene
-from lemma.scene.spec import STICK
 from lemma.scene.topdown_map import fuse
 from lemma.tasks.instance import Instance
 from lemma.viz.annotate import (

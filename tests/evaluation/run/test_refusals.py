@@ -11,7 +11,7 @@ from lemma.expert.plan_env import PlanEnv
 from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import Grounder, PolicyInput
 from lemma.policies.oracle import OracleGrounder
-from lemma.scene.spec import ENTITIES
+from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 MOVE, HOOK = Primitive.MOVE, Primitive.HOOK

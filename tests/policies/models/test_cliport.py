@@ -24,7 +24,7 @@ from lemma.policies.interfaces import Grounder
 from lemma.policies.models.cliport.clip_trunk import CLIPTrunk
 from lemma.policies.models.cliport.model import CLIPort, CLIPortConfig
 from lemma.policies.models.cliport.poses import Poses, score_poses
-from lemma.scene.spec import ENTITIES
+from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 TINY = CLIPortConfig(**TINY_STREAMS)

@@ -21,7 +21,7 @@ from lemma.policies.models.episodic_transformer.model import (
     attention_mask,
     choose,
 )
-from lemma.scene.spec import ENTITIES
+from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask

@@ -35,7 +35,7 @@ from lemma.policies.models.reachnet.scene_table import (
     turned_numbers,
 )
 from lemma.policies.text.encoder import TextConfig
-from lemma.scene.spec import ENTITIES
+from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.drags import stick_gap
 
 CPU = torch.device("cpu")

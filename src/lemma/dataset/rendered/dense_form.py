@@ -23,7 +23,7 @@ from lemma.dataset.rendered.labels import entity_poses, label
 from lemma.dataset.rendered.render import Found
 from lemma.dataset.rendered.steps import DenseStep, iterate_steps, ticks_per_step
 from lemma.robots.ur.build import JOINTS
-from lemma.scene.spec import ENTITIES
+from lemma.scene.objects.entity import ENTITIES
 
 _PER_FILE = ("channels", "digests")
 

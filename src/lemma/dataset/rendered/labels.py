@@ -8,7 +8,7 @@ import numpy as np
 
 from lemma.core.poses import FloatArray
 from lemma.dataset.recipe.schema import EpisodeRecord, PerturbedRecord
-from lemma.scene.spec import ENTITIES
+from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.language.bank import sub_instruction
 from lemma.tasks.subtask import STOP
 

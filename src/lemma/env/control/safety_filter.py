@@ -7,6 +7,8 @@ Covered are the table, the arm itself and the other arms. Objects are there to b
 touched by hands, but not at speed, and not by the rest of an arm.
 """
 
+import math
+
 import numpy as np
 
 from lemma.core.poses import FloatArray
@@ -14,14 +16,9 @@ from lemma.env.control.velocity_dampers import restrain
 from lemma.motion.arm_motion import ArmMotion
 from lemma.robots.collision_model import closest_points, envelope_of
 from lemma.robots.ur.kinematics import frames
-from lemma.scene.objects import (
-    CUBE_EDGE_M,
-    HANDLE_LENGTH_M,
-    HOOK_LENGTH_M,
-    STICK_SECTION_M,
-)
+from lemma.scene.objects.entity import kind_of
+from lemma.scene.objects.kind import Point
 from lemma.scene.scene import Scene
-from lemma.scene.spec import STICK
 
 # What is held is nearer to the tool centre point than the one, and the fingers are as
 # far apart as it is wide, give or take the other.
@@ -58,15 +55,18 @@ class SafetyFilter:
         point = np.array([*tcp, *tcp, 0.0])
         objects: list[FloatArray] = []
         held: list[FloatArray] = []
-        for name in scene.movable_names:
-            boxes = _boxes(scene, name)
+        for name in scene.spec.object_names:
+            shell, grasp = _shell(scene, name), kind_of(name).grasp
             away = min(
-                closest_points(point, box, np.empty(3), np.empty(3)) + box[6]
-                for box in boxes
+                (
+                    closest_points(point, capsule, np.empty(3), np.empty(3))
+                    + capsule[6]
+                    for capsule in shell
+                ),
+                default=math.inf,
             )
-            width = STICK_SECTION_M if name == STICK else CUBE_EDGE_M
-            gripped = abs(opening - width) < _GRIPPED_M
-            (held if gripped and away < _HELD_M else objects).extend(boxes)
+            gripped = grasp is not None and abs(opening - grasp.width_m) < _GRIPPED_M
+            (held if gripped and away < _HELD_M else objects).extend(shell)
         self._objects = np.array(objects).reshape(-1, 8)
         self._held = np.array(held).reshape(-1, 8)
 
@@ -96,20 +96,22 @@ class SafetyFilter:
         )
 
 
-def _boxes(scene: Scene, name: str) -> list[FloatArray]:
+def _shell(scene: Scene, name: str) -> list[FloatArray]:
     """Return an object as capsules, each with the height of its top, (8,) [m]."""
-    pose = scene.pose(name)
-    x, y, z = pose.position
-    if name != STICK:
-        # The sphere around a cube is wider than its footprint, whatever its heading.
-        around = (0.87 * CUBE_EDGE_M, z + 0.5 * CUBE_EDGE_M)
-        return [np.array([x, y, z, x, y, z, *around])]
-    matrix = pose.matrix()
-    end = [float(matrix[i, 3] + HANDLE_LENGTH_M * matrix[i, 0]) for i in range(3)]
-    tip = [float(end[i] + HOOK_LENGTH_M * matrix[i, 1]) for i in range(3)]
-    radius = 0.8 * STICK_SECTION_M
-    top = max(z, end[2]) + 0.5 * STICK_SECTION_M
+    shell, matrix = kind_of(name).shell, scene.pose(name).matrix()
+    found = [
+        np.array([*_placed(matrix, c.start), *_placed(matrix, c.end), c.radius_m, 0.0])
+        for c in shell.capsules
+    ]
+    for row in found:
+        row[7] = max(found[0][2], found[0][5]) + shell.rim_m
+    return found
+
+
+def _placed(matrix: FloatArray, point: Point) -> list[float]:
+    """Return a point of a body's frame in the world [m]."""
+    x, y, z = point
     return [
-        np.array([x, y, z, *end, radius, top]),
-        np.array([*end, *tip, radius, top]),
+        float(matrix[i, 3] + x * matrix[i, 0] + y * matrix[i, 1] + z * matrix[i, 2])
+        for i in range(3)
     ]

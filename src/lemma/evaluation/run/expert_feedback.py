@@ -17,7 +17,7 @@ from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome
 from lemma.policies.interfaces import Decision
-from lemma.scene.spec import STICK
+from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 

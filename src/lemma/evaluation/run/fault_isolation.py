@@ -14,7 +14,7 @@ import numpy as np
 
 from lemma.core.poses import Pose2
 from lemma.policies.interfaces import Decision, Policy, PolicyInput
-from lemma.scene.spec import ENTITIES, SHARED
+from lemma.scene.objects.entity import ENTITIES, SHARED
 from lemma.serve.protocol.faults import (
     FaultKind,
     PolicyFailedError,

@@ -9,8 +9,8 @@ from lemma.core.seeding import stream
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import TABLE, SymbolicState
+from lemma.scene.objects.entity import STICK
 from lemma.scene.palette import OBJECT_COLORS
-from lemma.scene.spec import STICK
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.template import ENTITY_KINDS, GoalPairs

@@ -14,8 +14,9 @@ from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
 from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.scene.camera_mounts import camera_sees
-from lemma.scene.objects import HANDLE_LENGTH_M, HOOK_LENGTH_M
-from lemma.scene.spec import STICK, ObjectPlacement, SceneSpec
+from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M
+from lemma.scene.spec import ObjectPlacement, SceneSpec
 from lemma.tasks.drags import stick_gap
 from lemma.tasks.instance import Instance
 from lemma.tasks.placement import Board

@@ -26,8 +26,10 @@ from lemma.evaluation.run.perturbed_starts import (
     TURN_RAD,
 )
 from lemma.scene.build import TIME_STEP_S
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.pad import PAD
 from lemma.scene.raster import RASTER
-from lemma.tasks import goal
+from lemma.tasks.goal import HEIGHT_TOLERANCE_M, REST_M_S
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE
@@ -63,10 +65,10 @@ def in_force() -> dict[str, Any]:
         "success": {
             "judged": "at the end of the episode",
             "holds": "every On of the goal, and no gripper holds anything",
-            "on_pad_m": round(goal._ON_PAD_M, 6),
-            "on_cube_m": goal._ON_CUBE_M,
-            "height_tolerance_m": goal._HEIGHT_TOLERANCE_M,
-            "rest_m_s": goal._REST_M_S,
+            "on_pad_m": round(PAD.support_m or 0.0, 6),
+            "on_cube_m": CUBE.support_m,
+            "height_tolerance_m": HEIGHT_TOLERANCE_M,
+            "rest_m_s": REST_M_S,
         },
         "view": {
             "rows": RASTER.rows,

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from lemma.policies.batch import NOBODY, Batch, Labels
+from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.palette import OBJECT_COLORS, STICK, TABLE
-from lemma.scene.spec import ENTITIES
 from lemma.tasks.language.template import GoalPairs
 
 COLORS = tuple(OBJECT_COLORS)

@@ -26,7 +26,7 @@ from lemma.robots.geometry import (
     draw,
     set_inertia,
 )
-from lemma.robots.gripper import add_gripper
+from lemma.robots.gripper_body import add_gripper
 from lemma.robots.ur.arms import ARMS, JOINTS, LINKS, ArmSpec
 from lemma.robots.ur.meshes import LID, looks
 

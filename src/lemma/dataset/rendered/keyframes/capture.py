@@ -35,10 +35,10 @@ from lemma.env.view import View
 from lemma.expert.disturbances import NONE
 from lemma.motion.outcome import Outcome
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import RASTER, encode_depth
 from lemma.scene.rendering.gl_backend import choose_backend
 from lemma.scene.scene import Scene
-from lemma.scene.spec import ENTITIES
 from lemma.tasks.instance import Instance
 
 _STOPPED = str(Outcome.STOPPED)

@@ -17,8 +17,8 @@ from lemma.policies.models.cliport.heads import (
 )
 from lemma.policies.models.cliport.refinement import Zoom
 from lemma.policies.models.cliport.rotations import nearest_bins, wrapped, yaw_of
+from lemma.scene.objects.entity import ENTITIES, SHARED, STICK
 from lemma.scene.raster import Raster
-from lemma.scene.spec import ENTITIES, SHARED, STICK
 
 _YAW_WEIGHT = 0.5
 _OFFSET_WEIGHT = 1.0

@@ -35,7 +35,7 @@ from lemma.policies.models.episodic_transformer import layout as episodic_layout
 from lemma.policies.models.episodic_transformer.layout import SLOTS, TokenLayout
 from lemma.policies.models.episodic_transformer.view_cache import ViewCache
 from lemma.policies.text.encoder import WORDS, TextConfig, TextEncoder
-from lemma.scene.spec import ENTITIES
+from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
 

@@ -11,8 +11,8 @@ from torch.nn import functional as F
 from lemma.policies.batch import NOBODY
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS, CUBES
 from lemma.policies.text.encoder import TextConfig, TextEncoder
+from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.palette import OBJECT_COLORS
-from lemma.scene.spec import ENTITIES
 from lemma.tasks.language.template import GoalPairs
 
 _COLOR = re.compile(r"\b(" + "|".join(OBJECT_COLORS) + r")\b", re.IGNORECASE)

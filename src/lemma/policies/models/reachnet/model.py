@@ -57,8 +57,8 @@ from lemma.policies.models.reachnet.scene_table import (
 )
 from lemma.policies.models.reachnet.scores import score_decisions
 from lemma.policies.text.encoder import WORDS_AND_VECTORS, TextConfig
+from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import Raster
-from lemma.scene.spec import ENTITIES
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _ARMS = ("ur5", "ur10")

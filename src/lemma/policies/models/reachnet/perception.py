@@ -21,7 +21,7 @@ from lemma.policies.models.reachnet.scene_table import (
     SceneTable,
     quarter,
 )
-from lemma.scene.spec import ENTITIES
+from lemma.scene.objects.entity import ENTITIES
 
 STRIDE = 4
 """Cells of the map along each side of a cell that is marked."""

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from lemma.policies.batch import NOBODY, Labels
-from lemma.scene.spec import ENTITIES, STICK
+from lemma.scene.objects.entity import ENTITIES, STICK
 
 CUBES = tuple(i for i, name in enumerate(ENTITIES) if name.endswith("_cube"))
 """Numbers of the cubes; they come first."""

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from lemma.policies.batch import NOBODY, PRIMITIVES, Labels
 from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK
-from lemma.scene.spec import ENTITIES
+from lemma.scene.objects.entity import ENTITIES
 
 _PICK_M, _ON_M, _SHARED_M = 0.02, 0.02, 0.06
 _YAW_RAD, _BEARING_RAD = math.radians(10.0), math.radians(4.0)

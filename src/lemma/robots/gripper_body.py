@@ -1,0 +1,200 @@
+"""A two-finger parallel gripper in the manner of a Hand-E, with a longer stroke.
+
+Both fingers are one degree of freedom: a servo drives their summed travel, which is
+the opening width, and an equality keeps them symmetric. Nothing is ever welded: what
+the pads hold, they hold by friction.
+"""
+
+from functools import lru_cache
+
+from lemma.core.engine import mujoco
+from lemma.robots.geometry import (
+    DARK,
+    METAL,
+    Box,
+    add_box,
+    box_inertia,
+    draw,
+    set_inertia,
+)
+from lemma.robots.gripper import (
+    FINGER_OPENING_M,
+    FINGER_THICKNESS_M,
+    FINGER_WIDTH_M,
+    FINGERTIP_BEYOND_TCP_M,
+    GRIP_FORCE_N,
+    MASS_KG,
+    PALM_BEYOND_FLANGE_M,
+    SKIN_M,
+    TCP_OFFSET_M,
+)
+from lemma.robots.ur.lofts import Loft, Surface, mesh
+
+_FINGER_MASS_KG = 0.1
+# At full force the width changes at 0.2 m/s: the whole stroke takes half a second.
+_WIDTH_DAMPING = GRIP_FORCE_N / 0.2
+# The screw drive's reflected inertia; it also keeps the light fingers well conditioned.
+_FINGER_ARMATURE = 5.0
+_SERVO_STIFFNESS = 5000.0
+_PALM = Box((0.0, 0.0, 0.051), (0.060, 0.112, 0.042))
+
+
+def add_gripper(
+    spec: mujoco.MjSpec, parent: mujoco.MjsBody, prefix: str, flange_z_m: float
+) -> mujoco.MjsBody:
+    """Add a gripper to the last link of an arm.
+
+    Args:
+        spec: The scene that is being built.
+        parent: The last link; its z axis points out of the flange.
+        prefix: Name of the robot.
+        flange_z_m: Height of the flange in the frame of ``parent`` [m].
+
+    Returns:
+        The body ``<prefix>/gripper``, whose frame is that of the flange.
+    """
+    palm = parent.add_body(name=f"{prefix}/gripper", pos=[0, 0, flange_z_m])
+    palm_mass = MASS_KG - 2.0 * _FINGER_MASS_KG
+    set_inertia(palm, palm_mass, (0, 0, 0.04), box_inertia(palm_mass, _PALM.size))
+    add_box(palm, f"{prefix}/palm", _PALM)
+    for part, paint in (("coupling", METAL), ("palm", DARK)):
+        draw(spec, palm, f"gripper/{part}", _looks()[part], paint)
+    palm.add_site(
+        name=f"{prefix}/tcp", pos=[0, 0, TCP_OFFSET_M], size=[0.005] * 3, group=4
+    )
+    _add_finger(spec, palm, prefix, "left", 1.0)
+    _add_finger(spec, palm, prefix, "right", -1.0)
+    _couple_fingers(spec, prefix)
+    return palm
+
+
+def _add_finger(
+    spec: mujoco.MjSpec,
+    palm: mujoco.MjsBody,
+    prefix: str,
+    side: str,
+    direction: float,
+) -> None:
+    """Add one finger, closed at joint position zero, its pad facing the other's."""
+    name = f"{prefix}/finger_{side}"
+    finger = palm.add_body(name=name, pos=[0, 0, TCP_OFFSET_M])
+    top = PALM_BEYOND_FLANGE_M - TCP_OFFSET_M
+    tip = FINGERTIP_BEYOND_TCP_M
+    width, thickness = FINGER_WIDTH_M, FINGER_THICKNESS_M
+    centre_y = direction * 0.5 * thickness
+    pad = Box((0, centre_y, 0), (width, thickness, 2.0 * tip))
+    # Recessed, so that only the pad touches what is held.
+    recess = 0.003
+    stem = Box(
+        (0, centre_y + direction * 0.5 * recess, 0.5 * (top - tip)),
+        (width, thickness - recess, -tip - top),
+    )
+    inertia = box_inertia(_FINGER_MASS_KG, (width, thickness, tip - top))
+    set_inertia(finger, _FINGER_MASS_KG, (0, centre_y, 0.5 * (top + tip)), inertia)
+    finger.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[0, direction, 0],
+        limited=True,
+        range=[0.0, 0.5 * FINGER_OPENING_M],
+        armature=_FINGER_ARMATURE,
+    )
+    _make_rubber(add_box(finger, f"{prefix}/pad_{side}", pad))
+    add_box(finger, f"{name}_stem", stem)
+    for part, paint in (("pad", DARK), ("stem", METAL)):
+        draw(spec, finger, f"gripper/{part}_{side}", _looks()[f"{part}_{side}"], paint)
+
+
+def _make_rubber(pad: mujoco.MjsGeom) -> None:
+    """Give a pad the contact that holds things: it decides, whatever the thing is."""
+    pad.priority = 1
+    pad.condim = 4
+    pad.friction = [1.2, 0.02, 0.0001]
+    # Stiffness and damping of the contact [1/s2, 1/s]. Friction stops slip by damping
+    # alone, and each step of h bends a moving arm's path: what it holds drifts by
+    # (1 / damping - h / 2) times the centripetal acceleration. At h = 5 ms, 280 leaves
+    # two fifths of the drift that the usual 200 does; from about 320 fingers bounce.
+    pad.solref = [-10000.0, -280.0]
+    # Constant and hard: the softness that is left is what creeps under a load.
+    pad.solimp = [0.995, 0.995, 0.001, 0.5, 2.0]
+    pad.margin = SKIN_M
+
+
+def _couple_fingers(spec: mujoco.MjSpec, prefix: str) -> None:
+    """Drive the opening width by one servo and keep the fingers symmetric."""
+    left, right = f"{prefix}/finger_left", f"{prefix}/finger_right"
+    width = spec.add_tendon(name=f"{prefix}/width", damping=[_WIDTH_DAMPING, 0, 0])
+    width.wrap_joint(left, 1.0)
+    width.wrap_joint(right, 1.0)
+    coupling = spec.add_equality(
+        name=f"{prefix}/fingers",
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        name1=left,
+        name2=right,
+        solref=[0.01, 1.0],
+        solimp=[0.99, 0.9999, 0.001, 0.5, 2.0],
+    )
+    coupling.data[:5] = [0, 1, 0, 0, 0]
+    spec.add_actuator(
+        name=f"{prefix}/gripper",
+        target=width.name,
+        trntype=mujoco.mjtTrn.mjTRN_TENDON,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        gainprm=[_SERVO_STIFFNESS, *[0.0] * 9],
+        biasprm=[0.0, -_SERVO_STIFFNESS, *[0.0] * 8],
+        ctrllimited=True,
+        ctrlrange=[0.0, FINGER_OPENING_M],
+        forcelimited=True,
+        forcerange=[-GRIP_FORCE_N, GRIP_FORCE_N],
+    )
+    spec.add_exclude(bodyname1=left, bodyname2=right)
+
+
+@lru_cache
+def _looks() -> dict[str, Surface]:
+    """Return what is seen of the gripper, each part in the frame of its body."""
+    up = (0.0, 0.0, 1.0)
+    palm_z, (palm_x, palm_y, palm_height) = _PALM.centre[2], _PALM.size
+    low, high = palm_z - 0.5 * palm_height, palm_z + 0.5 * palm_height
+    corner = 0.014
+    flat = (0.5 * palm_x - corner, 0.5 * palm_y - corner)
+    bevel = 0.005
+    coupling = ((0.0, 0.034), (low, 0.034))
+    palm = (
+        (low, corner - bevel),
+        (low + bevel, corner),
+        (high - bevel, corner),
+        (high, corner - bevel),
+    )
+    result = {
+        "coupling": mesh([Loft((0, 0, 0), up, coupling)]),
+        "palm": mesh([Loft((0, 0, 0), up, palm, 8, (True, True), flat)]),
+    }
+    top, tip = PALM_BEYOND_FLANGE_M - TCP_OFFSET_M, FINGERTIP_BEYOND_TCP_M
+    edge = 0.003
+    for side, direction in (("left", 1.0), ("right", -1.0)):
+        rubber, back = 0.004, FINGER_THICKNESS_M
+        # The skin in which contacts begin is drawn too, else what is held floats.
+        inner = (rubber + SKIN_M) / 2
+        pad_flat = (0.5 * FINGER_WIDTH_M - edge / 3, inner - edge / 3)
+        pad = Loft(
+            (0, direction * (inner - SKIN_M), 0),
+            up,
+            ((-tip, edge / 3), (tip, edge / 3)),
+            4,
+            (True, True),
+            pad_flat,
+        )
+        stem_flat = (0.5 * FINGER_WIDTH_M - edge, 0.5 * (back - rubber) - edge)
+        stem = Loft(
+            (0, direction * 0.5 * (back + rubber), 0),
+            up,
+            ((top, edge), (tip - 0.004, edge), (tip, edge / 2)),
+            4,
+            (False, True),
+            stem_flat,
+        )
+        result[f"pad_{side}"] = mesh([pad])
+        result[f"stem_{side}"] = mesh([stem])
+    return result

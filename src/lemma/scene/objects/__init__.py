@@ -1,0 +1,1 @@
+"""Kinds of objects: shapes, and what can be done with them."""

@@ -1,0 +1,71 @@
+"""Objects as MuJoCo bodies, from the records of their kinds."""
+
+import math
+
+from lemma.core.engine import mujoco
+from lemma.core.poses import Pose2
+from lemma.scene.objects.entity import Entity
+from lemma.scene.objects.kind import Part
+
+# Two time steps are the shortest time constant without bouncing.
+CONTACT_SOLREF = (0.01, 1.0)
+CONTACT_SOLIMP = (0.98, 0.999, 0.0005, 0.5, 2.0)
+OBJECT_FRICTION = (0.25, 0.01, 0.0002)
+"""Sliding, torsional [m] and rolling [m] friction: waxed wood. With more, a cube that
+is pushed along stutters and hops."""
+
+_GEOMS = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+}
+
+
+def resting_quaternion(yaw: float) -> tuple[float, float, float, float]:
+    """Return the quaternion ``wxyz`` of a turn about the vertical."""
+    return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+
+
+def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBody:
+    """Add one object to the world body, lying on the table.
+
+    What is not fixed to the table is a free body with a joint of the same name.
+
+    Args:
+        spec: The scene that is being built, with angles in radians.
+        entity: What it is.
+        pose: Where it lies.
+
+    Returns:
+        Its body, which has the entity's name.
+    """
+    kind, name = entity.kind, entity.name
+    body = spec.worldbody.add_body(
+        name=name,
+        pos=[pose.x, pose.y, kind.origin_m],
+        quat=resting_quaternion(pose.yaw),
+    )
+    if not kind.fixed:
+        body.add_freejoint(name=name)
+    for part in kind.parts:
+        _add_part(body, entity, part)
+    if kind.build is not None:
+        kind.build(spec, body, name)
+    return body
+
+
+def _add_part(body: mujoco.MjsBody, entity: Entity, part: Part) -> None:
+    geom = body.add_geom(
+        name=f"{entity.name}/{part.name}" if part.name else entity.name,
+        type=_GEOMS[part.shape],
+        pos=part.position_m,
+        size=[*part.size_m, *[0.0] * (3 - len(part.size_m))],
+        rgba=entity.rgba,
+        friction=OBJECT_FRICTION,
+        solref=CONTACT_SOLREF,
+        solimp=CONTACT_SOLIMP,
+        condim=4,
+    )
+    if part.mass_kg is not None:
+        geom.mass = part.mass_kg

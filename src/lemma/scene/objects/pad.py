@@ -1,0 +1,28 @@
+"""The pad: a flat disc on the table, on which things are put."""
+
+from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind, Part, Shell
+
+PAD_RADIUS_M = 0.06
+PAD_THICKNESS_M = 0.004
+
+_HALF_M = PAD_THICKNESS_M / 2
+
+PAD = OBJECT_KINDS.add(
+    "pad",
+    ObjectKind(
+        name="pad",
+        nouns=("pad", "circle", "target"),
+        parts=(
+            Part("cylinder", (PAD_RADIUS_M, _HALF_M), position_m=(0.0, 0.0, _HALF_M)),
+        ),
+        fixed=True,
+        height_m=PAD_THICKNESS_M,
+        origin_m=0.0,
+        disc_m=PAD_RADIUS_M,
+        side_m=PAD_RADIUS_M,
+        spacing_m={"pad": 0.16, "stick": PAD_RADIUS_M + 0.05},
+        support_m=PAD_RADIUS_M - 0.01,
+        obstacle=(),
+        shell=Shell((), 0.0),
+    ),
+)
