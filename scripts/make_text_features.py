@@ -26,7 +26,7 @@ from lemma.policies.text.sentence_features import MODEL_NAME, digest, load_model
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import (
     KINDS,
-    robot_phrases,
+    robot_phrases_in_order,
     sub_instruction,
     templates,
     vocabulary,
@@ -140,7 +140,7 @@ def sub_instructions() -> Iterator[str]:
     """Return all sub-instructions for teams of two."""
     yield sub_instruction("", "stop")
     teams = product(("red", "white"), repeat=2)
-    robots = sorted({name for team in teams for name in robot_phrases(team)})
+    robots = sorted({name for team in teams for name in robot_phrases_in_order(team)})
     cubes = [f"{color}_cube" for color in OBJECT_COLORS]
     places = [*cubes, *(f"{color}_pad" for color in OBJECT_COLORS), "shared"]
     for robot in robots:

@@ -25,7 +25,7 @@ from lemma.policies.model import Model
 from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.scene.raster import Raster
-from lemma.tasks.language.bank import robot_phrases
+from lemma.tasks.language.bank import robot_phrases_in_order
 
 RASTER = Raster(rows=64, columns=96, cell_m=0.025, floor_m=-0.1)
 """A map of the usual extent with large cells."""
@@ -174,7 +174,7 @@ def inputs_of(batch: Batch) -> list[PolicyInput]:
     return [
         PolicyInput(
             batch.instructions[i],
-            robot_phrases(TEAM),
+            robot_phrases_in_order(TEAM),
             View(
                 batch.rgb[i].numpy(),
                 batch.height_m[i].numpy(),

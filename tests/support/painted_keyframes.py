@@ -25,7 +25,7 @@ from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.palette import OBJECT_COLORS, STICK, TABLE
 from lemma.scene.raster import Raster
 from lemma.tasks.instance import BENCHMARK_VERSION
-from lemma.tasks.language.bank import instruct, robot_phrases, sub_instruction
+from lemma.tasks.language.bank import instruct, robot_phrases_in_order, sub_instruction
 
 RASTER = Raster(rows=144, columns=208, cell_m=0.008, floor_m=-0.1)
 SMALL = Raster(rows=36, columns=52, cell_m=0.032, floor_m=-0.1)
@@ -131,7 +131,7 @@ def episode(split: str, index: int, raster: Raster) -> list[Row]:
         poses["stick"] = (-0.1, -0.45, 0.015, 0.0)
         rgb, height = paint(poses, team, raster)
         seen: NDArray[np.bool_] = np.any(rgb, -1)
-        phrases = robot_phrases(team)
+        phrases = robot_phrases_in_order(team)
         words = (
             sub_instruction(phrases[int(robot[-1])], primitive, pick, place)
             if robot

@@ -79,7 +79,7 @@ def _sentences(
 
 def _plan(instance: Instance) -> list[str]:
     """Return what the expert would tell the robots, in order."""
-    names = robot_phrases(tuple(robot.color for robot in instance.scene.robots))
+    names = robot_phrases(instance.scene.robots)
     spoken = dict(zip(instance.scene.robot_names, names, strict=True))
     plan = Expert(Scene(instance.scene), instance.goal).plan()
     steps = plan.steps if plan is not None else ()

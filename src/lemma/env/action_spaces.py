@@ -13,10 +13,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lemma.core.errors import InvalidActionError
+from lemma.core.errors import InvalidActionError, UnknownNameError
 from lemma.core.poses import FloatArray, Pose2, wrap
+from lemma.core.robot_names import robot_name, robot_names, robot_number
 from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
-from lemma.scene.objects.entity import ENTITIES, SHARED
+from lemma.scene.objects.entity import ENTITIES, SHARED, extra_entities
 from lemma.tasks.subtask import (
     STOP,
     GroundedSubTask,
@@ -26,9 +27,9 @@ from lemma.tasks.subtask import (
 )
 
 PICKS = ("", *ENTITIES)
-"""What a sub-task may pick; the first means nothing."""
+"""What a sub-task of the benchmark may pick; the first means nothing."""
 PLACES = (*PICKS, SHARED)
-"""Where a sub-task may put it."""
+"""Where a sub-task of the benchmark may put it."""
 POSE_FIELDS = ("x", "y", "yaw")
 
 Action = Mapping[str, Any]
@@ -124,6 +125,19 @@ SKILL_POSES = ActionLayout(
 :class:`~lemma.tasks.subtask.GroundedSubTask`."""
 
 
+def picks() -> tuple[str, ...]:
+    """Return what a sub-task may pick, by number: :data:`PICKS`, then what was added.
+
+    Added are entities of kinds and colors that users registered.
+    """
+    return (*PICKS, *extra_entities())
+
+
+def places() -> tuple[str, ...]:
+    """Return where a sub-task may put it: :data:`PLACES`, then what was added."""
+    return (*PLACES, *extra_entities())
+
+
 def skill_space(team_size: int) -> spaces.Dict:
     """Return the space of grounded sub-tasks."""
     return spaces.Dict(
@@ -141,8 +155,8 @@ def plan_space(team_size: int) -> spaces.Dict:
         {
             "robot": spaces.Discrete(team_size),
             "primitive": spaces.Discrete(len(primitive_names())),
-            "pick": spaces.Discrete(len(PICKS)),
-            "place": spaces.Discrete(len(PLACES)),
+            "pick": spaces.Discrete(len(picks())),
+            "place": spaces.Discrete(len(places())),
         }
     )
 
@@ -177,7 +191,7 @@ def decode_skill(action: Action, team_size: int) -> GroundedSubTask | None:
     pick, place = (Pose2(*row) for row in SKILL_POSES.check(action["poses"]).tolist())
     if primitive is Primitive.STOP:
         return None
-    return GroundedSubTask(f"robot_{robot}", primitive, pick, place)
+    return GroundedSubTask(robot_name(robot), primitive, pick, place)
 
 
 def encode_plan(subtask: SubTask) -> dict[str, Any]:
@@ -186,7 +200,7 @@ def encode_plan(subtask: SubTask) -> dict[str, Any]:
     Raises:
         InvalidActionError: There is no such entity.
     """
-    for entity, valid in ((subtask.pick, PICKS), (subtask.place, PLACES)):
+    for entity, valid in ((subtask.pick, picks()), (subtask.place, places())):
         if entity not in valid:
             raise InvalidActionError(
                 f"No table ever has a {entity!r}. Valid: {', '.join(valid[1:])}."
@@ -194,8 +208,8 @@ def encode_plan(subtask: SubTask) -> dict[str, Any]:
     return {
         "robot": _robot_number(subtask.robot) if subtask.robot else 0,
         "primitive": primitive_names().index(subtask.primitive),
-        "pick": PICKS.index(subtask.pick),
-        "place": PLACES.index(subtask.place),
+        "pick": picks().index(subtask.pick),
+        "place": places().index(subtask.place),
     }
 
 
@@ -208,11 +222,13 @@ def decode_plan(action: Action, team_size: int) -> SubTask:
     _check_keys(action, ("robot", "primitive", "pick", "place"))
     robot = _number(action["robot"], "robot", _robot_names(team_size))
     primitive = _primitive(action["primitive"])
-    pick = PICKS[_number(action["pick"], "pick", PICKS)]
-    place = PLACES[_number(action["place"], "place", PLACES)]
+    entity = picks()
+    pick = entity[_number(action["pick"], "pick", entity)]
+    entity = places()
+    place = entity[_number(action["place"], "place", entity)]
     if primitive is Primitive.STOP:
         return STOP
-    return SubTask(f"robot_{robot}", primitive, pick, place)
+    return SubTask(robot_name(robot), primitive, pick, place)
 
 
 def _primitive(value: Any) -> Primitive:
@@ -221,16 +237,14 @@ def _primitive(value: Any) -> Primitive:
 
 
 def _robot_names(team_size: int) -> list[str]:
-    return [f"robot_{i}" for i in range(team_size)]
+    return list(robot_names(team_size))
 
 
 def _robot_number(name: str) -> int:
-    prefix, _, number = name.partition("_")
-    if prefix != "robot" or not number.isdigit():
-        raise InvalidActionError(
-            f"No robot is called {name!r}. Valid: robot_0, robot_1 and so on."
-        )
-    return int(number)
+    try:
+        return robot_number(name)
+    except UnknownNameError as error:
+        raise InvalidActionError(str(error)) from None
 
 
 def _check_keys(action: Any, keys: tuple[str, ...]) -> None:

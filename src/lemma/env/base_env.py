@@ -14,6 +14,7 @@ import gymnasium
 import numpy as np
 
 from lemma.core.errors import InvalidConfigError, ResetNeededError, UnknownNameError
+from lemma.core.robot_names import robot_names
 from lemma.env.config import TEAM_SIZE, EnvConfig
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.env.observation import (
@@ -86,7 +87,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         self.render_mode = render_mode
         self.config = config
         self.task = config.task
-        self.robot_names = tuple(f"robot_{i}" for i in range(TEAM_SIZE))
+        self.robot_names = robot_names(TEAM_SIZE)
         self._observer = Observer(
             config.observation, tuple(range(TEAM_SIZE)), (config.width, config.height)
         )

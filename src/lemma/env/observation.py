@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lemma.core.poses import FloatArray, Pose, wrap
 from lemma.core.registry import Registry
+from lemma.core.robot_names import robot_name
 from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
 from lemma.env.simulation import Simulation
@@ -16,7 +17,7 @@ from lemma.env.view import View
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.build import ARMS
-from lemma.scene.objects.entity import ENTITIES
+from lemma.scene.objects.entity import known_entities
 from lemma.scene.raster import CEILING_M, RASTER
 from lemma.scene.scene import Scene
 
@@ -86,7 +87,8 @@ class Observer:
         self.rig = CameraRig(*size)
         self._robots = robots
         self._size = size
-        self._names = tuple(f"robot_{i}" for i in robots)
+        self._names = tuple(map(robot_name, robots))
+        self._entities = known_entities()
         self.space = spaces.Dict(self._proprioception())
         for name, space in self._vision().items():
             self.space[name] = space
@@ -131,13 +133,14 @@ class Observer:
         return found
 
     def _truth(self) -> dict[str, spaces.Space[Any]]:
-        pose = np.tile([_ROOM_M] * 3 + [1.0] * 4, (len(ENTITIES), 1))
+        count = len(self._entities)
+        pose = np.tile([_ROOM_M] * 3 + [1.0] * 4, (count, 1))
         base = np.tile([_ROOM_M, _ROOM_M, np.pi, _ROOM_M], (len(self._robots), 1))
         return {
             "objects": _box(-pose, pose),
-            "present": spaces.MultiBinary(len(ENTITIES)),
+            "present": spaces.MultiBinary(count),
             "robots": _box(-base, base),
-            "goal": spaces.MultiBinary([len(ENTITIES), len(ENTITIES)]),
+            "goal": spaces.MultiBinary([count, count]),
         }
 
     def observe(self, episode: Episode, kind: str) -> Observation:
@@ -197,14 +200,15 @@ class Observer:
 
     def _know(self, episode: Episode) -> Observation:
         scene = episode.simulation.scene
-        objects = np.zeros((len(ENTITIES), 7))
-        present = np.zeros(len(ENTITIES), np.int8)
-        goal = np.zeros((len(ENTITIES), len(ENTITIES)), np.int8)
+        number = {name: i for i, name in enumerate(self._entities)}
+        objects = np.zeros((len(number), 7))
+        present = np.zeros(len(number), np.int8)
+        goal = np.zeros((len(number), len(number)), np.int8)
         for name, pose in object_poses(scene).items():
-            objects[ENTITIES.index(name)] = pose
-            present[ENTITIES.index(name)] = 1
+            objects[number[name]] = pose
+            present[number[name]] = 1
         for top, bottom in episode.instance.goal.pairs:
-            goal[ENTITIES.index(top), ENTITIES.index(bottom)] = 1
+            goal[number[top], number[bottom]] = 1
         robots = [scene.spec.robots[i] for i in self._robots]
         bases = [
             [r.base.x, r.base.y, wrap(r.base.yaw), reach_of(r.arm).travel_m]

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from lemma.core.errors import DatasetError
+from lemma.core.robot_names import robot_number
 from lemma.dataset.rendered.keyframes.dataset import POLICY_COLUMNS
 from lemma.dataset.rendered.keyframes.loader import MapsInMemory
 from lemma.dataset.rendered.keyframes.schema import EXECUTED
@@ -18,7 +19,7 @@ from lemma.dataset.rendered.shards import keyframe_shards
 from lemma.policies.interfaces import PolicyInput
 from lemma.scene.objects.entity import ENTITIES, SHARED
 from lemma.scene.raster import UNIT_M, Raster
-from lemma.tasks.language.bank import robot_phrases, sub_instruction
+from lemma.tasks.language.bank import robot_phrases_in_order, sub_instruction
 from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.subtask import Primitive
 
@@ -212,7 +213,7 @@ class Frames:
             episode=self._episode[rows],
             keyframe=self._keyframe[rows],
             decision=self._decision[rows],
-            objects=self._floats["objects"][rows],
+            objects=self._floats["objects"][rows, : len(ENTITIES)],
             pick_pose=self._floats["pick_pose"][rows],
             place_pose=self._floats["place_pose"][rows],
             bases=self._floats["bases"][rows],
@@ -309,7 +310,7 @@ def with_sub_instructions(batch: Batch) -> Batch:
             continue
         texts.append(
             sub_instruction(
-                robot_phrases(colors)[robot],
+                robot_phrases_in_order(colors)[robot],
                 PRIMITIVES[primitive],
                 ENTITIES[pick],
                 PLACES[place],
@@ -322,7 +323,7 @@ def decision_numbers(subtask: dict[str, str]) -> list[int]:
     """Return a sub-task as numbers: robot, primitive, pick, place; -1 for none."""
     pick, place = subtask["pick"], subtask["place"]
     return [
-        int(subtask["robot"].removeprefix("robot_")) if subtask["robot"] else NOBODY,
+        robot_number(subtask["robot"]) if subtask["robot"] else NOBODY,
         PRIMITIVES.index(subtask["primitive"]),
         ENTITIES.index(pick) if pick else NOBODY,
         PLACES.index(place) if place else NOBODY,

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from lemma.core.robot_names import robot_number
 from lemma.env.view import View
 from lemma.tasks.language.bank import sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
@@ -51,9 +52,7 @@ class PolicyInput:
             InvalidConfigError: It names no cube where it needs one.
         """
         return sub_instruction(
-            self.robots[int(subtask.robot.removeprefix("robot_"))]
-            if subtask.robot
-            else "",
+            self.robots[robot_number(subtask.robot)] if subtask.robot else "",
             str(subtask.primitive),
             subtask.pick or None,
             subtask.place or None,

@@ -113,16 +113,13 @@ class Board:
         free = self._free.get(kind)
         if free is None:
             free = self._free[kind] = self._shuffled() if record.colored else [kind]
-        if color is not None:
-            OBJECT_COLORS[color]
-        taken = color is not None and any(
-            (placed.kind, placed.color) == (kind, color) for placed in self.objects
-        )
-        if taken or (color is None and not free):
+        if color is None and not free:
             raise SamplingError(
-                f"A task asks for more {color or ''} {kind}s than there are: one of "
-                f"each of {len(BENCHMARK_COLORS)} colors, or name another color."
+                f"A task asks for more than {len(BENCHMARK_COLORS)} {kind}s; there is "
+                "one of each color. Ask for fewer, or name another color."
             )
+        if any((o.kind, o.color) == (kind, color) for o in self.objects):
+            raise SamplingError(f"A task asks for a second {color} {kind}.")
         for _ in range(_TRIES):
             pose = self._draw()
             if self._faces(pose) and self._fits(record, pose) and zone(pose):

@@ -10,7 +10,8 @@ from PIL import Image
 from lemma.core.poses import Pose2
 from lemma.robots.reach import reach_map, reach_of
 from lemma.scene.cameras import CameraImage
-from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.entity import STICK, entity_named
+from lemma.scene.objects.stick import HANDLE_LENGTH_M
 from lemma.scene.raster import RASTER, MapImage, Raster
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
@@ -30,7 +31,6 @@ from lemma.viz.recording import robot_titles
 Pixel = Callable[[float, float], Point]
 """From a position on the table [m] to a point of the picture."""
 
-_STICK_MIDDLE_M = 0.25
 _GOAL_INK: Color = (190, 40, 160)
 _NOT_SEEN = (214, 216, 219)
 _SHARED_TINT = np.array([255, 238, 170], dtype=np.float64)
@@ -105,7 +105,7 @@ def _name_entities(
     for name in instance.scene.object_names:
         pose = scene.pose2(name)
         if name == STICK:
-            pose = pose @ Pose2(_STICK_MIDDLE_M, 0.0)
+            pose = pose @ Pose2(HANDLE_LENGTH_M / 2, 0.0)
         places[name] = pixel(pose.x, pose.y)
     taken = []
     for top, bottom in instance.goal.pairs:
@@ -125,7 +125,9 @@ def _name_entities(
 
 
 def _ink_of(entity: str) -> Color:
-    return ENTITY_INK[entity.partition("_")[0]]
+    found = entity_named(entity)
+    red, green, blue = (round(255 * part) for part in found.rgba[:3])
+    return ENTITY_INK.get(found.color or found.name, (red, green, blue))
 
 
 def _around(point: Point, radius: float) -> Box:

@@ -130,7 +130,7 @@ def describe_step(step: TakenStep, instance: Instance) -> RecordedStep:
     """Put an executed sub-task into words."""
     robots = instance.scene.robots
     number = instance.scene.robot_names.index(step.subtask.robot)
-    robot = robot_phrases(tuple(robot.color for robot in robots))[number]
+    robot = robot_phrases(robots)[number]
     subtask = step.subtask
     # A model that acts from end to end names no objects.
     named = subtask.pick and subtask.place
@@ -152,7 +152,7 @@ def robot_titles(instance: Instance) -> tuple[str, ...]:
     """Return color and arm type of every robot: ``"red UR5"``, ``"left red UR5"``."""
     robots = instance.scene.robots
     kinds = [(robot.color, robot.arm) for robot in robots]
-    colors = robot_phrases(tuple(robot.color for robot in robots))
+    colors = robot_phrases(robots)
     return tuple(
         f"{color} {arm.upper()}"
         if kinds.count((color, arm)) == 1

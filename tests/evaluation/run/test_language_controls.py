@@ -3,8 +3,9 @@
 import pytest
 
 from lemma.evaluation.run.language_controls import FULL, LANGUAGES, OWN_SENTENCE, say
+from lemma.scene.objects.entity import entity_named
 from lemma.tasks.goal import Goal
-from lemma.tasks.language.template import KINDS, split_entity
+from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE, load_instance
 
 INSTANCES = [(task, index) for task in SUITE for index in range(6)]
@@ -35,7 +36,7 @@ def test_the_words_stay_and_the_colors_change() -> None:
     instance = load_instance("stack", "test", 0)
     said = say("swapped", instance, "unseen")
     assert said.asks is not None
-    colors = {split_entity(name)[0] for name in instance.scene.object_names[:5]}
+    colors = {entity_named(name).color for name in instance.scene.object_names[:5]}
 
     def bare(sentence: str) -> list[str]:
         return [w for w in sentence.lower().split() if w.strip(".,!?") not in colors]
@@ -62,8 +63,8 @@ def test_where_there_is_nothing_else_colors_are_of_nothing() -> None:
     assert said.asks is None
     assert said.sentence is not None
     cube, pad = alone.goal.pairs[0]
-    assert f"{split_entity(cube)[0]} cube" not in said.sentence
-    assert f"{split_entity(pad)[0]} pad" not in said.sentence
+    assert f"{entity_named(cube).color} cube" not in said.sentence
+    assert f"{entity_named(pad).color} pad" not in said.sentence
 
 
 def test_shuffled_sentences_are_of_the_next_instance() -> None:

@@ -22,7 +22,7 @@ from lemma.policies.models.episodic_transformer.model import (
     choose,
 )
 from lemma.scene.objects.entity import ENTITIES
-from lemma.tasks.language.bank import robot_phrases
+from lemma.tasks.language.bank import robot_phrases_in_order
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
 
@@ -79,7 +79,7 @@ def inputs_of(batch: Batch) -> list[PolicyInput]:
     found = []
     for view, row in zip(views, batch.labels.decision.tolist(), strict=True):
         text = batch.instructions[0]
-        found.append(PolicyInput(text, robot_phrases(TEAM), view, past))
+        found.append(PolicyInput(text, robot_phrases_in_order(TEAM), view, past))
         if row[1] != STOP:
             done = SubTask(
                 f"robot_{row[0]}", Primitive.MOVE, ENTITIES[row[2]], PLACES[row[3]]

@@ -306,7 +306,7 @@ def test_vocabulary_covers_training_and_nothing_else():
         for goal in goals_of(template)[:3]:
             assert set(language.words(template.render(goal))) <= known
     for colors in (("red", "white"), ("red", "red")):
-        for robot in language.robot_phrases(colors):
+        for robot in language.robot_phrases_in_order(colors):
             said = language.sub_instruction(robot, "move", "green_cube", "shared")
             assert set(language.words(said)) <= known
     assert "atop" not in known

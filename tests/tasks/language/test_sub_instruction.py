@@ -1,9 +1,14 @@
 """Sub-tasks in words: entities, robots and primitives."""
 
+from dataclasses import replace
+
 import pytest
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.poses import Pose2
+from lemma.scene.spec import RobotPlacement
 from lemma.tasks.language import bank as language
+from lemma.tasks.suite import SUITE, load_instance
 
 
 @pytest.mark.parametrize(
@@ -42,12 +47,55 @@ def test_phrase_refuses_what_is_no_entity(entity):
     ],
 )
 def test_robot_phrases_tell_robots_apart(colors, expected):
-    assert language.robot_phrases(colors) == expected
+    assert language.robot_phrases_in_order(colors) == expected
 
 
 def test_robot_phrases_end_somewhere():
-    with pytest.raises(InvalidConfigError, match="at most 6"):
-        language.robot_phrases(("red",) * 7)
+    with pytest.raises(InvalidConfigError, match="up to 6 are counted"):
+        language.robot_phrases_in_order(("red",) * 7)
+
+
+def team(*places: tuple[float, float]) -> list[RobotPlacement]:
+    return [RobotPlacement("ur5", "red", Pose2(x, y)) for x, y in places]
+
+
+@pytest.mark.parametrize(
+    ("places", "expected"),
+    [
+        # Listed from right to left.
+        (((0.9, 0.0), (-0.9, 0.0)), ("right red robot", "left red robot")),
+        # A team along y: the map shows one above the other.
+        (((0.02, 0.9), (0.0, -0.9)), ("upper red robot", "lower red robot")),
+        (
+            ((0.9, 0.0), (0.0, 0.9), (-0.9, 0.0)),
+            ("third red robot", "second red robot", "first red robot"),
+        ),
+    ],
+)
+def test_robots_are_told_apart_by_where_they_stand(places, expected):
+    assert language.robot_phrases(team(*places)) == expected
+
+
+def test_robots_of_two_colors_are_left_and_right_among_their_own():
+    red, white, other = team((0.9, 0.0), (0.0, 0.9), (-0.9, 0.0))
+    robots = (red, replace(white, color="white"), other)
+    phrases = language.robot_phrases(robots)
+    assert phrases == ("right red robot", "white robot", "left red robot")
+
+
+def test_robots_in_a_square_cannot_be_counted_from_the_left():
+    corners = team((-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0))
+    with pytest.raises(InvalidConfigError, match="no words tell them apart"):
+        language.robot_phrases(corners)
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_left_and_right_are_where_the_benchmark_lists_them(task):
+    for index in range(20):
+        robots = load_instance(task, "train", index).scene.robots
+        colors = tuple(robot.color for robot in robots)
+        by_order = language.robot_phrases_in_order(colors)
+        assert language.robot_phrases(robots) == by_order
 
 
 @pytest.mark.parametrize(

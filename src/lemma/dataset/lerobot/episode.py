@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 
 from lemma.core.errors import DatasetError
 from lemma.core.parallel import is_worker
+from lemma.core.robot_names import robot_names
 from lemma.dataset.files import read_json, write_json, write_whole
 from lemma.dataset.lerobot.layout import Style, depth_key, image_key, video_keys
 from lemma.dataset.lerobot.stats import Histogram, Stats, describe
@@ -127,7 +128,7 @@ def write_part(source: Source, part: Path, style: Style) -> int:
         os.environ.setdefault("LP_NUM_THREADS", "0")
         _return_memory()
     record = read_group(source.path, source.group)[source.row]
-    names = tuple(f"robot_{i}" for i in range(len(record.instance_data()["robots"])))
+    names = robot_names(len(record.instance_data()["robots"]))
     studio = _Studio(names, style)
     steps: list[dict[str, Any]] = []
     for step in iterate_steps(record, style.fps):

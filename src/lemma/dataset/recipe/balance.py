@@ -8,7 +8,11 @@ from typing import Any
 from scipy.special import chdtrc
 
 from lemma.robots.ur.build import ARMS
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.entity import entity_named
+from lemma.scene.objects.kind import ObjectKind
+from lemma.scene.objects.pad import PAD
+from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.sampling import TEAMS
 
@@ -29,10 +33,11 @@ class Draw:
     """What an instance, as plain data, drew; None: it did not draw."""
 
 
-def _goal_color(side: int, kind: str) -> Callable[[dict[str, Any]], str | None]:
+def _goal_color(side: int, kind: ObjectKind) -> Callable[[dict[str, Any]], str | None]:
     def of(instance: dict[str, Any]) -> str | None:
-        color, _, found = instance["goal"][0][side].partition("_")
-        return color if found == kind else None
+        entity = entity_named(instance["goal"][0][side])
+        drawn = entity.kind is kind and entity.color in BENCHMARK_COLORS
+        return entity.color if drawn else None
 
     return of
 
@@ -43,9 +48,9 @@ def _team(instance: dict[str, Any]) -> str:
 
 
 DRAWS = {
-    "cube of the goal": Draw(tuple(OBJECT_COLORS), _goal_color(0, "cube")),
-    "pad below it": Draw(tuple(OBJECT_COLORS), _goal_color(1, "pad")),
-    "cube below it": Draw(tuple(OBJECT_COLORS), _goal_color(1, "cube")),
+    "cube of the goal": Draw(BENCHMARK_COLORS, _goal_color(0, CUBE)),
+    "pad below it": Draw(BENCHMARK_COLORS, _goal_color(1, PAD)),
+    "cube below it": Draw(BENCHMARK_COLORS, _goal_color(1, CUBE)),
     "left robot": Draw(ROBOT_COLORS, lambda i: i["robots"][0][1]),
     "right robot": Draw(ROBOT_COLORS, lambda i: i["robots"][1][1]),
     "team": Draw(TEAM_NAMES, _team),

@@ -86,9 +86,7 @@ def in_words(instance: Instance, subtask: SubTask) -> str:
     """Return the sentence that says a sub-task."""
     if not subtask.robot:
         return sub_instruction("", str(subtask.primitive))
-    names: Sequence[str] = robot_phrases(
-        tuple(robot.color for robot in instance.scene.robots)
-    )
+    names: Sequence[str] = robot_phrases(instance.scene.robots)
     robot = names[instance.scene.robot_names.index(subtask.robot)]
     return sub_instruction(robot, str(subtask.primitive), subtask.pick, subtask.place)
 

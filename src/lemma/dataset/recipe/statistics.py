@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lemma.core.poses import Pose2
+from lemma.core.robot_names import robot_number
 from lemma.dataset.recipe.balance import (
     TEAM_NAMES,
     Balance,
@@ -81,7 +82,7 @@ def _margins(
 ) -> tuple[float, ...]:
     found = []
     for subtask in subtasks:
-        number = int(subtask["robot"].rpartition("_")[2])
+        number = robot_number(subtask["robot"])
         arm, _, x, y, yaw = instance["robots"][number]
         for pose in (subtask["pick_pose"], subtask["place_pose"]):
             found.append(reach_of(arm).margin(Pose2(x, y, yaw), pose[0], pose[1]))

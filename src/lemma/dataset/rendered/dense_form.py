@@ -8,6 +8,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from lemma.core.robot_names import robot_names
 from lemma.dataset.files import write_whole
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.dense_schema import (
@@ -23,7 +24,7 @@ from lemma.dataset.rendered.labels import entity_poses, label
 from lemma.dataset.rendered.render import Found
 from lemma.dataset.rendered.steps import DenseStep, iterate_steps, ticks_per_step
 from lemma.robots.ur.build import JOINTS
-from lemma.scene.objects.entity import ENTITIES
+from lemma.scene.objects.entity import known_entities
 
 _PER_FILE = ("channels", "digests")
 
@@ -50,7 +51,9 @@ class DenseForm:
 
     def about(self, versions: dict[str, str]) -> dict[str, Any]:
         """Return what decides the bytes, beside the episodes."""
-        return _shared(DenseHeader(FORM, DENSE_VERSION, versions, self.hz, ENTITIES))
+        return _shared(
+            DenseHeader(FORM, DENSE_VERSION, versions, self.hz, known_entities())
+        )
 
     def look(self, path: Path) -> Found:
         """Return what a file says about itself.
@@ -82,7 +85,9 @@ class DenseForm:
         """
         robots = len(records[0].instance_data()["robots"])
         channels = tuple(
-            f"robot_{i}/{name}" for i in range(robots) for name in (*JOINTS, "opening")
+            f"{robot}/{name}"
+            for robot in robot_names(robots)
+            for name in (*JOINTS, "opening")
         )
         schema = replace(
             DenseHeader(**about), channels=channels, digests=digests

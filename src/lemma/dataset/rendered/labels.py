@@ -8,7 +8,7 @@ import numpy as np
 
 from lemma.core.poses import FloatArray
 from lemma.dataset.recipe.schema import EpisodeRecord, PerturbedRecord
-from lemma.scene.objects.entity import ENTITIES
+from lemma.scene.objects.entity import known_entities
 from lemma.tasks.language.bank import sub_instruction
 from lemma.tasks.subtask import STOP
 
@@ -60,7 +60,8 @@ def entity_poses(poses: Mapping[str, FloatArray]) -> FloatArray:
     Args:
         poses: Position [m] and quaternion wxyz by name, (7,) each.
     """
-    found = np.full((len(ENTITIES), 7), np.nan)
+    entities = known_entities()
+    found = np.full((len(entities), 7), np.nan)
     for name, pose in poses.items():
-        found[ENTITIES.index(name)] = pose
+        found[entities.index(name)] = pose
     return found

@@ -129,7 +129,7 @@ def subtask_words(case: Case, subtask: Mapping[str, str]) -> str:
     robot = subtask["robot"]
     if case.is_known:
         scene = case.instance.scene
-        phrases = robot_phrases(tuple(placed.color for placed in scene.robots))
+        phrases = robot_phrases(scene.robots)
         robot = dict(zip(scene.robot_names, phrases, strict=True)).get(robot, robot)
     pick, place = subtask["pick"], subtask["place"]
     if not (pick and place):

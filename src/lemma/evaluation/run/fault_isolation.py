@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from lemma.core.poses import Pose2
+from lemma.core.robot_names import robot_names
 from lemma.policies.interfaces import Decision, Policy, PolicyInput
 from lemma.scene.objects.entity import ENTITIES, SHARED
 from lemma.serve.protocol.faults import (
@@ -152,7 +153,7 @@ def _subtask(subtask: object, robots: int) -> SubTask:
         raise _unknown("primitive", subtask.primitive, list(Primitive)) from None
     if primitive is Primitive.STOP:
         return STOP
-    team = [f"robot_{number}" for number in range(robots)]
+    team = robot_names(robots)
     if subtask.robot not in team:
         raise _unknown("robot", subtask.robot, team)
     for entity in (subtask.pick, subtask.place):

@@ -9,11 +9,12 @@ from lemma.core.seeding import stream
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import TABLE, SymbolicState
-from lemma.scene.objects.entity import STICK
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.entity import entity_named, kind_of, known_entities
+from lemma.scene.objects.kind import OBJECT_KINDS
+from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.language.template import ENTITY_KINDS, GoalPairs
+from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.suite import load_instance, task_named
 
 LANGUAGES = {
@@ -92,7 +93,8 @@ def _swapped(instance: Instance) -> tuple[GoalPairs, bool]:
     goals = [goals[int(i)] for i in order]
     goals.sort(key=lambda goal: -_changes(goal, instance.goal.pairs))
     if not goals:
-        everything = [f"{c}_{k}" for k in ENTITY_KINDS for c in OBJECT_COLORS]
+        every = map(entity_named, known_entities())
+        everything = [e.name for e in every if e.color in BENCHMARK_COLORS]
         absent = [name for name in everything if name not in names]
         goals = list(_goals(instance.goal.pairs, absent))
         return goals[int(rng.integers(len(goals)))], False
@@ -108,9 +110,11 @@ def _goals(pairs: GoalPairs, names: tuple[str, ...] | list[str]) -> Iterator[Goa
     """Yield the goals of the form of ``pairs`` between some objects, but not itself."""
     entities = Goal.from_pairs(pairs).entities
     ways = []
-    for kind in ENTITY_KINDS:
-        needed = [name for name in entities if name.endswith(kind)]
-        there = [name for name in names if name.endswith(kind)]
+    kinds = {name: kind_of(name) for name in (*entities, *names)}
+    # The benchmark's order, whatever the goal speaks of first.
+    for kind in map(OBJECT_KINDS.__getitem__, OBJECT_KINDS):
+        needed = [name for name in entities if kinds[name] is kind]
+        there = [name for name in names if kinds[name] is kind]
         drawn = permutations(there, len(needed))
         ways.append([dict(zip(needed, found, strict=True)) for found in drawn])
     for choice in product(*ways):
@@ -130,10 +134,10 @@ def _changes(goal: GoalPairs, pairs: GoalPairs) -> int:
 def _situation(instance: Instance) -> SymbolicState:
     """Return the first state as its numbers say, without physics."""
     poses = {placed.name: placed.pose for placed in instance.scene.objects}
-    movable = [name for name in poses if name == STICK or name.endswith("_cube")]
+    movable = [name for name in poses if not kind_of(name).fixed]
     return SymbolicState(
         instance.scene,
         poses,
-        {name: TABLE for name in movable if name != STICK},
+        {name: TABLE for name in movable if kind_of(name).cargo},
         dict.fromkeys(movable, "start"),
     )

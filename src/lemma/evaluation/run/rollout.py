@@ -68,8 +68,7 @@ class Rollout:
         """Set the table."""
         self.episode = Episode(self.instance, horizon_s=self.horizon_s)
         self.clearance = ClearanceWatch(self.episode.simulation)
-        colors = tuple(robot.color for robot in self.instance.scene.robots)
-        self._phrases = robot_phrases(colors)
+        self._phrases = robot_phrases(self.instance.scene.robots)
 
     @property
     def instruction(self) -> str:

@@ -16,6 +16,7 @@ from lemma.evaluation.run.rollout import Rollout
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision, Policy
+from lemma.scene.objects.entity import kind_of
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.suite import load_instance
 
@@ -113,7 +114,7 @@ def _picked(play: Rollout, decision: Decision) -> _Pick:
     return _Pick(
         decision.grounded.robot,
         pose,
-        {name: at for name, at in poses.items() if name.endswith("_cube")},
+        {name: at for name, at in poses.items() if kind_of(name).cargo},
         {robot for robot in geometry.robots if geometry.reaches(robot, pose)},
     )
 

@@ -14,12 +14,15 @@ from functools import cache
 import numpy as np
 
 from lemma.policies.text.word_vectors import neighbours
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.entity import entity_named, kind_of
+from lemma.scene.objects.pad import PAD
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import bank_for, words
-from lemma.tasks.language.template import SLOT, GoalPairs, Template, split_entity
+from lemma.tasks.language.template import SLOT, GoalPairs, Template
 from lemma.tasks.suite import SUITE
 
-NOUNS = {"cube": ("cube", "block", "box"), "pad": ("pad", "circle", "target")}
+NOUNS = {kind.name: kind.nouns for kind in (CUBE, PAD)}
 """Names of things that the training templates use."""
 _ALL_NOUNS = {noun for nouns in NOUNS.values() for noun in nouns}
 _NOUN = "(?:cube|block|box|pad|circle|target)"
@@ -132,10 +135,11 @@ def _say(
     text, told = sentence.pieces[0], set()
     mentions = zip(sentence.roles, sentence.said, sentence.pieces[1:], strict=True)
     for role, said, piece in mentions:
-        color, kind = split_entity(entities[role])
+        entity = entity_named(entities[role])
+        color, kind = entity.color, entity.kind
         noun = nouns[role]
         named = set(words(said)) & _ALL_NOUNS
-        fits = named <= set(NOUNS[kind]) and (named or role in told)
+        fits = named <= set(kind.nouns) and (named or role in told)
         if rng.random() < config.renamed or not fits:
             forms = [f"{color} {noun}"] * 6
             forms += [f"{noun} that is {color}", f"{color} coloured {noun}"]
@@ -183,7 +187,7 @@ def _conjunct(role: str) -> str:
 
 
 def _noun(entity: str, rng: np.random.Generator) -> str:
-    names = NOUNS[split_entity(entity)[1]]
+    names = kind_of(entity).nouns
     return names[int(rng.integers(len(names)))]
 
 

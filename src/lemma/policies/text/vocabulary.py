@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from functools import lru_cache
 
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.tasks.language.bank import vocabulary, words
 
 PADDING = 0
@@ -29,7 +29,7 @@ class Vocabulary:
         """
         self.words = vocabulary()
         self.numbers = {word: i for i, word in enumerate(self.words, UNKNOWN + 1)}
-        self.colors = tuple(self.numbers[color] for color in OBJECT_COLORS)
+        self.colors = tuple(self.numbers[color] for color in BENCHMARK_COLORS)
         self._english = frozenset(english)
         self.corrected = lru_cache(maxsize=65536)(self._corrected)
 

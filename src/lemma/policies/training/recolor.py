@@ -11,15 +11,14 @@ import torch
 from torch import Tensor
 
 from lemma.policies.batch import NOBODY, Batch, Labels
+from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import ENTITIES
-from lemma.scene.palette import OBJECT_COLORS, STICK, TABLE
+from lemma.scene.objects.pad import PAD_RADIUS_M, PAD_THICKNESS_M
+from lemma.scene.palette import BENCHMARK_COLORS, OBJECT_COLORS, STICK, TABLE
 from lemma.tasks.language.template import GoalPairs
 
-COLORS = tuple(OBJECT_COLORS)
+COLORS = BENCHMARK_COLORS
 _COUNT = len(COLORS)
-_CUBE_HALF_M = 0.025
-_PAD_RADIUS_M = 0.060
-_PAD_TOP_M = 0.004
 _HEIGHT_TOLERANCE_M = 0.010
 """More than the noise of a measured height, less than the stick above a pad."""
 _REFERENCES = (*(OBJECT_COLORS[name] for name in COLORS), STICK, TABLE)
@@ -122,7 +121,7 @@ def _painted(batch: Batch, labels: Labels, permutation: Tensor) -> Tensor:
 def _windows(batch: Batch, objects: Tensor) -> tuple[Tensor, Tensor]:
     """Return rows and columns of cells around objects, (B, entities, window)."""
     raster = batch.raster
-    reach = int((_PAD_RADIUS_M + raster.cell_m) / raster.cell_m) + 1
+    reach = int((PAD_RADIUS_M + raster.cell_m) / raster.cell_m) + 1
     xy = objects[..., :2].nan_to_num(0.0)
     row = torch.floor(raster.rows / 2 - xy[..., 1] / raster.cell_m).long()
     column = torch.floor(raster.columns / 2 + xy[..., 0] / raster.cell_m).long()
@@ -144,15 +143,15 @@ def _footprints(batch: Batch, objects: Tensor, rows: Tensor, columns: Tensor) ->
     yaw = 2.0 * torch.atan2(z, w)[..., None]
     along = (torch.cos(yaw) * x + torch.sin(yaw) * y).abs()
     across = (torch.cos(yaw) * y - torch.sin(yaw) * x).abs()
-    cube = torch.maximum(along, across) < _CUBE_HALF_M + margin
-    pad = torch.hypot(x, y) < _PAD_RADIUS_M + margin
+    cube = torch.maximum(along, across) < CUBE.origin_m + margin
+    pad = torch.hypot(x, y) < PAD_RADIUS_M + margin
     # Where an entity is missing its pose is NaN, so that nothing is inside.
     return torch.cat([cube[:, :_COUNT], pad[:, _COUNT:]], 1)
 
 
 def _at_top(above_m: Tensor) -> Tensor:
     """Return which cells are not above their object, (B, entities, window)."""
-    top = above_m.new_tensor([_CUBE_HALF_M] * _COUNT + [_PAD_TOP_M] * _COUNT)
+    top = above_m.new_tensor([CUBE.origin_m] * _COUNT + [PAD_THICKNESS_M] * _COUNT)
     return above_m < top[:, None] + _HEIGHT_TOLERANCE_M
 
 
@@ -170,6 +169,6 @@ def _shows_own_color(rgb: Tensor, light: Tensor, above_m: Tensor) -> Tensor:
     own = torch.arange(_COUNT, device=rgb.device).repeat(2)[:, None]
     # The table is grey and a white object in the dark is too; only a cube is high.
     grey = (nearest == _WHITE) | (nearest == _TABLE)
-    white = grey & ((light > _LEAST_WHITE) | (above_m > -_CUBE_HALF_M / 2))
+    white = grey & ((light > _LEAST_WHITE) | (above_m > -CUBE.origin_m / 2))
     white[:, _COUNT:] &= light[:, _COUNT:] > _LEAST_WHITE
     return torch.where(own == _WHITE, white, nearest == own) & (light > _LEAST_LIGHT)

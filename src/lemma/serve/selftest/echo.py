@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from lemma.core.robot_names import robot_name
 from lemma.env.view import View
 from lemma.serve.protocol.faults import ProtocolError
 from lemma.serve.protocol.messages import (
@@ -69,7 +70,7 @@ def echo(policy: object, message: Message) -> Message:
 
 def _ordered(order: Mapping[str, Any], robots: list[str]) -> Message:
     """Return an order in plain words as a decision."""
-    robot = f"robot_{robots.index(order['robot'])}"
+    robot = robot_name(robots.index(order["robot"]))
     pick, place = order["pick"], order["place"]
     poses = (pose_from_message(end) for end in (pick, place))
     ends = [[pose.x, pose.y, pose.yaw] for pose in poses]

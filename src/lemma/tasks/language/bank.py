@@ -7,23 +7,25 @@ sub-instructions.
 
 import re
 import tomllib
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.poses import Pose2
 from lemma.core.registry import Registry
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.entity import ENTITIES, SHARED, entity_named, kind_of
+from lemma.scene.spec import RobotPlacement
 from lemma.tasks.language.template import (
-    ENTITY_KINDS,
     KINDS,
     GoalPairs,
     LanguageBank,
     Template,
     only_goal,
-    split_entity,
 )
 from lemma.tasks.subtask import added_phrase, primitive_names
 
@@ -37,7 +39,7 @@ __all__ = [
     "parse",
     "phrase",
     "robot_phrases",
-    "split_entity",
+    "robot_phrases_in_order",
     "sub_instruction",
     "templates",
     "vocabulary",
@@ -46,6 +48,8 @@ __all__ = [
 
 _WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 _FAMILIES = ("cube_on_pad", "cubes_on_pads", "cube_on_cube", "cubes_on_cubes")
+_BESIDE_M = 0.1
+"""Robots that are counted from the left are at least so far apart along x."""
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 
 
@@ -91,37 +95,64 @@ def phrase(entity: str) -> str:
     """Return how sub-instructions name an entity: ``"red cube"``, ``"yellow stick"``.
 
     Raises:
-        UnknownNameError: Not a cube, a pad, ``"stick"`` or ``"shared"``.
+        UnknownNameError: No entity, and not ``"shared"``.
     """
-    if entity == "stick":
-        return "yellow stick"
-    if entity == "shared":
-        return "shared space"
-    return " ".join(split_entity(entity))
+    return "shared space" if entity == SHARED else entity_named(entity).phrase
 
 
-def robot_phrases(colors: tuple[str, ...]) -> tuple[str, ...]:
-    """Return one distinct name for each robot of a team.
+def robot_phrases(robots: Sequence[RobotPlacement]) -> tuple[str, ...]:
+    """Return one distinct name for each robot of a team, by where they stand.
 
     Args:
-        colors: Colors of the robots, from the first (left in the top-down map,
-            at -x) to the last.
+        robots: The team.
 
     Returns:
         ``("red robot", "white robot")``; two of one color become ``"left white
-        robot"`` and ``"right white robot"``, more are counted from the left.
+        robot"`` and ``"right white robot"``, as the top-down map shows them (left is
+        at -x), or ``"lower"`` and ``"upper"`` where they stand rather along y; more are
+        counted from the left.
+
+    Raises:
+        InvalidConfigError: Of three or more of one color, two stand equally far left.
     """
-    names = []
-    for index, color in enumerate(colors):
-        count, place = colors.count(color), colors[:index].count(color)
-        if count > len(_ORDINALS):
-            raise InvalidConfigError(
-                f"{count} robots are {color}; at most {len(_ORDINALS)} of one color "
-                "have names. Use more colors."
-            )
-        which = ("left ", "right ") if count == 2 else [f"{o} " for o in _ORDINALS]
-        names.append(f"{which[place] if count > 1 else ''}{color} robot")
+    names = [f"{robot.color} robot" for robot in robots]
+    for color in dict.fromkeys(robot.color for robot in robots):
+        group = [i for i, robot in enumerate(robots) if robot.color == color]
+        if len(group) > 1:
+            for i, which in _told_apart([robots[i].base for i in group], color).items():
+                names[group[i]] = f"{which} {names[group[i]]}"
     return tuple(names)
+
+
+def robot_phrases_in_order(colors: tuple[str, ...]) -> tuple[str, ...]:
+    """Return :func:`robot_phrases` of a team of which only the order is known.
+
+    Args:
+        colors: Colors of the robots, from left to right.
+    """
+    return robot_phrases(
+        [RobotPlacement("ur5", c, Pose2(float(x), 0.0)) for x, c in enumerate(colors)]
+    )
+
+
+def _told_apart(bases: Sequence[Pose2], color: str) -> dict[int, str]:
+    """Return the words that tell robots of one color from each other, by number."""
+    order = sorted(range(len(bases)), key=lambda i: bases[i].x)
+    words: Sequence[str] = _ORDINALS
+    if len(bases) == 2:
+        first, second = (bases[i] for i in order)
+        words = ("left", "right")
+        if second.x - first.x < abs(second.y - first.y):
+            order.sort(key=lambda i: bases[i].y)
+            words = ("lower", "upper")
+    steps = [bases[b].x - bases[a].x for a, b in pairwise(order)]
+    if len(bases) > len(_ORDINALS) or (len(bases) > 2 and min(steps) < _BESIDE_M):
+        raise InvalidConfigError(
+            f"{len(bases)} robots are {color}, and no words tell them apart: up to "
+            f"{len(_ORDINALS)} are counted from the left, if each stands at least "
+            f"{_BESIDE_M:g} m further right than the last. Use more colors."
+        )
+    return dict(zip(order, words, strict=False))
 
 
 def sub_instruction(
@@ -153,9 +184,9 @@ def sub_instruction(
                 f"{primitive!r} needs pick and place, got pick={pick!r}, "
                 f"place={place!r}. Name both, such as 'red_cube' and 'shared'."
             )
-        line = added or lines["move_to_shared" if place == "shared" else "move"]
+        line = added or lines["move_to_shared" if place == SHARED else "move"]
         return line.format(robot=robot, pick=phrase(pick), place=phrase(place))
-    cubes = {e for e in (pick, place) if e is not None and e.endswith("_cube")}
+    cubes = {e for e in (pick, place) if e and e != SHARED and kind_of(e).cargo}
     if len(cubes) != 1:
         raise InvalidConfigError(
             f"{primitive!r} acts on one cube, got pick={pick!r}, place={place!r}. "
@@ -175,8 +206,8 @@ def vocabulary() -> tuple[str, ...]:
     High-level and human instructions and sub-instructions of the built-in tasks;
     words that occur only in unseen templates are left out.
     """
-    lines = [*_sub_instructions().values(), *OBJECT_COLORS, *ENTITY_KINDS]
-    lines += [*_ORDINALS, "left right robot", phrase("stick"), phrase("shared")]
+    lines = [*_sub_instructions().values(), *map(phrase, ENTITIES), phrase(SHARED)]
+    lines += [*_ORDINALS, "left right robot"]
     banks = _banks()
     for bank in (banks[name] for name in banks):
         lines += [t.text for t in (*bank.high_level, *bank.human)]

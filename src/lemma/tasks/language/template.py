@@ -13,7 +13,9 @@ from typing import Self
 import numpy as np
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.entity import Entity, entity_named
+from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
+from lemma.scene.palette import BENCHMARK_COLORS, OBJECT_COLORS
 
 GoalPairs = tuple[tuple[str, str], ...]
 """One ``(top, bottom)`` pair of entity names for each ``On`` of a goal."""
@@ -23,9 +25,6 @@ KindPairs = tuple[tuple[str, str], ...]
 
 KINDS = ("high_level", "human", "unseen")
 """Kinds of instructions; ``unseen`` ones are held out of training."""
-
-ENTITY_KINDS = ("cube", "pad")
-"""Kinds of entities that a goal speaks about."""
 
 MAX_CHARACTERS = 200
 """Longest sentence that a template may render to."""
@@ -57,7 +56,7 @@ class Template:
         """
         self._check_text()
         self._check_roles()
-        longest = max(OBJECT_COLORS, key=len)
+        longest = max(BENCHMARK_COLORS, key=len)
         size = len(SLOT.sub(lambda slot: self._fill(slot, longest, "cube"), self.text))
         if size > MAX_CHARACTERS:
             raise self._error(
@@ -110,31 +109,36 @@ class Template:
                 f"it says {len(self.roles)} On(top, bottom), the goal has "
                 f"{len(goal_pairs)}. Use a template of the goal's own task"
             )
-        entities = {}
+        entities: dict[str, Entity] = {}
         for roles, pair in zip(self.roles, goal_pairs, strict=True):
             for role, entity in zip(roles, pair, strict=True):
-                color, kind = split_entity(entity)
-                if kind != (self._kind(role) or kind):
+                found = entities[role] = entity_named(entity)
+                if self._kind(role) not in (None, found.kind.name):
                     raise self._error(
                         f"its {role!r} is a {self._kind(role)}, but the goal has "
                         f"{entity!r} there. Use a template of the goal's own task"
                     )
-                entities[role] = (color, kind)
-        return SLOT.sub(
-            lambda slot: self._fill(slot, *entities[slot["role"]]), self.text
-        )
+
+        def fill(slot: re.Match[str]) -> str:
+            entity = entities[slot["role"]]
+            return self._fill(slot, entity.color, entity.kind.nouns[0])
+
+        return SLOT.sub(fill, self.text)
 
     def parse(self, sentence: str) -> frozenset[tuple[str, str]] | None:
         """Return the goal of a sentence, or None if the template cannot say it.
 
-        Letter case and the final punctuation are ignored.
+        Letter case and the final punctuation are ignored. Things that come in one color
+        only are not found.
         """
-        match = _pattern(self, tuple(OBJECT_COLORS)).fullmatch(_bare(sentence))
+        nouns = _nouns()
+        pattern = _pattern(self, tuple(OBJECT_COLORS), tuple(nouns))
+        match = pattern.fullmatch(_bare(sentence))
         if match is None:
             return None
         said = {name: word.lower() for name, word in match.groupdict().items()}
         goal = frozenset(
-            (self._entity(top, said), self._entity(bottom, said))
+            (self._entity(top, said, nouns), self._entity(bottom, said, nouns))
             for top, bottom in self.roles
         )
         tops = {top for top, _ in goal}
@@ -157,14 +161,18 @@ class Template:
         conjunct = int(role[-1]) - 1 if role[-1].isdigit() else 0
         return self.entity_kinds[conjunct][role.startswith("bottom")]
 
-    def _fill(self, slot: re.Match[str], color: str, kind: str) -> str:
-        kind = self._kind(slot["role"]) or kind
-        parts = {"color": color, "kind": kind, None: f"{color} {kind}"}
+    def _fill(self, slot: re.Match[str], color: str, noun: str) -> str:
+        kind = self._kind(slot["role"])
+        noun = noun if kind is None else OBJECT_KINDS[kind].nouns[0]
+        parts = {"color": color, "kind": noun, None: f"{color} {noun}".strip()}
         return parts[slot["part"]]
 
-    def _entity(self, role: str, said: dict[str, str]) -> str:
-        kind = self._kind(role) or said[f"{role}_kind"]
-        return f"{said[f'{role}_color']}_{kind}"
+    def _entity(
+        self, role: str, said: dict[str, str], nouns: dict[str, ObjectKind]
+    ) -> str:
+        kind = self._kind(role)
+        record = nouns[said[f"{role}_kind"]] if kind is None else OBJECT_KINDS[kind]
+        return Entity(said[f"{role}_color"], record).name
 
     def _check_text(self) -> None:
         if not self.text.isascii() or not self.text.isprintable():
@@ -192,14 +200,13 @@ class Template:
                 raise self._error(f"nothing says the color of {role!r}. {_SLOT_HELP}")
             if self.entity_kinds is None and not parts & {None, "kind"}:
                 raise self._error(
-                    f"nothing says whether {role!r} is a cube or a pad. Write "
+                    f"nothing says what {role!r} is, a cube or a pad. Write "
                     f"{{{role}}}, or give entity_kinds such as [['cube', 'pad']]"
                 )
 
     def _check_kinds(self, entity_kinds: KindPairs) -> None:
         for kind in (kind for pair in entity_kinds for kind in pair):
-            if kind not in ENTITY_KINDS:
-                raise UnknownNameError("entity kind", kind, ENTITY_KINDS)
+            OBJECT_KINDS[kind]
         if len(entity_kinds) != len(self.roles):
             raise self._error(
                 f"it says {len(self.roles)} On(top, bottom), but entity_kinds has "
@@ -298,13 +305,10 @@ class LanguageBank:
         return only_goal(self, sentence)
 
 
-def split_entity(entity: str) -> tuple[str, str]:
-    """Return color and kind: ``("red", "cube")`` for ``"red_cube"``."""
-    color, _, kind = entity.partition("_")
-    if color not in OBJECT_COLORS or kind not in ENTITY_KINDS:
-        valid = [f"{c}_{k}" for k in ENTITY_KINDS for c in OBJECT_COLORS]
-        raise UnknownNameError("entity", entity, valid)
-    return color, kind
+def _nouns() -> dict[str, ObjectKind]:
+    """Return the kinds that a goal may speak of and that have colors, by their noun."""
+    kinds = (OBJECT_KINDS[name] for name in OBJECT_KINDS)
+    return {kind.nouns[0]: kind for kind in kinds if kind.colored and not kind.tool}
 
 
 def only_goal(
@@ -320,7 +324,9 @@ def _bare(sentence: str) -> str:
 
 
 @lru_cache(maxsize=4096)
-def _pattern(template: Template, colors: tuple[str, ...]) -> re.Pattern[str]:
+def _pattern(
+    template: Template, colors: tuple[str, ...], nouns: tuple[str, ...]
+) -> re.Pattern[str]:
     """Compile the inverse of ``render``; a role's second mention repeats its first."""
     text, pieces, end, said = _bare(template.text), [], 0, set()
 
@@ -339,7 +345,8 @@ def _pattern(template: Template, colors: tuple[str, ...]) -> re.Pattern[str]:
             pieces.append(" ")
         if part != "color":
             kind = template._kind(role)
-            pieces.append(group(f"{role}_kind", (kind,) if kind else ENTITY_KINDS))
+            noun = () if kind is None else OBJECT_KINDS[kind].nouns[:1]
+            pieces.append(group(f"{role}_kind", noun or nouns))
         end = slot.end()
     pieces.append(re.escape(text[end:]))
     return re.compile("".join(pieces), re.IGNORECASE)

@@ -35,7 +35,7 @@ from lemma.env.view import View
 from lemma.expert.disturbances import NONE
 from lemma.motion.outcome import Outcome
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
-from lemma.scene.objects.entity import ENTITIES
+from lemma.scene.objects.entity import known_entities
 from lemma.scene.raster import RASTER, encode_depth
 from lemma.scene.rendering.gl_backend import choose_backend
 from lemma.scene.scene import Scene
@@ -84,7 +84,7 @@ class KeyframeForm:
             width=self.width,
             height=self.height,
             raster=RASTER,
-            entities=ENTITIES,
+            entities=known_entities(),
         )
 
     def look(self, path: Path) -> Found:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.core.robot_names import robot_name
 from lemma.policies.batch import PRIMITIVES, STOP, Batch, batch_of
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.model import MODELS
@@ -181,7 +182,7 @@ def _decisions(answer: _Answer) -> list[Decision]:
         if stops:
             decisions.append(Decision(STOP_SUBTASK, None))
             continue
-        subtask = SubTask(f"robot_{robot}", Primitive(_PRIMITIVES[primitive]))
+        subtask = SubTask(robot_name(robot), Primitive(_PRIMITIVES[primitive]))
         decisions.append(Decision(subtask, grounded(subtask, pick, place)))
     return decisions
 

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.core.robot_names import robot_name
 from lemma.env.view import View
 from lemma.policies.batch import (
     NOBODY,
@@ -35,7 +36,8 @@ from lemma.policies.models.episodic_transformer import layout as episodic_layout
 from lemma.policies.models.episodic_transformer.layout import SLOTS, TokenLayout
 from lemma.policies.models.episodic_transformer.view_cache import ViewCache
 from lemma.policies.text.encoder import WORDS, TextConfig, TextEncoder
-from lemma.scene.objects.entity import ENTITIES
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.entity import ENTITIES, STICK, kind_of
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
 
@@ -338,13 +340,14 @@ def choose(scores: Sequence[Tensor]) -> Tensor:
 def _sensible() -> Tensor:
     """Return which (primitive, pick, place) can be said, bool."""
     found = torch.zeros(len(PRIMITIVES), len(ENTITIES), len(PLACES), dtype=torch.bool)
+    cubes = [name for name in ENTITIES if kind_of(name) is CUBE]
     for kind, primitive in enumerate(PRIMITIVES):
         for i, pick in enumerate(ENTITIES):
             for j, place in enumerate(PLACES):
                 if primitive == Primitive.MOVE:
-                    good = not pick.endswith("_pad") and place not in (pick, "stick")
+                    good = not kind_of(pick).fixed and place not in (pick, STICK)
                 else:
-                    good = pick == "stick" and place.endswith("_cube")
+                    good = pick == STICK and place in cubes
                 found[kind, i, j] = good
     return found
 
@@ -354,7 +357,7 @@ def _subtask(numbers: list[int]) -> SubTask:
     if primitive == STOP:
         return STOP_SUBTASK
     return SubTask(
-        f"robot_{robot}",
+        robot_name(robot),
         Primitive(PRIMITIVES[primitive]),
         ENTITIES[pick],
         PLACES[place],

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from lemma.core.robot_names import robot_name
 from lemma.policies.batch import NOBODY, PLACES, PRIMITIVES, STOP, decision_numbers
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK
@@ -17,7 +18,7 @@ def subtask_of(row: Sequence[int]) -> SubTask:
     if primitive == STOP:
         return STOP_SUBTASK
     return SubTask(
-        f"robot_{robot}", Primitive(PRIMITIVES[primitive]), PLACES[pick], PLACES[place]
+        robot_name(robot), Primitive(PRIMITIVES[primitive]), PLACES[pick], PLACES[place]
     )
 
 

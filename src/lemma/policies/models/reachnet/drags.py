@@ -16,6 +16,15 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK, SceneTable
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.pad import PAD
+from lemma.scene.objects.stick import (
+    GRASP_FROM_END_M,
+    HANDLE_LENGTH_M,
+    HOOK_LENGTH_M,
+    STICK_SECTION_M,
+)
+from lemma.tasks.drags import PREPARE_GAP_M
 
 TOOL_PRIMITIVES = ("hook", "poke")
 SIGNS = (-1.0, 1.0)
@@ -27,11 +36,10 @@ TURNS_RAD = tuple(
 TRAVELS_M = tuple(round(0.12 + 0.02 * i, 2) for i in range(9))
 """How far the gripper moves."""
 
-_TAIL_M, _BAR_M, _ACROSS_M = -0.05, 0.435, 0.135
+_TAIL_M = -GRASP_FROM_END_M
+_BAR_M = HANDLE_LENGTH_M - STICK_SECTION_M / 2 - GRASP_FROM_END_M
+_ACROSS_M = HOOK_LENGTH_M - STICK_SECTION_M / 2
 """The stick, from where it is grasped: end of the handle, hook, length of the hook."""
-_GAP_M = 0.02
-"""Between stick and cube before the drag."""
-_CUBE_RADIUS_M, _PAD_RADIUS_M = 0.036, 0.06
 _CONSTRAINTS = 6
 _SCALES_M = (0.02, 0.02, 0.02, 0.02, 0.02, 0.1)
 _SCALE_M = 0.02
@@ -124,7 +132,7 @@ class DragUtility(nn.Module):
         travel = torch.tensor(TRAVELS_M, device=cube.device)[:, None]
         moves = signs * ahead.unsqueeze(-2) * travel
         end = prepared.unsqueeze(-2) + moves
-        cube_end = at.unsqueeze(-2) + moves * (1 - _GAP_M / travel)
+        cube_end = at.unsqueeze(-2) + moves * (1 - PREPARE_GAP_M / travel)
         parts = [
             _own(table.margins(prepared)).unsqueeze(-1).expand(end.shape[:-1]),
             _own(table.margins(end)),
@@ -187,8 +195,8 @@ class DragUtility(nn.Module):
         device = table.xy.device
         things = torch.cat([table.xy[:, :THE_STICK], table.bases], 1)
         radii = torch.full((things.shape[1],), 0.0, device=device)
-        radii[: len(CUBES)] = _CUBE_RADIUS_M
-        radii[len(CUBES) : THE_STICK] = _PAD_RADIUS_M
+        radii[: len(CUBES)] = CUBE.disc_m
+        radii[len(CUBES) : THE_STICK] = PAD.disc_m
         offset = things[:, None, None, None, None] - prepared.unsqueeze(-2)
         u = (offset * ahead.unsqueeze(-2)).sum(-1)[..., None, :]
         v = (offset * left.unsqueeze(-2)).sum(-1)[..., None, :]
@@ -201,7 +209,7 @@ class DragUtility(nn.Module):
         )
         stick = torch.minimum(handle, bar) - radii
         ready = self.ready.detach()[:, None, None, None, None]
-        moved = travel - signs * _GAP_M
+        moved = travel - signs * PREPARE_GAP_M
         start = ready[..., 0]
         path = _beyond(u, start + moved.clamp(max=0), start + moved.clamp(min=0))
         cube = path.hypot(v - ready[..., 1]) - radii

@@ -12,10 +12,10 @@ from lemma.policies.batch import NOBODY
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS, CUBES
 from lemma.policies.text.encoder import TextConfig, TextEncoder
 from lemma.scene.objects.entity import ENTITIES
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.tasks.language.template import GoalPairs
 
-_COLOR = re.compile(r"\b(" + "|".join(OBJECT_COLORS) + r")\b", re.IGNORECASE)
+_COLOR = re.compile(r"\b(" + "|".join(BENCHMARK_COLORS) + r")\b", re.IGNORECASE)
 _TARGETS = len(CUBES) * 2
 """Cubes and pads: what a goal may name."""
 
@@ -107,7 +107,7 @@ def recolored(texts: Sequence[str], goals: Tensor) -> tuple[list[str], Tensor]:
         texts: Sentences.
         goals: (B, conjuncts, 2); -1 for none.
     """
-    names = list(OBJECT_COLORS)
+    names = list(BENCHMARK_COLORS)
     count = len(names)
     written, tables = [], []
     for text in texts:

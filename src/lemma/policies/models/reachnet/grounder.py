@@ -21,13 +21,15 @@ from lemma.policies.models.reachnet.drags import (
 )
 from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK, SceneTable
 from lemma.policies.models.reachnet.spots import CubeSpots, StickSpots
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.stick import STICK_SECTION_M
 
 _PREPARE = (PRIMITIVES.index("prehook"), PRIMITIVES.index("prepoke"))
 _USE = (PRIMITIVES.index("hook"), PRIMITIVES.index("poke"))
 _MOVE = PRIMITIVES.index("move")
 _QUARTER_RAD = 0.5 * math.pi
 _FINGER_M, _FINGER_RADIUS_M = 0.059, 0.014
-_CUBE_FOOTPRINT_M, _STICK_HALF_M = 0.028, 0.015
+_STICK_HALF_M = STICK_SECTION_M / 2
 _ENOUGH_M = 0.008
 _SAFE_M = 0.008
 """So far inside its reach a robot shall be, which is seen with some error."""
@@ -205,7 +207,7 @@ class ReachNetGrounder(nn.Module):
         sides = _FINGER_M * torch.stack([across, -across], 2)
         fingers = at[:, None, None] + sides
         cubes = table.xy[:, None, None, : len(CUBES)]
-        apart = (fingers.unsqueeze(-2) - cubes).norm(dim=-1) - _CUBE_FOOTPRINT_M
+        apart = (fingers.unsqueeze(-2) - cubes).norm(dim=-1) - CUBE.side_m
         own = F.one_hot(cube, len(CUBES)).bool()[:, None, None]
         apart = torch.where(own, 1.0, apart).amin(-1)
         stick = stick_distance(

@@ -22,10 +22,11 @@ from lemma.policies.models.reachnet.scene_table import (
     quarter,
 )
 from lemma.scene.objects.entity import ENTITIES
+from lemma.scene.objects.stick import HANDLE_LENGTH_M, STICK_SECTION_M
 
 STRIDE = 4
 """Cells of the map along each side of a cell that is marked."""
-STICK_LENGTH_M = 0.485
+STICK_LENGTH_M = HANDLE_LENGTH_M - STICK_SECTION_M / 2
 """From the free end of the handle to where its axis meets the hook's."""
 
 _E = len(ENTITIES)

@@ -13,22 +13,22 @@ import torch
 from torch import Tensor
 
 from lemma.policies.batch import NOBODY, Labels
-from lemma.scene.objects.entity import ENTITIES, STICK
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.entity import ENTITIES, STICK, kind_of
+from lemma.scene.objects.pad import PAD
+from lemma.scene.objects.stick import GRASP_FROM_END_M
 
-CUBES = tuple(i for i, name in enumerate(ENTITIES) if name.endswith("_cube"))
+CUBES = tuple(i for i, name in enumerate(ENTITIES) if kind_of(name) is CUBE)
 """Numbers of the cubes; they come first."""
-PADS = tuple(i for i, name in enumerate(ENTITIES) if name.endswith("_pad"))
+PADS = tuple(i for i, name in enumerate(ENTITIES) if kind_of(name) is PAD)
 THE_STICK = ENTITIES.index(STICK)
 CONJUNCTS = 2
 """Largest number of (top, bottom) pairs of a goal."""
 FAR_M = 10.0
 """Where things are that are not there."""
-GRASP_FROM_END_M = 0.05
-"""Where the handle of the stick is grasped, from its free end."""
 
 _COVERS_M = 0.035
 _ABOVE_M = 0.02
-_CUBE_HALF_M = 0.025
 _QUARTER_RAD = 0.5 * math.pi
 
 
@@ -120,7 +120,7 @@ def true_table(labels: Labels, rings: Tensor) -> SceneTable:
     yaw[:, cubes] = quarter(turned[:, cubes])
     yaw[:, stick] = turned[:, stick]
     top = torch.zeros_like(yaw)
-    top[:, cubes] = xyz[:, cubes, 2] + _CUBE_HALF_M
+    top[:, cubes] = xyz[:, cubes, 2] + CUBE.origin_m
     return SceneTable(
         present=present,
         xy=torch.where(present.unsqueeze(-1), xyz[..., :2], FAR_M),

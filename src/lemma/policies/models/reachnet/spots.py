@@ -17,8 +17,11 @@ from lemma.policies.models.reachnet.scene_table import (
     THE_STICK,
     SceneTable,
 )
+from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.pad import PAD
+from lemma.scene.objects.stick import STICK_SECTION_M
 
-_CUBE_RADIUS_M, _PAD_RADIUS_M, _STICK_HALF_M = 0.036, 0.06, 0.015
+_STICK_HALF_M = STICK_SECTION_M / 2
 _SCALE_M = 0.02
 _ROOM_M = 0.3
 _YAWS = 24
@@ -162,6 +165,6 @@ def _without(table: SceneTable, entity: Tensor) -> SceneTable:
 
 
 def _radii(table: SceneTable) -> Tensor:
-    radii = torch.full((THE_STICK,), _PAD_RADIUS_M, device=table.xy.device)
-    radii[: len(CUBES)] = _CUBE_RADIUS_M
+    radii = torch.full((THE_STICK,), PAD.disc_m, device=table.xy.device)
+    radii[: len(CUBES)] = CUBE.disc_m
     return radii
