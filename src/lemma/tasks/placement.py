@@ -23,7 +23,7 @@ from lemma.scene.objects.stick import (
     HOOK_LENGTH_M,
     STICK_KIND,
 )
-from lemma.scene.palette import BENCHMARK_COLORS, OBJECT_COLORS
+from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.tasks.drags import (
     LARGEST_HEADING_RAD,
