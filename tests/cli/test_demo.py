@@ -11,7 +11,8 @@ from PIL import Image
 from lemma.cli.main import main
 from lemma.tasks.suite import load_instance
 from lemma.viz.caption import caption
-from lemma.viz.pages.demo import Illustration, jpeg, write_page
+from lemma.viz.pages.demo import Illustration, write_page
+from lemma.viz.pages.templates import jpeg
 from lemma.viz.recording import Recording, record
 from lemma.viz.video import VideoStyle
 

@@ -4,6 +4,7 @@ import math
 from functools import cache
 
 import numpy as np
+from matplotlib import colormaps
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
@@ -222,25 +223,10 @@ class Canvas:
         self.text((left + 1.45 * size, y), text, size, INK, "lm")
 
 
-# Anchors of Matplotlib's perceptually even "viridis", from near to far.
-_VIRIDIS = np.array(
-    [
-        (253, 231, 37),
-        (122, 209, 81),
-        (34, 168, 132),
-        (42, 120, 142),
-        (65, 68, 135),
-        (68, 1, 84),
-    ],
-    dtype=np.float64,
-)
-
-
 def false_color(
     values: NDArray[np.float32], low: float, high: float
 ) -> NDArray[np.uint8]:
     """Return colors for values, near ones bright: shape (H, W, 3)."""
-    place = np.clip((values - low) / (high - low), 0.0, 1.0) * (len(_VIRIDIS) - 1)
-    anchors = np.arange(len(_VIRIDIS))
-    channels = [np.interp(place, anchors, _VIRIDIS[:, i]) for i in range(3)]
-    return np.stack(channels, axis=-1).astype(np.uint8)
+    colors = colormaps["viridis_r"]((values - low) / (high - low), bytes=True)
+    near_to_far: NDArray[np.uint8] = colors[..., :3]
+    return near_to_far

@@ -7,7 +7,8 @@ from lemma.core.parallel import ProcessPool
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.viz.map_overlay import annotated_map
-from lemma.viz.pages.demo import Illustration, jpeg
+from lemma.viz.pages.demo import Illustration
+from lemma.viz.pages.templates import jpeg
 from lemma.viz.recording import Recording
 from lemma.viz.video import VideoStyle, write_video
 

@@ -1,10 +1,8 @@
 """The page of `lemma inspect`: what is in a recipe, in one HTML file."""
 
-from collections.abc import Iterator
-from html import escape
-from importlib.resources import files
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from string import Template
 
 from lemma.dataset.recipe.balance import (
     ALL,
@@ -15,16 +13,15 @@ from lemma.dataset.recipe.balance import (
 )
 from lemma.dataset.recipe.statistics import GroupSummary, Statistics
 from lemma.scene.palette import OBJECT_COLORS
-from lemma.viz.charts import Part, Range, histogram, legend, ranges, rates, stacked
+from lemma.viz.pages.templates import fill
+from lemma.viz.plots import Bar, histogram, ranges, stacks
 
 _FILLS = {
     **{
-        name: f"rgb({', '.join(f'{255 * c:.0f}' for c in OBJECT_COLORS[name][:3])})"
+        name: "#" + "".join(f"{round(255 * c):02x}" for c in OBJECT_COLORS[name][:3])
         for name in OBJECT_COLORS
     },
-    **dict(
-        zip(TEAM_NAMES, ("var(--low)", "var(--middle)", "var(--high)"), strict=True)
-    ),
+    **dict(zip(TEAM_NAMES, ("#9fc3e4", "#4a7fb5", "#1f4568"), strict=True)),
 }
 _HEADINGS = {
     "episodes": "",
@@ -37,9 +34,18 @@ _HEADINGS = {
 }
 _EXPLANATION = (
     "Colors and teams are drawn evenly by design: bars should be divided at the "
-    "dashed lines. p is the probability of counts at least as uneven (chi-square "
+    "dotted lines. p is the probability of counts at least as uneven (chi-square "
     f"test); there is none where fewer than {LEAST_EXPECTED} of each are expected."
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A plot of the page."""
+
+    title: str
+    text: str
+    svg: str
 
 
 def write_dataset_page(
@@ -54,25 +60,29 @@ def write_dataset_page(
         versions: What it was written with.
         size_mb: Size of its files [MB].
     """
-    template = (files("lemma.viz.pages") / "dataset.html").read_text(encoding="utf-8")
-    page = Template(template).substitute(
-        title=f"Recipe {escape(name)}",
-        tiles="\n".join(_tiles(found, size_mb)),
-        headings="".join(
-            f"<th>{name}<small>{note}</small></th>" for name, note in _HEADINGS.items()
-        ),
-        groups="\n".join(
-            _rows(title, rows)
-            for title, rows in (
-                ("task", found.tasks),
-                ("split", found.splits),
-                ("team", found.teams),
-                ("", {ALL: found.total}),
-            )
-        ),
-        cells=_rows("task / split / team", found.cells),
-        sections="\n".join(_sections(found)),
-        footer=escape("Written with " + ", ".join(map(" ".join, versions.items()))),
+    evenness = found.evenness
+    unknown = evenness.smallest_p is None
+    page = fill(
+        "dataset.html",
+        title=f"Recipe {name}",
+        tiles=list(_tiles(found, size_mb)),
+        headings=_HEADINGS,
+        groups={
+            "by task": _rows(found.tasks),
+            "by split": _rows(found.splits),
+            "by team": _rows(found.teams),
+            "": _rows({ALL: found.total}),
+        },
+        cells=_rows(found.cells),
+        parts={
+            "": [*_times(found), _margins(found), _distractors(found)],
+            "Is it balanced?": [_balance(found, one) for one in found.balances],
+            "What was turned down": list(_rejections(found)),
+        },
+        verdict=verdict_words(evenness),
+        verdict_kind="faint" if unknown else "good" if evenness.even else "bad",
+        explanation=_EXPLANATION,
+        footer="Written with " + ", ".join(map(" ".join, versions.items())),
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(page, encoding="utf-8")
@@ -113,140 +123,97 @@ def verdict_words(found: Evenness) -> str:
     return f"What was drawn is not even: {numbers}."
 
 
-def _verdict(found: Evenness) -> str:
-    kind = "faint" if found.smallest_p is None else "good" if found.even else "bad"
-    return f'<p class="verdict {kind}">{escape(verdict_words(found))}</p>'
-
-
-def _tiles(found: Statistics, size_mb: float) -> Iterator[str]:
+def _tiles(found: Statistics, size_mb: float) -> Iterator[tuple[str, str]]:
     total = found.total
     hours = total.elapsed_s.mean * total.episodes / 3600
-    subtasks = round(total.subtasks.mean * total.episodes)
-    for number, words in (
-        (f"{total.episodes:,}", "episodes"),
-        (f"{total.solved / total.episodes:.1%}", "solved"),
-        (f"{subtasks:,}", "sub-tasks"),
-        (f"{hours:.1f} h", "simulated"),
-        (f"{total.idle_share:.0%}", "idle, per robot"),
-        (f"{size_mb:.1f} MB", "on disk"),
+    yield f"{total.episodes:,}", "episodes"
+    yield f"{total.solved / total.episodes:.1%}", "solved"
+    yield f"{round(total.subtasks.mean * total.episodes):,}", "sub-tasks"
+    yield f"{hours:.1f} h", "simulated"
+    yield f"{total.idle_share:.0%}", "idle, per robot"
+    yield f"{size_mb:.1f} MB", "on disk"
+
+
+def _rows(groups: Mapping[str, GroupSummary]) -> list[tuple[str, ...]]:
+    return [(name, *table_cells(group).values()) for name, group in groups.items()]
+
+
+def _times(found: Statistics) -> Iterator[Section]:
+    groups = {name: group.elapsed_s for name, group in found.tasks.items()}
+    for what, spreads, text in (
+        ("an episode", groups, "From the shortest to the longest; dots are means."),
+        ("a primitive", found.primitives_s, "The same for every sub-task."),
     ):
-        yield f"<div><b>{number}</b><span>{words}</span></div>"
+        rows = [(n, one.least, one.mean, one.most) for n, one in spreads.items()]
+        plot = ranges(rows, "s", "simulated time")
+        yield Section(f"Simulated time of {what}", text, plot)
 
 
-def _rows(title: str, groups: dict[str, GroupSummary]) -> str:
-    """Return the rows of a table for some groups, under a title."""
-    head = f'<tr class="title"><th colspan="8">by {title}</th></tr>' if title else ""
-    kind = "" if title else ' class="total"'
-    rows = (
-        f"<tr{kind}>"
-        + "".join(f"<td>{escape(c)}</td>" for c in (name, *table_cells(group).values()))
-        + "</tr>"
-        for name, group in groups.items()
-    )
-    return f"<tbody>{head}{''.join(rows)}</tbody>"
-
-
-def _sections(found: Statistics) -> Iterator[str]:
-    yield _section(
-        "Simulated time of an episode",
-        "From the shortest to the longest; the dot and the number are the mean.",
-        ranges(
-            [_range(name, group) for name, group in found.tasks.items()],
-            "s",
-            "simulated time of an episode",
-        ),
-    )
-    yield _section(
-        "Simulated time of a primitive",
-        "The same for every sub-task, over all tasks.",
-        ranges(
-            [
-                Range(name, spread.least, spread.mean, spread.most)
-                for name, spread in found.primitives_s.items()
-            ],
-            "s",
-            "simulated time of a sub-task",
-        ),
-    )
+def _margins(found: Statistics) -> Section:
     margins = [100 * margin for fact in found.facts for margin in fact.margins_m]
-    yield _section(
+    return Section(
         "Reach margin",
         "How far inside the reach of the robot that acts its gripper closes, and where "
         "it ends. Below zero only a tool is led.",
         histogram(margins, "cm", "distance to the edge of reach", "gripper poses"),
     )
-    yield _distractor_section(found)
-    yield (
-        '<header class="wide"><h2>Is it balanced?</h2>'
-        f"{_verdict(found.evenness)}<p>{escape(_EXPLANATION)}</p></header>"
-    )
-    for name in found.balances:
-        yield _balance_section(found, name)
-    yield '<header class="wide"><h2>What was turned down</h2></header>'
-    yield from _rejection_sections(found)
 
 
-def _range(name: str, group: GroupSummary) -> Range:
-    spread = group.elapsed_s
-    return Range(name, spread.least, spread.mean, spread.most)
-
-
-def _balance_section(found: Statistics, name: str) -> str:
-    balances = found.balances[name]
-    rows, parts = [], []
-    for task in (*found.tasks, ALL):
-        if task in balances:
-            counts = balances[task].counts
-            parts = [Part(k, v, _FILLS[k]) for k, v in counts.items()]
-            rows.append((task, parts, f"p {p_words(balances[task])}"))
-    return _section(
-        name[0].upper() + name[1:],
-        "",
-        legend(parts) + stacked(rows, "share of episodes", len(parts)),
-    )
-
-
-def _distractor_section(found: Statistics) -> str:
-    most = int(found.total.distractors.most)
-    shades = [
-        f"color-mix(in srgb, var(--bar) {100 * i // max(most, 1)}%, var(--card))"
-        for i in range(most + 1)
-    ]
-    rows = []
-    parts: list[Part] = []
+def _distractors(found: Statistics) -> Section:
+    numbers = range(int(found.total.distractors.most) + 1)
+    bars = []
     for task, group in found.tasks.items():
-        counts = [0] * (most + 1)
+        counts = dict.fromkeys(numbers, 0)
         for fact in found.facts:
             counts[fact.distractors] += fact.task == task
-        parts = [
-            Part(str(i), n, shade)
-            for i, (n, shade) in enumerate(zip(counts, shades, strict=True))
-        ]
-        rows.append((task, parts, table_cells(group)["distractors"]))
-    return _section(
+        bars.append(_bar(task, table_cells(group)["distractors"], counts.values()))
+    return Section(
         "Distractors",
         "Objects that the goal does not need.",
-        legend(parts) + stacked(rows, "share of episodes"),
+        stacks([str(number) for number in numbers], bars, "share of episodes [%]"),
     )
 
 
-def _rejection_sections(found: Statistics) -> Iterator[str]:
+def _balance(found: Statistics, name: str) -> Section:
+    balances = {
+        task: found.balances[name][task]
+        for task in (*found.tasks, ALL)
+        if task in found.balances[name]
+    }
+    bars = [
+        _bar(task, f"p {p_words(balance)}", balance.counts.values())
+        for task, balance in balances.items()
+    ]
+    parts = list(next(iter(balances.values())).counts) if balances else []
+    fills = [_FILLS[part] for part in parts]
+    plot = stacks(parts, bars, "share of episodes [%]", fills, even=len(parts))
+    return Section(name[0].upper() + name[1:], "", plot)
+
+
+def _rejections(found: Statistics) -> Iterator[Section]:
     """Tell what was turned down, before there were episodes."""
     turned_down = found.rejections.items()
-    yield _section(
-        "Rejected by the sampler",
-        "While the frozen lists of these splits were made: tables on which somebody "
-        "reaches what the task forbids.",
-        rates([(t, r.sampler_rate) for t, r in turned_down], "share of tables"),
-    )
-    yield _section(
-        "Rejected by the expert",
-        "Of the instances that were left: those that it did not solve as the task "
-        f"promises, {sum(r.by_expert for _, r in turned_down)} in all.",
-        rates([(t, r.expert_rate) for t, r in turned_down], "share of instances"),
-    )
+    for who, text, shares, axis in (
+        (
+            "sampler",
+            "While the frozen lists of these splits were made: tables on which "
+            "somebody reaches what the task forbids.",
+            {task: one.sampler_rate for task, one in turned_down},
+            "share of tables [%]",
+        ),
+        (
+            "expert",
+            "Of the instances that were left: those that it did not solve as the task "
+            f"promises, {sum(one.by_expert for _, one in turned_down)} in all.",
+            {task: one.expert_rate for task, one in turned_down},
+            "share of instances [%]",
+        ),
+    ):
+        bars = [Bar(task, f"{share:.1%}", (share,)) for task, share in shares.items()]
+        yield Section(f"Rejected by the {who}", text, stacks(["rejected"], bars, axis))
 
 
-def _section(title: str, text: str, content: str) -> str:
-    words = f"<p>{escape(text)}</p>" if text else ""
-    return f"<section><h2>{escape(title)}</h2>{words}{content}</section>"
+def _bar(label: str, note: str, counts: Iterable[int]) -> Bar:
+    numbers = list(counts)
+    total = sum(numbers) or 1
+    return Bar(label, note, tuple(number / total for number in numbers))

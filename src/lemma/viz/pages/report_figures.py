@@ -10,15 +10,14 @@ from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.analysis.intervals import mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Cell
 from lemma.evaluation.experiments.catalog import ABLATIONS
-from lemma.evaluation.report.policy_results import PolicyResults
-from lemma.evaluation.report.tables import DISTRACTORS, TEAMS, words
+from lemma.evaluation.report.policy_results import PolicyResults, tasks_of
+from lemma.evaluation.report.tables import values_of, words
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE
-from lemma.viz.figures import Bar, Figure, Mark, Series, dots, lines, stacks, standalone
+from lemma.viz.plots import Bar, Figure, Mark, Series, dots, lines, stacks, standalone
 
 FIGURES = "figures"
 _CONTROLS = "controls"
-_MEAN = "mean"
 _INTERVALS = (
     "Whiskers: 95 % Wilson intervals where there is one training seed, else ± one "
     "standard deviation over the seeds."
@@ -51,62 +50,68 @@ def _of_kind(entries: Sequence[PolicyResults], kind: str) -> Iterator[Figure]:
     entries = [entry for entry in entries if entry.has(kind)]
     if not entries:
         return
-    said, end = f"{words(kind, '-')} instructions", words(kind, "-")
+    end = words(kind, "-")
+    title = f"{end} instructions"
+    tasks = tasks_of(entries, kind)
+    rows = (*tasks, _mean_words(tasks))
     yield Figure(
         f"success-by-task-{end}",
-        f"Success by task, {said}",
+        f"Success by task, {title}",
         f"{_INTERVALS} Strokes: what the paper reports, on another simulator.",
         dots(
-            (*SUITE, _MEAN),
-            [_by_task(entry, kind) for entry in entries],
+            rows,
+            [_by_task(entry, kind, tasks) for entry in entries],
             "success [%]",
         ),
     )
-    for name, columns, axis in (
-        ("distractors", DISTRACTORS, "number of distractors"),
-        ("team", TEAMS, "team"),
-    ):
+    for name, axis in (("distractors", "number of distractors"), ("team", "team")):
+        columns = values_of(entries, kind, name)
         series = [_by_column(entry, kind, name, columns) for entry in entries]
         yield Figure(
             f"success-by-{name}-{end}",
-            f"Success by {axis}, {said}",
+            f"Success by {axis}, {title}",
             f"{_INTERVALS} All tasks together.",
             lines([str(column) for column in columns], series, (axis, "success [%]")),
         )
     bars = [_causes(entry, kind) for entry in entries]
     if any(sum(bar.parts) for bar in bars):
-        name = f"causes-{end}"
         yield Figure(
-            name,
-            f"Causes of failure, {said}",
+            f"causes-{end}",
+            f"Causes of failure, {title}",
             "Failed episodes by their first mistake; the rest of each bar succeeded.",
-            stacks(name, [words(c) for c in Cause], bars, "share of episodes [%]"),
+            stacks([words(c) for c in Cause], bars, "share of episodes [%]"),
         )
     yield Figure(
         f"progress-by-task-{end}",
-        f"Progress by task, {said}",
+        f"Progress by task, {title}",
         "Mean fraction of the goal that holds at the end. The line of each mark "
         "begins at the success rate: its length is what was done in failed episodes.",
         dots(
-            (*SUITE, _MEAN),
-            [_progress(entry, kind) for entry in entries],
+            rows,
+            [_progress(entry, kind, tasks) for entry in entries],
             "progress [%]",
         ),
     )
 
 
-def _by_task(entry: PolicyResults, kind: str) -> Series:
-    marks = [_success(entry.select(kind, task=task)) for task in SUITE]
+def _mean_words(tasks: Sequence[str]) -> str:
+    return "mean" if set(tasks) == set(SUITE) else f"mean of {len(tasks)}"
+
+
+def _by_task(entry: PolicyResults, kind: str, tasks: Sequence[str]) -> Series:
+    marks = [_success(entry.select(kind, task=task)) for task in tasks]
     mean = _success(entry.select(kind), over_tasks=True)
     figures = entry.experiment.paper.get(kind) if entry.experiment else None
     if figures is None:
         return Series(entry.title, (*marks, mean))
-    told = [figures.tasks.get(task) for task in SUITE]
+    by_task = [figures.tasks.get(task) for task in tasks]
+    # The paper's mean is over all of them.
+    paper_mean = figures.mean if set(tasks) == set(SUITE) else None
     return Series(
         entry.title,
         tuple(
             _beside(mark, number)
-            for mark, number in zip((*marks, mean), (*told, figures.mean), strict=True)
+            for mark, number in zip((*marks, mean), (*by_task, paper_mean), strict=True)
         ),
     )
 
@@ -131,28 +136,28 @@ def _success(seeds: list[list[Cell]], *, over_tasks: bool = False) -> Mark | Non
     if len(rates) > 1:
         spread = stdev(rates)
         low, high = max(0.0, value - spread), min(1.0, value + spread)
-        said = f"{value:.1%} ± {spread:.1%} over {len(rates)} seeds"
+        text = f"{value:.1%} ± {spread:.1%} over {len(rates)} seeds"
     else:
         counted = rate_of(filled[0])
         low, high = counted.interval
-        said = (
+        text = (
             f"{value:.1%} ({low:.0%}–{high:.0%}), {counted.successes} of "
             f"{counted.episodes}"
         )
     # A mean over tasks that have different numbers of episodes may lie outside.
-    return Mark(value, min(low, value), max(high, value), said)
+    return Mark(value, min(low, value), max(high, value), text)
 
 
 def _beside(mark: Mark | None, paper: float | None) -> Mark | None:
     if mark is None or paper is None:
         return mark
-    said = f"{mark.words}; the paper: {paper:g} %"
-    return Mark(mark.value, mark.low, mark.high, said, paper / 100.0)
+    text = f"{mark.words}; the paper: {paper:g} %"
+    return Mark(mark.value, mark.low, mark.high, text, paper / 100.0)
 
 
-def _progress(entry: PolicyResults, kind: str) -> Series:
+def _progress(entry: PolicyResults, kind: str, tasks: Sequence[str]) -> Series:
     marks: list[Mark | None] = []
-    for task in SUITE:
+    for task in tasks:
         found = [rate_of(c) for c in entry.select(kind, task=task) if c]
         if found:
             reached = fmean(rate.progress for rate in found)
@@ -160,15 +165,15 @@ def _progress(entry: PolicyResults, kind: str) -> Series:
             marks.append(_dumbbell(solved, reached))
         else:
             marks.append(None)
-    told = [mark for mark in marks if mark is not None]
-    solved = fmean(mark.low for mark in told)
-    marks.append(_dumbbell(solved, fmean(mark.value for mark in told)))
+    known = [mark for mark in marks if mark is not None]
+    solved = fmean(mark.low for mark in known)
+    marks.append(_dumbbell(solved, fmean(mark.value for mark in known)))
     return Series(entry.title, tuple(marks))
 
 
 def _dumbbell(solved: float, reached: float) -> Mark:
-    said = f"progress {reached:.1%}, success {solved:.1%}"
-    return Mark(reached, solved, reached, said)
+    text = f"progress {reached:.1%}, success {solved:.1%}"
+    return Mark(reached, solved, reached, text)
 
 
 def _causes(entry: PolicyResults, kind: str) -> Bar:

@@ -25,7 +25,7 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 from lemma.viz.annotate import LIGHT, Canvas, Color, Point, label_plate
 from lemma.viz.camera_fit import outline, overview
 from lemma.viz.map_overlay import annotated_map
-from lemma.viz.pages.demo import jpeg
+from lemma.viz.pages.templates import jpeg
 from lemma.viz.recording import RecordedStep, Recording, robot_titles
 from lemma.viz.video import VideoStyle, write_video
 

@@ -1,0 +1,65 @@
+"""Pages from Jinja2 templates: whatever is put into one is escaped."""
+
+import base64
+import io
+import re
+from functools import cache
+from importlib.resources import files
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+from PIL import Image
+
+_INLINE = (
+    (re.compile(r"\[([^]]*)\]\(([^)]*)\)"), r"\1"),
+    (re.compile(r"`([^`]+)`"), r"<code>\1</code>"),
+    (re.compile(r"\*\*([^*]+)\*\*"), r"<b>\1</b>"),
+    (re.compile(r"\*([^*]+)\*"), r"<em>\1</em>"),
+)
+
+
+def fill(template: str, **values: object) -> str:
+    """Return a page.
+
+    Args:
+        template: Name of the file beside this one.
+        values: What it is filled with; text is escaped.
+    """
+    return _environment().get_template(template).render(values)
+
+
+def inline(text: str) -> Markup:
+    """Return a line of Markdown as HTML; links become their words."""
+    html = str(escape(text))
+    for mark, element in _INLINE:
+        html = mark.sub(element, html)
+    return Markup(html)
+
+
+def jpeg(picture: Image.Image) -> bytes:
+    """Return a picture as the content of a JPEG file."""
+    buffer = io.BytesIO()
+    picture.save(buffer, "JPEG", quality=86, optimize=True)
+    return buffer.getvalue()
+
+
+def data_uri(kind: str, content: bytes) -> str:
+    """Return a file's content as an address, so that a page needs no other file."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+@cache
+def _environment() -> Environment:
+    made = Environment(
+        loader=PackageLoader("lemma.viz", "pages"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    # In the order in which things are given.
+    made.policies["json.dumps_kwargs"] = {"sort_keys": False, "ensure_ascii": False}
+    made.filters["inline"] = inline
+    made.filters["data_uri"] = lambda content, kind: data_uri(kind, content)
+    made.globals["file"] = lambda name: Markup((files(__package__) / name).read_text())
+    return made

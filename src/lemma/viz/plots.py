@@ -1,0 +1,383 @@
+"""Plots for pages and papers: matplotlib's SVG, with text as text.
+
+Series differ by color and by marker, parts of bars by color and by hatching, so that
+nothing depends on colors, which are those of Okabe and Ito. Each color is written as
+``var(--name, #color)``: a page may set others for a dark background, and
+:func:`standalone` leaves the plain color. Who points at a mark reads its numbers.
+"""
+
+import io
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
+
+WIDTH = 720
+_SIZE = 13
+_LANE = 13
+_TALL = 280
+_ROW = 30
+INK, FAINT, LINE, PAPER = "#181c22", "#5d6672", "#d5d8dc", "#fffffe"
+_HUES = (
+    *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00"),
+    *("#5d6673", "#8c510a", "#762a83", "#35978f", "#bf812d", "#9970ab"),
+)
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "p", "<", "*", ">", "h")
+_HATCHES = ("", "////", "\\\\\\\\", "++", "----", "||||", "xxxx", "//", "--", "||")
+_NAMES = {
+    **{INK: "ink", FAINT: "faint", LINE: "line", PAPER: "card"},
+    **{hue: f"hue-{number}" for number, hue in enumerate(_HUES)},
+}
+_COLOR = re.compile("|".join(_NAMES))
+_VARIABLE = re.compile(r"var\(--[\w-]+, ([^)]+)\)")
+_SVG = "http://www.w3.org/2000/svg"
+_STYLE: dict[Any, Any] = {
+    # Words stay words: they can be searched, copied and edited.
+    "svg.fonttype": "none",
+    # Names of clip paths and hatches must not depend on chance.
+    "svg.hashsalt": "lemma",
+    "font.family": "sans-serif",
+    "font.sans-serif": ("DejaVu Sans", "Helvetica", "Arial"),
+    "font.size": _SIZE,
+    "axes.edgecolor": LINE,
+    "axes.labelcolor": FAINT,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": LINE,
+    "hatch.linewidth": 1.3,
+    "legend.frameon": False,
+    "text.color": INK,
+    "xtick.color": FAINT,
+    "ytick.color": INK,
+    "xtick.bottom": False,
+    "ytick.left": False,
+}
+
+_BESIDE: dict[str, Any] = {
+    "xycoords": ("axes fraction", "data"),
+    "xytext": (10, 0),
+    "textcoords": "offset points",
+    "va": "center",
+    "color": FAINT,
+}
+"""Where a note stands: right of the axes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """One value of a series, from 0 to 1."""
+
+    value: float
+    low: float
+    """Where its whisker begins."""
+    high: float
+    """Where its whisker ends."""
+    words: str
+    """What it says to those who point at it."""
+    reference: float | None = None
+    """Another value to compare it with, if any."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Values of one policy, one for each category; None where there is none."""
+
+    name: str
+    marks: tuple[Mark | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A bar that is divided into parts."""
+
+    label: str
+    note: str
+    """At its end."""
+    parts: tuple[float, ...]
+    """Lengths, in shares of the whole."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A plot, ready to stand in a page or in a file."""
+
+    name: str
+    """Of its file."""
+    title: str
+    caption: str
+    svg: str
+
+
+def standalone(svg: str) -> str:
+    """Return a plot as the content of a file: plain colors, no style sheet needed."""
+    return _VARIABLE.sub(r"\1", svg) + "\n"
+
+
+def dots(categories: Sequence[str], series: Sequence[Series], axis: str) -> str:
+    """Return values with whiskers: categories from top to bottom, a lane per series.
+
+    A thin line across a lane shows the value to compare with.
+
+    Args:
+        categories: Names of the rows.
+        series: What to show, at least one.
+        axis: What the values are.
+    """
+    lanes = max(len(series), 2)
+    row = _LANE * lanes + 10
+
+    def draw(axes: Axes, tips: list[str]) -> None:
+        for j in range(1, len(categories), 2):
+            axes.axhspan(j - 0.5, j + 0.5, color=LINE, alpha=0.28, linewidth=0)
+        for i, one in enumerate(series):
+            for j, mark in enumerate(one.marks):
+                if mark is None:
+                    continue
+                y = j + (i - (len(series) - 1) / 2) * _LANE / row
+                if mark.reference is not None:
+                    ends = y - 6 / row, y + 6 / row
+                    axes.plot([100 * mark.reference] * 2, ends, color=INK, lw=2)
+                xs = [100 * mark.low, 100 * mark.value, 100 * mark.high]
+                tip = _tip(tips, f"{one.name}, {categories[j]}: {mark.words}")
+                _whiskers(axes, i, xs, [y] * 3, tip)
+        axes.set(xlim=(-1.5, 101.5), xlabel=axis, yticks=range(len(categories)))
+        axes.set_yticklabels(categories)
+        axes.set_ylim(len(categories) - 0.5, -0.5)
+        axes.grid(axis="x")
+
+    return _plot(draw, row * len(categories) + 48, axis, [one.name for one in series])
+
+
+def lines(
+    categories: Sequence[str], series: Sequence[Series], axes_words: tuple[str, str]
+) -> str:
+    """Return values with whiskers, joined by lines: categories from left to right.
+
+    Args:
+        categories: Names along the horizontal axis.
+        series: What to show, at least one.
+        axes_words: What the categories are, and what the values are.
+    """
+    apart = min(0.02, 0.7 / len(series) / max(len(categories), 1))
+
+    def draw(axes: Axes, tips: list[str]) -> None:
+        for i, one in enumerate(series):
+            shift = (i - (len(series) - 1) / 2) * apart * len(categories)
+            found = [(j + shift, mark) for j, mark in enumerate(one.marks) if mark]
+            xs = [x for x, _ in found]
+            ys = [100 * mark.value for _, mark in found]
+            axes.plot(xs, ys, color=_hue(i), lw=1.5, alpha=0.55)
+            for x, mark in found:
+                name = categories[round(x - shift)]
+                tip = _tip(tips, f"{one.name}, {name}: {mark.words}")
+                each = [100 * mark.low, 100 * mark.value, 100 * mark.high]
+                _whiskers(axes, i, [x] * 3, each, tip)
+        axes.set(xlabel=axes_words[0], ylabel=axes_words[1], ylim=(-2, 102))
+        axes.set(xticks=range(len(categories)), xlim=(-0.5, len(categories) - 0.5))
+        axes.set_xticklabels(categories)
+        axes.grid(axis="y")
+
+    title = f"{axes_words[1]} by {axes_words[0]}"
+    return _plot(draw, _TALL + 60, title, [one.name for one in series])
+
+
+def stacks(
+    parts: Sequence[str],
+    bars: Sequence[Bar],
+    axis: str,
+    colors: Sequence[str] | None = None,
+    even: int | None = None,
+) -> str:
+    """Return bars divided into parts that differ by color and by hatching.
+
+    Args:
+        parts: Names of the parts.
+        bars: From top to bottom.
+        axis: What the length of a part is.
+        colors: Of the parts, without hatching; some that differ if None.
+        even: Number of parts that should be equal, at whose ends lines are drawn.
+    """
+    used = [k for k in range(len(parts)) if any(bar.parts[k] for bar in bars)]
+    most = max((sum(bar.parts) for bar in bars), default=0.0)
+    limit = next(tick for tick in (0.05, 0.1, 0.25, 0.5, 1.0) if tick >= most - 1e-9)
+
+    def draw(axes: Axes, tips: list[str]) -> None:
+        for j, bar in enumerate(bars):
+            left = 0.0
+            for k in used:
+                width = 100 * bar.parts[k]
+                if width > 0:
+                    words = f"{bar.label}: {parts[k]} {bar.parts[k]:.1%}"
+                    axes.barh(
+                        *(j, width, 0.6, left),
+                        **_filling(k, colors),
+                        gid=_tip(tips, words),
+                    )
+                left += width
+            axes.annotate(bar.note, (1.0, j), **_BESIDE)
+        for i in range(1, even or 0):
+            axes.axvline(100 * i / (even or 1), color=INK, lw=1.2, ls=":", alpha=0.6)
+        axes.set(xlim=(0, 100 * limit), xlabel=axis, yticks=range(len(bars)))
+        axes.set_yticklabels([bar.label for bar in bars])
+        axes.set_ylim(max(len(bars), 1) - 0.5, -0.5)
+        axes.grid(axis="x")
+        for k in used:
+            axes.barh(0, 0, **_filling(k, colors), label=parts[k])
+
+    return _plot(draw, _ROW * len(bars) + 48, axis, [parts[k] for k in used])
+
+
+def ranges(
+    rows: Sequence[tuple[str, float, float, float]], unit: str, axis: str
+) -> str:
+    """Return one line per row from the least to the most, with a dot at the mean.
+
+    Args:
+        rows: Label, least, mean and most.
+        unit: Of the numbers.
+        axis: What they are.
+    """
+
+    def draw(axes: Axes, tips: list[str]) -> None:
+        for j, (label, least, mean, most) in enumerate(rows):
+            words = f"{label}: {least:.1f} to {most:.1f} {unit}, mean {mean:.1f} {unit}"
+            _whiskers(axes, 0, [least, mean, most], [j] * 3, _tip(tips, words))
+        axes.set(xlabel=f"{axis} [{unit}]", yticks=range(len(rows)))
+        axes.set_yticklabels([label for label, *_ in rows])
+        axes.set_ylim(max(len(rows), 1) - 0.5, -0.5)
+        axes.set_xlim(left=0)
+        axes.grid(axis="x")
+
+    return _plot(draw, _ROW * len(rows) + 48, axis)
+
+
+def histogram(values: Sequence[float], unit: str, axis: str, counted: str) -> str:
+    """Return how often values occur.
+
+    Args:
+        values: The values, at least one.
+        unit: Of the values.
+        axis: What they are.
+        counted: What there is one of per value: the axis of counts.
+    """
+
+    def draw(axes: Axes, tips: list[str]) -> None:
+        counts, edges = np.histogram(values, bins=40)
+        for count, low, high in zip(counts, edges[:-1], edges[1:], strict=True):
+            tip = _tip(tips, f"{low:.3g} to {high:.3g} {unit}: {count}")
+            width = 0.92 * (high - low)
+            axes.bar(low, count, width, align="edge", color=_hue(0), gid=tip)
+        axes.set(xlabel=f"{axis} [{unit}]", ylabel=counted)
+        axes.grid(axis="y")
+
+    return _plot(draw, _TALL, axis)
+
+
+def _hue(number: int) -> str:
+    return _HUES[number % len(_HUES)]
+
+
+def _filling(number: int, colors: Sequence[str] | None) -> dict[str, Any]:
+    """Return how the bars of a part are filled."""
+    if colors is not None:
+        return {"facecolor": colors[number], "edgecolor": FAINT}
+    hatch = _HATCHES[number % len(_HATCHES)]
+    return {"facecolor": _hue(number), "edgecolor": PAPER, "hatch": hatch}
+
+
+def _marker(number: int) -> dict[str, Any]:
+    """Return the mark of a series: filled, then hollow."""
+    hollow = number // len(_MARKERS) % 2 == 1
+    return {
+        "marker": _MARKERS[number % len(_MARKERS)],
+        "markersize": 9,
+        "markerfacecolor": PAPER if hollow else _hue(number),
+        "markeredgecolor": _hue(number),
+        "markeredgewidth": 1.6,
+        "color": _hue(number),
+    }
+
+
+def _whiskers(
+    axes: Axes, number: int, xs: Sequence[float], ys: Sequence[float], tip: str
+) -> None:
+    """Draw a line through three points, with the mark of a series at the second."""
+    axes.plot(
+        xs, ys, **_marker(number), lw=2, markevery=[1], gid=tip, clip_on=False, zorder=3
+    )
+
+
+def _tip(tips: list[str], words: str) -> str:
+    """Keep what a shape says; return the name by which it is found."""
+    tips.append(words)
+    return f"tip-{len(tips) - 1}"
+
+
+def _plot(
+    draw: Callable[[Axes, list[str]], None],
+    height: float,
+    title: str,
+    series: Sequence[str] = (),
+) -> str:
+    """Return a plot as SVG.
+
+    Args:
+        draw: Draws into axes, and names what its shapes say.
+        height: Of all but the legend [px].
+        title: For those who cannot see it.
+        series: Names in the legend, if any: of what is labelled, or of markers.
+    """
+    tips: list[str] = []
+    widths = [0.58 * _SIZE * len(name) + 40 for name in series]
+    columns = math.floor(WIDTH / max(widths, default=WIDTH)) or 1
+    columns = max(len(series), 1) if sum(widths) < WIDTH else columns
+    height += 22 * math.ceil(len(series) / columns)
+    with rc_context(_STYLE):
+        # One point of a figure is one pixel of its SVG.
+        drawing = Drawing(figsize=(WIDTH / 72, height / 72), layout="constrained")
+        drawing.patch.set_visible(False)
+        axes = drawing.add_subplot()
+        axes.patch.set_visible(False)
+        draw(axes, tips)
+        if series:
+            handles = axes.get_legend_handles_labels()[0] or [
+                axes.plot([], [], **_marker(i), ls="")[0] for i in range(len(series))
+            ]
+            drawing.legend(*(handles, series), loc="outside upper left", ncols=columns)
+        buffer = io.StringIO()
+        drawing.savefig(buffer, format="svg", metadata={"Date": None})
+    return _finished(buffer.getvalue(), title, tips)
+
+
+def _finished(text: str, title: str, tips: Sequence[str]) -> str:
+    """Return SVG for a page: titles instead of names, and variables for colors."""
+    ElementTree.register_namespace("", _SVG)
+    ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
+    root = ElementTree.fromstring(text)
+    for metadata in root.findall(f"{{{_SVG}}}metadata"):
+        root.remove(metadata)
+    for shape in list(root.iter()):
+        shape.text = (shape.text or "").strip()
+        shape.tail = ""
+        name = shape.get("id", "")
+        if name.startswith("tip-"):
+            words = ElementTree.Element(f"{{{_SVG}}}title")
+            words.text = tips[int(name.removeprefix("tip-"))]
+            shape.insert(0, words)
+        # Several plots in one page must not share names.
+        if name and f"#{name}" not in text:
+            del shape.attrib["id"]
+    root.set("width", f"{WIDTH}")
+    root.set("height", root.get("height", "").removesuffix("pt"))
+    root.set("role", "img")
+    root.set("aria-label", title)
+    svg = ElementTree.tostring(root, encoding="unicode")
+    return _COLOR.sub(lambda found: f"var(--{_NAMES[found[0]]}, {found[0]})", svg)
