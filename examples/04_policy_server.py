@@ -4,7 +4,7 @@ python examples/04_policy_server.py         both in one process, for one episode
 python examples/04_policy_server.py 8000    serve until Ctrl-C; then, elsewhere:
 lemma evaluate --policy http://127.0.0.1:8000 --tasks stack --out out/by_color
 
-What serves needs NumPy, Gymnasium, msgpack and websockets, and neither MuJoCo nor
+What serves needs NumPy, Gymnasium, msgspec and websockets, and neither MuJoCo nor
 torch. It may run in another environment, in a container, or on another machine.
 """
 
@@ -77,11 +77,9 @@ def ask(url: str) -> None:
     """Play one episode with the policy that answers at an address."""
     # What asks is the benchmark, which has the simulator.
     from lemma.evaluation.run.rollout import Player, Rollout, roll_out  # noqa: PLC0415
-    from lemma.evaluation.run.server_check import check_server  # noqa: PLC0415
     from lemma.policies.spec import PolicySpec  # noqa: PLC0415
     from lemma.tasks.suite import load_instance  # noqa: PLC0415
 
-    print(check_server(url))
     [play] = roll_out(
         [Rollout(load_instance("stack", "test", 0))], Player.load(PolicySpec(url))
     )

@@ -13,8 +13,8 @@ from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import Grounder, PastStep, Planner, Policy
 from lemma.policies.spec import PolicySpec
 from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.client.isolation import isolate
 from lemma.serve.client.remote import Remote
+from lemma.serve.isolation import isolate
 from lemma.serve.protocol.faults import FaultKind, PolicyFailedError
 
 LONG_S = 60.0
@@ -59,8 +59,8 @@ def test_it_has_the_methods_that_the_class_has(sound: Policy) -> None:
         ("Raises", FaultKind.RAISED, "KeyError: 'no such thing'"),
         ("Crashes", FaultKind.DIED, "signal 11"),
         ("Leaves", FaultKind.DIED, "exit code 3"),
-        ("AnswersNumbers", FaultKind.MALFORMED, "0.0 is no Decision"),
-        ("AnswersNothing", FaultKind.MALFORMED, "None, not a list"),
+        ("AnswersNumbers", FaultKind.MALFORMED, "Expected `object`, got `float`"),
+        ("AnswersNothing", FaultKind.MALFORMED, "Expected `array`, got `None`"),
         ("ForgetsOne", FaultKind.MALFORMED, "0 decisions to 1"),
     ],
 )
@@ -81,7 +81,7 @@ def test_what_hangs_is_killed_and_begun_again(name: str) -> None:
     with pytest.raises(PolicyFailedError, match=r"within 0\.5 s") as failed:
         policy.act([given(BAD)])
     assert failed.value.kind is FaultKind.TIMEOUT
-    policy.conversation.manners = LONG_PATIENCE
+    policy.conversation.mode = LONG_PATIENCE
     assert policy.act([given()]) == [moved()]
     policy.close()
 

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
+import msgpack
 import pytest
 from faulty_policies import Scripted, given
 from serving_processes import end, start
@@ -15,45 +16,60 @@ from websockets.sync import server as raw
 from lemma.serve.client import websocket
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.client.websocket import WebSocketChannel, connect, websocket_address
-from lemma.serve.protocol.faults import PolicyUnreachableError, ProtocolError
-from lemma.serve.protocol.messages import Message
-from lemma.serve.protocol.packing import pack, unpack
+from lemma.serve.protocol.faults import (
+    PolicyFailedError,
+    PolicyUnreachableError,
+    ProtocolError,
+)
+from lemma.serve.protocol.messages import LARGEST_BYTES
+from lemma.serve.server import server
 from lemma.serve.server.server import PolicyServer
 
+SOON_S = 10.0
 PATIENT = ProtocolMode(60.0, 60.0, 10.0)
 
 
 @contextmanager
-def answering(*answers: Message) -> Iterator[str]:
+def answering(*answers: Any) -> Iterator[str]:
     """Run a server of somebody's own that says the same to everybody."""
 
     def talk(connection: Any) -> None:
         for answer in answers:
-            asked = unpack(connection.recv())
-            connection.send(pack({"id": asked["id"], **answer}))
+            connection.recv()
+            frame = answer if isinstance(answer, bytes | str) else msgpack.packb(answer)
+            connection.send(frame)
         connection.recv()
 
-    with raw.serve(talk, "127.0.0.1", 0) as server:
-        thread = threading.Thread(target=server.serve_forever)
+    with raw.serve(talk, "127.0.0.1", 0) as own:
+        thread = threading.Thread(target=own.serve_forever)
         thread.start()
-        yield f"http://127.0.0.1:{server.socket.getsockname()[1]}"
+        yield f"http://127.0.0.1:{own.socket.getsockname()[1]}"
     thread.join()
 
 
-HELLO = {"type": "hello", "protocol": 1, "methods": ["act"], "policy": {}}
+HELLO = {"type": "hello", "protocol": 2, "methods": ["act"], "policy": {}}
 
 
 @pytest.mark.parametrize(
     ("hello", "words"),
     [
-        ({**HELLO, "protocol": 2}, "version 2"),
-        ({"type": "good day"}, "version None"),
+        ({**HELLO, "protocol": 1}, "version 1"),
+        ({"type": "good day"}, "good day"),
+        ({"type": "hello"}, "protocol"),
+        ({"type": "decisions", "decisions": []}, "not Welcome"),
+        ("Good day!", "not text"),
+        (b"\xc1", "no msgpack"),
+        (
+            b"\x83\xa4type\xa5hello\xa8protocol\x02\xa6policy"
+            + b"\x81\xa1a" * 1_000_000,
+            "no msgpack",
+        ),
         ({"type": "error", "kind": "request", "message": "Go away."}, "Go away"),
         ({**HELLO, "methods": ["dance"]}, "none of act, plan, ground"),
-        ({**HELLO, "methods": None}, "lacks 'methods'"),
+        ({**HELLO, "methods": None}, "methods"),
     ],
 )
-def test_another_language_is_reported(hello: Message, words: str) -> None:
+def test_another_language_is_reported(hello: Any, words: str) -> None:
     with answering(hello) as url, pytest.raises(ProtocolError, match=words):
         connect(url, PATIENT)
 
@@ -64,25 +80,89 @@ def served() -> Iterator[PolicyServer]:
         yield server
 
 
+def exchange(channel: WebSocketChannel, frame: Any) -> dict[str, Any]:
+    channel.send(frame if isinstance(frame, bytes | str) else msgpack.packb(frame))  # type: ignore[arg-type]
+    reply: dict[str, Any] = msgpack.unpackb(channel.receive(SOON_S))  # type: ignore[arg-type]
+    return reply
+
+
 def test_a_client_of_another_version_is_told_so(served: PolicyServer) -> None:
     channel = WebSocketChannel(websocket_address(served.url))
-    channel.send({"type": "hello", "protocol": 99, "id": 1})
-    reply = channel.receive(60.0)
+    reply = exchange(channel, {"type": "hello", "protocol": 99})
     assert (reply["type"], reply["kind"]) == ("error", "request")
     assert "version 99" in reply["message"]
-    for nonsense in ({"type": "dance"}, {"type": "act"}, {"type": "reset"}):
-        channel.send({**nonsense, "id": 2})
-        assert channel.receive(60.0)["type"] == "error"
     channel.close()
 
 
-def test_a_server_that_always_misses_views_is_given_up() -> None:
-    missing: Message = {"type": "missing", "episodes": [0], "views": []}
-    ready: Message = {"type": "ready"}
-    with answering(HELLO, *([ready, missing] * 4)) as url:
+@pytest.mark.parametrize(
+    "frame",
+    [
+        "text",
+        b"",
+        b"\xc1",
+        b"\x91" * 1_000_000,
+        b"\x82\xa4type\xa3act\xa6inputs\xdd\xff\xff\xff\xff",
+        {"type": "dance"},
+        {"type": "act"},
+        {"type": "act", "inputs": {}, "views": 3},
+        {"type": "plan", "inputs": [], "views": []},
+        {
+            "type": "act",
+            "inputs": [{"instruction": "", "robots": [], "view": 7}],
+            "views": [],
+        },
+    ],
+    ids=lambda frame: repr(frame)[:24],
+)
+def test_hostile_frames_are_answered_and_do_no_harm(
+    served: PolicyServer, frame: Any
+) -> None:
+    channel = WebSocketChannel(websocket_address(served.url))
+    for _ in range(2):
+        reply = exchange(channel, frame)
+        assert (reply["type"], reply["kind"]) == ("error", "request")
+    channel.close()
+    policy: Any = connect(served.url, PATIENT)
+    assert policy.act([given()]) == Scripted().act([given()])
+    policy.close()
+
+
+def test_a_frame_beyond_the_limit_ends_its_connection_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(server, "LARGEST_BYTES", 1_000_000)
+    assert LARGEST_BYTES > 1_000_000
+    with PolicyServer(Scripted(), port=0) as served:
+        channel = WebSocketChannel(websocket_address(served.url))
+        with pytest.raises(OSError, match="1009"):
+            exchange(channel, b"\x00" * 2_000_000)
+        channel.close()
+        policy: Any = connect(served.url, PATIENT)
+        assert policy.act([given()]) == Scripted().act([given()])
+        policy.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "kind"),
+    [
+        ({"type": "subtasks", "subtasks": []}, "malformed"),
+        ({"type": "decisions", "decisions": []}, "malformed"),
+        ({"type": "decisions", "decisions": [{}]}, "malformed"),
+        ({"type": "decisions"}, "malformed"),
+        ({"type": "error", "kind": "raised", "message": "Oh."}, "raised"),
+        ({"type": "error", "kind": "request", "message": "Oh."}, None),
+        (b"\x91" * 1_000_000, "malformed"),
+        (b"\x82\xa4type\xa5error\xa1x" + b"\x91" * 1_000_000, None),
+        ("text", None),
+    ],
+    ids=lambda value: repr(value)[:24],
+)
+def test_hostile_answers_are_typed_errors(answer: Any, kind: str | None) -> None:
+    with answering(HELLO, answer) as url:
         policy: Any = connect(url, PATIENT)
-        with pytest.raises(ProtocolError, match="again and again"):
+        with pytest.raises((PolicyFailedError, ProtocolError)) as failed:
             policy.act([given()])
+        assert getattr(failed.value, "kind", None) == kind
         policy.close()
 
 

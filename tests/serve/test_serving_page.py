@@ -1,33 +1,48 @@
 """What docs/serving.md says of the protocol is what the code does."""
 
+import json
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import pytest
 from faulty_policies import MOVE, given, moved, view
 
+from lemma.core.poses import Pose2
+from lemma.env.episode import Episode
 from lemma.evaluation.run.fault_isolation import FARTHEST_M
+from lemma.evaluation.run.rollout import Player, Rollout, roll_out
+from lemma.evaluation.run.server_check import FIRST, NEAR_M, NEAR_RAD, SCENE
+from lemma.expert.expert import Expert
+from lemma.expert.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision, PastStep, PolicyInput
-from lemma.policies.spec import TIMEOUT_S
+from lemma.policies.spec import TIMEOUT_S, PolicySpec
+from lemma.scene.raster import RASTER
 from lemma.serve.client.conversation import Conversation, ProtocolMode
 from lemma.serve.client.remote import remote
 from lemma.serve.client.websocket import connect
 from lemma.serve.protocol.faults import FaultKind
-from lemma.serve.protocol.messages import PROTOCOL, VIEW_TYPES, Message
-from lemma.serve.protocol.packing import DTYPES
-from lemma.serve.selftest.echo import CELL_M
-from lemma.serve.selftest.known_inputs import (
-    CHECKS,
-    COLUMNS,
-    ROWS,
-    check,
-    golden_message,
+from lemma.serve.protocol.messages import (
+    PROTOCOL,
+    VIEW_ARRAYS,
+    Decisions,
+    Hello,
+    InputMessage,
+    StepMessage,
+    ViewMessage,
+    decode_reply,
+    decode_request,
+    encode,
 )
 from lemma.serve.server.session import Session
 from lemma.tasks.subtask import STOP, Primitive, SubTask
+from lemma.tasks.suite import load_instance
 
 PAGE = (Path(__file__).parents[2] / "docs/serving.md").read_text()
 
@@ -57,27 +72,50 @@ def test_the_kinds_of_faults_are_listed() -> None:
     ]
     assert f"more than {FARTHEST_M:g} m away" in PAGE
     assert f"({TIMEOUT_S:g} s per decision" in PAGE
-    manners = ProtocolMode(1.0)
-    assert f"for up to {manners.patience_s:g} s" in PAGE
-    assert manners.deaths == 3
+    mode = ProtocolMode(1.0)
+    assert f"for up to {mode.patience_s:g} s" in PAGE
+    assert mode.deaths == 3
 
 
-def test_the_checks_are_listed() -> None:
-    assert tuple(first_cells(section("The self-test"))[1:]) == CHECKS
+def test_the_known_question_and_its_answer_are_printed() -> None:
+    text = section("One known question")
+    instance = load_instance(*SCENE)
+    assert f"instruction  {instance.instructions['high_level']}\n" in text
+    colors = ", ".join(f"{robot.color} robot" for robot in instance.scene.robots)
+    assert f"robots       {colors}: " in text
+    for name, robot in zip(("robot_0", "robot_1"), instance.scene.robots, strict=True):
+        assert f"{name} at x = {robot.base.x:.3f} m" in text
+    scene = Episode(instance).simulation.scene
+    for cube, at in SymbolicState.observe(scene).poses.items():
+        told = f"x = {at.x:.3f} m, y = {at.y:.3f} m, yaw = {at.yaw:.3f} rad"
+        assert re.search(rf"{cube} +{re.escape(told)}", text)
+    plan = Expert(scene, instance.goal).plan()
+    assert plan is not None
+    [printed] = re.findall(r"^```json\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    answer = {"type": "decisions", "decisions": [json.loads(printed)]}
+    reply = decode_reply(msgpack.packb(answer))
+    assert isinstance(reply, Decisions)
+    [decision] = reply.decisions
+    right = plan.steps[0].grounded
+    assert decision.subtask == plan.steps[0].subtask == FIRST
+    assert decision.grounded == replace(
+        right, pick=right.pick.rounded(3), place=right.place.rounded(3)
+    )
+    assert set(first_cells(text)) >= {"pick", "robot", "heading"}
+    assert f"within {100 * NEAR_M:g} cm" in text
+    assert f"within {NEAR_RAD:g} rad" in text
 
 
 def test_the_view_is_described() -> None:
     every = re.findall(r"^\| `(\w+)` \| `(\w+)` \| ([^|]*) \|", PAGE, re.MULTILINE)
-    rows = [row for row in every if row[1] in DTYPES]
-    assert {name: dtype for name, dtype, _ in rows} == {
-        name: "bool" if dtype.__name__.startswith("bool") else dtype.__name__
-        for name, (dtype, _) in VIEW_TYPES.items()
-    }
-    for name, _, shape in rows:
-        assert len(shape.split(",")) == VIEW_TYPES[name][1]
-    assert f"| {ROWS}, {COLUMNS}, 3 |" in PAGE
-    assert f"(column + 0.5 - {COLUMNS // 2}) * {CELL_M}" in PAGE
-    assert f"({ROWS // 2} - row - 0.5)" in PAGE
+    types = {dtype for dtype, _ in VIEW_ARRAYS.values()}
+    rows = [row for row in every if row[1] in types]
+    assert {name: (dtype, len(shape.split(","))) for name, dtype, shape in rows} == (
+        VIEW_ARRAYS
+    )
+    assert f"| {RASTER.rows}, {RASTER.columns}, 3 |" in PAGE
+    assert f"(column + 0.5 - {RASTER.columns // 2}) * {RASTER.cell_m}" in PAGE
+    assert f"({RASTER.rows // 2} - row - 0.5)" in PAGE
 
 
 class Does:
@@ -96,43 +134,48 @@ class Does:
 class Listens:
     """A channel to a session in this process, which keeps what is said."""
 
-    def __init__(self, log: list[Message]) -> None:
+    def __init__(self, log: list[Any]) -> None:
         self.session, self.log = Session(Does()), log
+        self.reply = b""
 
-    def send(self, message: Message) -> None:
-        self.log += [message, self.session.answer(message)]
+    def send(self, message: bytes) -> None:
+        self.reply = self.session.answer(message)
+        self.log += [decode_request(message), decode_reply(self.reply)]
 
-    def receive(self, timeout_s: float) -> Message:
-        return self.log[-1]
+    def receive(self, timeout_s: float) -> bytes:
+        return self.reply
 
     def close(self) -> None: ...
 
 
 def test_the_messages_are_described() -> None:
-    log: list[Message] = []
+    log: list[Any] = []
     policy: Any = remote(Conversation("here", lambda: Listens(log), ProtocolMode(60.0)))
-    past = PastStep(view(1), MOVE)
-    policy.act([given("go", past)])
+    policy.act([given("go", PastStep(view(1), MOVE))])
     policy.plan([given()])
     policy.ground([given()], [MOVE])
-    log[0:0] = [Session(Does()).answer(log[4])]
-    policy.conversation.ask(golden_message(), 60.0)
+    log.append(decode_reply(Session(Does()).answer(encode(Hello(protocol=0)))))
     said: dict[str, set[str]] = {}
     for message in log:
-        said.setdefault(message["type"], set()).update(set(message) - {"type", "id"})
+        kind = message.__struct_config__.tag
+        said.setdefault(kind, set()).update(message.__struct_fields__)
     assert set(said) == {
-        *("hello", "reset", "ready", "act", "plan", "ground", "decisions", "subtasks"),
-        *("poses", "missing", "check", "checked"),
+        *("hello", "act", "plan", "ground", "decisions", "subtasks", "poses", "error"),
     }
     for kind, names in said.items():
-        assert fields(kind) >= names, kind
-        # `ground` shares its row with `act` and `plan`, which have no sub-tasks.
-        assert fields(kind) - names <= {"subtasks"}, kind
-    asked = next(m for m in log if m["type"] == "act")["inputs"][0]
-    assert set(first_cells(section("act, plan, ground"))) >= set(asked)
-    assert set(asked["past"][0]) == {"view", "subtask", "outcome"}
+        if kind != "error":
+            assert fields(kind) >= names, kind
+            # `ground` shares its row with `act` and `plan`, which have no sub-tasks.
+            assert fields(kind) - names <= {"subtasks"}, kind
+    told = section("act, plan, ground")
+    assert set(first_cells(told)) >= {
+        *InputMessage.__struct_fields__,
+        *ViewMessage.__struct_fields__,
+    }
+    assert all(f"`{name}`" in told for name in StepMessage.__struct_fields__)
     assert f"Version {PROTOCOL}." in PAGE
-    for name in (*DTYPES, *Primitive, "unsupported", "error"):
+    types = {dtype for dtype, _ in VIEW_ARRAYS.values()}
+    for name in (*types, *Primitive, "error", "kind", "message", "request"):
         assert f"`{name}`" in PAGE
 
 
@@ -140,9 +183,13 @@ def blocks() -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 
 
-def test_a_server_of_ones_own_passes_the_test_and_decides(tmp_path: Path) -> None:
+@contextmanager
+def own_server(folder: Path) -> Iterator[str]:
+    """Run the server of the page, which knows nothing of this package."""
     [own] = [block for block in blocks() if "import msgpack" in block]
-    script = tmp_path / "own.py"
+    assert "lemma" not in own
+    assert len(own.splitlines()) <= 60
+    script = folder / "own.py"
     script.write_text(own)
     process = subprocess.Popen(
         [sys.executable, "-W", "error", str(script), "0"],
@@ -151,19 +198,44 @@ def test_a_server_of_ones_own_passes_the_test_and_decides(tmp_path: Path) -> Non
     )
     try:
         assert process.stdout is not None
-        url = f"http://127.0.0.1:{int(process.stdout.readline())}"
-        policy: Any = connect(url, ProtocolMode(60.0))
-        report = check(policy.conversation)
-        assert report.ok, str(report)
-        assert report.by == "my server"
-        decisions = policy.act([given(), given("more")])
-        assert [decision.subtask for decision in decisions] == [STOP, STOP]
-        policy.close()
+        yield f"http://127.0.0.1:{int(process.stdout.readline())}"
     finally:
         process.kill()
         process.wait()
         assert process.stdout is not None
         process.stdout.close()
+
+
+def test_a_server_of_ones_own_decides(tmp_path: Path) -> None:
+    rows, columns = 288, 416
+    low, high = view(1, rows, columns), view(1, rows, columns)
+    high.height_m[100, 300] = 0.2
+    low.height_m[200, 10] = 0.1
+    with own_server(tmp_path) as url:
+        policy: Any = connect(url, ProtocolMode(60.0))
+        assert policy.about == {"name": "highest"}
+        past = PastStep(low, MOVE)
+        for _ in range(2):
+            found = policy.act(
+                [
+                    given("a", now=low),
+                    given("b", past, now=high),
+                    given("c", past, past, now=high),
+                ]
+            )
+            assert [one.subtask.robot for one in found] == ["robot_0", "robot_1", ""]
+            assert found[1].grounded.pick.rounded() == Pose2(0.74, 0.348, 0.0)
+            assert found[2].subtask == STOP
+        policy.close()
+
+
+@pytest.mark.render
+def test_a_server_of_ones_own_plays_an_episode(tmp_path: Path) -> None:
+    with own_server(tmp_path) as url:
+        player = Player.load(PolicySpec(url))
+        [play] = roll_out([Rollout(load_instance("stack", "val", 0))], player)
+    assert play.fault is None
+    assert play.steps
 
 
 @pytest.mark.parametrize("number", [0])

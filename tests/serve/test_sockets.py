@@ -1,5 +1,6 @@
 """Policies behind real sockets, which die, hang, forget, and come back."""
 
+import gc
 import os
 import socket
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import threading
 import time
 import urllib.request
+import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,6 +21,7 @@ from faulty_policies import BAD, MOVE, Hangs, Raises, Scripted, given, moved, vi
 from serving_processes import end, start
 
 from lemma.core.errors import InvalidConfigError
+from lemma.env.view import View
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.policies.interfaces import Decision, PastStep, PolicyInput
 from lemma.serve.client.conversation import Conversation, ProtocolMode
@@ -30,7 +33,7 @@ from lemma.serve.protocol.faults import (
     PolicyUnreachableError,
     ProtocolError,
 )
-from lemma.serve.protocol.messages import Message
+from lemma.serve.protocol.messages import Act, Hello, decode_request
 from lemma.serve.server.server import PolicyServer
 
 PATIENT = ProtocolMode(60.0, 60.0, 10.0)
@@ -40,21 +43,21 @@ HERE = Path(__file__).parent
 class Listening:
     """A channel that keeps what it sends."""
 
-    def __init__(self, address: str, log: list[Message]) -> None:
+    def __init__(self, address: str, log: list[Any]) -> None:
         self._channel, self._log = WebSocketChannel(address), log
 
-    def send(self, message: Message) -> None:
-        self._log.append(message)
+    def send(self, message: bytes) -> None:
+        self._log.append(decode_request(message))
         self._channel.send(message)
 
-    def receive(self, timeout_s: float) -> Message:
+    def receive(self, timeout_s: float) -> bytes | str:
         return self._channel.receive(timeout_s)
 
     def close(self) -> None:
         self._channel.close()
 
 
-def listen(url: str, log: list[Message]) -> Any:
+def listen(url: str, log: list[Any]) -> Any:
     address = websocket_address(url)
     return remote(Conversation(url, lambda: Listening(address, log), PATIENT))
 
@@ -90,8 +93,8 @@ def went_on(inputs: Sequence[PolicyInput]) -> list[PolicyInput]:
     ]
 
 
-def views_sent(log: list[Message]) -> int:
-    return sum(len(i["views"]) for m in log if m["type"] == "act" for i in m["inputs"])
+def views_sent(log: list[Any]) -> list[int]:
+    return [len(message.views) for message in log if isinstance(message, Act)]
 
 
 def test_a_socket_decides_as_its_policy_does(served: PolicyServer) -> None:
@@ -105,54 +108,76 @@ def test_a_socket_decides_as_its_policy_does(served: PolicyServer) -> None:
     policy.close()
 
 
-def test_a_view_is_sent_once(served: PolicyServer) -> None:
-    log: list[Message] = []
+def test_views_of_the_last_request_are_not_sent_again(served: PolicyServer) -> None:
+    log: list[Any] = []
     policy = listen(served.url, log)
     inputs = histories(3, 0)
-    for step in range(4):
+    for _ in range(4):
         assert policy.act(inputs) == Scripted().act(inputs)
-        assert views_sent(log) == 3 * (step + 1)
         inputs = went_on(inputs)
-    assert [m["type"] for m in log].count("reset") == 1
+    assert views_sent(log) == [3, 3, 3, 3]
+    # One episode ends; the others go on.
+    assert policy.act(inputs[1:]) == Scripted().act(inputs[1:])
+    # Views that were left out of a request are told anew.
+    assert policy.act(inputs) == Scripted().act(inputs)
+    assert views_sent(log)[4:] == [2, 5]
     policy.close()
+    assert policy.act(inputs) == Scripted().act(inputs)
+    assert views_sent(log)[6:] == [15]
+    policy.close()
+
+
+def test_neither_side_keeps_more_views_than_the_last_request_has(
+    served: PolicyServer,
+) -> None:
+    kept: list[weakref.ref[View]] = []
+
+    class Notes(Scripted):
+        def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+            kept.append(weakref.ref(inputs[0].view))
+            return super().act(inputs)
+
+    with PolicyServer(Notes(), port=0) as server:
+        policy: Any = connect(server.url, PATIENT)
+        for number in range(3):
+            inputs = histories(1, number)
+            kept.append(weakref.ref(inputs[0].view))
+            policy.act(inputs)
+        del inputs
+        gc.collect()
+        # Those of the client and those of the server, of the last request alone.
+        assert [one() is not None for one in kept] == [False] * 4 + [True] * 2
+        policy.close()
 
 
 def test_the_truth_never_travels(served: PolicyServer) -> None:
-    log: list[Message] = []
+    log: list[Any] = []
     policy = listen(served.url, log)
     truth: Any = object()
     policy.act([replace(given(), episode=truth)])
-    sent = [m for m in log if m["type"] in ("reset", "act")]
-    assert {key for m in sent for key in m} == {
-        *("type", "id", "episodes", "forget", "inputs"),
-    }
-    assert set(sent[0]["episodes"][0]) == {"episode", "instruction", "robots"}
-    assert set(sent[1]["inputs"][0]) == {"episode", "views", "view", "past"}
+    greeting, asked = log
+    assert isinstance(greeting, Hello)
+    assert asked.__struct_fields__ == ("inputs", "views")
+    assert asked.inputs[0].__struct_fields__ == (
+        *("instruction", "robots", "view", "past"),
+    )
     policy.close()
 
 
-def test_ended_episodes_are_forgotten(served: PolicyServer) -> None:
-    log: list[Message] = []
-    policy = listen(served.url, log)
-    for _ in range(3):
-        inputs = histories(1, 0)
-        policy.act(inputs)
-        del inputs
-    forgotten = [n for m in log if m["type"] == "reset" for n in m["forget"]]
-    assert forgotten == [0, 1]
-    policy.close()
+def test_explanations_of_the_past_arrive() -> None:
+    heard: list[str] = []
 
+    class Listens(Scripted):
+        def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+            heard.extend(step.explanation for step in inputs[0].past)
+            return super().act(inputs)
 
-def test_a_server_that_lost_views_asks_for_them(served: PolicyServer) -> None:
-    log: list[Message] = []
-    policy = listen(served.url, log)
-    inputs = went_on(histories(2, 0))
-    policy.act(inputs)
-    # As if the server had thrown away some of what it was told.
-    message = {"type": "reset", "episodes": log[1]["episodes"][:1], "forget": [1]}
-    policy.conversation.ask(message, 60.0)
-    assert policy.act(inputs) == Scripted().act(inputs)
-    policy.close()
+    failed = PastStep(view(1, 20, 30), MOVE, "unreachable", "It is too far.")
+    with PolicyServer(Listens(), port=0) as server:
+        policy: Any = connect(server.url, PATIENT)
+        policy.act([given("go", failed, now=view(2, 20, 30))])
+        policy.close()
+    assert heard == ["It is too far."]
 
 
 def test_a_server_killed_and_started_again_changes_nothing() -> None:

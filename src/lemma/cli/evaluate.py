@@ -16,7 +16,6 @@ from lemma.evaluation.records import SUMMARY, Row, read_about, tasks_in_order
 from lemma.evaluation.run.evaluate import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate as run
 from lemma.evaluation.run.protocol import NAME, departures
-from lemma.evaluation.run.server_check import check_served
 from lemma.policies.spec import TIMEOUT_S, PolicySpec
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE
@@ -50,8 +49,6 @@ class EvaluateOptions:
         TIMEOUT_S
     )
     """Time for a decision of your own class or server [s]; 0: any, and unguarded."""
-    skip_check: Flag = False
-    """Leave out the self-test of a policy behind a socket."""
     language: Literal["full", "none", "shuffled", "swapped"] = "full"
     """Controls. none: nothing is said; shuffled: what belongs to the next instance;
     swapped: other colors, which ask for another goal on the same table."""
@@ -98,8 +95,6 @@ def evaluate(
     )
     for departure in departures():
         complain(f"This is not protocol {NAME}, and its result says so: {departure}.")
-    if not ask.skip_check:
-        check_served(order.policy)
     with progress_bar("evaluate", order.total, _AT_INTERRUPT) as advance:
         rows = run(order, working.make_engine(), advance)
     result = summarise(rows, read_about(out), order.command())

@@ -1,4 +1,4 @@
-"""`lemma serve`: a policy behind a socket; or the self-test of somebody's server."""
+"""`lemma serve`: a policy behind a socket; or one question whose answer is known."""
 
 from typing import Annotated, Literal
 
@@ -6,25 +6,15 @@ import tyro
 
 from lemma.cli.options import Flag, JsonFlag, Word, output, print_json
 from lemma.core.errors import InvalidConfigError
-from lemma.evaluation.run.loading import weights_of
-from lemma.evaluation.run.server_check import check_server
-from lemma.policies.spec import ORACLE, PolicySpec
-from lemma.serve.selftest.known_inputs import CHECKS, SelfTestReport
-from lemma.serve.server.server import DEFAULT_PORT
-from lemma.serve.server.server import serve as run
 
 _HOST = "127.0.0.1"
-_WHO = {
-    "helper": "The server of lemma-bench answered for its own decoding. A policy with "
-    "a method describe() answers for itself; see docs/serving.md.",
-    "nobody": "The server does not know the message 'check'; see docs/serving.md.",
-}
+_PORT = 8000
 
 
 def serve(
     policy: Word = None,
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = _HOST,
-    port: Annotated[int, tyro.conf.arg(metavar="PORT")] = DEFAULT_PORT,
+    port: Annotated[int, tyro.conf.arg(metavar="PORT")] = _PORT,
     planning: Literal["single-step", "multi-step"] = "single-step",
     check: Annotated[
         str | None, tyro.conf.arg(metavar="URL", help_behavior_hint="")
@@ -38,19 +28,24 @@ def serve(
         host: Address to listen at. There is no password: keep it at this machine.
         port: Port to listen at; 0 for any that is free.
         planning: Look before every sub-task, or plan from the first image alone.
-        check: Ask this server what it understands, and name its mistakes.
+        check: Ask this server for one decision whose right answer is known.
         as_json: With --check, print one JSON object.
 
     Returns:
-        Exit code: 1 if the test found a mistake.
+        Exit code: 1 if the known question was answered wrong.
     """
+    # Imported here, so that help does not wait for it.
+    from lemma.evaluation.run.loading import weights_of
+    from lemma.policies.spec import ORACLE, PolicySpec
+    from lemma.serve.server.server import serve as run
+
     if (policy is None) == (check is None):
         raise InvalidConfigError(
             "Give either --policy, to serve it, or --check with the address of a "
             "server, to test it."
         )
     if check is not None:
-        return _report(check_server(check), as_json=as_json)
+        return _check(check, as_json)
     spec = PolicySpec(str(policy), planning)
     if ORACLE in spec.parts:
         raise InvalidConfigError(
@@ -71,26 +66,30 @@ def _announce(url: str) -> None:
     output().print(f"Ready: lemma evaluate --policy {url} --out DIR", soft_wrap=True)
 
 
-def _report(report: SelfTestReport, as_json: Flag) -> int:
+def _check(url: str, as_json: Flag) -> int:
+    from lemma.evaluation.run.server_check import check_server
+
+    found = check_server(url)
+    grounded = None if found.grounded is None else found.grounded.to_dict()
     if as_json:
         print_json(
             {
-                "ok": report.ok,
-                "by": report.by,
-                "acts": report.acts,
-                "checks": {name: report.mistakes.get(name) for name in CHECKS},
+                "ok": found.ok,
+                "instruction": found.instruction,
+                "subtask": found.subtask.to_dict(),
+                "grounded": grounded,
+                "mistakes": found.mistakes,
             }
         )
-        return 0 if report.ok else 1
+        return 0 if found.ok else 1
     console = output()
-    for name in CHECKS if report.by != "nobody" else ():
-        mistake = report.mistakes.get(name)
-        verdict = "[green]right[/]" if mistake is None else "[bold red]WRONG[/]"
-        console.print(f"{name:<18} {verdict}")
-        if mistake is not None:
-            console.print(f"    {mistake}", markup=False, soft_wrap=True)
-    if report.acts:
-        console.print(report.acts, markup=False, soft_wrap=True)
-    if report.by in _WHO:
-        console.print(_WHO[report.by], markup=False, soft_wrap=True)
-    return 0 if report.ok else 1
+    lines = [
+        f"asked:    {found.instruction}",
+        f"answered: {found.subtask}",
+        f"poses:    {grounded or 'none'}",
+        *(f"WRONG {name}: {text}" for name, text in found.mistakes.items()),
+    ]
+    console.print("\n".join(lines), markup=False, soft_wrap=True)
+    if found.ok:
+        console.print("Nothing is wrong with it.", style="green")
+    return 0 if found.ok else 1

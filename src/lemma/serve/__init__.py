@@ -1,6 +1,6 @@
-"""Policies in other processes: the socket, its protocol, and its self-test.
+"""Policies in other processes: the socket, and its protocol.
 
-Whoever serves a policy needs NumPy, msgpack and websockets, and what the policy itself
+Whoever serves a policy needs NumPy, msgspec and websockets, and what the policy itself
 needs: neither MuJoCo nor torch are imported here.
 """
 

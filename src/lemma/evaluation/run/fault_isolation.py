@@ -2,7 +2,7 @@
 
 Whatever a policy raises or answers becomes either a decision that can be carried out or
 a :class:`Fault`, which ends its episode and no other. What hangs or crashes is kept in
-other processes; see :mod:`lemma.serve.client.isolation`.
+other processes; see :mod:`lemma.serve.isolation`.
 """
 
 import math

@@ -6,8 +6,8 @@ from lemma.dataset.files import sha256_of
 from lemma.policies.interfaces import Policy
 from lemma.policies.spec import ORACLE, PolicySpec, load_part
 from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.client.isolation import isolate
 from lemma.serve.client.websocket import connect, is_address
+from lemma.serve.isolation import isolate
 
 FOREVER_S = 1e6
 """What stands for any time [s]."""

@@ -1,63 +1,111 @@
-"""What is tested of a served policy before a run relies on it."""
+"""One known scene, asked of a served policy: does it speak of the world as we do?
 
-from dataclasses import replace
+A policy that mirrors yaw, counts in millimetres or mistakes one robot for the other
+runs without an error and fails every episode. Its first decision in a scene whose
+answer is known shows it; docs/serving.md prints the scene and the answer.
+"""
+
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
-from lemma.core.errors import InvalidConfigError, RenderingError
 from lemma.env.camera_rig import CameraRig
-from lemma.evaluation.run.loading import FOREVER_S
-from lemma.evaluation.run.server_probe import probe
-from lemma.policies.spec import TIMEOUT_S, PolicySpec
+from lemma.evaluation.run.rollout import Rollout
+from lemma.expert.grounding import GeometricGrounder
+from lemma.expert.symbolic_state import SymbolicState
+from lemma.policies.spec import TIMEOUT_S
 from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.client.websocket import connect, is_address
-from lemma.serve.protocol.faults import PolicyUnreachableError
-from lemma.serve.selftest.known_inputs import SelfTestReport, check
+from lemma.serve.client.websocket import connect
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+from lemma.tasks.suite import load_instance
+
+SCENE = ("stack", "val", 0)
+"""Task, split and index. Each robot reaches one of the two cubes, whose sides are far
+from parallel to the axes."""
+FIRST = SubTask("robot_1", Primitive.MOVE, "blue_cube", "shared")
+"""What the expert does first, and what a grounder is asked for."""
+NEAR_M = 0.03
+NEAR_RAD = 0.2
 
 
-def check_server(url: str, timeout_s: float = TIMEOUT_S) -> SelfTestReport:
-    """Return what the self-test finds at a server.
+@dataclass(frozen=True)
+class ServerCheck:
+    """What a served policy answers in the known scene."""
 
-    First what the server understands of known inputs; then, if that is right, what its
-    policy does in a few scenes.
+    instruction: str
+    subtask: SubTask
+    grounded: GroundedSubTask | None
+    """None where it has no poses, or only plans."""
+    mistakes: dict[str, str]
+    """What is wrong, under ``pick``, ``robot`` and ``heading``."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is."""
+        return not self.mistakes
+
+
+def check_server(url: str, timeout_s: float = TIMEOUT_S) -> ServerCheck:
+    """Ask a served policy for its first decision in the known scene.
 
     Args:
         url: Such as ``"http://127.0.0.1:8000"``.
-        timeout_s: For one decision [s].
+        timeout_s: For the decision [s].
 
     Raises:
         InvalidConfigError: It is no address.
         PolicyUnreachableError: Nobody answers there.
         ProtocolError: Somebody answers who speaks something else.
+        PolicyFailedError: It has no decision, or one that cannot be read.
+        RenderingError: OpenGL does not work here.
     """
     part: Any = connect(url, ProtocolMode(timeout_s))
     try:
-        report = check(part.conversation)
-        if not report.ok or not hasattr(part, "act"):
-            return report
-        found = probe(part, CameraRig())
-        return replace(report, acts=str(found), mistakes=found.mistakes)
-    except RenderingError:
-        return replace(
-            report, acts="It was shown no scenes: OpenGL does not work here."
-        )
-    except OSError as error:
-        raise PolicyUnreachableError(
-            f"{url} did not answer the self-test: {error or type(error).__name__}."
-        ) from error
+        play = Rollout(load_instance(*SCENE))
+        given = replace(play.given(CameraRig()), episode=None)
+        subtask, grounded = FIRST, None
+        if hasattr(part, "act"):
+            [decision] = part.act([given])
+            subtask, grounded = decision.subtask, decision.grounded
+        else:
+            if hasattr(part, "plan"):
+                [subtask] = part.plan([given])
+            if hasattr(part, "ground") and subtask.robot:
+                [grounded] = part.ground([given], [subtask])
     finally:
         part.close()
+    mistakes = _mistakes(play, subtask, grounded)
+    return ServerCheck(given.instruction, subtask, grounded, mistakes)
 
 
-def check_served(spec: PolicySpec) -> None:
-    """Test the servers among a policy's parts before they are relied on.
-
-    Raises:
-        InvalidConfigError: One of them misunderstands what it is sent.
-        LemmaError: One of them does not answer.
-    """
-    for name in spec.parts:
-        if not is_address(name):
-            continue
-        report = check_server(name, spec.timeout_s or FOREVER_S)
-        if not report.ok:
-            raise InvalidConfigError(f"{report} Or try with --skip-check.")
+def _mistakes(
+    play: Rollout, subtask: SubTask, grounded: GroundedSubTask | None
+) -> dict[str, str]:
+    """Return what cannot be right of a first decision."""
+    now = SymbolicState.observe(play.episode.simulation.scene)
+    geometry = GeometricGrounder(now.spec)
+    [pair] = play.instance.goal.pairs
+    cubes = {name: now.poses[name] for name in pair}
+    told = ", ".join(f"{n} at ({p.x:.3f}, {p.y:.3f}) m" for n, p in cubes.items())
+    if grounded is None:
+        picked = subtask.pick
+        if picked not in cubes:
+            return {"pick": f"It picks {picked or 'nothing'}; there are {told}."}
+    else:
+        at = grounded.pick
+        picked = min(cubes, key=lambda name: cubes[name].distance(at))
+        if cubes[picked].distance(at) > NEAR_M:
+            return {"pick": f"It picks at ({at.x:g}, {at.y:g}); there are {told}."}
+    found = {}
+    [able] = [r for r in geometry.robots if geometry.reaches(r, cubes[picked])]
+    if subtask.robot != able:
+        found["robot"] = f"It sends {subtask.robot}; {able} alone reaches {picked}."
+    if grounded is not None:
+        # A cube looks the same after a quarter turn.
+        off = math.remainder(grounded.pick.yaw - cubes[picked].yaw, 0.5 * math.pi)
+        if abs(off) > NEAR_RAD:
+            found["heading"] = (
+                f"Its gripper is {abs(math.degrees(off)):.0f} degrees off the sides of "
+                f"{picked}, whose yaw is {cubes[picked].yaw:.3f} rad."
+            )
+    return found

@@ -1,15 +1,15 @@
-"""The side of a conversation that asks: what was told, what is asked, what went wrong.
+"""The side of a conversation that asks: what was sent, what is asked, what went wrong.
 
-Inputs hold the whole past, but a view is sent only once: it is known by its identity,
-which :class:`lemma.policies.interfaces.PastStep` keeps. Requests are pure, so the same
-one may be asked again on a new connection, to which everything is told anew.
+Inputs hold the whole past, but a view is not sent twice in a row: both sides keep the
+views of the last request on a connection, and know them by number. Requests are pure,
+so one may be asked again on a new connection, where nothing is known.
 """
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
-from weakref import WeakKeyDictionary, finalize
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+from typing import Any, Protocol, TypeVar
 
 from lemma.env.view import View
 from lemma.policies.interfaces import PolicyInput
@@ -21,23 +21,34 @@ from lemma.serve.protocol.faults import (
 )
 from lemma.serve.protocol.messages import (
     PROTOCOL,
-    Message,
-    entries,
-    subtask_to_message,
-    view_to_message,
+    Act,
+    Error,
+    Ground,
+    Hello,
+    InputMessage,
+    Plan,
+    Reply,
+    Request,
+    StepMessage,
+    ViewMessage,
+    Welcome,
+    decode_reply,
+    encode,
+    malformed,
 )
 from lemma.tasks.subtask import SubTask
 
 _PAUSE_S = 0.1
 _LONGEST_PAUSE_S = 3.0
-_MISSES = 4
 _HELLO_S = 30.0
+
+R = TypeVar("R", bound=Reply)
 
 
 class Channel(Protocol):
     """Carries messages to the other side and back."""
 
-    def send(self, message: Message) -> None:
+    def send(self, message: bytes) -> None:
         """Send a message.
 
         Raises:
@@ -45,7 +56,7 @@ class Channel(Protocol):
         """
         ...
 
-    def receive(self, timeout_s: float) -> Message:
+    def receive(self, timeout_s: float) -> bytes | str:
         """Return the next message.
 
         Raises:
@@ -73,36 +84,18 @@ class ProtocolMode:
     """How often the other side may die of one request before that is its fault."""
 
 
-@dataclass
-class _Episode:
-    """What was told of an episode on a connection."""
-
-    number: int
-    connection: int = -1
-    views: WeakKeyDictionary[View, int] = field(default_factory=WeakKeyDictionary)
-    named: int = 0
-    sent: set[int] = field(default_factory=set)
-
-    def name(self, view: View) -> int:
-        """Return the number of a view, which may be new."""
-        if view not in self.views:
-            self.views[view] = self.named
-            self.named += 1
-        return self.views[view]
-
-
 class Conversation:
     """Asks a policy in another process."""
 
     def __init__(
-        self, where: str, connect: Callable[[], Channel], manners: ProtocolMode
+        self, where: str, connect: Callable[[], Channel], mode: ProtocolMode
     ) -> None:
         """Connect for the first time.
 
         Args:
             where: What is asked, for messages to people.
             connect: Opens a channel; raises OSError where nobody answers.
-            manners: How patient to be.
+            mode: How patient to be.
 
         Raises:
             PolicyUnreachableError: Nobody answers.
@@ -110,187 +103,113 @@ class Conversation:
         """
         self.where = where
         self._connect = connect
-        self.manners = manners
+        self.mode = mode
         self._channel: Channel | None = None
-        self._connection = 0
-        self._asked = 0
-        self._episodes: WeakKeyDictionary[View, dict[object, _Episode]]
-        self._episodes = WeakKeyDictionary()
-        self._numbered = 0
-        self._forgotten: list[int] = []
-        self.hello: Message = {}
-        self._open(manners.first_patience_s)
+        self._numbers = count()
+        self._sent: dict[View, int] = {}
+        self.welcome = self._open(mode.first_patience_s)
 
     def close(self) -> None:
         """Hang up; the next question connects again."""
         if self._channel is not None:
             self._channel.close()
         self._channel = None
+        self._sent = {}
 
     def decide(
         self,
         method: str,
         inputs: Sequence[PolicyInput],
+        wanted: type[R],
         subtasks: Sequence[SubTask] = (),
-    ) -> Message:
+    ) -> R:
         """Return the answer to a question about episodes.
 
         Args:
             method: ``"act"``, ``"plan"`` or ``"ground"``.
             inputs: One per episode.
+            wanted: The answer that belongs to the method.
             subtasks: One per episode, to ground them.
 
         Raises:
-            PolicyFailedError: It raised, did not answer in time, or died of it.
+            PolicyFailedError: It raised, answered nonsense, did not answer in time, or
+                died of it.
             PolicyUnreachableError: Nobody answers any more.
+            ProtocolError: The other side did not understand.
         """
-        allowed_s = self.manners.timeout_s * len(inputs)
-        for _ in range(self.manners.deaths):
+        allowed_s = self.mode.timeout_s * len(inputs)
+        for _ in range(self.mode.deaths):
             if self._channel is None:
-                self._open(self.manners.patience_s)
+                self._open(self.mode.patience_s)
             try:
                 end = time.monotonic() + allowed_s
-                return self._tell_and_ask(method, inputs, subtasks, end)
+                request, views = self._request(method, inputs, subtasks)
+                reply = self._ask(request, wanted, end - time.monotonic())
             except TimeoutError as error:
                 self.close()
                 raise PolicyFailedError(
                     FaultKind.TIMEOUT,
                     f"The policy did not decide within {allowed_s:g} s "
-                    f"({len(inputs)} decisions of {self.manners.timeout_s:g} s).",
+                    f"({len(inputs)} decisions of {self.mode.timeout_s:g} s).",
                 ) from error
             except OSError as error:
                 self.close()
                 last = error
+            except (PolicyFailedError, ProtocolError):
+                # Who knows how far the other side read.
+                self._sent = {}
+                raise
+            else:
+                self._sent = views
+                return reply
         raise PolicyFailedError(
             FaultKind.DIED, f"{self.where} ended whenever it was asked this: {last}."
         )
 
-    def ask(self, message: Message, timeout_s: float) -> Message:
-        """Return the answer to any message, whatever it is.
+    def _request(
+        self, method: str, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
+    ) -> tuple[Request, dict[View, int]]:
+        """Return a request, and the number of every view that it refers to."""
+        views: dict[View, int] = {}
+        for given in inputs:
+            for view in (*(step.view for step in given.past), given.view):
+                if view not in views:
+                    known = self._sent.get(view)
+                    views[view] = next(self._numbers) if known is None else known
+        told: dict[str, Any] = {
+            "inputs": [_input(given, views) for given in inputs],
+            "views": [
+                ViewMessage.of(number, view)
+                for view, number in views.items()
+                if view not in self._sent
+            ],
+        }
+        if method == "ground":
+            return Ground(subtasks=list(subtasks), **told), views
+        return (Act if method == "act" else Plan)(**told), views
+
+    def _ask(self, request: Request, wanted: type[R], timeout_s: float) -> R:
+        """Return the answer to a message.
 
         Raises:
             TimeoutError: There is none in time.
             OSError: The other side is gone.
-        """
-        if self._channel is None:
-            self._open(self.manners.patience_s)
-        assert self._channel is not None
-        self._asked += 1
-        end = time.monotonic() + timeout_s
-        self._channel.send({**message, "id": self._asked})
-        while True:
-            reply = self._channel.receive(max(0.0, end - time.monotonic()))
-            if reply.get("id") == self._asked:
-                return reply
-
-    def _tell_and_ask(
-        self,
-        method: str,
-        inputs: Sequence[PolicyInput],
-        subtasks: Sequence[SubTask],
-        end: float,
-    ) -> Message:
-        episodes = [self._episode(given) for given in inputs]
-        for _ in range(_MISSES):
-            self._reset(inputs, episodes, end)
-            message: Message = {
-                "type": method,
-                "inputs": [
-                    self._input(given, episode)
-                    for given, episode in zip(inputs, episodes, strict=True)
-                ],
-            }
-            if method == "ground":
-                message["subtasks"] = [subtask_to_message(s) for s in subtasks]
-            reply = self._expect(self.ask(message, end - time.monotonic()))
-            for episode, asked in zip(episodes, message["inputs"], strict=True):
-                episode.sent.update(number for number, _ in asked["views"])
-            if reply["type"] != "missing":
-                return reply
-            self._unlearn(episodes, reply)
-        raise ProtocolError(
-            f"{self.where} misses views again and again, although they were sent."
-        )
-
-    def _episode(self, given: PolicyInput) -> _Episode:
-        """Return what is known of an episode: it is the one of this first view."""
-        first = given.past[0].view if given.past else given.view
-        alike = self._episodes.setdefault(first, {})
-        key = (given.instruction, given.robots)
-        if key not in alike:
-            alike[key] = _Episode(self._numbered)
-            finalize(first, self._forgotten.append, self._numbered)
-            self._numbered += 1
-        return alike[key]
-
-    def _reset(
-        self, inputs: Sequence[PolicyInput], episodes: list[_Episode], end: float
-    ) -> None:
-        """Announce the episodes that this connection does not know."""
-        new = {}
-        for given, episode in zip(inputs, episodes, strict=True):
-            if episode.connection != self._connection:
-                new[episode.number] = {
-                    "episode": episode.number,
-                    "instruction": given.instruction,
-                    "robots": list(given.robots),
-                }
-        if not new:
-            return
-        forget = self._forgotten[:]
-        message = {"type": "reset", "episodes": list(new.values()), "forget": forget}
-        self._expect(self.ask(message, end - time.monotonic()))
-        del self._forgotten[: len(forget)]
-        for episode in episodes:
-            if episode.number in new:
-                episode.connection = self._connection
-                episode.sent.clear()
-
-    def _input(self, given: PolicyInput, episode: _Episode) -> Message:
-        past = [
-            {
-                "view": episode.name(step.view),
-                "subtask": subtask_to_message(step.subtask),
-                "outcome": step.outcome,
-            }
-            for step in given.past
-        ]
-        views = {episode.name(v): v for v in (*(s.view for s in given.past),)}
-        views[episode.name(given.view)] = given.view
-        return {
-            "episode": episode.number,
-            "views": [
-                [number, view_to_message(view)]
-                for number, view in views.items()
-                if number not in episode.sent
-            ],
-            "view": episode.name(given.view),
-            "past": past,
-        }
-
-    def _unlearn(self, episodes: list[_Episode], missing: Message) -> None:
-        unknown = set(missing.get("episodes", ()))
-        unseen = {tuple(pair) for pair in missing.get("views", ())}
-        for episode in episodes:
-            if episode.number in unknown:
-                episode.connection = -1
-            episode.sent -= {n for number, n in unseen if number == episode.number}
-
-    def _expect(self, reply: Message) -> Message:
-        """Return an answer unless it is an error.
-
-        Raises:
             PolicyFailedError: The policy raised or answered nonsense.
             ProtocolError: The other side did not understand.
         """
-        if reply["type"] != "error":
-            return reply
-        kind, text = reply.get("kind"), str(reply.get("message", ""))
-        if kind in set(FaultKind):
-            raise PolicyFailedError(FaultKind(kind), text)
-        raise ProtocolError(f"{self.where} refuses: {text}")
+        assert self._channel is not None
+        end = time.monotonic() + timeout_s
+        self._channel.send(encode(request))
+        reply = decode_reply(self._channel.receive(max(0.0, end - time.monotonic())))
+        if isinstance(reply, Error):
+            if reply.kind in set(FaultKind):
+                raise PolicyFailedError(FaultKind(reply.kind), reply.message)
+            raise ProtocolError(f"{self.where} refuses: {reply.message}")
+        if not isinstance(reply, wanted):
+            raise malformed(f"it is {type(reply).__name__}, not {wanted.__name__}")
+        return reply
 
-    def _open(self, patience_s: float) -> None:
+    def _open(self, patience_s: float) -> Welcome:
         """Connect, trying again for a while.
 
         Raises:
@@ -302,10 +221,7 @@ class Conversation:
         while True:
             try:
                 self._channel = self._connect()
-                self._connection += 1
-                greeting = {"type": "hello", "protocol": PROTOCOL}
-                self.hello = self._greeted(self.ask(greeting, _HELLO_S))
-                return
+                return self._greet()
             except OSError as error:
                 self.close()
                 if time.monotonic() + pause_s > end:
@@ -317,13 +233,27 @@ class Conversation:
             time.sleep(pause_s)
             pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
 
-    def _greeted(self, reply: Message) -> Message:
-        self._expect(reply)
-        if reply["type"] != "hello" or reply.get("protocol") != PROTOCOL:
+    def _greet(self) -> Welcome:
+        try:
+            welcome = self._ask(Hello(protocol=PROTOCOL), Welcome, _HELLO_S)
+        except PolicyFailedError as error:
+            self.close()
             raise ProtocolError(
-                f"{self.where} speaks version {reply.get('protocol')!r} of the policy "
+                f"{self.where} does not answer 'hello' as a policy does: {error}"
+            ) from error
+        if welcome.protocol != PROTOCOL:
+            self.close()
+            raise ProtocolError(
+                f"{self.where} speaks version {welcome.protocol} of the policy "
                 f"protocol, and this is version {PROTOCOL}. Install the same version "
                 "of lemma-bench on both sides."
             )
-        entries(reply, "methods")
-        return reply
+        return welcome
+
+
+def _input(given: PolicyInput, views: Mapping[View, int]) -> InputMessage:
+    past = [
+        StepMessage(views[step.view], step.subtask, step.outcome, step.explanation)
+        for step in given.past
+    ]
+    return InputMessage(given.instruction, list(given.robots), views[given.view], past)

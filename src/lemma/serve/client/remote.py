@@ -1,18 +1,12 @@
 """Policies in other processes behind the interfaces of policies."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.serve.client.conversation import Conversation
 from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
-from lemma.serve.protocol.messages import (
-    METHODS,
-    Message,
-    decision_from_message,
-    grounded_from_message,
-    subtask_from_message,
-)
+from lemma.serve.protocol.messages import METHODS, Decisions, Poses, SubTasks
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 T = TypeVar("T")
@@ -28,7 +22,7 @@ class Remote:
     @property
     def about(self) -> dict[str, Any]:
         """What the policy says of itself."""
-        return dict(self.conversation.hello.get("policy", {}))
+        return dict(self.conversation.welcome.policy)
 
     def close(self) -> None:
         """Hang up."""
@@ -44,8 +38,8 @@ class _Acts(Remote):
         Raises:
             PolicyFailedError: It has none.
         """
-        reply = self.conversation.decide("act", inputs)
-        return _answers(reply, "decisions", len(inputs), decision_from_message)
+        reply = self.conversation.decide("act", inputs, Decisions)
+        return _counted(reply.decisions, "decisions", len(inputs))
 
 
 class _Plans(Remote):
@@ -57,8 +51,8 @@ class _Plans(Remote):
         Raises:
             PolicyFailedError: It has none.
         """
-        reply = self.conversation.decide("plan", inputs)
-        return _answers(reply, "subtasks", len(inputs), subtask_from_message)
+        reply = self.conversation.decide("plan", inputs, SubTasks)
+        return _counted(reply.subtasks, "subtasks", len(inputs))
 
 
 class _Grounds(Remote):
@@ -72,8 +66,8 @@ class _Grounds(Remote):
         Raises:
             PolicyFailedError: It did not answer.
         """
-        reply = self.conversation.decide("ground", inputs, subtasks)
-        return _answers(reply, "poses", len(inputs), _grounded_or_none)
+        reply = self.conversation.decide("ground", inputs, Poses, subtasks)
+        return _counted(reply.poses, "poses", len(inputs))
 
 
 _PARTS: dict[str, type[Remote]] = dict(
@@ -87,7 +81,7 @@ def remote(conversation: Conversation) -> Remote:
     Raises:
         ProtocolError: It has none.
     """
-    offered = conversation.hello["methods"]
+    offered = conversation.welcome.methods
     bases = tuple(_PARTS[name] for name in METHODS if name in offered)
     if not bases:
         raise ProtocolError(
@@ -97,18 +91,10 @@ def remote(conversation: Conversation) -> Remote:
     return made
 
 
-def _grounded_or_none(data: object) -> GroundedSubTask | None:
-    return None if data is None else grounded_from_message(data)
-
-
-def _answers(
-    reply: Message, name: str, count: int, read: Callable[[object], T]
-) -> list[T]:
-    answers = reply.get(name)
-    if not isinstance(answers, list | tuple) or len(answers) != count:
-        found = len(answers) if isinstance(answers, list | tuple) else "no list"
+def _counted(answers: list[T], name: str, count: int) -> list[T]:
+    if len(answers) != count:
         raise PolicyFailedError(
             FaultKind.MALFORMED,
-            f"The policy answered {found} {name} to {count} inputs.",
+            f"The policy answered {len(answers)} {name} to {count} inputs.",
         )
-    return [read(answer) for answer in answers]
+    return answers

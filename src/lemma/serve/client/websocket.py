@@ -8,8 +8,8 @@ from urllib.parse import urlsplit
 from lemma.core.errors import InvalidConfigError
 from lemma.serve.client.conversation import Conversation, ProtocolMode
 from lemma.serve.client.remote import Remote, remote
-from lemma.serve.protocol.messages import Message
-from lemma.serve.protocol.packing import LARGEST_BYTES, extra_package, pack, unpack
+from lemma.serve.protocol.extra import websockets
+from lemma.serve.protocol.messages import LARGEST_BYTES
 
 SCHEMES = {"http": "ws", "https": "wss", "ws": "ws", "wss": "wss"}
 """What an address may begin with, and what is used for it."""
@@ -24,12 +24,12 @@ def is_address(name: str) -> bool:
     return bool(colon) and scheme.lower() in SCHEMES
 
 
-def connect(url: str, manners: ProtocolMode) -> Remote:
+def connect(url: str, mode: ProtocolMode) -> Remote:
     """Return the policy behind a socket.
 
     Args:
         url: Such as ``"http://127.0.0.1:8000"``.
-        manners: How patient to be.
+        mode: How patient to be.
 
     Raises:
         InvalidConfigError: The address is none, or the extra is not installed.
@@ -37,7 +37,7 @@ def connect(url: str, manners: ProtocolMode) -> Remote:
         ProtocolError: Somebody answers who speaks something else.
     """
     address = websocket_address(url)
-    return remote(Conversation(url, lambda: WebSocketChannel(address), manners))
+    return remote(Conversation(url, lambda: WebSocketChannel(address), mode))
 
 
 def websocket_address(url: str) -> str:
@@ -71,8 +71,8 @@ class WebSocketChannel:
             OSError: Nobody answers there, or not as a WebSocket.
             InvalidConfigError: The extra is not installed.
         """
-        client = extra_package("websockets.sync.client")
-        self._exceptions = extra_package("websockets.exceptions")
+        client = websockets("sync.client")
+        self._exceptions = websockets("exceptions")
         self._stack = ExitStack()
         try:
             # No pings: a policy that thinks long is not dead, and has its own deadline.
@@ -94,27 +94,27 @@ class WebSocketChannel:
             socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", _SEND_S, 0)
         )
 
-    def send(self, message: Message) -> None:
+    def send(self, message: bytes) -> None:
         """Send a message.
 
         Raises:
             OSError: The other side is gone.
         """
         try:
-            self._socket.send(pack(message))
+            self._socket.send(message)
         except self._exceptions.ConnectionClosed as error:
             raise ConnectionError(str(error)) from error
 
-    def receive(self, timeout_s: float) -> Message:
+    def receive(self, timeout_s: float) -> bytes | str:
         """Return the next message.
 
         Raises:
             TimeoutError: There is none in time.
             OSError: The other side is gone.
-            ProtocolError: It is no message.
         """
         try:
-            return unpack(self._socket.recv(timeout=timeout_s))
+            message: bytes | str = self._socket.recv(timeout=timeout_s)
+            return message
         except self._exceptions.ConnectionClosed as error:
             raise ConnectionError(str(error)) from error
 

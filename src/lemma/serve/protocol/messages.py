@@ -1,254 +1,251 @@
-"""Messages of the policy protocol: what is said, as plain data and arrays.
+"""Messages of the policy protocol; docs/serving.md lists them all.
 
-A message is a map with a ``type``; docs/serving.md lists them all. Here they are still
-independent of how they travel.
+Each is a struct, and becomes a msgpack map with a ``type``. Sub-tasks and decisions
+travel as the very records that policies use: the names of their fields are part of the
+protocol.
 """
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from typing import Any, Self, TypeVar
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from lemma.core.poses import Pose2, matrix_from_quaternion
 from lemma.env.view import View
 from lemma.policies.interfaces import Decision
 from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
-from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+from lemma.tasks.subtask import GroundedSubTask, SubTask
 
-PROTOCOL = 1
+PROTOCOL = 2
 """Version of the protocol: the first thing that both sides compare."""
 METHODS = ("act", "plan", "ground")
 """What a policy may be able to do."""
-
-Message = dict[str, Any]
-"""One message."""
-
-VIEW_TYPES: dict[str, tuple[type[np.generic], int]] = {
-    "rgb": (np.uint8, 3),
-    "height_m": (np.float32, 2),
-    "coverage": (np.bool_, 2),
-    "joints": (np.float64, 2),
-    "opening_m": (np.float64, 1),
+LARGEST_BYTES = 1 << 30
+"""Largest message."""
+VIEW_ARRAYS = {
+    "rgb": ("uint8", 3),
+    "height_m": ("float32", 2),
+    "coverage": ("bool", 2),
+    "joints": ("float64", 2),
+    "opening_m": ("float64", 1),
 }
-"""Type and number of dimensions of every array of a view."""
-
-_UPRIGHT = 0.02
+"""Type and number of dimensions of every array of a view that travels."""
 
 
-def view_to_message(view: View) -> Message:
-    """Return a view as a map of arrays."""
-    return {
-        name: np.ascontiguousarray(getattr(view, name), dtype)
-        for name, (dtype, _) in VIEW_TYPES.items()
-    }
+class Array(msgspec.Struct):
+    """An array, little-endian, last index fastest."""
 
+    dtype: str
+    shape: list[int]
+    data: memoryview
 
-def view_from_message(data: Mapping[str, Any]) -> View:
-    """Return the view that :func:`view_to_message` described.
+    @classmethod
+    def of(cls, array: NDArray[Any], dtype: str) -> Self:
+        """Return an array as a message, as a type."""
+        plain = np.ascontiguousarray(array, np.dtype(dtype).newbyteorder("<"))
+        return cls(dtype, list(plain.shape), memoryview(plain.tobytes()))
 
-    Raises:
-        ProtocolError: An array is missing, or of another type or shape.
-    """
-    arrays: dict[str, Any] = {}
-    for name, (dtype, dimensions) in VIEW_TYPES.items():
-        array = data.get(name)
-        if not isinstance(array, np.ndarray):
-            raise ProtocolError(f"The view lacks the array {name!r}.")
-        if array.dtype != dtype or array.ndim != dimensions:
+    def read(self, name: str) -> NDArray[Any]:
+        """Return the array, read-only.
+
+        Args:
+            name: Which array of a view it is.
+
+        Raises:
+            ProtocolError: It is of another type or shape, or damaged.
+        """
+        dtype, dimensions = VIEW_ARRAYS[name]
+        if (self.dtype, len(self.shape)) != (dtype, dimensions):
             raise ProtocolError(
-                f"The array {name!r} of a view is {array.dtype} with {array.ndim} "
-                f"dimensions, not {np.dtype(dtype)} with {dimensions}."
+                f"The array {name!r} of a view is {self.dtype!r:.40} with "
+                f"{len(self.shape)} dimensions, not {dtype} with {dimensions}."
             )
-        arrays[name] = array
-    return View(**arrays)
+        stored = np.dtype(dtype).newbyteorder("<")
+        wanted = math.prod(self.shape) * stored.itemsize
+        if min(self.shape) < 0 or wanted != self.data.nbytes:
+            raise ProtocolError(
+                f"The array {name!r} of shape {self.shape} has {self.data.nbytes} "
+                f"bytes, not {wanted}."
+            )
+        return np.frombuffer(self.data, stored).reshape(self.shape)
 
 
-def decision_to_message(decision: Decision) -> Message:
-    """Return a decision: symbols, and poses if there are any.
+class ViewMessage(msgspec.Struct):
+    """A view, and the number by which inputs refer to it on this connection."""
+
+    number: int
+    rgb: Array
+    height_m: Array
+    coverage: Array
+    joints: Array
+    opening_m: Array
+
+    @classmethod
+    def of(cls, number: int, view: View) -> Self:
+        """Return a view as a message."""
+        arrays = {
+            name: Array.of(getattr(view, name), dtype)
+            for name, (dtype, _) in VIEW_ARRAYS.items()
+        }
+        return cls(number, **arrays)
+
+    def read(self) -> View:
+        """Return the view.
+
+        Raises:
+            ProtocolError: An array is of another type or shape, or damaged.
+        """
+        return View(**{name: getattr(self, name).read(name) for name in VIEW_ARRAYS})
+
+
+class StepMessage(msgspec.Struct):
+    """A decision of the past."""
+
+    view: int
+    subtask: SubTask
+    outcome: str
+    explanation: str = ""
+
+
+class InputMessage(msgspec.Struct):
+    """What a policy is given of an episode."""
+
+    instruction: str
+    robots: list[str]
+    view: int
+    past: list[StepMessage] = []
+
+
+class _Tagged(msgspec.Struct, tag_field="type", kw_only=True):
+    """A message that says what it is."""
+
+
+class Hello(_Tagged, tag="hello"):
+    """The first message of a connection."""
+
+    protocol: int
+
+
+class Act(_Tagged, tag="act"):
+    """Asks for decisions."""
+
+    inputs: list[InputMessage]
+    views: list[ViewMessage]
+    """Those that the last request on this connection did not refer to."""
+
+
+class Plan(Act, tag="plan"):
+    """Asks for sub-tasks."""
+
+
+class Ground(Act, tag="ground"):
+    """Asks for poses of sub-tasks."""
+
+    subtasks: list[SubTask]
+
+
+class Welcome(_Tagged, tag="hello"):
+    """Answers the first message."""
+
+    protocol: int
+    methods: list[str] = []
+    policy: dict[str, Any] = {}
+    lemma: str = ""
+
+
+class Decisions(_Tagged, tag="decisions"):
+    """Answers ``act``."""
+
+    decisions: list[Decision]
+
+
+class SubTasks(_Tagged, tag="subtasks"):
+    """Answers ``plan``."""
+
+    subtasks: list[SubTask]
+
+
+class Poses(_Tagged, tag="poses"):
+    """Answers ``ground``."""
+
+    poses: list[GroundedSubTask | None]
+
+
+class Error(_Tagged, tag="error"):
+    """Answers what could not be answered."""
+
+    kind: str
+    message: str
+
+
+Request = Hello | Act | Plan | Ground
+Reply = Welcome | Decisions | SubTasks | Poses | Error
+
+M = TypeVar("M")
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"a {type(value).__name__} cannot be sent")
+
+
+_encoder = msgspec.msgpack.Encoder(enc_hook=_plain)
+_requests: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
+_replies: msgspec.msgpack.Decoder[Reply] = msgspec.msgpack.Decoder(Reply)
+
+
+def encode(message: Request | Reply) -> bytes:
+    """Return a message as bytes.
 
     Raises:
-        PolicyFailedError: It is none.
+        PolicyFailedError: It holds what is no plain data: a policy's answer does.
     """
-    _check_type(decision, Decision)
-    grounded = decision.grounded
-    return {
-        "subtask": subtask_to_message(decision.subtask),
-        "grounded": None if grounded is None else grounded_to_message(grounded),
-        "explanation": str(decision.explanation),
-    }
-
-
-def decision_from_message(data: object) -> Decision:
-    """Return the decision that a message describes.
-
-    Raises:
-        PolicyFailedError: It describes none.
-    """
-    answer = _map(data, "decision")
-    grounded = answer.get("grounded")
-    return Decision(
-        subtask_from_message(answer.get("subtask")),
-        None if grounded is None else grounded_from_message(grounded),
-        str(answer.get("explanation", "")),
-    )
-
-
-def subtask_to_message(subtask: SubTask) -> Message:
-    """Return a sub-task as four strings.
-
-    Raises:
-        PolicyFailedError: It is none.
-    """
-    _check_type(subtask, SubTask)
-    return {
-        "robot": str(subtask.robot),
-        "primitive": str(subtask.primitive),
-        "pick": str(subtask.pick),
-        "place": str(subtask.place),
-    }
-
-
-def subtask_from_message(data: object) -> SubTask:
-    """Return the sub-task that a message describes.
-
-    Raises:
-        PolicyFailedError: It describes none.
-    """
-    answer = _map(data, "sub-task")
-    words = [answer.get(name, "") for name in ("robot", "pick", "place")]
-    if not all(isinstance(word, str) for word in words):
-        raise malformed(f"robot, pick and place of a sub-task are {words}, not text")
-    return SubTask(words[0], _primitive(answer.get("primitive")), words[1], words[2])
-
-
-def grounded_to_message(grounded: GroundedSubTask) -> Message:
-    """Return a grounded sub-task; poses are x [m], y [m] and yaw [rad].
-
-    Raises:
-        PolicyFailedError: It is none.
-    """
-    _check_type(grounded, GroundedSubTask)
-    return {
-        "robot": str(grounded.robot),
-        "primitive": str(grounded.primitive),
-        "pick": _three(grounded.pick),
-        "place": _three(grounded.place),
-    }
-
-
-def grounded_from_message(data: object) -> GroundedSubTask:
-    """Return the grounded sub-task that a message describes.
-
-    Raises:
-        PolicyFailedError: It describes none.
-    """
-    answer = _map(data, "grounded sub-task")
-    robot = answer.get("robot")
-    if not isinstance(robot, str):
-        raise malformed(f"the robot of a grounded sub-task is {robot!r}, not text")
-    return GroundedSubTask(
-        robot,
-        _primitive(answer.get("primitive")),
-        pose_from_message(answer.get("pick")),
-        pose_from_message(answer.get("place")),
-    )
-
-
-def pose_from_message(data: object) -> Pose2:
-    """Return a pose on the table, in the world frame.
-
-    Args:
-        data: ``[x, y, yaw]`` in metres and radians; or a pose in space, ``{"position":
-            [x, y, z], "quaternion": [w, x, y, z]}``, of a gripper that points down.
-
-    Raises:
-        PolicyFailedError: It is neither.
-    """
-    if isinstance(data, Mapping):
-        x, y, _ = _numbers(data.get("position"), 3, "The position of a pose")
-        quaternion = _numbers(data.get("quaternion"), 4, "The quaternion of a pose")
-        return Pose2(x, y, yaw_of(quaternion))
-    return Pose2(*_numbers(data, 3, "A pose"))
-
-
-def yaw_of(quaternion: list[float]) -> float:
-    """Return the yaw [rad] of a gripper that points down.
-
-    Args:
-        quaternion: Unit quaternion ``wxyz``.
-
-    Raises:
-        PolicyFailedError: It is no unit quaternion, or the gripper points elsewhere.
-    """
-    if not all(math.isfinite(value) for value in quaternion):
-        return math.nan
-    if abs(math.hypot(*quaternion) - 1.0) > _UPRIGHT:
-        raise malformed(f"the quaternion {quaternion} does not have length one")
-    rotation = matrix_from_quaternion(np.asarray(quaternion, np.float64))
-    if rotation[2, 2] > _UPRIGHT - 1.0:
-        raise malformed(
-            f"the gripper does not point down under the quaternion {quaternion}; its "
-            "order is w, x, y, z"
-        )
-    return math.atan2(float(rotation[1, 0]), float(rotation[0, 0]))
-
-
-def entries(message: Mapping[str, Any], name: str) -> list[Any]:
-    """Return a list of a message.
-
-    Raises:
-        ProtocolError: The message has no such list.
-    """
-    value = message.get(name)
-    if not isinstance(value, list | tuple):
-        raise ProtocolError(f"The message {message.get('type')!r} lacks {name!r}.")
-    return list(value)
-
-
-def _map(data: object, what: str) -> Mapping[str, Any]:
-    if not isinstance(data, Mapping):
-        raise malformed(f"a {what} is a map, not {short(data)}")
-    return data
-
-
-def _primitive(word: object) -> Primitive:
     try:
-        return Primitive(str(word))
-    except ValueError:
-        valid = ", ".join(Primitive)
-        raise PolicyFailedError(
-            FaultKind.UNKNOWN_NAME,
-            f"The policy names no primitive but {short(word)}; valid: {valid}.",
-        ) from None
+        return _encoder.encode(message)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise malformed(str(error)) from error
 
 
-def _numbers(data: object, count: int, what: str) -> list[float]:
-    values = data.tolist() if isinstance(data, np.ndarray) else data
-    if (
-        not isinstance(values, list | tuple)
-        or len(values) != count
-        or not all(_is_number(v) for v in values)
-    ):
-        raise malformed(f"{what.lower()} is {count} numbers, not {short(data)}")
-    return [float(v) for v in values]
+def decode_request(data: bytes | str) -> Request:
+    """Return the request that bytes mean; arrays refer to the bytes.
+
+    Raises:
+        ProtocolError: They are none.
+    """
+    try:
+        return _decode(_requests, data)
+    except msgspec.ValidationError as error:
+        raise ProtocolError(f"The request does not fit: {error}.") from error
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, float | int) and not isinstance(value, bool)
+def decode_reply(data: bytes | str) -> Reply:
+    """Return the answer that bytes mean.
+
+    Raises:
+        PolicyFailedError: It does not fit: a pose of text, a primitive that is none.
+        ProtocolError: They are no message at all.
+    """
+    try:
+        return _decode(_replies, data)
+    except msgspec.ValidationError as error:
+        if "enum" in str(error):
+            raise PolicyFailedError(
+                FaultKind.UNKNOWN_NAME, f"The policy names no primitive: {error}."
+            ) from error
+        raise malformed(str(error)) from error
 
 
-def _three(pose: Pose2) -> list[float]:
-    _check_type(pose, Pose2)
-    values = (pose.x, pose.y, pose.yaw)
-    if not all(isinstance(v, float | int | np.number) for v in values):
-        raise malformed(f"{short(pose)} does not consist of numbers")
-    return [float(v) for v in values]
-
-
-def _check_type(value: object, wanted: type) -> None:
-    if not isinstance(value, wanted):
-        raise malformed(f"{short(value)} is no {wanted.__name__}")
+def _decode(decoder: msgspec.msgpack.Decoder[M], data: bytes | str) -> M:
+    if isinstance(data, str):
+        raise ProtocolError("Messages are binary frames of msgpack, not text.")
+    try:
+        return decoder.decode(data)
+    except msgspec.ValidationError:
+        raise
+    except (msgspec.DecodeError, RecursionError, ValueError) as error:
+        raise ProtocolError(f"A message is no msgpack: {error}.") from error
 
 
 def malformed(what: str) -> PolicyFailedError:
@@ -256,9 +253,3 @@ def malformed(what: str) -> PolicyFailedError:
     return PolicyFailedError(
         FaultKind.MALFORMED, f"The policy's answer cannot be used: {what}."
     )
-
-
-def short(value: object, longest: int = 80) -> str:
-    """Return a value as people can bear to read it."""
-    text = repr(value)
-    return text if len(text) <= longest else f"{text[:longest]}..."

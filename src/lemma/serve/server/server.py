@@ -9,9 +9,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from lemma.core.errors import InvalidConfigError
-from lemma.serve.protocol.faults import ProtocolError
-from lemma.serve.protocol.messages import Message
-from lemma.serve.protocol.packing import LARGEST_BYTES, extra_package, pack, unpack
+from lemma.serve.protocol.extra import websockets
+from lemma.serve.protocol.messages import LARGEST_BYTES
 from lemma.serve.server.session import Session
 
 DEFAULT_PORT = 8000
@@ -126,10 +125,9 @@ class PolicyServer:
         Session(policy, about)
         self._policy, self._about = policy, about
         self._desk = RequestDispatcher()
-        websockets = extra_package("websockets.sync.server")
-        self._exceptions = extra_package("websockets.exceptions")
+        self._exceptions = websockets("exceptions")
         try:
-            self._server = websockets.serve(
+            self._server = websockets("sync.server").serve(
                 self._talk,
                 host,
                 port,
@@ -186,7 +184,7 @@ class PolicyServer:
         )
         with suppress(CancelledError, self._exceptions.ConnectionClosed):
             while True:
-                connection.send(_answer(session, connection.recv()))
+                connection.send(session.answer(connection.recv()))
 
 
 def serve(
@@ -216,14 +214,6 @@ def serve(
         on_ready(server.url)
         with suppress(KeyboardInterrupt):
             threading.Event().wait()
-
-
-def _answer(session: Session, data: bytes | str) -> bytes:
-    try:
-        return pack(session.answer(unpack(data)))
-    except ProtocolError as error:
-        reply: Message = {"type": "error", "kind": "request", "message": str(error)}
-        return pack(reply)
 
 
 def _is_open(connection: Any) -> bool:

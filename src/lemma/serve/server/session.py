@@ -1,7 +1,6 @@
 """The side of a conversation on which the policy is."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from lemma import __version__
@@ -11,41 +10,27 @@ from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolEr
 from lemma.serve.protocol.messages import (
     METHODS,
     PROTOCOL,
-    Message,
-    decision_to_message,
-    entries,
-    grounded_to_message,
-    malformed,
-    short,
-    subtask_from_message,
-    subtask_to_message,
-    view_from_message,
+    Act,
+    Decisions,
+    Error,
+    Ground,
+    Hello,
+    InputMessage,
+    Plan,
+    Poses,
+    Reply,
+    SubTasks,
+    Welcome,
+    decode_request,
+    encode,
 )
-from lemma.serve.selftest.echo import echo
 
 Call = Callable[[Callable[[], Any]], Any]
 """Runs something that asks the policy, and returns what it returned."""
 
 
-@dataclass
-class _Known:
-    """What was told of an episode."""
-
-    instruction: str
-    robots: tuple[str, ...]
-    views: dict[int, View] = field(default_factory=dict)
-
-
-class _MissingError(Exception):
-    """Something is referred to that was never told, or told before a restart."""
-
-    def __init__(self, episodes: list[int], views: list[list[int]]) -> None:
-        super().__init__()
-        self.reply = {"type": "missing", "episodes": episodes, "views": views}
-
-
 class Session:
-    """Answers the messages of one client; keeps what that client has shown."""
+    """Answers the messages of one connection; keeps the views of its last request."""
 
     def __init__(
         self,
@@ -73,127 +58,78 @@ class Session:
         self._policy: Any = policy
         self._about = {"name": type(policy).__name__, **(about or {})}
         self._call = call
-        self._known: dict[int, _Known] = {}
+        self._views: dict[int, View] = {}
 
-    def answer(self, message: Message) -> Message:
+    def answer(self, data: bytes | str) -> bytes:
         """Return the answer to a message; what goes wrong is an answer as well."""
         try:
-            reply = self._answer(message)
-        except _MissingError as missing:
-            reply = missing.reply
+            return encode(self._answer(data))
         except ProtocolError as error:
-            reply = _error("request", str(error))
+            return encode(Error(kind="request", message=str(error)))
         except PolicyFailedError as error:
-            reply = _error(error.kind, str(error))
+            return encode(Error(kind=error.kind, message=str(error)))
         except Exception as error:
             # The policy is anybody's code, and the client finds out which episode.
-            reply = _error(FaultKind.RAISED, f"{type(error).__name__}: {error}")
-        return {**reply, "id": message.get("id")}
+            text = f"{type(error).__name__}: {error}"
+            return encode(Error(kind=FaultKind.RAISED, message=text))
 
-    def _answer(self, message: Message) -> Message:
-        match message.get("type"):
-            case "hello":
-                return self._hello(message)
-            case "reset":
-                return self._reset(message)
-            case "check":
-                return echo(self._policy, message)
-            case method if method in self.methods:
-                return self._decide(str(method), message)
-            case other:
-                raise ProtocolError(
-                    f"The message {other!r} is not known here. Known: hello, reset, "
-                    f"check, {', '.join(self.methods)}."
-                )
+    def _answer(self, data: bytes | str) -> Reply:
+        match decode_request(data):
+            case Hello(protocol=version):
+                return self._welcome(version)
+            case Ground(subtasks=subtasks) as asked:
+                inputs, ground = self._inputs(asked), self._method("ground")
+                return Poses(poses=self._call(lambda: ground(inputs, subtasks)))
+            case Plan() as asked:
+                inputs, plan = self._inputs(asked), self._method("plan")
+                return SubTasks(subtasks=self._call(lambda: plan(inputs)))
+            case Act() as asked:
+                inputs, act = self._inputs(asked), self._method("act")
+                return Decisions(decisions=self._call(lambda: act(inputs)))
 
-    def _hello(self, message: Message) -> Message:
-        if message.get("protocol") != PROTOCOL:
+    def _welcome(self, version: int) -> Welcome:
+        if version != PROTOCOL:
             raise ProtocolError(
                 f"This is version {PROTOCOL} of the protocol, and the client speaks "
-                f"version {message.get('protocol')!r}. Install the same version of "
-                "lemma-bench on both sides."
+                f"version {version}. Install the same version of lemma-bench on both "
+                "sides."
             )
-        return {
-            "type": "hello",
-            "protocol": PROTOCOL,
-            "lemma": __version__,
-            "methods": self.methods,
-            "policy": self._about,
-        }
+        return Welcome(
+            protocol=PROTOCOL,
+            methods=self.methods,
+            policy=self._about,
+            lemma=__version__,
+        )
 
-    def _reset(self, message: Message) -> Message:
-        for number in message.get("forget", ()):
-            self._known.pop(number, None)
-        for told in entries(message, "episodes"):
-            self._known[int(told["episode"])] = _Known(
-                str(told["instruction"]), tuple(map(str, told["robots"]))
+    def _method(self, name: str) -> Callable[..., Any]:
+        if name not in self.methods:
+            raise ProtocolError(
+                f"The policy has no {name}(), but {', '.join(self.methods)}."
             )
-        return {"type": "ready"}
+        method: Callable[..., Any] = getattr(self._policy, name)
+        return method
 
-    def _decide(self, method: str, message: Message) -> Message:
-        asked = entries(message, "inputs")
-        # Everything is taken in before anything is missed: it is not sent again.
-        for one in asked:
-            self._look(one)
-        inputs = self._inputs(asked)
-        if method == "ground":
-            subtasks = [subtask_from_message(s) for s in entries(message, "subtasks")]
-            found = _listed(self._call(lambda: self._policy.ground(inputs, subtasks)))
-            return {
-                "type": "poses",
-                "poses": [None if g is None else grounded_to_message(g) for g in found],
-            }
-        if method == "plan":
-            planned = _listed(self._call(lambda: self._policy.plan(inputs)))
-            return {
-                "type": "subtasks",
-                "subtasks": [subtask_to_message(s) for s in planned],
-            }
-        decided = _listed(self._call(lambda: self._policy.act(inputs)))
-        return {
-            "type": "decisions",
-            "decisions": [decision_to_message(d) for d in decided],
-        }
+    def _inputs(self, asked: Act) -> list[PolicyInput]:
+        """Return the inputs of a request, and keep its views for the next one."""
+        known = self._views | {view.number: view.read() for view in asked.views}
+        used = {number for one in asked.inputs for number in _numbers(one)}
+        unknown = sorted(used - known.keys())
+        if unknown:
+            raise ProtocolError(f"The views {unknown} were not sent, or are forgotten.")
+        self._views = {number: known[number] for number in used}
+        return [self._input(one) for one in asked.inputs]
 
-    def _look(self, asked: Message) -> None:
-        known = self._known.get(asked["episode"])
-        if known is not None:
-            for number, view in asked.get("views", ()):
-                known.views[number] = view_from_message(view)
-
-    def _inputs(self, asked: list[Message]) -> list[PolicyInput]:
-        unknown = [a["episode"] for a in asked if a["episode"] not in self._known]
-        unseen = [
-            [one["episode"], number]
-            for one in asked
-            if one["episode"] in self._known
-            for number in {one["view"], *(step["view"] for step in one["past"])}
-            if number not in self._known[one["episode"]].views
-        ]
-        if unknown or unseen:
-            raise _MissingError(unknown, sorted(unseen))
-        return [self._input(one) for one in asked]
-
-    def _input(self, asked: Message) -> PolicyInput:
-        known = self._known[asked["episode"]]
+    def _input(self, asked: InputMessage) -> PolicyInput:
         past = tuple(
             PastStep(
-                known.views[step["view"]],
-                subtask_from_message(step["subtask"]),
-                str(step["outcome"]),
+                self._views[step.view], step.subtask, step.outcome, step.explanation
             )
-            for step in asked["past"]
+            for step in asked.past
         )
         return PolicyInput(
-            known.instruction, known.robots, known.views[asked["view"]], past
+            asked.instruction, tuple(asked.robots), self._views[asked.view], past
         )
 
 
-def _listed(answers: object) -> list[Any]:
-    if not isinstance(answers, list | tuple):
-        raise malformed(f"it returned {short(answers)}, not a list")
-    return list(answers)
-
-
-def _error(kind: str, text: str) -> Message:
-    return {"type": "error", "kind": kind, "message": text}
+def _numbers(asked: InputMessage) -> Iterable[int]:
+    return (asked.view, *(step.view for step in asked.past))

@@ -16,7 +16,7 @@ from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.policies.class_path import instance_of
 from lemma.serve.client.conversation import Conversation, ProtocolMode
 from lemma.serve.client.remote import Remote, remote
-from lemma.serve.protocol.messages import Message
+from lemma.serve.protocol.messages import PROTOCOL, Error, Hello, decode_reply, encode
 from lemma.serve.server.session import Session
 
 _START_S = 300.0
@@ -33,8 +33,8 @@ def isolate(name: str, timeout_s: float) -> Remote:
     Raises:
         InvalidConfigError: There is no such class, or it cannot be made.
     """
-    manners = ProtocolMode(timeout_s, patience_s=0.0, first_patience_s=0.0, deaths=1)
-    return remote(Conversation(name, lambda: ProcessChannel(name), manners))
+    mode = ProtocolMode(timeout_s, patience_s=0.0, first_patience_s=0.0, deaths=1)
+    return remote(Conversation(name, lambda: ProcessChannel(name), mode))
 
 
 class ProcessChannel:
@@ -58,23 +58,23 @@ class ProcessChannel:
         self._process.start()
         theirs.close()
         try:
-            ready = self.receive(_START_S)
+            ready = decode_reply(self.receive(_START_S))
         except OSError:
             self.close()
             raise
-        if ready["type"] == "error":
+        if isinstance(ready, Error):
             self.close()
-            raise InvalidConfigError(str(ready["message"]))
+            raise InvalidConfigError(ready.message)
 
-    def send(self, message: Message) -> None:
+    def send(self, message: bytes) -> None:
         """Send a message.
 
         Raises:
             OSError: The process is gone.
         """
-        self._pipe.send(message)
+        self._pipe.send_bytes(message)
 
-    def receive(self, timeout_s: float) -> Message:
+    def receive(self, timeout_s: float) -> bytes:
         """Return the next message.
 
         Raises:
@@ -84,13 +84,12 @@ class ProcessChannel:
         if not self._pipe.poll(timeout_s):
             raise TimeoutError
         try:
-            message: Message = self._pipe.recv()
+            return self._pipe.recv_bytes()
         except EOFError as error:
             self._process.join(_END_S)
             raise ConnectionError(
                 f"its process ended with {_why(self._process.exitcode)}"
             ) from error
-        return message
 
     def close(self) -> None:
         """Kill the process; never raises."""
@@ -111,13 +110,14 @@ def host(pipe: "Connection[Any, Any]", name: str) -> None:
     try:
         session = Session(instance_of(name))
     except LemmaError as error:
-        pipe.send({"type": "error", "message": str(error)})
+        pipe.send_bytes(encode(Error(kind="request", message=str(error))))
         return
     _use_one_core()
-    pipe.send({"type": "ready"})
+    # It is ready: the answer to a greeting that nobody sent.
+    pipe.send_bytes(session.answer(encode(Hello(protocol=PROTOCOL))))
     with suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
-            pipe.send(session.answer(pipe.recv()))
+            pipe.send_bytes(session.answer(pipe.recv_bytes()))
 
 
 def _end_with_parent() -> None:

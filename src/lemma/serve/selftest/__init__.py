@@ -1,1 +1,0 @@
-"""Known inputs, by which a server shows that it understands them."""
