@@ -82,7 +82,7 @@ def served() -> Iterator[PolicyServer]:
 
 def exchange(channel: WebSocketChannel, frame: Any) -> dict[str, Any]:
     channel.send(frame if isinstance(frame, bytes | str) else msgpack.packb(frame))  # type: ignore[arg-type]
-    reply: dict[str, Any] = msgpack.unpackb(channel.receive(SOON_S))  # type: ignore[arg-type]
+    reply: dict[str, Any] = msgpack.unpackb(channel.receive(SOON_S))
     return reply
 
 

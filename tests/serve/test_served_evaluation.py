@@ -18,15 +18,9 @@ from lemma.cli.serve import serve as serve_verb
 from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
 from lemma.core.parallel import Job, Listener, ProcessPool, ignore
-from lemma.evaluation.analysis.result import Row
+from lemma.evaluation.records import ABOUT, EPISODES, Row, read_rows
 from lemma.evaluation.run import loading
-from lemma.evaluation.run.evaluate import (
-    ABOUT,
-    EPISODES,
-    EvaluationConfig,
-    evaluate,
-    read_rows,
-)
+from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.spec import PolicySpec
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.protocol.faults import PolicyUnreachableError

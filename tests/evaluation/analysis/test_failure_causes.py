@@ -8,12 +8,8 @@ from made_up import row, step
 
 from lemma.env.episode import Episode
 from lemma.evaluation.analysis.failure_causes import Cause, cause_of
-from lemma.evaluation.run.expert_feedback import (
-    Departure,
-    advise,
-    departure,
-    left_in,
-)
+from lemma.evaluation.records import Departure
+from lemma.evaluation.run.expert_feedback import advise, departure, left_in
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
