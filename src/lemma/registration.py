@@ -6,24 +6,14 @@ Importing this module is cheap: what simulates is imported when an environment i
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+from lemma.tasks.names import SUITE, gym_id
+
 if TYPE_CHECKING:
     from lemma.env.base_env import LemmaEnv
     from lemma.env.control_env import ControlEnv
     from lemma.env.parallel_env import LemmaParallelEnv
     from lemma.env.skill_env import SkillEnv
     from lemma.expert.plan_env import PlanEnv
-
-TASK_IDS = {
-    "pass": "lemma/Pass-v0",
-    "pass2": "lemma/Pass2-v0",
-    "stack": "lemma/Stack-v0",
-    "stack2": "lemma/Stack2-v0",
-    "poke": "lemma/Poke-v0",
-    "poke_stack": "lemma/PokeStack-v0",
-    "hook": "lemma/Hook-v0",
-    "hook_stack": "lemma/HookStack-v0",
-}
-"""Gymnasium's names of the eight tasks; spelled out to import nothing."""
 
 LEVELS = {
     "control": "lemma.env.control_env:ControlEnv",
@@ -34,12 +24,15 @@ LEVELS = {
 
 
 def register_environments() -> None:
-    """Make the tasks known to Gymnasium: ``import lemma`` does it."""
+    """Make the suite known to Gymnasium: ``import lemma`` does it.
+
+    Tasks of users are made known when they are added to :data:`lemma.TASKS`.
+    """
     registration = import_module("gymnasium.envs.registration")
-    for task, name in TASK_IDS.items():
-        if name not in registration.registry:
+    for task in SUITE:
+        if gym_id(task) not in registration.registry:
             registration.register(
-                id=name,
+                id=gym_id(task),
                 entry_point="lemma.registration:make",
                 kwargs={"task": task},
             )
@@ -89,7 +82,8 @@ def make(
     if level not in LEVELS:
         errors = import_module("lemma.core.errors")
         raise errors.UnknownNameError("level", level, LEVELS)
-    by_id = {name: task_name for task_name, name in TASK_IDS.items()}
+    tasks = import_module("lemma.tasks.suite").TASKS
+    by_id = {gym_id(name): name for name in tasks}
     config = import_module("lemma.env.config").EnvConfig.from_options(
         {"task": by_id.get(task, task), **options}
     )

@@ -20,7 +20,7 @@ from lemma.env.action_spaces import PICKS, PLACES
 from lemma.env.base_env import LemmaEnv
 from lemma.env.skill_env import SkillEnv
 from lemma.expert.plan_env import PlanEnv
-from lemma.registration import TASK_IDS
+from lemma.tasks.names import SUITE, gym_id
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 CONTROLS = ("ee_pose", "joint_position", "joint_velocity", "joint_torque")
@@ -53,9 +53,9 @@ def play(env: LemmaEnv, steps: int, seed: int = 0) -> list[str]:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("task", list(TASK_IDS))
+@pytest.mark.parametrize("task", SUITE)
 def test_gymnasium_finds_no_fault(task: str, level: str) -> None:
-    env = gymnasium.make(TASK_IDS[task], level=level, split="test")
+    env = gymnasium.make(gym_id(task), level=level, split="test")
     check_env(env.unwrapped, skip_render_check=True)
 
 
@@ -202,7 +202,7 @@ def test_vector_of_processes_renders() -> None:
 @pytest.mark.parametrize("level", ["skill", "plan"])
 @pytest.mark.parametrize("task", ["pass", "stack"])
 def test_expert_solves_it_in_a_three_line_loop(task: str, level: str) -> None:
-    env = gymnasium.make(TASK_IDS[task], level=level, split="test", index=0)
+    env = gymnasium.make(gym_id(task), level=level, split="test", index=0)
     expert = lemma.ExpertPolicy(env)
     observation, _ = env.reset()
     rewards, done = [], False

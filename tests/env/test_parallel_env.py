@@ -10,7 +10,7 @@ from pettingzoo.test import parallel_api_test
 import lemma
 from lemma.core.errors import InvalidActionError, ResetNeededError
 from lemma.env.parallel_env import LemmaParallelEnv
-from lemma.registration import TASK_IDS
+from lemma.tasks.names import SUITE
 
 
 def parallel(task: str = "stack", **options: Any) -> LemmaParallelEnv:
@@ -21,7 +21,7 @@ def sample(env: LemmaParallelEnv) -> dict[str, Any]:
     return {agent: env.action_space(agent).sample() for agent in env.agents}
 
 
-@pytest.mark.parametrize("task", list(TASK_IDS))
+@pytest.mark.parametrize("task", SUITE)
 def test_pettingzoo_finds_no_fault(task: str) -> None:
     parallel_api_test(parallel(task, horizon_s=2.0), num_cycles=60)
 

@@ -22,9 +22,9 @@ from lemma.tasks.drags import grasp_on_stick
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.placement import Board, PlacementError
-from lemma.tasks.sampling import TEAMS, sample
+from lemma.tasks.sampling import sample
 from lemma.tasks.suite import SUITE, load_instance, task_named
-from lemma.tasks.task import Task
+from lemma.tasks.task import TEAMS, Task
 
 TEST = range(SPLITS["test"])
 Box = tuple[Pose2, float, float]

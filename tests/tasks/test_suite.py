@@ -16,9 +16,9 @@ from lemma.scene.palette import OBJECT_COLORS
 from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.bank import KINDS, parse, words
-from lemma.tasks.sampling import TEAMS, sample
+from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance, task_named
-from lemma.tasks.task import TASKS
+from lemma.tasks.task import TASKS, TEAMS
 
 FROZEN = files("lemma.tasks") / "frozen"
 LISTS = [(task, split) for task in SUITE for split in SPLITS]

@@ -17,12 +17,12 @@ from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.recovery import RecoveryFigures, recovery_figures
 from lemma.expert.disturbances import Perturbation
 from lemma.tasks.instance import SPLITS
-from lemma.tasks.suite import SUITE
+from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
 _AT_INTERRUPT = (
     "{done} of {total} episodes are written. The same command goes on from there."
 )
-_ALL, _SPLITS = "all", ",".join(SPLITS)
+_ALL = "all"
 _RECIPE, _RECOVERY = Path("data/lemma-v1"), Path("data/lemma-v1-recovery")
 
 
@@ -33,7 +33,8 @@ class GenerateOptions:
     tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
     """Names of tasks, separated by commas."""
     split: Annotated[Word, tyro.conf.arg(metavar="SPLIT,...")] = None
-    """Names of splits, separated by commas; all by default, train with --perturb."""
+    """Names of splits, separated by commas; all frozen ones by default, train with
+    --perturb, free for tasks of your own. Split free needs --episodes."""
     episodes: Number = None
     """Only the first so many of every task and split; all by default."""
     perturb: Annotated[
@@ -58,10 +59,13 @@ class GenerateOptions:
             raise InvalidConfigError(
                 "--perturb-seed draws mistakes, but none are made. Add --perturb 0.3."
             )
+        tasks = SUITE if self.tasks == _ALL else words(self.tasks)
+        frozen = ("train",) if perturb else tuple(SPLITS)
+        splits = frozen if all(map(has_frozen_lists, tasks)) else (FREE_SPLIT,)
         return GenerateConfig(
             out=out or (_RECOVERY if perturb else _RECIPE),
-            tasks=SUITE if self.tasks == _ALL else words(self.tasks),
-            splits=words(self.split or ("train" if perturb else _SPLITS)),
+            tasks=tasks,
+            splits=words(self.split) if self.split else splits,
             episodes=self.episodes,
             perturb=perturb,
         )
@@ -139,8 +143,10 @@ def figures(summary: GenerateSummary, workers: int) -> dict[str, float]:
     return {name: round(value, 3) for name, value in found.items()}
 
 
-def _print_comparison(others: list[str]) -> None:
-    """Say whether the folder holds what the authors' machine made."""
+def _print_comparison(others: list[str] | None) -> None:
+    """Say whether the folder holds what the authors' machine made, if it made it."""
+    if others is None:
+        return
     if not others:
         output().print("Every episode equals the published one, to the bit.")
         return

@@ -109,8 +109,9 @@ def _print(found: Statistics, size_mb: float) -> None:
     )
     refused = sum(rates.by_expert for rates in found.rejections.values())
     console.print()
-    console.print(f"rejected   tables, by the sampler: {', '.join(rejected)}")
-    console.print(f"           instances, by the expert: {refused}")
+    if found.rejections:
+        console.print(f"rejected   tables, by the sampler: {', '.join(rejected)}")
+        console.print(f"           instances, by the expert: {refused}")
     console.print(f"size       {size_mb:.1f} MB")
 
 

@@ -14,7 +14,7 @@ from lemma.expert.expert import Expert
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.bank import instruct, robot_phrases, sub_instruction
-from lemma.tasks.suite import load_instance, task_named
+from lemma.tasks.suite import default_split, load_instance, task_named
 
 Kind = Literal["training", "high_level", "human", "unseen", "sub"]
 
@@ -56,10 +56,11 @@ def instructions(
 
 
 def _draw(task: str, kind: Kind, seed: int) -> Iterator[tuple[Instance, str]]:
-    """Yield instances of the frozen training list, and sentences for them."""
+    """Yield training instances, sampled if there is no list, and sentences for them."""
     draws = stream("instructions", task, seed)
     for count in range(10**9):
-        instance = load_instance(task, "train", int(draws.integers(SPLITS["train"])))
+        index = int(draws.integers(SPLITS["train"]))
+        instance = load_instance(task, default_split(task), index)
         for text in _sentences(instance, kind, seed, count, draws):
             yield instance, text
 

@@ -11,9 +11,10 @@ from rich.text import Text
 from lemma import __version__
 from lemma.cli.options import complain, output
 from lemma.core.errors import LemmaError, UnknownNameError
+from lemma.core.plugins import load_plugins, split_names
 
 VERBS = {
-    "tasks": "List the eight tasks of the suite.",
+    "tasks": "List the eight tasks of the suite, and those of plugins.",
     "demo": "Let a policy solve one instance of each task; write videos and a page.",
     "show": "Draw an instance: cameras, depth, map, reach, goal and instructions, "
     "in one PNG.",
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Raises:
         SystemExit: Always.
     """
-    words = sys.argv[1:] if arguments is None else list(arguments)
+    words, plugins = split_plugins(sys.argv[1:] if arguments is None else arguments)
     if words == ["--version"]:
         output().print(f"lemma {__version__}")
         raise SystemExit(0)
@@ -73,6 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _print_help()
         raise SystemExit(0)
     try:
+        load_plugins(plugins)
         code = tyro.extras.subcommand_cli_from_dict(
             _functions(words),
             prog="lemma",
@@ -100,6 +102,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     raise SystemExit(code)
 
 
+def split_plugins(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Take ``--plugin NAME`` out of a command line, wherever and how often it stands.
+
+    What it names is imported before the other words are looked at, which may be names
+    that it registers.
+
+    Returns:
+        The other words, and the plugins.
+    """
+    others: list[str] = []
+    plugins: list[str] = []
+    rest = iter(words)
+    for word in rest:
+        option, is_equal, value = word.partition("=")
+        if option == "--plugin":
+            plugins += split_names(value if is_equal else next(rest, ""))
+        else:
+            others.append(word)
+    return others, plugins
+
+
 def _functions(words: Sequence[str]) -> dict[str, Callable[..., int]]:
     """Return the verbs that a command line needs.
 
@@ -124,12 +147,16 @@ def _imported(verb: str) -> Callable[..., int]:
 
 def _print_help() -> None:
     console = output()
-    console.print(f"usage: lemma [--help] [--version] VERB ...\n\n{_DESCRIPTION}\n")
+    options = "[--help] [--version] [--plugin NAME]"
+    console.print(f"usage: lemma {options} VERB ...\n\n{_DESCRIPTION}\n")
     verbs = Table.grid(padding=(0, 2))
     for verb, summary in VERBS.items():
         verbs.add_row(f"  {verb}", Text(summary))
     console.print(verbs)
-    console.print("\n'lemma VERB --help' says more about each verb.")
+    console.print(
+        "\n'lemma VERB --help' says more about each verb. --plugin my_module, or "
+        "my_file.py, registers tasks, arms or primitives of your own first."
+    )
 
 
 def _about_missing(error: ImportError) -> str:

@@ -10,7 +10,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.robots.ur.build import ARMS
 from lemma.tasks.instance import Instance
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import FREE_SPLIT, load_instance, task_named
+from lemma.tasks.suite import FREE_SPLIT, default_split, load_instance, task_named
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,9 +18,10 @@ class Selection:
     """Which instance of the task."""
 
     split: Word = None
-    """Frozen list to take it from: train, val or test (default)."""
+    """Frozen list to take it from: train, val or test; or free, which samples it. By
+    default test, and free for tasks of your own."""
     index: Number = None
-    """Number in that list; 0 by default."""
+    """Number in that list, or the seed; 0 by default."""
     seed: Number = None
     """Sample a new instance with this seed, instead of a frozen one."""
     robots: Team = None
@@ -46,9 +47,10 @@ def select_instance(task: str, wish: Selection) -> Instance:
         InvalidConfigError: The index is out of range, or the wishes contradict.
     """
     task_named(task)
-    frozen = wish.seed is None and wish.robots is None
-    if frozen:
-        return load_instance(task, wish.split or "test", wish.index or 0)
+    listed = wish.seed is None and wish.robots is None
+    if listed:
+        split = wish.split or default_split(task, "test")
+        return load_instance(task, split, wish.index or 0)
     if wish.index is not None or wish.split not in (None, FREE_SPLIT):
         raise InvalidConfigError(
             "--split and --index name a frozen instance, --seed and --robots sample "

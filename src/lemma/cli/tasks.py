@@ -1,4 +1,4 @@
-"""`lemma tasks`: the suite as a table."""
+"""`lemma tasks`: the suite, and what plugins add to it, as a table."""
 
 from typing import Any
 
@@ -7,17 +7,16 @@ from rich.table import Table
 
 from lemma.cli.options import JsonFlag, output, print_json
 from lemma.scene.objects.entity import STICK
-from lemma.tasks.suite import SUITE, load_instance
-from lemma.tasks.task import TASKS
+from lemma.tasks.suite import TASKS, default_split, load_instance
 
 
 def tasks(as_json: JsonFlag = False) -> int:
-    """List the eight tasks of the suite.
+    """List the eight tasks of the suite, and those of plugins.
 
     Args:
         as_json: Print a JSON list instead of a table.
     """
-    records = [describe(name) for name in SUITE]
+    records = [describe(name) for name in TASKS]
     if as_json:
         print_json(records)
         return 0
@@ -46,7 +45,7 @@ def describe(name: str) -> dict[str, Any]:
     """Return what is known of a task, ready for JSON."""
     task = TASKS[name]
     # How many objects a goal needs is the same in every instance of a task.
-    example = load_instance(name, "test", 0)
+    example = load_instance(name, default_split(name, "test"), 0)
     needed = len(example.scene.objects) - len(example.distractors)
     return {
         "task": name,

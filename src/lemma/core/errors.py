@@ -44,6 +44,10 @@ class InvalidConfigError(LemmaError, ValueError):
     """A configuration value that cannot be used."""
 
 
+class PluginError(LemmaError, RuntimeError):
+    """A module of a user that cannot be imported."""
+
+
 class SamplingError(LemmaError, RuntimeError):
     """No instance was found that satisfies a task's constraints."""
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from lemma.core.errors import InvalidConfigError, WorkerError
+from lemma.core.plugins import load_plugins
 
 Job = tuple[Any, ...]
 """Arguments of one call."""
@@ -369,6 +370,8 @@ def _answer(pipe: "Connection[Any, Any]") -> bytes:
     """
     request = pipe.recv_bytes()
     try:
+        # First of all: a job may be made of things that a plugin has registered.
+        load_plugins()
         function, job = pickle.loads(request)
         return pickle.dumps(("result", function(*job)))
     except BaseException as error:

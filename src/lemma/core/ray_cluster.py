@@ -14,6 +14,7 @@ from lemma.core.parallel import (
     heard_by,
     ignore,
 )
+from lemma.core.plugins import load_plugins
 
 _AHEAD = 2
 """Jobs per core that the cluster is told of at a time."""
@@ -74,12 +75,14 @@ class RayCluster:
         """
         # A machine that dies takes along its jobs; others do them again.
         remote = self._ray.remote(max_retries=MOST_DEATHS)(_work_for_another)
+        # Workers of a cluster have neither our environment nor our path.
+        here = (load_plugins(), tuple(sys.path))
         most = _AHEAD * self.workers
         waiting = iter(jobs)
         running: list[Any] = []
         while True:
             while len(running) < most and (job := next(waiting, None)) is not None:
-                running.append(remote.remote(function, *job))
+                running.append(remote.remote(here, function, *job))
             if not running:
                 return
             done, running = self._ray.wait(running)
@@ -103,9 +106,22 @@ class RayCluster:
         return results
 
 
-def _work_for_another(function: Callable[..., Any], *job: Any) -> tuple[list[Any], Any]:
-    """Return what a job reported, and what it returned."""
+def _work_for_another(
+    there: tuple[tuple[str, ...], tuple[str, ...]],
+    function: Callable[..., Any],
+    *job: Any,
+) -> tuple[list[Any], Any]:
+    """Return what a job reported, and what it returned.
+
+    Args:
+        there: Plugins of the process that asks, and where it looks for modules.
+        function: What to call.
+        *job: Its arguments.
+    """
     become_worker()
+    plugins, folders = there
+    sys.path += [folder for folder in folders if folder not in sys.path]
+    load_plugins(plugins)
     reports: list[Any] = []
     with heard_by(reports.append):
         result = function(*job)

@@ -15,7 +15,7 @@ import numpy as np
 
 from lemma.core.errors import InvalidConfigError, ResetNeededError, UnknownNameError
 from lemma.core.robot_names import robot_names
-from lemma.env.config import TEAM_SIZE, EnvConfig
+from lemma.env.config import EnvConfig
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.env.observation import (
     MAX_INSTRUCTION_LENGTH,
@@ -29,7 +29,7 @@ from lemma.scene.model_cameras import camera_from_model
 from lemma.scene.rendering.renderer import Renderer
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import FREE_SPLIT, load_instance, task_named
+from lemma.tasks.suite import FREE_SPLIT, check_split, load_instance, task_named
 
 OVERVIEW = FreeCamera(
     lookat=(0.0, -0.05, 0.1), distance=3.6, azimuth_deg=90.0, elevation_deg=-36.0
@@ -54,7 +54,7 @@ class EnvSnapshot:
 
 
 @lru_cache(maxsize=256)
-def _sampled(task: str, index: int, team: tuple[str, str] | None) -> Instance:
+def _sampled(task: str, index: int, team: tuple[str, ...] | None) -> Instance:
     """Sample a free instance; some take seconds, so the last ones are kept."""
     return sample(task_named(task), FREE_SPLIT, index, team=team).instance
 
@@ -87,9 +87,11 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         self.render_mode = render_mode
         self.config = config
         self.task = config.task
-        self.robot_names = robot_names(TEAM_SIZE)
+        self.robot_names = robot_names(config.team_size)
         self._observer = Observer(
-            config.observation, tuple(range(TEAM_SIZE)), (config.width, config.height)
+            config.observation,
+            tuple(range(config.team_size)),
+            (config.width, config.height),
         )
         self.observation_space = self._observer.space
         self._episode: Episode | None = None
@@ -166,7 +168,8 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
     def _draw(self, split: str) -> Instance:
         if split == FREE_SPLIT:
             return self._load(split, int(self.np_random.integers(_SEEDS)))
-        for index in self.np_random.permutation(SPLITS.get(split, 1)):
+        check_split(self.task, split)
+        for index in self.np_random.permutation(SPLITS[split]):
             instance = load_instance(self.task, split, int(index))
             if self._has_team(instance):
                 return instance
@@ -182,8 +185,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
             )
         robots = self.config.robots
         if split == FREE_SPLIT:
-            team = None if robots is None else (robots[0], robots[1])
-            return _sampled(self.task, int(index), team)
+            return _sampled(self.task, int(index), robots)
         return load_instance(self.task, split, int(index))
 
     def _has_team(self, instance: Instance) -> bool:
@@ -193,11 +195,11 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
 
     def _check(self, instance: Instance) -> None:
         arms = tuple(robot.arm for robot in instance.scene.robots)
-        if len(arms) != TEAM_SIZE or not self._has_team(instance):
+        if len(arms) != self.config.team_size or not self._has_team(instance):
             raise InvalidConfigError(
                 f"Instance {instance.key} has the team {arms}, but this environment is "
-                f"for {self.config.robots or f'{TEAM_SIZE} robots'}. Choose another "
-                "index, or make the environment with robots=None."
+                f"for {self.config.robots or f'{self.config.team_size} robots'}. "
+                "Choose another index, or make the environment with robots=None."
             )
         text = instance.instructions[self.config.instruction]
         if len(text) > MAX_INSTRUCTION_LENGTH or not text.isascii():

@@ -7,13 +7,8 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.robots.ur.build import ARMS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
-from lemma.tasks.instance import SPLITS
 from lemma.tasks.language.template import KINDS
-from lemma.tasks.sampling import TEAMS
-from lemma.tasks.suite import FREE_SPLIT, task_named
-
-TEAM_SIZE = len(TEAMS[0])
-"""Robots in every sampled instance."""
+from lemma.tasks.suite import FREE_SPLIT, check_split, default_split, task_named
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,14 +28,16 @@ class EnvConfig:
     """Width of camera images [px]."""
     height: int = CAMERA_HEIGHT_PX
     """Height of camera images [px]."""
-    split: str = "train"
+    split: str = ""
     """Where instances come from: ``"train"``, ``"val"``, ``"test"``, or ``"free"`` for
-    instances sampled on demand."""
+    instances sampled on demand. By default ``"train"``, and ``"free"`` for a task that
+    has no frozen lists."""
     index: int | None = None
     """Number of the instance in its split; drawn anew by each reset if None."""
     robots: tuple[str, ...] | None = None
-    """Arm types of the team, such as ``("ur5", "ur10")``; any team if None. Frozen
-    instances have them in either order, free ones from left to right."""
+    """Arm types of the team, such as ``("ur5", "ur10")``; any team of the task if None.
+    Frozen instances have them in either order; free ones from left to right, of any
+    registered arms."""
     instruction: str = "high_level"
     """Which of the three instructions is given: ``"high_level"``, ``"human"`` or
     ``"unseen"``."""
@@ -50,13 +47,12 @@ class EnvConfig:
     def __post_init__(self) -> None:
         """Check what does not depend on the level."""
         task_named(self.task)
-        if self.split not in (*SPLITS, FREE_SPLIT):
-            raise UnknownNameError("split", self.split, (*SPLITS, FREE_SPLIT))
+        object.__setattr__(self, "split", self.split or default_split(self.task))
+        check_split(self.task, self.split)
         if self.instruction not in KINDS:
             raise UnknownNameError("kind of instruction", self.instruction, KINDS)
         if self.robots is not None:
-            self._check_team(tuple(self.robots))
-            object.__setattr__(self, "robots", tuple(self.robots))
+            object.__setattr__(self, "robots", self._checked_team(self.robots))
         ticks = 1.0 / (self.control_hz * TICK_S) if self.control_hz > 0.0 else 0.0
         if not 0.5 < ticks < 1e6 or abs(ticks - round(ticks)) > 1e-9:
             raise InvalidConfigError(
@@ -69,14 +65,28 @@ class EnvConfig:
                 f"benchmark uses {HORIZON_S:g}."
             )
 
-    def _check_team(self, robots: tuple[str, ...]) -> None:
+    @property
+    def team_size(self) -> int:
+        """Robots of an instance."""
+        return len(self.robots or task_named(self.task).teams[0])
+
+    def _checked_team(self, robots: object) -> tuple[str, ...]:
+        if not isinstance(robots, list | tuple) or not robots:
+            raise InvalidConfigError(
+                f"robots={robots!r:.60} is no team. It is a tuple with the arm type of "
+                "each robot, such as ('ur5', 'ur10'), or None for any."
+            )
         for arm in robots:
             ARMS[arm]
-        if sorted(robots) not in [sorted(team) for team in TEAMS]:
-            teams = ", ".join(repr(team) for team in TEAMS)
+        teams = task_named(self.task).teams
+        listed = self.split == FREE_SPLIT or sorted(robots) in map(sorted, teams)
+        if not listed:
             raise InvalidConfigError(
-                f"No instance has the team {robots!r}. Valid: {teams}, or None for any."
+                f"No frozen instance has the team {tuple(robots)!r}. Valid: "
+                f"{', '.join(map(repr, teams))}, or None for any; and any registered "
+                f"arms with split={FREE_SPLIT!r}."
             )
+        return tuple(robots)
 
     @classmethod
     def from_options(cls, options: dict[str, Any]) -> Self:

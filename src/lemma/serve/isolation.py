@@ -13,6 +13,7 @@ from os import _exit
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, LemmaError
+from lemma.core.plugins import load_plugins
 from lemma.policies.class_path import instance_of
 from lemma.serve.client.conversation import Conversation, ProtocolMode
 from lemma.serve.client.remote import Remote, remote
@@ -108,6 +109,7 @@ def host(pipe: "Connection[Any, Any]", name: str) -> None:
     """
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
+        load_plugins()
         session = Session(instance_of(name))
     except LemmaError as error:
         pipe.send_bytes(encode(Error(kind="request", message=str(error))))

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,8 +39,7 @@ class Instance:
     @property
     def team(self) -> str:
         """Arm types from small to large: ``"ur5+ur10"``, whoever stands first."""
-        arms = sorted((robot.arm for robot in self.scene.robots), key=_arm_order)
-        return "+".join(arms)
+        return team_name(robot.arm for robot in self.scene.robots)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""
@@ -86,6 +86,11 @@ class Instance:
         """Return the SHA-256 of the instance's canonical JSON."""
         text = json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def team_name(arms: Iterable[str]) -> str:
+    """Return the name of a team: its arm types from small to large."""
+    return "+".join(sorted(arms, key=_arm_order))
 
 
 def _arm_order(arm: str) -> tuple[int, str]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lemma.core.errors import SamplingError
+from lemma.core.errors import InvalidConfigError, SamplingError
 from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
 from lemma.robots.reach import reach_of
@@ -15,9 +15,6 @@ from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.placement import Board, PlacementError
 from lemma.tasks.task import Task
-
-TEAMS = (("ur5", "ur5"), ("ur5", "ur10"), ("ur10", "ur10"))
-"""The three team types; a mixed team stands in either order."""
 
 _SHARED_WIDTH_M = (0.22, 0.38)
 _GAP_WIDTH_M = (0.06, 0.14)
@@ -40,7 +37,7 @@ def sample(
     index: int,
     *,
     attempt: int = 0,
-    team: tuple[str, str] | None = None,
+    team: tuple[str, ...] | None = None,
 ) -> Sample:
     """Sample the geometry of an instance.
 
@@ -52,12 +49,18 @@ def sample(
         team: Arm types from the first robot to the second; drawn if None.
 
     Raises:
+        UnknownNameError: An arm type is not registered.
+        InvalidConfigError: The team is not of two robots.
         SamplingError: No table was found that satisfies the task.
     """
+    if team is not None and len(team) != 2:
+        raise InvalidConfigError(
+            f"The team {team!r} has {len(team)} robots, but tables are set for two."
+        )
     key = (BENCHMARK_VERSION, task.name, split, index)
     rng = stream(*key, "layout", attempt)
     # What is refused does not depend on these: hard teams stay as frequent as others.
-    chosen = team or _draw_team(stream(*key, "team"))
+    chosen = team or _draw_team(task, stream(*key, "team"))
     distractors = int(
         stream(*key, "distractors").integers(
             task.distractors[0], task.distractors[1] + 1
@@ -89,13 +92,13 @@ def sample(
     )
 
 
-def _draw_team(rng: np.random.Generator) -> tuple[str, str]:
-    first, second = TEAMS[int(rng.integers(len(TEAMS)))]
+def _draw_team(task: Task, rng: np.random.Generator) -> tuple[str, ...]:
+    first, second = task.teams[int(rng.integers(len(task.teams)))]
     return (first, second) if rng.random() < 0.5 else (second, first)
 
 
 def _place_team(
-    task: Task, team: tuple[str, str], rng: np.random.Generator
+    task: Task, team: tuple[str, ...], rng: np.random.Generator
 ) -> tuple[RobotPlacement, ...]:
     """Stand two robots face to face, so far apart as the task wants."""
     first, second = (reach_of(arm) for arm in team)

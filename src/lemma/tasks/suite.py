@@ -1,4 +1,4 @@
-"""The eight tasks of the paper, and their frozen instances."""
+"""The eight tasks of the paper, and instances of any task, frozen or sampled."""
 
 import gzip
 import json
@@ -8,20 +8,21 @@ from importlib.resources import files
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.names import SUITE
 from lemma.tasks.sampling import sample
 from lemma.tasks.task import TASKS, Task
 
-SUITE = (
-    "pass",
-    "pass2",
-    "stack",
-    "stack2",
-    "poke",
-    "poke_stack",
-    "hook",
-    "hook_stack",
-)
-"""The tasks in the order of the paper's tables."""
+__all__ = [
+    "FREE_SPLIT",
+    "SUITE",
+    "TASKS",
+    "Task",
+    "check_split",
+    "default_split",
+    "has_frozen_lists",
+    "load_instance",
+    "task_named",
+]
 
 FREE_SPLIT = "free"
 """Split of instances that are sampled on demand, numbered by their seed."""
@@ -40,6 +41,38 @@ def task_named(name: str) -> Task:
     return TASKS[name]
 
 
+def has_frozen_lists(task: str) -> bool:
+    """Return whether a task has frozen lists of instances: the suite's eight have."""
+    return task in SUITE
+
+
+def default_split(task: str, split: str = "train") -> str:
+    """Return the split to take where none is named.
+
+    Args:
+        task: Name of the task.
+        split: The one to take if the task has frozen lists; ``"free"`` otherwise.
+    """
+    return split if has_frozen_lists(task) else FREE_SPLIT
+
+
+def check_split(task: str, split: str) -> None:
+    """Check that a task has a split.
+
+    Raises:
+        UnknownNameError: No such task or split.
+        InvalidConfigError: The task has no frozen lists.
+    """
+    task_named(task)
+    if split not in (*SPLITS, FREE_SPLIT):
+        raise UnknownNameError("split", split, (*SPLITS, FREE_SPLIT))
+    if split != FREE_SPLIT and not has_frozen_lists(task):
+        raise InvalidConfigError(
+            f"Task {task!r} has no frozen list {split!r}; only the benchmark's eight "
+            f"have lists. Use split {FREE_SPLIT!r}, whose index is the seed."
+        )
+
+
 def load_instance(task: str, split: str, index: int) -> Instance:
     """Return a frozen instance, or sample one of the ``"free"`` split.
 
@@ -50,18 +83,11 @@ def load_instance(task: str, split: str, index: int) -> Instance:
 
     Raises:
         UnknownNameError: No such task or split.
-        InvalidConfigError: The index is out of range.
+        InvalidConfigError: The index is out of range, or the task has no such list.
     """
-    record = task_named(task)
+    check_split(task, split)
     if split == FREE_SPLIT:
-        return sample(record, split, index).instance
-    if split not in SPLITS:
-        raise UnknownNameError("split", split, (*SPLITS, FREE_SPLIT))
-    if task not in SUITE:
-        raise InvalidConfigError(
-            f"Task {task!r} has no frozen instances; only the suite's eight have. Use "
-            f"split {FREE_SPLIT!r} with any index as seed."
-        )
+        return sample(task_named(task), split, index).instance
     count = SPLITS[split]
     if not 0 <= index < count:
         raise InvalidConfigError(

@@ -1,21 +1,34 @@
 """What a task is: how its table is set, and the sentences that ask for its goal."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
+
+from gymnasium.envs import registration
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
 from lemma.tasks.goal import Goal
-from lemma.tasks.language.bank import LanguageBank
+from lemma.tasks.language.bank import LanguageBank, add_bank
+from lemma.tasks.names import gym_id
 from lemma.tasks.placement import Board
+
+TEAMS: tuple[tuple[str, ...], ...] = (
+    ("ur5", "ur5"),
+    ("ur5", "ur10"),
+    ("ur10", "ur10"),
+)
+"""The benchmark's three teams; a mixed one stands in either order."""
+
+_NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One task of the suite: data, and one function that sets the table."""
+    """One task: data, and one function that sets the table."""
 
     name: str
-    """Registry name: ``"poke_stack"``."""
+    """Registry name, of lower-case words: ``"poke_stack"``."""
     summary: str
     """One sentence for people."""
     subtasks: int
@@ -26,12 +39,20 @@ class Task:
     """Puts the objects that matter on the board and says what shall become true."""
     language: LanguageBank
     """Its instructions."""
+    teams: tuple[tuple[str, ...], ...] = TEAMS
+    """Arm types of the teams that instances are drawn from, each as likely, in either
+    order."""
     apart: bool = False
     """Whether the robots share no region, but stand so far apart that only the stick
     bridges the gap."""
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
+        """Check the name and the numbers."""
+        if not _NAME.fullmatch(self.name):
+            raise InvalidConfigError(
+                f"{self.name!r} cannot name a task. Use lower-case words and digits "
+                "with underscores between them: 'sort_colors'."
+            )
         least, most = self.distractors
         if not 0 <= least <= most or self.subtasks < 1:
             raise InvalidConfigError(
@@ -39,13 +60,37 @@ class Task:
                 "distractors. There must be at least one sub-task, and the range of "
                 "distractors must ascend from zero or more."
             )
+        if not self.teams or any(len(team) != 2 for team in self.teams):
+            raise InvalidConfigError(
+                f"Task {self.name!r} has the teams {self.teams!r}. There must be one "
+                "or more, of two arm types each, such as (('ur5', 'ur10'),)."
+            )
 
     @property
     def gym_id(self) -> str:
         """Gymnasium name: ``"lemma/PokeStack-v0"``."""
-        words = self.name.split("_")
-        return f"lemma/{''.join(word.capitalize() for word in words)}-v0"
+        return gym_id(self.name)
 
 
-TASKS: Registry[Task] = Registry("task")
-"""Every task that can be sampled, built-in ones first."""
+def _make_known(name: str, task: Task) -> None:
+    """Tell Gymnasium of a task, and whoever draws its instructions.
+
+    Raises:
+        InvalidConfigError: Another one has its name there.
+    """
+    known = registration.registry.get(task.gym_id)
+    if known is None:
+        registration.register(
+            id=task.gym_id, entry_point="lemma.registration:make", kwargs={"task": name}
+        )
+    elif known.kwargs.get("task") != name:
+        raise InvalidConfigError(
+            f"Gymnasium would call task {name!r} {task.gym_id}, as it calls "
+            f"{known.kwargs.get('task')!r}. Choose another name."
+        )
+    add_bank(name, task.language)
+
+
+TASKS: Registry[Task] = Registry("task", on_add=_make_known)
+"""Every task that can be sampled, built-in ones first. What is added here is known to
+Gymnasium, to every function that takes the name of a task, and to the command line."""

@@ -7,14 +7,15 @@ from typing import Any
 
 from scipy.special import chdtrc
 
-from lemma.robots.ur.build import ARMS
+from lemma.core.errors import InvalidConfigError
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import entity_named
 from lemma.scene.objects.kind import ObjectKind
 from lemma.scene.objects.pad import PAD
 from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.scene.spec import ROBOT_COLORS
-from lemma.tasks.sampling import TEAMS
+from lemma.tasks.instance import team_name
+from lemma.tasks.task import TEAMS
 
 TEAM_NAMES = tuple("+".join(team) for team in TEAMS)
 ALL = "all"
@@ -42,9 +43,9 @@ def _goal_color(side: int, kind: ObjectKind) -> Callable[[dict[str, Any]], str |
     return of
 
 
-def _team(instance: dict[str, Any]) -> str:
-    order = list(ARMS)
-    return "+".join(sorted((robot[0] for robot in instance["robots"]), key=order.index))
+def _team(instance: dict[str, Any]) -> str | None:
+    team = team_name(robot[0] for robot in instance["robots"])
+    return team if team in TEAM_NAMES else None
 
 
 DRAWS = {
@@ -116,7 +117,13 @@ def balances_of(
 
 
 def uniform_p_value(counts: Sequence[int]) -> float:
-    """Return the p-value of Pearson's chi-square test for equal probabilities."""
+    """Return the p-value of Pearson's chi-square test for equal probabilities.
+
+    Raises:
+        InvalidConfigError: Nothing was counted.
+    """
+    if not sum(counts):
+        raise InvalidConfigError("Nothing was drawn, so there is nothing to test.")
     expected = sum(counts) / len(counts)
     statistic = sum((count - expected) ** 2 / expected for count in counts)
     return float(chdtrc(len(counts) - 1, statistic))

@@ -15,7 +15,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.errors import DatasetError, InvalidConfigError, SamplingError
 from lemma.core.parallel import Engine, peak_memory_mb
 from lemma.dataset.files import (
     MANIFEST,
@@ -41,7 +41,7 @@ from lemma.dataset.recipe.recovery import described, perturbation_of, record_per
 from lemma.dataset.recipe.schema import EpisodeRecord, from_table, to_table
 from lemma.expert.disturbances import Perturbation
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
-from lemma.tasks.suite import SUITE, load_instance
+from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
 
 _PARTS = ".parts"
 _ABOUT = "about.json"
@@ -56,30 +56,32 @@ class GenerateConfig:
     out: Path
     """Folder of the recipe."""
     tasks: tuple[str, ...] = SUITE
-    """Names of tasks of the suite."""
+    """Names of tasks, also of your own."""
     splits: tuple[str, ...] = tuple(SPLITS)
-    """Names of splits."""
+    """Names of splits; ``"free"`` samples instances, seeds counting from 0."""
     episodes: int | None = None
-    """Only the first so many of every list; all if None."""
+    """Only the first so many of every list; all if None. Split ``"free"`` needs it."""
     perturb: Perturbation | None = None
     """How sub-tasks are perturbed, for recovery states; None for demonstrations."""
 
     def __post_init__(self) -> None:
         """Check the names and the number."""
         for task in self.tasks:
-            if task not in SUITE:
-                raise UnknownNameError("task", task, SUITE)
-        for split in self.splits:
-            if split not in SPLITS:
-                raise UnknownNameError("split", split, SPLITS)
+            for split in self.splits:
+                check_split(task, split)
         if self.episodes is not None and self.episodes < 1:
             raise InvalidConfigError(
                 f"Episodes per task and split are 1 or more, not {self.episodes}."
             )
+        if self.episodes is None and FREE_SPLIT in self.splits:
+            raise InvalidConfigError(
+                f"Split {FREE_SPLIT!r} is sampled and has no end. Say how many "
+                "episodes of each task there shall be, with --episodes."
+            )
 
     def count(self, split: str) -> int:
         """Return how many episodes of a split are wanted; a list may be shorter."""
-        every = SPLITS[split]
+        every = SPLITS.get(split, self.episodes or 0)
         return every if self.episodes is None else min(self.episodes, every)
 
     @property
@@ -214,7 +216,7 @@ def _work(
         advance(1)
     if failures:
         raise DatasetError(
-            f"The expert failed on {len(failures)} instances: "
+            f"{len(failures)} episodes could not be made: "
             f"{'; '.join(sorted(failures)[:_SHOWN])}. Frozen instances are solved by "
             "the version that froze them; see 'lemma doctor'. The other episodes are "
             "kept."
@@ -242,14 +244,18 @@ def generate_part(
     Raises:
         DatasetError: It cannot be written.
     """
-    instance, perturbation = load_instance(task, split, index), perturbation_of(about)
-    failure = None
+    failure, perturbation = None, perturbation_of(about)
+    try:
+        instance = load_instance(task, split, index)
+    except SamplingError as error:
+        return Made(task, split, f"{task}/{split}/{index}: {error}", peak_memory_mb())
     record: EpisodeRecord
     if perturbation is not None:
         record = record_perturbed(instance, perturbation)
     else:
         record = record_episode(instance)
-        if not record.success:
+        # Frozen instances are those that the expert solves; sampled ones are as drawn.
+        if not record.success and split != FREE_SPLIT:
             failure = f"{record.key} ({record.failure})"
     if failure is None:
         write_table(part_file(Path(parts), index), to_table([record]), about)

@@ -151,7 +151,7 @@ def primitive_durations(facts: Sequence[EpisodeFacts]) -> dict[str, Spread]:
 
 @dataclass(frozen=True, slots=True)
 class Rejections:
-    """What was turned down while a frozen list was made."""
+    """What was turned down while frozen lists were made; nothing if there are none."""
 
     instances: int
     by_sampler: int
@@ -175,7 +175,8 @@ def rejections(task: str, splits: Iterable[str]) -> Rejections:
     """Return what was turned down while the lists of a task were frozen."""
     source = files("lemma.tasks") / "frozen" / "manifest.json"
     manifest = json.loads(source.read_text(encoding="utf-8"))
-    entries = [manifest[f"{task}-{split}"] for split in splits]
+    names = [f"{task}-{split}" for split in splits]
+    entries = [manifest[name] for name in names if name in manifest]
     return Rejections(
         sum(entry["instances"] for entry in entries),
         sum(entry["rejected_by_sampler"] for entry in entries),
@@ -200,7 +201,7 @@ class Statistics:
     primitives_s: dict[str, Spread]
     """Durations [s]."""
     rejections: dict[str, Rejections]
-    """By task: while its frozen lists were made, those of the splits at hand."""
+    """By task that has frozen lists: while those of the splits at hand were made."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the single episodes as plain data, ready for JSON."""
@@ -250,7 +251,9 @@ def statistics_of(recipe: Recipe) -> Statistics:
         evenness=evenness(balances),
         primitives_s=primitive_durations(facts),
         rejections={
-            task: rejections(task, _by_split(group)) for task, group in by_task.items()
+            task: found
+            for task, group in by_task.items()
+            if (found := rejections(task, _by_split(group))).instances
         },
     )
 
@@ -271,10 +274,10 @@ def _grouped(
     names: Sequence[str],
     name: Callable[[EpisodeFacts], str],
 ) -> _Groups:
-    """Return the episodes by name, in the order of the names; empty groups not."""
+    """Return the episodes by name, known ones first; empty groups not."""
     groups: _Groups = {known: [] for known in names}
-    for fact in facts:
-        groups[name(fact)].append(fact)
+    for fact in sorted(facts, key=name):
+        groups.setdefault(name(fact), []).append(fact)
     return {known: group for known, group in groups.items() if group}
 
 

@@ -53,24 +53,37 @@ _BESIDE_M = 0.1
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 
 
+_added: dict[str, LanguageBank] = {}
+
+
+def add_bank(task: str, bank: LanguageBank) -> None:
+    """Keep the templates of a task that is registered."""
+    _added[task] = bank
+
+
 def bank_for(task: str) -> LanguageBank:
-    """Return the templates of a built-in task.
+    """Return the templates of a task: a built-in one, or one that is registered.
 
     Raises:
-        UnknownNameError: No built-in task has that name.
+        UnknownNameError: No task has that name.
     """
-    return _banks()[task]
+    if task in _added:
+        return _added[task]
+    banks = _banks()
+    if task not in banks:
+        raise UnknownNameError("task", task, dict.fromkeys([*banks, *_added]))
+    return banks[task]
 
 
 def templates(task: str, kind: str) -> tuple[Template, ...]:
-    """Return the templates of one kind of a built-in task."""
+    """Return the templates of one kind of a task."""
     return bank_for(task).templates(kind)
 
 
 def instruct(
     task: str, kind: str, goal_pairs: GoalPairs, rng: np.random.Generator
 ) -> str:
-    """Draw a template of a built-in task and render it.
+    """Draw a template of a task and render it.
 
     Args:
         task: Name of the task.

@@ -1,0 +1,125 @@
+"""Plugins: modules of users that register tasks, arms, primitives and other things.
+
+A plugin does no more than any module does: importing it adds records to registries.
+What is here sees to it that this happens wherever it must, also in worker processes.
+"""
+
+import os
+import re
+import sys
+import traceback
+from collections.abc import Callable, Iterable
+from functools import cache
+from hashlib import sha256
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+from lemma.core.errors import PluginError
+
+ENVIRONMENT = "LEMMA_PLUGINS"
+"""Environment variable that names plugins, separated by commas."""
+GROUP = "lemma.plugins"
+"""Entry points of installed distributions whose value is a plugin's module."""
+
+_loaded: dict[str, ModuleType] = {}
+
+
+def load_plugins(names: Iterable[str] = ()) -> tuple[str, ...]:
+    """Import plugins, each once: installed ones, those of the environment, and others.
+
+    Processes that are started from now on find all of them in the environment.
+
+    Args:
+        names: Modules that can be imported from here, such as ``"my_package.tasks"``,
+            or files, such as ``"my_task.py"``.
+
+    Returns:
+        The plugins that are loaded: modules by name, files by absolute path.
+
+    Raises:
+        PluginError: One cannot be imported; the message says which one and why.
+    """
+    for entry in _installed():
+        _load(entry.value, entry.load, f"{entry.value} of {_owner(entry.dist)}")
+    for name in (*split_names(os.environ.get(ENVIRONMENT, "")), *names):
+        if name.endswith(".py"):
+            path = Path(name).absolute()
+            _load(str(path), lambda path=path: _import_file(path), name)
+        else:
+            _load(name, lambda name=name: _import_from_here(name), name)
+    if _loaded:
+        os.environ[ENVIRONMENT] = ",".join(_loaded)
+    return tuple(_loaded)
+
+
+@cache
+def _installed() -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=GROUP))
+
+
+def split_names(listed: str) -> list[str]:
+    """Return the names in a list that is separated by commas."""
+    return [name.strip() for name in listed.split(",") if name.strip()]
+
+
+def _owner(distribution: object) -> str:
+    return str(getattr(distribution, "name", "an installed package"))
+
+
+def _load(key: str, load: Callable[[], ModuleType], name: str) -> None:
+    """Import a plugin, unless it is there already.
+
+    Raises:
+        PluginError: It cannot be imported.
+    """
+    if key in _loaded:
+        return
+    try:
+        _loaded[key] = load()
+    # Whatever a user's module does wrong, the answer is which one and where.
+    except (Exception, SystemExit) as error:
+        raise PluginError(
+            f"The plugin {name} cannot be loaded: {_why(error)}"
+        ) from error
+
+
+def _import_from_here(name: str) -> ModuleType:
+    here = os.getcwd()
+    if here not in sys.path:
+        # An installed command does not look into the folder that it is called from.
+        sys.path.append(here)
+    return import_module(name)
+
+
+def _import_file(path: Path) -> ModuleType:
+    digest = sha256(str(path).encode()).hexdigest()[:8]
+    name = f"plugin_{re.sub(r'[^a-zA-Z0-9]', '_', path.stem)}_{digest}"
+    spec = spec_from_file_location(name, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    module = module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _why(error: BaseException) -> str:
+    """Return what went wrong in a plugin, and in which line of it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    inside = [f for f in frames if "importlib" not in f.filename and f.name != "_load"]
+    where = [f for f in inside if Path(f.filename) != Path(__file__)]
+    line = f" ({where[-1].filename}, line {where[-1].lineno})" if where else ""
+    if isinstance(error, SystemExit):
+        return (
+            f"it ends the process{line}. Put what shall only run as a script below "
+            'if __name__ == "__main__":.'
+        )
+    text = str(error).rstrip(".")
+    return f"{type(error).__name__}: {text}{line}."

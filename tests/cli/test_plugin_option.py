@@ -1,0 +1,136 @@
+"""A task of one's own on the command line: with --plugin, every verb knows it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium
+import pytest
+from own_plugins import EXAMPLES, loaded
+
+import lemma
+from lemma.cli.main import main, split_plugins
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.dataset.instructions import draw_instruction
+from lemma.dataset.recipe.generate import GenerateConfig
+from lemma.tasks.language.bank import bank_for
+from lemma.tasks.names import SUITE, in_order
+
+TOWER = EXAMPLES / "03_write_a_task.py"
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    out, err = capsys.readouterr()
+    return ended.value.code, out, err
+
+
+@pytest.mark.parametrize(
+    ("words", "others", "plugins"),
+    [
+        ("tasks", "tasks", ""),
+        ("--plugin a tasks", "tasks", "a"),
+        ("tasks --plugin a,b --json --plugin=c.py", "tasks --json", "a b c.py"),
+        ("tasks --plugin", "tasks", ""),
+    ],
+)
+def test_option_stands_anywhere(words: str, others: str, plugins: str) -> None:
+    assert split_plugins(words.split()) == (others.split(), plugins.split())
+
+
+def test_a_bad_plugin_is_an_error_of_the_command(capsys) -> None:
+    code, _, err = run(capsys, "tasks", "--plugin", "no_such_module")
+    assert code == 2
+    assert "The plugin no_such_module cannot be loaded" in err
+
+
+def test_own_task_is_listed_and_asked_for(capsys) -> None:
+    with loaded(TOWER):
+        _, out, _ = run(capsys, "tasks", "--json")
+        found = {record["task"]: record for record in json.loads(out)}
+        assert [*found] == [*SUITE, "tower"]
+        assert found["tower"]["gym_id"] == "lemma/Tower-v0"
+        _, out, _ = run(capsys, "instructions", "tower", "--n", "3", "--json")
+        assert all(r["instance"].startswith("v1/tower/free/") for r in json.loads(out))
+
+
+def test_own_task_has_environments_without_a_word_about_splits() -> None:
+    with loaded(TOWER):
+        by_id = gymnasium.make("lemma/Tower-v0", level="plan").unwrapped
+        by_name = lemma.make("tower", level="plan")
+        assert by_id.config == by_name.config == lemma.make("lemma/Tower-v0").config
+        assert by_name.config.split == "free"
+        assert by_name.reset(seed=0)[1]["instance"].startswith("v1/tower/free/")
+        with pytest.raises(InvalidConfigError, match=r"list 'test'.*'free'"):
+            lemma.make("tower", split="test")
+        with pytest.raises(InvalidConfigError, match="no frozen list 'val'"):
+            by_name.reset(options={"split": "val"})
+        with pytest.raises(InvalidConfigError, match="no frozen list 'val'"):
+            lemma.load_instance("tower", "val", 0)
+
+
+def test_own_task_is_said_in_training() -> None:
+    with loaded(TOWER):
+        goal = lemma.load_instance("tower", "free", 0).goal.pairs
+        said = {draw_instruction("tower", goal, "", epoch=i) for i in range(20)}
+        assert len(said) == 2
+        assert all(bank_for("tower").parse(sentence) for sentence in said)
+        with pytest.raises(UnknownNameError, match="Did you mean 'tower'"):
+            bank_for("towr")
+
+
+def test_what_to_generate_is_checked() -> None:
+    with loaded(TOWER):
+        with pytest.raises(InvalidConfigError, match="no frozen list 'train'"):
+            GenerateConfig(out=Path(), tasks=("stack", "tower"), splits=("train",))
+        with pytest.raises(InvalidConfigError, match=r"has no end.*--episodes"):
+            GenerateConfig(out=Path(), tasks=("tower",), splits=("free",))
+        order = GenerateConfig(
+            out=Path(), tasks=("tower", "stack"), splits=("free",), episodes=900
+        )
+        assert order.total == 1800
+    with pytest.raises(UnknownNameError, match="Unknown task 'tower'"):
+        GenerateConfig(out=Path(), tasks=("tower",), splits=("free",), episodes=1)
+
+
+def test_own_task_is_generated_and_read_without_it(capsys, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    with loaded(TOWER):
+        code, out, err = run(
+            capsys,
+            *("generate", "--tasks", "tower", "--episodes", 2, "--workers", 1),
+            *("--out", data),
+        )
+    assert code == 0, err
+    assert "equals the published" not in out
+    code, out, _ = run(capsys, "replay", data, "--workers", 1)
+    assert code == 0
+    assert "All 2 episodes are reproduced to the bit" in out
+    code, out, _ = run(capsys, "inspect", data, "--json")
+    assert json.loads(out)["tasks"]["tower"]["episodes"] == 2
+
+
+def test_order_of_tasks_does_not_depend_on_what_is_registered() -> None:
+    assert in_order(["zigzag", "hook", "tower", "pass", "hook"]) == (
+        *("pass", "hook", "tower", "zigzag"),
+    )
+
+
+@pytest.mark.parametrize("name", ["Tower", "", "two words", "a-b", "_a", "1st"])
+def test_names_of_tasks_are_words(name: str) -> None:
+    with pytest.raises(InvalidConfigError, match="cannot name a task"):
+        lemma.Task(
+            name=name,
+            summary="",
+            subtasks=1,
+            distractors=(0, 0),
+            arrange=lambda board: lemma.TASKS["stack"].arrange(board),
+            language=bank_for("stack"),
+        )
+
+
+def test_gymnasium_knows_one_task_by_one_name() -> None:
+    other = replace(lemma.TASKS["stack2"], name="stack_2")
+    with loaded(), pytest.raises(InvalidConfigError, match=r"Stack2-v0.*'stack2'"):
+        lemma.TASKS.add("stack_2", other)

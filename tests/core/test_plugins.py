@@ -1,0 +1,87 @@
+"""Plugins are imported once, wherever they are named; a bad one says what is wrong."""
+
+import os
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+from own_plugins import loaded
+
+from lemma.core import plugins
+from lemma.core.errors import PluginError
+from lemma.core.parallel import ProcessPool
+from lemma.core.plugins import ENVIRONMENT, load_plugins, split_names
+
+
+def write(path: Path, code: str) -> Path:
+    path.write_text(code)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def nothing_loaded():
+    with loaded():
+        yield
+
+
+def test_a_file_is_loaded_once(tmp_path: Path) -> None:
+    path = write(tmp_path / "03-mine.py", "import sys\nsys.loads += 1\n")
+    sys.loads = 0
+    assert load_plugins([str(path)]) == load_plugins([str(path)]) == (str(path),)
+    assert sys.loads == 1
+
+
+def test_a_module_of_the_current_folder_is_found(tmp_path, monkeypatch) -> None:
+    write(tmp_path / "plugin_of_this_test.py", "import sys\nsys.was_here = True\n")
+    monkeypatch.chdir(tmp_path)
+    assert load_plugins(["plugin_of_this_test"]) == ("plugin_of_this_test",)
+    assert sys.was_here
+
+
+def test_the_environment_names_plugins_and_hands_them_on(tmp_path, monkeypatch) -> None:
+    first, second = (write(tmp_path / f"{name}.py", "") for name in "ab")
+    monkeypatch.setenv(ENVIRONMENT, f" {first}, ")
+    load_plugins([str(second)])
+    assert split_names(os.environ[ENVIRONMENT]) == [str(first), str(second)]
+
+
+def names_of_loaded() -> list[str]:
+    return list(plugins._loaded)
+
+
+def test_workers_load_them_too(tmp_path: Path) -> None:
+    path = write(tmp_path / "mine.py", "")
+    load_plugins([str(path)])
+    assert list(ProcessPool(1).run(names_of_loaded, [()])) == [[str(path)]]
+
+
+def test_installed_distributions_bring_their_own(tmp_path, monkeypatch) -> None:
+    write(tmp_path / "installed_plugin.py", "import sys\nsys.installed = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    entry = EntryPoint("anything", "installed_plugin", plugins.GROUP)
+    monkeypatch.setattr(plugins, "_installed", lambda: (entry,))
+    assert load_plugins() == ("installed_plugin",)
+    assert sys.installed
+
+
+@pytest.mark.parametrize(
+    ("code", "why"),
+    [
+        ("\n1/0", r"ZeroDivisionError: division by zero \(.*bad\.py, line 2\)"),
+        ("import nothing_such", "ModuleNotFoundError: No module named 'nothing_such'"),
+        ("def", "SyntaxError"),
+        ("import sys\nsys.exit()", "it ends the process .* if __name__"),
+    ],
+)
+def test_a_bad_one_is_named_with_the_reason(tmp_path, code: str, why: str) -> None:
+    path = write(tmp_path / "bad.py", code)
+    with pytest.raises(PluginError, match=rf"plugin .*bad\.py cannot be loaded: {why}"):
+        load_plugins([str(path)])
+    assert load_plugins() == ()
+
+
+@pytest.mark.parametrize("name", ["nowhere.py", "no_such_module"])
+def test_a_missing_one_is_named(name: str) -> None:
+    with pytest.raises(PluginError, match=f"plugin {name} cannot be loaded: .*no"):
+        load_plugins([name])

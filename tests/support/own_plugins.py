@@ -1,0 +1,30 @@
+"""Plugins in tests: loaded for one test alone."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from lemma.core import plugins
+from lemma.core.registry import Registry
+from lemma.tasks.suite import TASKS
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@contextmanager
+def loaded(
+    *names: object, registries: tuple[Registry, ...] = (TASKS,)
+) -> Iterator[None]:
+    """Load plugins, and forget them and what they have registered."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(plugins.ENVIRONMENT, "")
+        patch.setattr(plugins, "_loaded", {})
+        patch.setattr(sys, "path", list(sys.path))
+        for registry in registries:
+            for field in ("_records", "_added_by"):
+                patch.setattr(registry, field, dict(getattr(registry, field)))
+        plugins.load_plugins(map(str, names))
+        yield
