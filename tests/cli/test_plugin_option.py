@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import pytest
@@ -23,7 +24,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
     with pytest.raises(SystemExit) as ended:
         main([str(word) for word in words])
     out, err = capsys.readouterr()
-    return ended.value.code, out, err
+    return int(ended.value.code or 0), out, err
 
 
 @pytest.mark.parametrize(
@@ -57,7 +58,7 @@ def test_own_task_is_listed_and_asked_for(capsys) -> None:
 
 def test_own_task_has_environments_without_a_word_about_splits() -> None:
     with loaded(TOWER):
-        by_id = gymnasium.make("lemma/Tower-v0", level="plan").unwrapped
+        by_id: Any = gymnasium.make("lemma/Tower-v0", level="plan").unwrapped
         by_name = lemma.make("tower", level="plan")
         assert by_id.config == by_name.config == lemma.make("lemma/Tower-v0").config
         assert by_name.config.split == "free"

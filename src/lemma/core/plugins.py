@@ -9,7 +9,7 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -47,9 +47,9 @@ def load_plugins(names: Iterable[str] = ()) -> tuple[str, ...]:
     for name in (*split_names(os.environ.get(ENVIRONMENT, "")), *names):
         if name.endswith(".py"):
             path = Path(name).absolute()
-            _load(str(path), lambda path=path: _import_file(path), name)
+            _load(str(path), partial(_import_file, path), name)
         else:
-            _load(name, lambda name=name: _import_from_here(name), name)
+            _load(name, partial(_import_from_here, name), name)
     if _loaded:
         os.environ[ENVIRONMENT] = ",".join(_loaded)
     return tuple(_loaded)

@@ -77,7 +77,11 @@ def write_dataset_page(
         parts={
             "": [*_times(found), _margins(found), _distractors(found)],
             "Is it balanced?": [_balance(found, one) for one in found.balances],
-            "What was turned down": list(_rejections(found)),
+            **(
+                {"What was turned down": list(_rejections(found))}
+                if found.rejections
+                else {}
+            ),
         },
         verdict=verdict_words(evenness),
         verdict_kind="faint" if unknown else "good" if evenness.even else "bad",
