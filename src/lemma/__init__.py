@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from lemma.env.episode import Episode
     from lemma.expert.expert import Expert, solve
     from lemma.expert.policy import ExpertPolicy
+    from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
+    from lemma.scene.palette import OBJECT_COLORS
     from lemma.tasks.instance import Instance
     from lemma.tasks.language.bank import LanguageBank
     from lemma.tasks.suite import SUITE, load_instance
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "OBJECT_COLORS",
+    "OBJECT_KINDS",
     "SUITE",
     "TASKS",
     "Episode",
@@ -29,6 +33,7 @@ __all__ = [
     "ExpertPolicy",
     "Instance",
     "LanguageBank",
+    "ObjectKind",
     "Task",
     "__version__",
     "load",
@@ -44,6 +49,9 @@ _HOMES = {
     "ExpertPolicy": "lemma.expert.policy",
     "Instance": "lemma.tasks.instance",
     "LanguageBank": "lemma.tasks.language.bank",
+    "OBJECT_COLORS": "lemma.scene.palette",
+    "OBJECT_KINDS": "lemma.scene.objects.entity",
+    "ObjectKind": "lemma.scene.objects.kind",
     "SUITE": "lemma.tasks.suite",
     "TASKS": "lemma.tasks.suite",
     "Task": "lemma.tasks.task",

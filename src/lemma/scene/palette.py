@@ -7,45 +7,36 @@ from lemma.core.registry import Registry
 
 Rgba = tuple[float, float, float, float]
 
-OBJECT_COLORS: Registry[Rgba] = Registry("object color")
-"""Every color that an object may have, by name; the benchmark's own come first. Add
-another with :func:`add_color`."""
-
 _NAME = re.compile(r"[a-z]+")
 
 
-def add_color(name: str, rgb: tuple[float, float, float]) -> Rgba:
-    """Register a color of objects.
-
-    Args:
-        name: One lower-case English word, because instructions say it.
-        rgb: Red, green and blue, each from 0 to 1.
-
-    Returns:
-        The color with an opacity of 1.
+def _check(name: str, rgba: Rgba) -> None:
+    """Refuse what cannot be a color of objects.
 
     Raises:
-        InvalidConfigError: The name is taken or no such word, or a part is not in
-            range.
+        InvalidConfigError: The name is no one lower-case word, which instructions could
+            say, or the color is not four numbers from 0 to 1, or not opaque.
     """
     if not _NAME.fullmatch(name):
         raise InvalidConfigError(
             f"An object color cannot be called {name!r}. Choose one word of lower-case "
             "letters."
         )
-    if len(rgb) != 3 or not all(0.0 <= part <= 1.0 for part in rgb):
+    if len(rgba) != 4 or not all(0.0 <= part <= 1.0 for part in rgba) or rgba[3] < 1.0:
         raise InvalidConfigError(
-            f"Color {name!r}: {rgb} is not red, green and blue from 0 to 1."
+            f"Color {name!r} cannot be {rgba}. Give red, green and blue from 0 to 1, "
+            "and an opacity of 1."
         )
-    red, green, blue = (float(part) for part in rgb)
-    return OBJECT_COLORS.add(name, (red, green, blue, 1.0))
 
 
-add_color("pink", (0.95, 0.45, 0.68))
-add_color("red", (0.80, 0.10, 0.10))
-add_color("white", (0.95, 0.95, 0.93))
-add_color("blue", (0.10, 0.28, 0.78))
-add_color("green", (0.10, 0.55, 0.22))
+OBJECT_COLORS: Registry[Rgba] = Registry("object color", on_add=_check)
+"""Every color that an object may have, by name; the benchmark's own come first."""
+
+OBJECT_COLORS.add("pink", (0.95, 0.45, 0.68, 1.0))
+OBJECT_COLORS.add("red", (0.80, 0.10, 0.10, 1.0))
+OBJECT_COLORS.add("white", (0.95, 0.95, 0.93, 1.0))
+OBJECT_COLORS.add("blue", (0.10, 0.28, 0.78, 1.0))
+OBJECT_COLORS.add("green", (0.10, 0.55, 0.22, 1.0))
 
 BENCHMARK_COLORS = tuple(OBJECT_COLORS)
 """The colors that the benchmark draws from. Instances, numbers of entities and weights

@@ -29,6 +29,8 @@ SHAPES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1}
 """Shapes of parts, and how many sizes each has."""
 
 _NAME = re.compile(r"[a-z][a-z0-9]*")
+_RESERVED = ("shared", "table", "start")
+"""Other things that an object may lie on or be put to."""
 _FINGERS_BETWEEN_M = 0.055
 """Between the discs of two objects that lie beside each other: fingers fit between."""
 _CLEAR_OF_PALM_M = 0.004
@@ -160,8 +162,11 @@ class ObjectKind:
             InvalidConfigError: The name cannot be part of an entity's, a length is not
                 positive, or no gripper holds it as it says.
         """
-        if not _NAME.fullmatch(self.name):
-            raise self._error("its name must be lower-case letters and digits alone")
+        if not _NAME.fullmatch(self.name) or self.name in _RESERVED:
+            raise self._error(
+                "its name must be lower-case letters and digits alone, and none of "
+                f"{', '.join(_RESERVED)}"
+            )
         if not self.nouns:
             object.__setattr__(self, "nouns", (self.name,))
         for noun in self.nouns:
