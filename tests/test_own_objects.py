@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Discrete
 from own_objects import own_objects
 
 import lemma
@@ -58,7 +59,9 @@ def test_the_expert_solves_it_and_the_record_is_exact() -> None:
 
 def test_benchmark_numbers_stay_and_others_come_behind() -> None:
     space = plan_space(2)
-    assert space["pick"].n == len(PICKS) + len(known_entities()) - len(ENTITIES)
+    pick = space["pick"]
+    assert isinstance(pick, Discrete)
+    assert pick.n == len(PICKS) + len(known_entities()) - len(ENTITIES)
     red_cube = SubTask("robot_0", Primitive.MOVE, "red_cube", "shared")
     action = encode_plan(red_cube)
     assert (action["pick"], action["place"]) == (2, len(PLACES) - 1)
@@ -72,11 +75,11 @@ def test_benchmark_numbers_stay_and_others_come_behind() -> None:
 
 def test_observations_of_the_truth_have_rows_for_it() -> None:
     env = lemma.make("can_stack", split="free", index=0, observation="privileged")
-    observation, _ = env.reset()
+    observation, info = env.reset()
     assert env.observation_space.contains(observation)
     row = known_entities().index(CAN)
     assert observation["present"][row] == 1
-    pose = object_poses(env.unwrapped.episode.simulation.scene)[CAN]
+    pose = info["state"][CAN]
     assert observation["objects"][row] == pytest.approx(pose, abs=1e-6)
     assert observation["goal"][row].sum() == 1
 
@@ -126,8 +129,8 @@ def test_a_can_on_its_pad_is_seen_there() -> None:
 @pytest.mark.render
 def test_it_is_drawn_in_its_color() -> None:
     env = lemma.make("can_stack", split="free", index=0, observation="map")
-    observation, _ = env.reset()
-    position = env.unwrapped.episode.simulation.scene.pose(CAN).position
+    observation, info = env.reset()
+    position = info["state"][CAN]
     row = round(RASTER.rows / 2 - position[1] / RASTER.cell_m)
     column = round(RASTER.columns / 2 + position[0] / RASTER.cell_m)
     red, green, blue = (int(part) for part in observation["map"]["rgb"][row, column])
