@@ -79,13 +79,12 @@ def make(
         UnknownNameError: No such task, level, option, or value of an option.
         InvalidConfigError: An option has an impossible value.
     """
-    if level not in LEVELS:
-        errors = import_module("lemma.core.errors")
-        raise errors.UnknownNameError("level", level, LEVELS)
+    import_module("lemma.core.arguments").known("level", level, LEVELS)
     tasks = import_module("lemma.tasks.suite").TASKS
     by_id = {gym_id(name): name for name in tasks}
+    known_task = by_id.get(task, task) if isinstance(task, str) else task
     config = import_module("lemma.env.config").EnvConfig.from_options(
-        {"task": by_id.get(task, task), **options}
+        {"task": known_task, **options}
     )
     module, _, name = LEVELS[level].partition(":")
     env: LemmaEnv = getattr(import_module(module), name)(config, render_mode)

@@ -27,7 +27,7 @@ class UnknownNameError(LemmaError, ValueError):
         close = difflib.get_close_matches(str(name), names, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
         super().__init__(
-            f"Unknown {kind} {name!r}.{hint} Valid: {', '.join(names) or '(none)'}."
+            f"Unknown {kind} {name!r:.99}.{hint} Valid: {', '.join(names) or '(none)'}."
         )
         self._looked_up = (kind, name, names)
 
@@ -58,6 +58,10 @@ class RenderingError(LemmaError, RuntimeError):
 
 class ResetNeededError(LemmaError, RuntimeError):
     """``step`` was called before ``reset``, or after the episode had ended."""
+
+
+class PhysicsError(LemmaError, RuntimeError):
+    """The simulation became unstable; its state means nothing any more."""
 
 
 class DatasetError(LemmaError, RuntimeError):

@@ -7,6 +7,7 @@ thing; their numbers are SI units, not fractions of a range.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ Action = Mapping[str, Any]
 # Half a unit in the last place of a float32, and then some: what was clipped to the
 # bounds in single precision is inside.
 _TOLERANCE = 1e-6
+_HINT = " Try the environment's encode()."
 
 
 @dataclass(frozen=True)
@@ -77,36 +79,55 @@ class ActionLayout:
             InvalidActionError: Not numbers, of another shape, not finite, or out of
                 bounds.
         """
-        try:
-            values = np.array(action, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise InvalidActionError(
-                f"The action {action!r:.80} is no array of numbers. {self._valid()}"
-            ) from None
+        values = self._numbers(action)
         if values.shape != self.shape:
             same = values.size == self.shape[0] * self.shape[1]
             hint = f" Try action.reshape({self.shape})." if same else ""
             raise InvalidActionError(
                 f"The action has shape {values.shape}. {self._valid()}{hint}"
             )
-        wrong = []
-        for i, row in enumerate(self.rows):
-            for j, name in enumerate(self.columns):
-                value, low, high = float(values[i, j]), self.low[j], self.high[j]
-                slack = _TOLERANCE * (1.0 + max(abs(low), abs(high)))
-                if not low - slack <= value <= high + slack:
-                    wrong.append(
-                        f"{name} of {row} is {value:g}, not in [{low:g}, {high:g}]"
-                    )
-                values[i, j] = min(max(value, low), high)
-        if wrong:
-            more = f" (and {len(wrong) - 1} more numbers)" if len(wrong) > 1 else ""
+        low, high, slack = self._bounds
+        # So written, NaN is outside.
+        outside = ~((low - slack <= values) & (values <= high + slack))
+        if outside.any():
+            self._refuse(values, np.argwhere(outside))
+        return np.where(values < low, low, np.where(values > high, high, values))
+
+    @cached_property
+    def _bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Smallest and largest values, and by how much they may be missed."""
+        low, high = np.array(self.low, np.float64), np.array(self.high, np.float64)
+        return low, high, _TOLERANCE * (1.0 + np.maximum(abs(low), abs(high)))
+
+    def _numbers(self, action: Any) -> FloatArray:
+        """Return an action as numbers; the real ones of NumPy's many types."""
+        rows = action if isinstance(action, list | tuple) else (action,)
+        try:
+            values = np.asarray(action)
+            masked = any(np.ma.is_masked(row) for row in rows)
+        except (TypeError, ValueError, RuntimeError, OverflowError) as error:
             raise InvalidActionError(
-                f"In the action, {wrong[0]}{more}. Clip it to the bounds of the action "
-                "space, wrap the environment in gymnasium.wrappers.ClipAction, or let "
-                "gymnasium.wrappers.RescaleAction map [-1, 1] to the bounds."
+                f"The action {action!r:.80} is no array of numbers. {self._valid()}"
+            ) from error
+        if values.dtype.kind not in "fiu" or masked:
+            kind = "masked" if masked else values.dtype
+            raise InvalidActionError(
+                f"The action {action!r:.80} is no array of numbers but {kind}. "
+                f"{self._valid()}"
             )
-        return values
+        return values.astype(np.float64)
+
+    def _refuse(self, values: FloatArray, places: NDArray[np.int64]) -> None:
+        """Raise what is wrong with the first of some values out of bounds."""
+        i, j = places[0].tolist()
+        more = f" (and {len(places) - 1} more numbers)" if len(places) > 1 else ""
+        raise InvalidActionError(
+            f"In the action, {self.columns[j]} of {self.rows[i]} is {values[i, j]:g}, "
+            f"not in [{self.low[j]:g}, {self.high[j]:g}]{more}. Clip it to the bounds "
+            "of the action space, wrap the environment in "
+            "gymnasium.wrappers.ClipAction, or let gymnasium.wrappers.RescaleAction "
+            "map [-1, 1] to the bounds."
+        )
 
     def _valid(self) -> str:
         return (
@@ -162,7 +183,12 @@ def plan_space(team_size: int) -> spaces.Dict:
 
 
 def encode_skill(subtask: GroundedSubTask | None) -> dict[str, Any]:
-    """Return the skill-level action for a grounded sub-task, or ``stop`` for None."""
+    """Return the skill-level action for a grounded sub-task, or ``stop`` for None.
+
+    Raises:
+        InvalidActionError: It is something else.
+    """
+    _check_type(subtask, GroundedSubTask)
     if subtask is None:
         stop = primitive_names().index(Primitive.STOP)
         return {"robot": 0, "primitive": stop, "poses": np.zeros((2, 3))}
@@ -185,7 +211,7 @@ def decode_skill(action: Action, team_size: int) -> GroundedSubTask | None:
         InvalidActionError: The action is not in the space.
     """
     keys = ("robot", "primitive", "poses")
-    _check_keys(action, keys)
+    check_keys(action, keys, _HINT)
     robot = _number(action["robot"], "robot", _robot_names(team_size))
     primitive = _primitive(action["primitive"])
     pick, place = (Pose2(*row) for row in SKILL_POSES.check(action["poses"]).tolist())
@@ -194,12 +220,14 @@ def decode_skill(action: Action, team_size: int) -> GroundedSubTask | None:
     return GroundedSubTask(robot_name(robot), primitive, pick, place)
 
 
-def encode_plan(subtask: SubTask) -> dict[str, Any]:
-    """Return the plan-level action for a symbolic sub-task.
+def encode_plan(subtask: SubTask | None) -> dict[str, Any]:
+    """Return the plan-level action for a symbolic sub-task, or ``stop`` for None.
 
     Raises:
-        InvalidActionError: There is no such entity.
+        InvalidActionError: There is no such entity, or it is something else.
     """
+    _check_type(subtask, SubTask)
+    subtask = subtask or STOP
     for entity, valid in ((subtask.pick, picks()), (subtask.place, places())):
         if entity not in valid:
             raise InvalidActionError(
@@ -219,7 +247,7 @@ def decode_plan(action: Action, team_size: int) -> SubTask:
     Raises:
         InvalidActionError: The action is not in the space.
     """
-    _check_keys(action, ("robot", "primitive", "pick", "place"))
+    check_keys(action, ("robot", "primitive", "pick", "place"), _HINT)
     robot = _number(action["robot"], "robot", _robot_names(team_size))
     primitive = _primitive(action["primitive"])
     entity = picks()
@@ -236,6 +264,14 @@ def _primitive(value: Any) -> Primitive:
     return Primitive(names[_number(value, "primitive", names)])
 
 
+def _check_type(subtask: object, wanted: type) -> None:
+    if not isinstance(subtask, wanted | None):
+        raise InvalidActionError(
+            f"{subtask!r:.80} cannot be encoded. Valid: a {wanted.__name__}, or None "
+            "to stop."
+        )
+
+
 def _robot_names(team_size: int) -> list[str]:
     return list(robot_names(team_size))
 
@@ -247,22 +283,39 @@ def _robot_number(name: str) -> int:
         raise InvalidActionError(str(error)) from None
 
 
-def _check_keys(action: Any, keys: tuple[str, ...]) -> None:
-    if not isinstance(action, Mapping) or set(action) != set(keys):
-        found = sorted(action) if isinstance(action, Mapping) else repr(action)[:80]
-        raise InvalidActionError(
-            f"The action is {found}. Valid: a dictionary with {', '.join(keys)}; see "
-            "the environment's encode()."
-        )
+def check_keys(action: Any, keys: Sequence[str], hint: str = "") -> None:
+    """Check what an action of several parts consists of.
+
+    Args:
+        action: The action.
+        keys: Names of its parts.
+        hint: What to try.
+
+    Raises:
+        InvalidActionError: It is no dictionary with these keys.
+    """
+    if not isinstance(action, Mapping):
+        found = f"{action!r:.80}"
+    elif set(action) != set(keys):
+        found = f"a dictionary with {', '.join(f'{key!s:.40}' for key in action)}"
+    else:
+        return
+    raise InvalidActionError(
+        f"The action is {found:.300}. Valid: a dictionary with {', '.join(keys)}.{hint}"
+    )
 
 
 def _number(value: Any, name: str, meanings: Sequence[str]) -> int:
     """Return a choice as a whole number in range."""
-    found: NDArray[Any] = np.asarray(value)
-    valid = found.size == 1 and found.dtype.kind in "iu"
-    if not valid or not 0 <= int(found.reshape(())) < len(meanings):
+    try:
+        found: NDArray[Any] = np.asarray(value)
+        valid = found.size == 1 and found.dtype.kind in "iu"
+        number = int(found.reshape(())) if valid and not np.ma.is_masked(value) else -1
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        number = -1
+    if not 0 <= number < len(meanings):
         options = ", ".join(f"{i} {m or '(none)'}" for i, m in enumerate(meanings))
         raise InvalidActionError(
             f"{name!r} of the action is {value!r:.80}. Valid: whole numbers, {options}."
         )
-    return int(found.reshape(()))
+    return number

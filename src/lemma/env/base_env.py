@@ -7,18 +7,17 @@ of the goal holds.
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import gymnasium
-import numpy as np
 
-from lemma.core.errors import InvalidConfigError, ResetNeededError, UnknownNameError
+from lemma.core.arguments import known, whole
+from lemma.core.errors import InvalidConfigError, ResetNeededError
 from lemma.core.robot_names import robot_names
 from lemma.env.config import EnvConfig
 from lemma.env.episode import Episode, EpisodeSnapshot
+from lemma.env.instance_source import InstanceSource, own_options
 from lemma.env.observation import (
-    MAX_INSTRUCTION_LENGTH,
     Observation,
     Observer,
     object_poses,
@@ -27,9 +26,8 @@ from lemma.env.view import View
 from lemma.scene.cameras import Camera, FreeCamera, RgbImage
 from lemma.scene.model_cameras import camera_from_model
 from lemma.scene.rendering.renderer import Renderer
-from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.sampling import sample
-from lemma.tasks.suite import FREE_SPLIT, check_split, load_instance, task_named
+from lemma.tasks.instance import Instance
+from lemma.tasks.suite import task_named
 
 OVERVIEW = FreeCamera(
     lookat=(0.0, -0.05, 0.1), distance=3.6, azimuth_deg=90.0, elevation_deg=-36.0
@@ -37,9 +35,6 @@ OVERVIEW = FreeCamera(
 """What :meth:`LemmaEnv.render` looks through."""
 RENDER_SIZE = (960, 540)
 """Width and height of its pictures [px]."""
-
-_OPTIONS = ("split", "index", "instance")
-_SEEDS = 2**31
 
 StepResult = tuple[Observation, float, bool, bool, dict[str, Any]]
 
@@ -51,12 +46,6 @@ class EnvSnapshot:
     episode: EpisodeSnapshot
     level: dict[str, Any]
     """What the level remembers besides."""
-
-
-@lru_cache(maxsize=256)
-def _sampled(task: str, index: int, team: tuple[str, ...] | None) -> Instance:
-    """Sample a free instance; some take seconds, so the last ones are kept."""
-    return sample(task_named(task), FREE_SPLIT, index, team=team).instance
 
 
 class LemmaEnv(gymnasium.Env[Observation, Any]):
@@ -80,13 +69,12 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
             UnknownNameError: No such render mode.
         """
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise UnknownNameError(
-                "render_mode", render_mode, self.metadata["render_modes"]
-            )
+        if render_mode is not None:
+            known("render_mode", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
         self.config = config
         self.task = config.task
+        self._instances = InstanceSource(config)
         self.robot_names = robot_names(config.team_size)
         self._observer = Observer(
             config.observation,
@@ -129,14 +117,16 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
             seed: Seeds the draws of instances, of this and of later resets.
             options: ``split`` and ``index`` choose an instance instead, and
                 ``instance`` is one. An instance depends on these alone, never on what
-                was sampled before.
+                was sampled before. Options of others, such as toolboxes that wrap the
+                environment, are ignored with a warning.
 
         Returns:
             The first observation, and what is known besides.
 
         Raises:
-            UnknownNameError: No such option or split.
-            InvalidConfigError: The index is out of range, or the team does not fit.
+            UnknownNameError: No such split, or an option that looks misspelled.
+            InvalidConfigError: The seed or the index is no number or out of range, or
+                the instance cannot be used here.
         """
         self.set_table(seed, options)
         return self.observe(), self.info()
@@ -145,68 +135,13 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> None:
         """Reset without looking."""
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else whole("seed", seed, 0))
         episode = Episode(
-            self._choose(options or {}),
+            self._instances.choose(own_options(options), self.np_random),
             horizon_s=self.config.horizon_s,
             actuation=self.actuation,
         )
         self._begin(episode)
-
-    def _choose(self, options: dict[str, Any]) -> Instance:
-        for name in options:
-            if name not in _OPTIONS:
-                raise UnknownNameError("option of reset", name, _OPTIONS)
-        instance = options.get("instance")
-        if instance is None:
-            split = options.get("split", self.config.split)
-            index = options.get("index", self.config.index)
-            instance = self._draw(split) if index is None else self._load(split, index)
-        self._check(instance)
-        return instance
-
-    def _draw(self, split: str) -> Instance:
-        if split == FREE_SPLIT:
-            return self._load(split, int(self.np_random.integers(_SEEDS)))
-        check_split(self.task, split)
-        for index in self.np_random.permutation(SPLITS[split]):
-            instance = load_instance(self.task, split, int(index))
-            if self._has_team(instance):
-                return instance
-        raise InvalidConfigError(
-            f"Split {split!r} of {self.task!r} has no instance with the team "
-            f"{self.config.robots!r}. Use split {FREE_SPLIT!r}, or another team."
-        )
-
-    def _load(self, split: str, index: int) -> Instance:
-        if not isinstance(index, int | np.integer):
-            raise InvalidConfigError(
-                f"index={index!r} is no number of an instance. It must be a whole one."
-            )
-        robots = self.config.robots
-        if split == FREE_SPLIT:
-            return _sampled(self.task, int(index), robots)
-        return load_instance(self.task, split, int(index))
-
-    def _has_team(self, instance: Instance) -> bool:
-        robots = self.config.robots
-        arms = [robot.arm for robot in instance.scene.robots]
-        return robots is None or sorted(robots) == sorted(arms)
-
-    def _check(self, instance: Instance) -> None:
-        arms = tuple(robot.arm for robot in instance.scene.robots)
-        if len(arms) != self.config.team_size or not self._has_team(instance):
-            raise InvalidConfigError(
-                f"Instance {instance.key} has the team {arms}, but this environment is "
-                f"for {self.config.robots or f'{self.config.team_size} robots'}. "
-                "Choose another index, or make the environment with robots=None."
-            )
-        text = instance.instructions[self.config.instruction]
-        if len(text) > MAX_INSTRUCTION_LENGTH or not text.isascii():
-            raise InvalidConfigError(
-                f"The instruction {text!r:.60} cannot be observed. It must be ASCII "
-                f"and at most {MAX_INSTRUCTION_LENGTH} characters long."
-            )
 
     def _begin(self, episode: Episode) -> None:
         """Take a new episode."""
@@ -303,10 +238,17 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
 
         Returns:
             The observation and the info of that moment.
+
+        Raises:
+            InvalidConfigError: It is no snapshot, or one of another team.
         """
+        if not isinstance(snapshot, EnvSnapshot):
+            raise InvalidConfigError(
+                f"{snapshot!r:.60} is no snapshot. Valid: what snapshot() returned."
+            )
         instance = snapshot.episode.instance
         if self._episode is None or self._episode.instance != instance:
-            self._check(instance)
+            self._instances.check(instance)
             self._begin(
                 Episode(
                     instance,

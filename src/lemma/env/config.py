@@ -3,12 +3,17 @@
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.arguments import known, real, whole
+from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.robots.ur.build import ARMS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.tasks.instance import SPLITS
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import FREE_SPLIT, check_split, default_split, task_named
+
+LEAST_HZ = 0.1
+"""Fewest actions per second [Hz]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +26,8 @@ class EnvConfig:
     """Control level only: what an action commands; a name in
     :data:`lemma.env.control.modes.CONTROLS`."""
     control_hz: float = 20.0
-    """Control level only: actions per second; 100 divided by a whole number."""
+    """Control level only: actions per second; 100 divided by a whole number, at least
+    0.1. Videos are played at the nearest whole number of pictures per second."""
     observation: str = "state"
     """What is observed; a name in :data:`lemma.env.observation.OBSERVATIONS`."""
     width: int = CAMERA_WIDTH_PX
@@ -42,27 +48,34 @@ class EnvConfig:
     """Which of the three instructions is given: ``"high_level"``, ``"human"`` or
     ``"unseen"``."""
     horizon_s: float = HORIZON_S
-    """T_max: simulated time after which the episode is truncated [s]."""
+    """T_max: simulated time after which the episode is truncated, at least a servo tick
+    of 0.01 s [s]."""
 
     def __post_init__(self) -> None:
         """Check what does not depend on the level."""
         task_named(self.task)
-        object.__setattr__(self, "split", self.split or default_split(self.task))
+        if self.split == "":
+            object.__setattr__(self, "split", default_split(self.task))
         check_split(self.task, self.split)
-        if self.instruction not in KINDS:
-            raise UnknownNameError("kind of instruction", self.instruction, KINDS)
+        known("kind of instruction", self.instruction, KINDS)
+        checked: dict[str, object] = {
+            "width": whole("width", self.width, 1),
+            "height": whole("height", self.height, 1),
+            "control_hz": real("control_hz", self.control_hz, LEAST_HZ, 1.0 / TICK_S),
+            "horizon_s": real("horizon_s", self.horizon_s, TICK_S),
+        }
+        if self.index is not None:
+            last = SPLITS[self.split] - 1 if self.split in SPLITS else None
+            checked["index"] = whole("index", self.index, 0, last)
         if self.robots is not None:
-            object.__setattr__(self, "robots", self._checked_team(self.robots))
-        ticks = 1.0 / (self.control_hz * TICK_S) if self.control_hz > 0.0 else 0.0
-        if not 0.5 < ticks < 1e6 or abs(ticks - round(ticks)) > 1e-9:
+            checked["robots"] = self._checked_team(self.robots)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        ticks = 1.0 / (self.control_hz * TICK_S)
+        if abs(ticks - round(ticks)) > 1e-9:
             raise InvalidConfigError(
                 f"control_hz={self.control_hz} is impossible: a control step must be a "
                 f"whole number of servo ticks of {TICK_S:g} s. Try 10, 20, 25 or 50."
-            )
-        if not self.horizon_s > 0.0:
-            raise InvalidConfigError(
-                f"horizon_s={self.horizon_s} leaves no time. It must be positive; the "
-                f"benchmark uses {HORIZON_S:g}."
             )
 
     @property
@@ -73,7 +86,7 @@ class EnvConfig:
     def _checked_team(self, robots: object) -> tuple[str, ...]:
         if not isinstance(robots, list | tuple) or not robots:
             raise InvalidConfigError(
-                f"robots={robots!r:.60} is no team. It is a tuple with the arm type of "
+                f"robots={shown(robots)} is no team. It is a tuple with the arm type of "
                 "each robot, such as ('ur5', 'ur10'), or None for any."
             )
         for arm in robots:
@@ -82,7 +95,7 @@ class EnvConfig:
         listed = self.split == FREE_SPLIT or sorted(robots) in map(sorted, teams)
         if not listed:
             raise InvalidConfigError(
-                f"No frozen instance has the team {tuple(robots)!r}. Valid: "
+                f"No frozen instance has the team {shown(tuple(robots))}. Valid: "
                 f"{', '.join(map(repr, teams))}, or None for any; and any registered "
                 f"arms with split={FREE_SPLIT!r}."
             )

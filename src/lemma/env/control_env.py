@@ -41,10 +41,11 @@ class ControlEnv(LemmaEnv):
         super().__init__(config, render_mode)
         self.mode = CONTROLS[config.control]
         self.actuation = self.mode.actuation
-        self.metadata["render_fps"] = config.control_hz
+        # Writers of videos want a whole number.
+        self.metadata["render_fps"] = max(1, round(config.control_hz))
         self.action_layout = self.mode.layout(self.robot_names)
         self.action_space = self.action_layout.box()
-        self._max_episode_steps = round(config.horizon_s * config.control_hz)
+        self._max_episode_steps = max(1, round(config.horizon_s * config.control_hz))
         self._controllers: dict[str, Controller] = {}
         self._settled_s = 0.0
 

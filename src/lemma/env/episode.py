@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from typing import Any
 
+from lemma.core.arguments import real
 from lemma.core.errors import InvalidConfigError, ResetNeededError
-from lemma.env.simulation import HORIZON_S, Simulation, SimulationSnapshot
+from lemma.env.simulation import HORIZON_S, TICK_S, Simulation, SimulationSnapshot
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.instance import Instance
@@ -54,9 +55,14 @@ class Episode:
             instance: The problem.
             horizon_s: T_max, simulated time after which the episode ends [s].
             actuation: How the motors are driven; skills need ``"position"``.
+
+        Raises:
+            InvalidConfigError: The horizon leaves no time, or things overlap or do not
+                lie on the table.
+            UnknownNameError: No such actuation.
         """
         self.instance = instance
-        self.horizon_s = horizon_s
+        self.horizon_s = real("horizon_s", horizon_s, TICK_S)
         self.simulation = Simulation(instance.scene, actuation)
         self.executed: list[ExecutedSubTask] = []
         self.stopped = False

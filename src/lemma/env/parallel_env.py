@@ -5,13 +5,10 @@ from typing import Any
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from lemma.core.errors import InvalidActionError
-from lemma.env.action_spaces import Action
+from lemma.env.action_spaces import Action, check_keys
 from lemma.env.control_env import ControlEnv
 from lemma.env.observation import Observation, Observer
 from lemma.scene.cameras import RgbImage
-
-_OPTIONS = ("split", "index", "instance")
 
 ParallelStep = tuple[
     dict[str, Observation],
@@ -65,13 +62,12 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
 
         Args:
             seed: Seeds the draws of instances.
-            options: As for :class:`~lemma.env.base_env.LemmaEnv`; others are ignored.
+            options: As for :class:`~lemma.env.base_env.LemmaEnv`.
 
         Returns:
             Observations and infos by agent.
         """
-        known = {k: v for k, v in (options or {}).items() if k in _OPTIONS}
-        self.inner.set_table(seed, known)
+        self.inner.set_table(seed, options)
         self.agents = list(self.possible_agents)
         return self._observe(), self._infos()
 
@@ -89,11 +85,7 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
                 its space. Nothing has moved then.
             ResetNeededError: The episode is over.
         """
-        if set(actions) != set(self.possible_agents):
-            raise InvalidActionError(
-                f"There are actions for {sorted(actions)}. Valid: one for each of "
-                f"{', '.join(self.possible_agents)}."
-            )
+        check_keys(actions, self.possible_agents)
         agents = self.possible_agents
         reward, terminated, truncated = self.inner.advance(
             [actions[agent] for agent in agents]

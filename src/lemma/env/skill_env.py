@@ -30,7 +30,7 @@ class SubTaskEnv(LemmaEnv):
         """
         super().__init__(config, render_mode)
         self.metadata["render_fps"] = 1
-        self._max_episode_steps = round(config.horizon_s / LEAST_STEP_S)
+        self._max_episode_steps = max(1, round(config.horizon_s / LEAST_STEP_S))
         self.last_result: SkillResult | None = None
         """How the last sub-task went; None before the first."""
 

@@ -30,8 +30,8 @@ class PlanEnv(SubTaskEnv):
         super()._begin(episode)
         self._grounder = GeometricGrounder(episode.simulation.scene.spec)
 
-    def encode(self, subtask: SubTask) -> dict[str, Any]:
-        """Return the action for a sub-task.
+    def encode(self, subtask: SubTask | None) -> dict[str, Any]:
+        """Return the action for a sub-task, or ``stop`` for None.
 
         Raises:
             InvalidActionError: There never is such an entity.

@@ -6,7 +6,8 @@ from functools import lru_cache
 from importlib import import_module
 from importlib.resources import files
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.arguments import known, whole
+from lemma.core.errors import InvalidConfigError
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.names import SUITE
 from lemma.tasks.sampling import sample
@@ -64,8 +65,7 @@ def check_split(task: str, split: str) -> None:
         InvalidConfigError: The task has no frozen lists.
     """
     task_named(task)
-    if split not in (*SPLITS, FREE_SPLIT):
-        raise UnknownNameError("split", split, (*SPLITS, FREE_SPLIT))
+    known("split", split, (*SPLITS, FREE_SPLIT))
     if split != FREE_SPLIT and not has_frozen_lists(task):
         raise InvalidConfigError(
             f"Task {task!r} has no frozen list {split!r}; only the benchmark's eight "
@@ -87,14 +87,10 @@ def load_instance(task: str, split: str, index: int) -> Instance:
     """
     check_split(task, split)
     if split == FREE_SPLIT:
-        return sample(task_named(task), split, index).instance
-    count = SPLITS[split]
-    if not 0 <= index < count:
-        raise InvalidConfigError(
-            f"Index {index} is out of range: split {split!r} has {count} instances per "
-            f"task, 0 to {count - 1}."
-        )
-    return Instance.from_dict(json.loads(_frozen_lines(task, split)[index]))
+        seed = whole("index", index, 0)
+        return sample(task_named(task), split, seed).instance
+    number = whole("index", index, 0, SPLITS[split] - 1)
+    return Instance.from_dict(json.loads(_frozen_lines(task, split)[number]))
 
 
 @lru_cache

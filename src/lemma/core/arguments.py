@@ -1,0 +1,91 @@
+"""What callers pass: numbers and names, checked where they come in."""
+
+import contextlib
+import math
+import operator
+from collections.abc import Iterable
+from numbers import Real
+from typing import SupportsIndex
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+
+
+def whole(
+    name: str, value: object, low: int | None = None, high: int | None = None
+) -> int:
+    """Return a whole number within bounds.
+
+    Args:
+        name: What it is called, for the message.
+        value: What was passed; NumPy's integers are fine, truth values are not.
+        low: Smallest that is valid.
+        high: Largest that is valid.
+
+    Raises:
+        InvalidConfigError: It is none.
+    """
+    is_index = isinstance(value, SupportsIndex) and not isinstance(value, bool)
+    try:
+        number = operator.index(value) if is_index else None  # type: ignore[arg-type]
+    except TypeError:
+        # Arrays look like indices and are none, but for a single whole number.
+        number = None
+    if number is None or not _within(number, low, high):
+        raise InvalidConfigError(
+            f"{name}={value!r:.60} is impossible. It must be a whole number"
+            f"{_range(low, high)}."
+        )
+    return number
+
+
+def real(
+    name: str, value: object, low: float | None = None, high: float | None = None
+) -> float:
+    """Return a finite number within bounds.
+
+    Args:
+        name: What it is called, for the message.
+        value: What was passed; NumPy's numbers are fine, truth values are not.
+        low: Smallest that is valid.
+        high: Largest that is valid.
+
+    Raises:
+        InvalidConfigError: It is none.
+    """
+    number = math.nan
+    if isinstance(value, Real) and not isinstance(value, bool):
+        with contextlib.suppress(OverflowError):
+            number = float(value)
+    if not math.isfinite(number) or not _within(number, low, high):
+        raise InvalidConfigError(
+            f"{name}={value!r:.60} is impossible. It must be a finite number"
+            f"{_range(low, high)}."
+        )
+    return number
+
+
+def known(kind: str, name: object, valid: Iterable[str]) -> str:
+    """Return a name that is one of the valid ones.
+
+    Args:
+        kind: What it is, as a noun.
+        name: What was passed.
+        valid: Every name that exists.
+
+    Raises:
+        UnknownNameError: There is no such name.
+    """
+    names = tuple(valid)
+    if not isinstance(name, str) or name not in names:
+        raise UnknownNameError(kind, name, names)
+    return name
+
+
+def _within(number: float, low: float | None, high: float | None) -> bool:
+    return (low is None or number >= low) and (high is None or number <= high)
+
+
+def _range(low: float | None, high: float | None) -> str:
+    if low is None or high is None:
+        return "" if low is None else f", at least {low:g}"
+    return f" from {low:g} to {high:g}"
