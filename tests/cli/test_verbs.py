@@ -123,7 +123,7 @@ def test_tasks_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
         (["show", "stak"], "Valid: pass, pass2"),
         (["bench", "stak"], "Unknown task 'stak'"),
         (["show", "stack", "--index", "60"], "0 to 59"),
-        (["show", "stack", "--index", "-1"], "out of range"),
+        (["show", "stack", "--index", "-1"], "from 0 to 59"),
         (["show", "stack", "--split", "tset"], "Did you mean 'test'?"),
         (["demo", "stack", "--robots", "ur5,ur1"], "Valid: ur5, ur10"),
         (["demo", "stack", "--robots", "ur5"], "a team has two"),

@@ -21,11 +21,13 @@ def sample(env: LemmaParallelEnv) -> dict[str, Any]:
     return {agent: env.action_space(agent).sample() for agent in env.agents}
 
 
+@pytest.mark.filterwarnings("ignore:The option 'options' of reset")
 @pytest.mark.parametrize("task", SUITE)
 def test_pettingzoo_finds_no_fault(task: str) -> None:
     parallel_api_test(parallel(task, horizon_s=2.0), num_cycles=60)
 
 
+@pytest.mark.filterwarnings("ignore:The option 'options' of reset")
 @pytest.mark.parametrize(
     "control", ["joint_position", "joint_velocity", "joint_torque"]
 )

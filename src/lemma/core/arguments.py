@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from numbers import Real
 from typing import SupportsIndex
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 
 
 def whole(
@@ -32,7 +32,7 @@ def whole(
         number = None
     if number is None or not _within(number, low, high):
         raise InvalidConfigError(
-            f"{name}={value!r:.60} is impossible. It must be a whole number"
+            f"{name}={shown(value)} is impossible. It must be a whole number"
             f"{_range(low, high)}."
         )
     return number
@@ -58,7 +58,7 @@ def real(
             number = float(value)
     if not math.isfinite(number) or not _within(number, low, high):
         raise InvalidConfigError(
-            f"{name}={value!r:.60} is impossible. It must be a finite number"
+            f"{name}={shown(value)} is impossible. It must be a finite number"
             f"{_range(low, high)}."
         )
     return number

@@ -4,8 +4,18 @@ Each message says what was wrong, what is valid and what to try.
 """
 
 import difflib
+import reprlib
 from collections.abc import Iterable
 from typing import Self
+
+_REPR = reprlib.Repr()
+_REPR.maxstring = _REPR.maxother = _REPR.maxlong = 80
+_REPR.maxlevel = 3
+
+
+def shown(value: object) -> str:
+    """Return any value as a message shows it: short, however large or deep it is."""
+    return _REPR.repr(value)
 
 
 class LemmaError(Exception):
@@ -26,9 +36,8 @@ class UnknownNameError(LemmaError, ValueError):
         names = list(valid)
         close = difflib.get_close_matches(str(name), names, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
-        super().__init__(
-            f"Unknown {kind} {name!r:.99}.{hint} Valid: {', '.join(names) or '(none)'}."
-        )
+        valid_names = ", ".join(names) or "(none)"
+        super().__init__(f"Unknown {kind} {shown(name)}.{hint} Valid: {valid_names}.")
         self._looked_up = (kind, name, names)
 
     def __reduce__(self) -> tuple[type[Self], tuple[str, object, list[str]]]:

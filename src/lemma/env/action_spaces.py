@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lemma.core.errors import InvalidActionError, UnknownNameError
+from lemma.core.errors import InvalidActionError, UnknownNameError, shown
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.core.robot_names import robot_name, robot_names, robot_number
 from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
@@ -107,12 +107,12 @@ class ActionLayout:
             masked = any(np.ma.is_masked(row) for row in rows)
         except (TypeError, ValueError, RuntimeError, OverflowError) as error:
             raise InvalidActionError(
-                f"The action {action!r:.80} is no array of numbers. {self._valid()}"
+                f"The action {shown(action)} is no array of numbers. {self._valid()}"
             ) from error
         if values.dtype.kind not in "fiu" or masked:
             kind = "masked" if masked else values.dtype
             raise InvalidActionError(
-                f"The action {action!r:.80} is no array of numbers but {kind}. "
+                f"The action {shown(action)} is no array of numbers but {kind}. "
                 f"{self._valid()}"
             )
         return values.astype(np.float64)
@@ -231,7 +231,7 @@ def encode_plan(subtask: SubTask | None) -> dict[str, Any]:
     for entity, valid in ((subtask.pick, picks()), (subtask.place, places())):
         if entity not in valid:
             raise InvalidActionError(
-                f"No table ever has a {entity!r}. Valid: {', '.join(valid[1:])}."
+                f"No table ever has a {shown(entity)}. Valid: {', '.join(valid[1:])}."
             )
     return {
         "robot": _robot_number(subtask.robot) if subtask.robot else 0,
@@ -267,7 +267,7 @@ def _primitive(value: Any) -> Primitive:
 def _check_type(subtask: object, wanted: type) -> None:
     if not isinstance(subtask, wanted | None):
         raise InvalidActionError(
-            f"{subtask!r:.80} cannot be encoded. Valid: a {wanted.__name__}, or None "
+            f"{shown(subtask)} cannot be encoded. Valid: a {wanted.__name__}, or None "
             "to stop."
         )
 
@@ -295,9 +295,9 @@ def check_keys(action: Any, keys: Sequence[str], hint: str = "") -> None:
         InvalidActionError: It is no dictionary with these keys.
     """
     if not isinstance(action, Mapping):
-        found = f"{action!r:.80}"
+        found = f"{shown(action)}"
     elif set(action) != set(keys):
-        found = f"a dictionary with {', '.join(f'{key!s:.40}' for key in action)}"
+        found = f"a dictionary with {', '.join(f'{shown(key)}' for key in action)}"
     else:
         return
     raise InvalidActionError(
@@ -316,6 +316,7 @@ def _number(value: Any, name: str, meanings: Sequence[str]) -> int:
     if not 0 <= number < len(meanings):
         options = ", ".join(f"{i} {m or '(none)'}" for i, m in enumerate(meanings))
         raise InvalidActionError(
-            f"{name!r} of the action is {value!r:.80}. Valid: whole numbers, {options}."
+            f"{name!r} of the action is {shown(value)}. Valid: whole numbers, "
+            f"{options}."
         )
     return number

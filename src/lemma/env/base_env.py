@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 
 from lemma.core.arguments import known, whole
-from lemma.core.errors import InvalidConfigError, ResetNeededError
+from lemma.core.errors import InvalidConfigError, ResetNeededError, shown
 from lemma.core.robot_names import robot_names
 from lemma.env.config import EnvConfig
 from lemma.env.episode import Episode, EpisodeSnapshot
@@ -244,7 +244,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         """
         if not isinstance(snapshot, EnvSnapshot):
             raise InvalidConfigError(
-                f"{snapshot!r:.60} is no snapshot. Valid: what snapshot() returned."
+                f"{shown(snapshot)} is no snapshot. Valid: what snapshot() returned."
             )
         instance = snapshot.episode.instance
         if self._episode is None or self._episode.instance != instance:

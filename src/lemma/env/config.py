@@ -86,8 +86,8 @@ class EnvConfig:
     def _checked_team(self, robots: object) -> tuple[str, ...]:
         if not isinstance(robots, list | tuple) or not robots:
             raise InvalidConfigError(
-                f"robots={shown(robots)} is no team. It is a tuple with the arm type of "
-                "each robot, such as ('ur5', 'ur10'), or None for any."
+                f"robots={shown(robots)} is no team. It is a tuple with the arm type "
+                "of each robot, such as ('ur5', 'ur10'), or None for any."
             )
         for arm in robots:
             ARMS[arm]

@@ -1,15 +1,15 @@
 """Which instance an episode is about: what ``reset`` is asked for, or a draw."""
 
+import warnings
 from collections.abc import Mapping
 from difflib import get_close_matches
 from functools import lru_cache
 from typing import Any
 
-import gymnasium
 import numpy as np
 
 from lemma.core.arguments import whole
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.env.config import EnvConfig
 from lemma.env.observation import MAX_INSTRUCTION_LENGTH
 from lemma.tasks.instance import SPLITS, Instance
@@ -39,7 +39,7 @@ def own_options(options: object) -> dict[str, Any]:
     """
     if not isinstance(options, Mapping | None):
         raise InvalidConfigError(
-            f"options={options!r:.60} of reset is no dictionary. Valid: one with any "
+            f"options={shown(options)} of reset is no dictionary. Valid: one with any "
             f"of {', '.join(RESET_OPTIONS)}."
         )
     found = {}
@@ -58,9 +58,10 @@ def own_options(options: object) -> dict[str, Any]:
 @lru_cache(maxsize=256)
 def _ignore(name: str) -> None:
     """Warn that an option is ignored, once in this process."""
-    gymnasium.logger.warn(
+    warnings.warn(
         f"The option {name!r} of reset is not one of this environment and is ignored. "
-        f"Its options are {', '.join(RESET_OPTIONS)}."
+        f"Its options are {', '.join(RESET_OPTIONS)}.",
+        stacklevel=2,
     )
 
 
@@ -100,7 +101,7 @@ class InstanceSource:
         """
         if not isinstance(instance, Instance):
             raise InvalidConfigError(
-                f"{instance!r:.60} is no instance. Try lemma.load_instance(task, "
+                f"{shown(instance)} is no instance. Try lemma.load_instance(task, "
                 "split, index), or lemma.Instance.from_dict of what to_dict() gave."
             )
         arms = tuple(robot.arm for robot in instance.scene.robots)
@@ -120,7 +121,7 @@ class InstanceSource:
             )
         if len(text) > MAX_INSTRUCTION_LENGTH or not text.isascii():
             raise InvalidConfigError(
-                f"The instruction {text!r:.60} cannot be observed. It must be ASCII "
+                f"The instruction {shown(text)} cannot be observed. It must be ASCII "
                 f"and at most {MAX_INSTRUCTION_LENGTH} characters long."
             )
 
