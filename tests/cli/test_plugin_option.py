@@ -14,6 +14,8 @@ from lemma.cli.main import main, split_plugins
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.dataset.instructions import draw_instruction
 from lemma.dataset.recipe.generate import GenerateConfig
+from lemma.evaluation.run.evaluate import EvaluationConfig
+from lemma.policies.spec import PolicySpec
 from lemma.tasks.language.bank import bank_for
 from lemma.tasks.names import SUITE, in_order
 
@@ -135,3 +137,33 @@ def test_gymnasium_knows_one_task_by_one_name() -> None:
     other = replace(lemma.TASKS["stack2"], name="stack_2")
     with loaded(), pytest.raises(InvalidConfigError, match=r"Stack2-v0.*'stack2'"):
         lemma.TASKS.add("stack_2", other)
+
+
+def test_own_task_is_evaluated_and_reported_without_it(capsys, tmp_path: Path) -> None:
+    result = tmp_path / "result"
+    with loaded(TOWER):
+        code, out, err = run(
+            capsys,
+            *("evaluate", "--policy", "oracle", "--tasks", "tower", "--episodes", 2),
+            *("--workers", 1, "--out", result, "--json"),
+        )
+    assert code == 0, err
+    assert json.loads(out)["high_level"]["tower"]["successes"] == 2
+    code, out, _ = run(capsys, "compare", result, result, "--json")
+    assert json.loads(out)["high_level"]["tower"]["both"] == 2
+    code, _, err = run(capsys, "report", result, "--out", tmp_path / "report")
+    assert code == 0, err
+    tables = (tmp_path / "report" / "results.md").read_text()
+    assert "| success [%] | tower | mean |" in tables
+    assert "2 episodes of each of 1 task (tower)" in tables
+
+
+def test_what_to_evaluate_is_checked() -> None:
+    policy = PolicySpec("oracle")
+    with loaded(TOWER):
+        with pytest.raises(InvalidConfigError, match="no frozen list 'test'"):
+            EvaluationConfig(out=Path(), policy=policy, tasks=("tower",))
+        with pytest.raises(InvalidConfigError, match=r"has no end.*--episodes"):
+            EvaluationConfig(out=Path(), policy=policy, split="free")
+    with pytest.raises(UnknownNameError, match="Unknown task 'tower'"):
+        EvaluationConfig(out=Path(), policy=policy, tasks=("tower",))

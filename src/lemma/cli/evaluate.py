@@ -8,17 +8,18 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.options import Flag, JsonFlag, Number, complain, output, print_json
+from lemma.cli.options import Flag, JsonFlag, Number, Word, complain, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.evaluation.analysis.intervals import Rate, mean_over_tasks, rates_by
 from lemma.evaluation.analysis.result import Cell, summarise
-from lemma.evaluation.records import SUMMARY, Row, read_about, tasks_in_order
+from lemma.evaluation.records import SUMMARY, Row, read_about
 from lemma.evaluation.run.evaluate import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate as run
 from lemma.evaluation.run.protocol import NAME, departures
 from lemma.policies.spec import TIMEOUT_S, PolicySpec
 from lemma.tasks.language.template import KINDS
-from lemma.tasks.suite import SUITE
+from lemma.tasks.names import in_order
+from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
 _ALL = "all"
 _COMPLAINTS = 5
@@ -37,8 +38,9 @@ class EvaluateOptions:
     """Kinds of instructions: high-level, human, unseen; or all."""
     tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
     """Names of tasks, separated by commas."""
-    split: Annotated[str, tyro.conf.arg(metavar="SPLIT")] = "test"
-    """Frozen list of instances."""
+    split: Word = None
+    """Frozen list of instances: test by default; or free, which samples them, as it
+    does by default with tasks of your own. Split free needs --episodes."""
     episodes: Number = None
     """Only the first so many of every task."""
     planning: Literal["single-step", "multi-step"] = "single-step"
@@ -83,11 +85,13 @@ def evaluate(
         working: Where to work.
         as_json: Print one JSON object instead of a table.
     """
+    tasks = _names(ask.tasks, SUITE)
+    split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
     order = EvaluationConfig(
         out=out,
         policy=PolicySpec(policy, ask.planning, ask.gta, ask.timeout_s),
-        tasks=_names(ask.tasks, SUITE),
-        split=ask.split,
+        tasks=tasks,
+        split=ask.split or split,
         kinds=_names(ask.instructions.replace("-", "_"), KINDS),
         episodes=ask.episodes,
         language=ask.language,
@@ -145,7 +149,7 @@ def table(cells: tuple[Cell, ...]) -> Table:
     shown.add_column("success [%]", style="bold", no_wrap=True)
     for kind in kinds:
         shown.add_column(kind.replace("_", "-"), justify="right", no_wrap=True)
-    tasks = tasks_in_order(cell.task for cell in cells)
+    tasks = in_order(cell.task for cell in cells)
     for task in tasks:
         row = (rates.get((kind, task)) for kind in kinds)
         shown.add_row(task, *(_cell(rate) for rate in row))

@@ -18,7 +18,8 @@ from lemma.core.errors import DatasetError
 from lemma.dataset.files import read_json, write_text
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.language.template import KINDS
-from lemma.tasks.suite import SUITE
+from lemma.tasks.names import task_rank
+from lemma.tasks.suite import FREE_SPLIT
 
 EPISODES = "episodes.jsonl"
 ABOUT = "about.json"
@@ -162,17 +163,7 @@ def key_of(row: Row) -> EpisodeKey:
 def place_of(row: Row) -> tuple[Any, ...]:
     """Return what lines are ordered by: kind, task, number."""
     kind, task, index = key_of(row)
-    return KINDS.index(kind), task_place(task), index
-
-
-def task_place(task: str) -> tuple[int, str]:
-    """Return what tasks are ordered by: the suite's as there, then others by name."""
-    return (SUITE.index(task), "") if task in SUITE else (len(SUITE), task)
-
-
-def tasks_in_order(tasks: Iterable[str]) -> tuple[str, ...]:
-    """Return tasks in the order of tables, each once."""
-    return tuple(sorted(set(tasks), key=task_place))
+    return KINDS.index(kind), task_rank(task), index
 
 
 def training_seed(weights: Mapping[str, Mapping[str, Any]]) -> int:
@@ -275,10 +266,10 @@ def check_about(about: object, path: Path) -> None:
         raise DatasetError(
             f"{path} is damaged: {error} of 'about'. Delete it and evaluate again."
         ) from error
-    if found.split not in SPLITS:
+    if found.split not in (*SPLITS, FREE_SPLIT):
         raise DatasetError(
             f"{path} is of a split that is unknown here: {found.split!r}. Known: "
-            f"{', '.join(SPLITS)}."
+            f"{', '.join((*SPLITS, FREE_SPLIT))}."
         )
 
 

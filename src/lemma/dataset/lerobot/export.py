@@ -42,7 +42,7 @@ from lemma.dataset.rendered.render import (
 )
 from lemma.scene.rendering.gl_backend import choose_backend
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
-from lemma.tasks.suite import SUITE
+from lemma.tasks.names import task_rank
 
 _PARTS = ".parts"
 _EXPORT = f"{EXTRAS}/export.json"
@@ -79,12 +79,12 @@ class LeRobotConfig:
         return self.out / _PARTS / f"{number:06d}"
 
 
-def _rank(path: Path, group: int) -> tuple[int, int, str, int]:
-    splits, tasks = list(SPLITS), list(SUITE)
+def _rank(path: Path, group: int) -> tuple[int, tuple[int, str], str, int]:
+    splits = list(SPLITS)
     split, task = path.parent.name, path.stem
     return (
         splits.index(split) if split in splits else len(splits),
-        tasks.index(task) if task in tasks else len(tasks),
+        task_rank(task),
         path.as_posix(),
         group,
     )

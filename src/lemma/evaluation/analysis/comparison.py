@@ -15,10 +15,10 @@ from lemma.evaluation.records import (
     read_about,
     read_lines,
     read_rows,
-    tasks_in_order,
 )
 from lemma.evaluation.run.protocol import check_protocol
 from lemma.tasks.language.template import KINDS
+from lemma.tasks.names import in_order
 
 _SAME = ("split", "lemma")
 """What decides the episodes and the world, and not the policy."""
@@ -100,7 +100,7 @@ def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
         of_kind = {name: pair for name, pair in pairs.items() if name[0] == kind}
         if of_kind:
             found[kind] = {"all": _count(of_kind.values())}
-            for task in tasks_in_order(name[1] for name in of_kind):
+            for task in in_order(name[1] for name in of_kind):
                 of_task = [pair for name, pair in of_kind.items() if name[1] == task]
                 found[kind][task] = _count(of_task)
     return found

@@ -26,10 +26,10 @@ from lemma.evaluation.records import (
     Row,
     check_about,
     place_of,
-    task_place,
     training_seed,
 )
 from lemma.tasks.language.template import KINDS
+from lemma.tasks.names import task_rank
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,7 +297,7 @@ def _asked(rows: Iterable[Row]) -> Iterable[Asked]:
 
 def _order(name: Sequence[Any]) -> tuple[Any, ...]:
     kind, task, *rest = name
-    return KINDS.index(kind), task_place(task), *rest
+    return KINDS.index(kind), task_rank(task), *rest
 
 
 def _digest(rows: Iterable[Row]) -> str:

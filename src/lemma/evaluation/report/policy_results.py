@@ -10,10 +10,10 @@ from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.intervals import mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Cell, Result, check_lines, read_result
 from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS, Experiment
-from lemma.evaluation.records import EPISODES, SUMMARY, read_rows, tasks_in_order
+from lemma.evaluation.records import EPISODES, SUMMARY, read_rows
 from lemma.evaluation.run.language_controls import FULL
 from lemma.evaluation.run.protocol import check_protocol
-from lemma.tasks.suite import SUITE
+from lemma.tasks.names import SUITE, in_order
 
 NOTHING = "–"
 PARTIAL = "†"
@@ -100,7 +100,7 @@ def tasks_of(
     Returns:
         Their names; those of the suite where nobody played.
     """
-    played = tasks_in_order(
+    played = in_order(
         cell.task
         for entry in entries
         for result in entry.results

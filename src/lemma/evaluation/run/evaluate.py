@@ -46,7 +46,7 @@ from lemma.evaluation.run.rollout import Player, Rollout, roll_out, subtasks_of
 from lemma.policies.spec import PLANNINGS, PolicySpec
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.language.template import KINDS
-from lemma.tasks.suite import SUITE, load_instance
+from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
 
 _PARTS = ".parts"
 
@@ -59,11 +59,14 @@ class EvaluationConfig:
     """Folder of the result."""
     policy: PolicySpec
     tasks: tuple[str, ...] = SUITE
+    """Names of tasks, also of your own."""
     split: str = "test"
+    """Frozen list of instances; or ``"free"``, which samples them, seeds counting from
+    0."""
     kinds: tuple[str, ...] = ("high_level",)
     """Kinds of instructions."""
     episodes: int | None = None
-    """Only the first so many of every task; all if None."""
+    """Only the first so many of every task; all if None. Split ``"free"`` needs it."""
     language: str = FULL
     """What is said, one of :data:`lemma.evaluation.run.language_controls.LANGUAGES`."""
     perturb_start: bool = False
@@ -73,10 +76,7 @@ class EvaluationConfig:
     def __post_init__(self) -> None:
         """Check the names and the number."""
         for task in self.tasks:
-            if task not in SUITE:
-                raise UnknownNameError("task", task, SUITE)
-        if self.split not in SPLITS:
-            raise UnknownNameError("split", self.split, SPLITS)
+            check_split(task, self.split)
         for kind in self.kinds:
             if kind not in KINDS:
                 raise UnknownNameError("kind of instruction", kind, KINDS)
@@ -91,11 +91,16 @@ class EvaluationConfig:
             raise InvalidConfigError(
                 f"Episodes per task are 1 or more, not {self.episodes}."
             )
+        if self.episodes is None and self.split == FREE_SPLIT:
+            raise InvalidConfigError(
+                f"Split {FREE_SPLIT!r} is sampled and has no end. Say how many "
+                "episodes of each task there shall be, with --episodes."
+            )
 
     @property
     def per_task(self) -> int:
         """Episodes per task and kind of instruction."""
-        every = SPLITS[self.split]
+        every = SPLITS.get(self.split, self.episodes or 0)
         return every if self.episodes is None else min(self.episodes, every)
 
     @property

@@ -56,7 +56,8 @@ def say(language: str, instance: Instance, kind: str) -> LanguageControl:
         return LanguageControl("")
     if language == "shuffled":
         task, split = instance.task, instance.split
-        other = load_instance(task, split, (instance.index + 1) % SPLITS[split])
+        following = instance.index + 1
+        other = load_instance(task, split, following % SPLITS.get(split, following + 1))
         there = set(other.goal.entities) <= set(instance.scene.object_names)
         same = set(other.goal.pairs) == set(instance.goal.pairs)
         asks = other.goal.pairs if there and not same else None
