@@ -54,7 +54,7 @@ class EnvConfig:
     def __post_init__(self) -> None:
         """Check what does not depend on the level."""
         task_named(self.task)
-        if self.split == "":
+        if isinstance(self.split, str) and not self.split:
             object.__setattr__(self, "split", default_split(self.task))
         check_split(self.task, self.split)
         known("kind of instruction", self.instruction, KINDS)
