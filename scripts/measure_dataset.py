@@ -28,7 +28,6 @@ from lemma.bench.machine import describe_machine
 from lemma.core.parallel import ProcessPool, peak_memory_mb, usable_cores
 from lemma.dataset.instructions import Language
 from lemma.dataset.recipe.generate import GenerateConfig, generate
-from lemma.dataset.rendered.dense_form import DenseForm
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.keyframes.dataset import (
     CAMERA_COLUMNS,
@@ -36,7 +35,7 @@ from lemma.dataset.rendered.keyframes.dataset import (
     POLICY_COLUMNS,
     KeyframeDataset,
 )
-from lemma.dataset.rendered.keyframes.loader import KeyframeLoader, MapsInMemory
+from lemma.dataset.rendered.keyframes.memory import MapsInMemory
 from lemma.dataset.rendered.render import RenderConfig, render
 
 BATCH = 32
@@ -63,7 +62,7 @@ def generation(folder: Path, episodes: int) -> dict[str, Any]:
 def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
     """Return all figures."""
     figures: dict[str, Any] = {"machine": describe_machine()}
-    frames, steps = folder / "keyframes", folder / "dense"
+    frames = folder / "keyframes"
     # The first pictures compile and start things, which is not counted.
     (first, *_) = RenderConfig(recipe=recipe, out=frames).groups()
     warm = RenderConfig(recipe=recipe, out=frames, tasks=(first[0].stem,))
@@ -77,9 +76,6 @@ def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
     for part in ("maps", "cameras"):
         size = sum(path.stat().st_size for path in (frames / part).rglob("*.arrow"))
         figures[f"{part}_kb_per_keyframe"] = round(size / made.rows / 1e3, 1)
-    dense = render(RenderConfig(recipe=recipe, out=steps), DenseForm(), ProcessPool(1))
-    figures["dense_steps_per_s_and_core"] = round(dense.rows / dense.seconds)
-    figures["dense_bytes_per_step"] = round(dense.size_mb * 1e6 / dense.rows)
     maps = KeyframeDataset(frames, SPLIT, columns=(*MAP_COLUMNS, *POLICY_COLUMNS))
     drawn = KeyframeDataset(
         frames,
@@ -95,9 +91,6 @@ def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
     for name, dataset in (("map", maps), ("resampled", drawn), ("camera", cameras)):
         rate = read_rate(dataset, seconds)
         figures[f"{name}_samples_per_s_{WORKERS}_processes"] = round(rate)
-        figures[f"{name}_samples_per_s_{WORKERS}_threads"] = round(
-            loader_rate(dataset, seconds)
-        )
         figures[f"{name}_samples_per_cpu_s"] = round(cpu_rate(dataset, seconds))
     start = perf_counter()
     memory = MapsInMemory.load(frames, SPLIT)
@@ -137,15 +130,6 @@ def read_rate(dataset: KeyframeDataset, seconds: float) -> float:
             worker.join()
         shared.close()
         shared.unlink()
-
-
-def loader_rate(dataset: KeyframeDataset, seconds: float) -> float:
-    """Return samples per second of the package's own loader."""
-    loader = KeyframeLoader(dataset=dataset, batch_size=BATCH, threads=WORKERS)
-    start, count = perf_counter(), 0
-    while perf_counter() - start < seconds:
-        count += sum(len(batch["instruction"]) for batch in loader)
-    return count / (perf_counter() - start)
 
 
 def torch_rate(dataset: KeyframeDataset, workers: int, seconds: float) -> float:

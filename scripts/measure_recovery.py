@@ -14,7 +14,7 @@ from collections.abc import Iterator
 
 import torch
 
-from lemma.dataset.rendered.keyframes.loader import MapsInMemory
+from lemma.dataset.rendered.keyframes.memory import MapsInMemory
 from lemma.expert.disturbances import NONE
 from lemma.policies.batch import Frames
 from lemma.policies.model import Model

@@ -1,11 +1,11 @@
 """What `lemma render` does with its options, whatever the form."""
 
-import json
+import sys
 from pathlib import Path
 
 import pytest
 from in_process import Serial
-from rendered_sets import TASKS, recipe_folder
+from rendered_sets import recipe_folder
 
 from lemma.cli import render as verb
 from lemma.cli.main import main
@@ -15,7 +15,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.dataset.lerobot.export import LeRobotConfig
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 
-FORMS = ("keyframes", "dense", "lerobot")
+FORMS = ("keyframes", "lerobot")
 
 
 def run(*words: object) -> int | str | None:
@@ -24,32 +24,16 @@ def run(*words: object) -> int | str | None:
     return end.value.code
 
 
-@pytest.mark.render
-@pytest.mark.slow
-def test_a_lerobot_dataset_of_another_size_without_depth(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_without_the_lerobot_package_it_is_said_how_to_get_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "set"
-    words = ("--form", "lerobot", "--tasks", TASKS[0], "--fps", "2", "--no-depth")
-    command = (recipe_folder(), "--out", out, *words, "--size", "64x48", "--workers")
-    assert run(*command, "1", "--json") == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["form"], told["episodes"], told["made"]) == ("lerobot", 2, 2)
-    info = json.loads((out / "meta/info.json").read_text())
-    assert told["rows"] == info["total_frames"] > 20
-    shapes = {
-        name: feature["shape"]
-        for name, feature in info["features"].items()
-        if feature["dtype"] == "video"
-    }
-    assert shapes == {
-        "observation.images.robot_0": [48, 64, 3],
-        "observation.images.robot_1": [48, 64, 3],
-    }
-    assert run(*command, "1") == 0
-    words_told = capsys.readouterr().out
-    assert f"{told['rows']} frames" in words_told
-    assert "0 were made by this run" in words_told
+    monkeypatch.setitem(sys.modules, "lerobot", None)
+    words = (recipe_folder(), "--out", tmp_path / "set", "--form", "lerobot")
+    assert run(*words, "--workers", "1") == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "pip install 'lemma-bench[lerobot]'" in told
+    assert "Python 3.12" in told
+    assert not (tmp_path / "set").exists()
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -82,7 +66,6 @@ def test_every_form_works_where_it_is_told_and_can_be_interrupted(
     ("words", "message"),
     [
         (("--form", "keyframes", "--no-depth"), "cannot leave depth out"),
-        (("--form", "dense", "--no-depth"), "cannot leave depth out"),
         (("--form", "lerobot", "--size", "63x48"), "must be even"),
         (("--form", "lerobot", "--size", "large"), "is no size"),
         (("--form", "lerobot", "--fps", "30"), "Choose one of 1, 2"),
@@ -115,4 +98,4 @@ def test_depth_is_filmed_unless_it_is_left_out(
         choose_form("lerobot", order, look)(Serial(), lambda count: None)
     assert orders == [True, False]
     with pytest.raises(InvalidConfigError):
-        choose_form("dense", order, RenderOptions(no_depth=True))
+        choose_form("keyframes", order, RenderOptions(no_depth=True))

@@ -78,21 +78,9 @@ def test_replays_on_two_nodes(cluster: Cluster, tmp_path: Path) -> None:
     assert "All 4 episodes are reproduced to the bit" in output
 
 
-@pytest.mark.parametrize(
-    "form",
-    [
-        ("dense",),
-        pytest.param(
-            ("lerobot", "--size", "64x48", "--fps", "2", "--no-depth"),
-            marks=pytest.mark.render,
-        ),
-    ],
-    ids=["dense", "lerobot"],
-)
-def test_two_nodes_render_the_same_bytes(
-    form: tuple[str, ...], cluster: Cluster, tmp_path: Path
-) -> None:
-    words = ("render", small_recipe(), "--tasks", "pass", "--form", *form)
+@pytest.mark.render
+def test_two_nodes_render_the_same_bytes(cluster: Cluster, tmp_path: Path) -> None:
+    words = ("render", small_recipe(), "--tasks", "pass", "--size", "64x48")
     finish(start(cluster, *words, "--out", "a", *ON_RAY, cwd=tmp_path))
     finish(start(cluster, *words, "--out", "b", "--workers", 1, cwd=tmp_path))
     assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b")

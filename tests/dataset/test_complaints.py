@@ -39,7 +39,7 @@ def words_of(verb: str) -> tuple[str, ...]:
     """Return a command that lacks ``--out`` alone."""
     if verb == "generate":
         return GENERATE
-    return ("render", str(small_recipe()), "--form", "dense")
+    return ("render", str(small_recipe()), "--size", "64x48")
 
 
 def truncate(folder: Path) -> None:
@@ -106,7 +106,7 @@ def test_damage_is_named_by_every_command(
     if verb != "generate":
         words = (verb, folder, "--workers", 1)
     if verb == "render":
-        words += ("--form", "dense", "--out", out)
+        words += ("--size", "64x48", "--out", out)
     assert lemma(*words) == 2
     complaint = " ".join(capsys.readouterr().err.split())
     assert DAMAGES[damage] in complaint
@@ -138,26 +138,27 @@ def test_a_full_disk_loses_nothing_through_the_command(
         assert "run the same command again" in " ".join(complaint.split())
         kept = bytes_of(disk)
         assert sum(name.endswith(".parquet") for name in kept) > 0
-        remount(disk, "size=10m")
+        remount(disk, "size=20m")
         counts: list[int] = []
         generate(small_order(disk / "recipe"), Serial(), counts.append)
         assert counts[0] > 0
         assert bytes_of(disk / "recipe") == bytes_of(small_recipe())
 
 
+@pytest.mark.render
 def test_a_full_disk_while_rendering(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with small_disk(tmp_path / "disk", 100) as disk:
-        words = ("render", small_recipe(), "--form", "dense", "--out", disk / "dense")
+        words = ("render", small_recipe(), "--size", "64x48", "--out", disk / "set")
         assert lemma(*words) == 2
         assert "The disk is full" in capsys.readouterr().err
-        kept = bytes_of(disk / "dense")
-        remount(disk, "size=10m")
+        kept = bytes_of(disk / "set")
+        remount(disk, "size=20m")
         assert lemma(*words) == 0
-        made = bytes_of(disk / "dense")
-    assert lemma(*words[:-1], tmp_path / "dense") == 0
-    assert made == bytes_of(tmp_path / "dense")
+        made = bytes_of(disk / "set")
+    assert lemma(*words[:-1], tmp_path / "set") == 0
+    assert made == bytes_of(tmp_path / "set")
     assert kept.items() <= made.items()
 
 
@@ -169,7 +170,7 @@ def test_a_disk_that_may_only_be_read(
         remount(disk, "ro")
         for words in (
             (*GENERATE, "--out", disk / "new"),
-            ("render", folder, "--form", "dense", "--out", disk / "dense"),
+            ("render", folder, "--size", "64x48", "--out", disk / "set"),
         ):
             assert lemma(*words) == 2
             complaint = " ".join(capsys.readouterr().err.split())
@@ -187,14 +188,15 @@ def test_a_file_where_the_folder_should_be(
     assert (tmp_path / "file").read_text() == "mine"
 
 
+@pytest.mark.render
 def test_what_was_rendered_is_no_place_for_a_recipe(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ("render", small_recipe(), "--form", "dense", "--out", tmp_path)
+    words = ("render", small_recipe(), "--size", "64x48", "--out", tmp_path)
     assert lemma(*words, "--tasks", "pass", "--workers", 1) == 0
     before = bytes_of(tmp_path)
     assert lemma(*GENERATE, "--out", tmp_path) == 2
-    assert "holds 'dense'" in capsys.readouterr().err
+    assert "holds 'keyframes'" in capsys.readouterr().err
     assert bytes_of(tmp_path) == before
 
 

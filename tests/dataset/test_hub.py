@@ -55,7 +55,7 @@ def recipe(tmp_path: Path) -> Path:
         manifests.append(json.loads((folder / MANIFEST).read_text()))
     files = {**manifests[0]["files"], **manifests[1]["files"]}
     (folder / MANIFEST).write_text(json.dumps({**manifests[0], "files": files}))
-    (folder / "README.md").write_text("---\nlicense: cc-by-4.0\n---\nA recipe.\n")
+    (folder / "README.md").write_text("---\nlicense: apache-2.0\n---\nA recipe.\n")
     check_files(folder)
     return folder
 

@@ -1,4 +1,4 @@
-"""`lemma render`: images, or steps, from a recipe."""
+"""`lemma render`: images, or a LeRobotDataset, from a recipe."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -13,8 +13,7 @@ from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.core.parallel import Engine
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
-from lemma.dataset.lerobot.layout import Style
-from lemma.dataset.rendered.dense_form import DenseForm
+from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.dataset.rendered.render import render as render_form
@@ -26,10 +25,10 @@ _ALL = "all"
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
 """A recipe."""
-FormName = Literal["keyframes", "dense", "lerobot"]
+FormName = Literal["keyframes", "lerobot"]
 Make = Callable[[Engine, Callable[[int], None]], RenderSummary]
 """Makes what is missing, given where to work and whom to tell how many are done."""
-_ROWS = {"keyframes": "keyframes", "dense": "steps", "lerobot": "frames"}
+_ROWS = {"keyframes": "keyframes", "lerobot": "frames"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +42,11 @@ class RenderOptions:
     )
     """Names of splits, separated by commas."""
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "640x480"
-    """Size of camera images [px]; dense has none."""
+    """Size of camera images [px]."""
     fps: int = 10
-    """Steps per simulated second; keyframes have none."""
+    """Frames per simulated second; keyframes have none."""
     no_depth: Flag = False
-    """Leave depth out of a LeRobotDataset. Readers before lerobot 0.6 need that."""
+    """Leave depth out of a LeRobotDataset."""
 
 
 EVERYTHING = RenderOptions()
@@ -65,16 +64,16 @@ def render(
     working: WorkerOptions = DEFAULT,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make images, or steps, from a recipe.
+    """Make images, or a LeRobotDataset, from a recipe.
 
     What is there already is kept, so the same command goes on where it was stopped.
 
     Args:
         data: The recipe: what lemma generate wrote.
         out: Folder of what is made.
-        form: keyframes: images and labels before every sub-task, for planners; dense:
-            states and commands at a rate, without images; lerobot: LeRobotDataset
-            v3.0, with videos.
+        form: keyframes: images and labels before every sub-task, for planners;
+            lerobot: LeRobotDataset v3.0, states, commands and videos at a rate, for
+            which the lerobot package is needed.
         look: What is made of which episodes.
         working: Where to work.
         as_json: Print one JSON object instead of words.
@@ -103,8 +102,6 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
         raise InvalidConfigError(
             f"--no-depth is for --form lerobot; {name} cannot leave depth out."
         )
-    if name == "dense":
-        return partial(render_form, order, DenseForm(look.fps))
     width, height = parse_size(look.size)
     if name == "keyframes":
         return partial(render_form, order, KeyframeForm(width, height))

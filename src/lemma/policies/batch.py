@@ -13,7 +13,7 @@ from torch import Tensor
 from lemma.core.errors import DatasetError
 from lemma.core.robot_names import robot_number
 from lemma.dataset.rendered.keyframes.dataset import POLICY_COLUMNS
-from lemma.dataset.rendered.keyframes.loader import MapsInMemory
+from lemma.dataset.rendered.keyframes.memory import MapsInMemory
 from lemma.dataset.rendered.keyframes.schema import EXECUTED
 from lemma.dataset.rendered.shards import keyframe_shards
 from lemma.policies.interfaces import PolicyInput

@@ -235,7 +235,7 @@ def test_a_folder_holds_nothing_but_the_recipe() -> None:
 def test_the_card_has_the_header_of_the_hub() -> None:
     card = (small_recipe() / "README.md").read_text(encoding="utf-8")
     header = card.split("---\n")[1]
-    assert "license: cc-by-4.0" in header
+    assert "license: apache-2.0" in header
     assert "path: train/*.parquet" in header
     assert "of-the-tests" in card
     assert "| `keyframe_state` |" in card

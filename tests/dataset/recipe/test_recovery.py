@@ -44,7 +44,6 @@ from lemma.dataset.recipe.schema import (
     from_table,
     to_table,
 )
-from lemma.dataset.rendered.dense_form import DenseForm
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.keyframes.dataset import KeyframeDataset
 from lemma.dataset.rendered.keyframes.schema import FORM, KEYFRAMES_VERSION, Header
@@ -204,8 +203,6 @@ def test_the_two_are_never_mixed(tmp_path: Path) -> None:
 
 def test_forms_that_show_what_was_done_are_refused(tmp_path: Path) -> None:
     order = RenderConfig(recipe=perturbed_recipe(), out=tmp_path / "out")
-    with pytest.raises(DatasetError, match="perturbed executions"):
-        render(order, DenseForm(), Serial())
     with pytest.raises(DatasetError, match="perturbed executions"):
         write_dataset(LeRobotConfig(source=order), Serial())
 

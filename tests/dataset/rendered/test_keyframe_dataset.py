@@ -20,7 +20,7 @@ from rendered_sets import (
     recipe_folder,
 )
 
-from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.errors import DatasetError, UnknownNameError
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.instructions import Language
 from lemma.dataset.rendered.keyframes import dataset as keyframe_dataset
@@ -31,7 +31,7 @@ from lemma.dataset.rendered.keyframes.dataset import (
     KeyframeDataset,
     Sample,
 )
-from lemma.dataset.rendered.keyframes.loader import KeyframeLoader, MapsInMemory
+from lemma.dataset.rendered.keyframes.memory import MapsInMemory
 from lemma.tasks.language.bank import templates
 
 pytestmark = pytest.mark.render
@@ -198,48 +198,6 @@ def test_a_batch_is_its_samples() -> None:
     assert again["map_rgb"] is batch["map_rgb"]
     assert np.array_equal(again["map_rgb"][2], found[4]["map_rgb"])
     assert found[[2, 1]]["pick"] == [found[2]["pick"], found[1]["pick"]]
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_a_loader_gives_every_keyframe_once(threads: int) -> None:
-    found = dataset(columns=("map_height", "key", "keyframe"))
-    loader = KeyframeLoader(dataset=found, batch_size=5, threads=threads)
-    batches = list(loader)
-    assert len(batches) == len(loader) == -(-len(found) // 5)
-    seen = [
-        pair
-        for batch in batches
-        for pair in zip(batch["key"], batch["keyframe"].tolist(), strict=True)
-    ]
-    expected = [(found[i]["key"], found[i]["keyframe"]) for i in range(len(found))]
-    assert sorted(seen) == sorted(expected)
-    assert seen != expected
-
-
-def test_the_order_of_a_loader_depends_on_seed_and_epoch() -> None:
-    found = dataset(columns=("key", "keyframe"))
-
-    def order(epoch: int, **options: Any) -> list[tuple[str, int]]:
-        found.set_epoch(epoch)
-        loader = KeyframeLoader(dataset=found, batch_size=4, **options)
-        return [
-            pair
-            for batch in loader
-            for pair in zip(batch["key"], batch["keyframe"].tolist(), strict=True)
-        ]
-
-    assert order(0) == order(0, threads=1)
-    assert order(0) != order(1)
-    assert order(0) != order(0, seed=1)
-    plain = order(1, shuffle=False, drop_last=True)
-    assert plain == order(0, shuffle=False)[: len(found) // 4 * 4]
-    with pytest.raises(InvalidConfigError, match="1 or more"):
-        KeyframeLoader(dataset=found, threads=0)
-
-
-def test_a_loader_can_be_left_early() -> None:
-    loader = KeyframeLoader(dataset=dataset(), batch_size=2)
-    assert len(next(iter(loader))["instruction"]) == 2
 
 
 def test_everything_in_memory() -> None:

@@ -14,7 +14,6 @@ import pytest
 
 from lemma.core.errors import DatasetError, UnknownNameError
 from lemma.dataset.files import METADATA_KEY
-from lemma.dataset.rendered.dense_schema import describe as describe_steps
 from lemma.dataset.rendered.keyframes.files import KeyframeFile, write_keyframes
 from lemma.dataset.rendered.keyframes.schema import (
     FORM,
@@ -199,8 +198,7 @@ def test_reading_needs_neither_mujoco_nor_torch(tmp_path: Path) -> None:
         "import sys\n"
         "from pathlib import Path\n"
         "sys.modules['mujoco'] = sys.modules['torch'] = None\n"
-        "import lemma.dataset.rendered.dense_schema\n"
-        "import lemma.dataset.rendered.keyframes.loader\n"
+        "import lemma.dataset.rendered.keyframes.memory\n"
         "from lemma.dataset.rendered.keyframes.files import KeyframeFile\n"
         f"print(KeyframeFile(Path({str(path)!r}))[0]['map_rgb'].shape)\n"
     )
@@ -213,5 +211,4 @@ def test_reading_needs_neither_mujoco_nor_torch(tmp_path: Path) -> None:
 def test_the_documentation_says_what_the_columns_are() -> None:
     page = Path(__file__).parents[3] / "docs" / "rendered_format.md"
     text = page.read_text()
-    for table in (describe(), describe_steps()):
-        assert table in text
+    assert describe() in text

@@ -289,7 +289,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     [
         (("--size", "640"), "640x480"),
         (("--tasks", "stak"), "Did you mean 'stack'?"),
-        (("--form", "dense", "--fps", "30"), "10 is common"),
+        (("--form", "lerobot", "--fps", "30"), "10 is common"),
         (("--workers", "0"), "1 or more"),
     ],
 )

@@ -1,1 +1,1 @@
-"""Export to LeRobotDataset."""
+"""Episodes as a LeRobotDataset, written by the lerobot package itself."""

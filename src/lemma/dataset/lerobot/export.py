@@ -1,23 +1,27 @@
-"""From a recipe to a LeRobotDataset v3.0: videos, states and actions for everyone.
+"""From a recipe to a LeRobotDataset v3.0, written by the lerobot package.
 
-Every episode is first filmed into a part of its own, whole or not at all, by as many
-workers as there are. When all parts are there, they are put together in order: videos
-are joined without encoding anything anew. ``meta/info.json`` comes last. A run that was
-killed loses what was being worked on; the next one goes on there, and the result is the
-same bytes.
+Workers write a few episodes each as a LeRobotDataset of their own, a shard, whole or
+not at all. When all shards are there, lerobot aggregates them, and ``meta`` comes last.
+A run that was stopped loses the shards that were being written; the next one goes on.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+import importlib
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from importlib.metadata import version
 from pathlib import Path
-from shutil import rmtree
+from shutil import copyfile, rmtree
 from time import perf_counter
-
-import av
+from typing import Any
 
 from lemma.core.errors import DatasetError
 from lemma.core.parallel import Engine
 from lemma.dataset.files import (
+    CARD,
+    MANIFEST,
     check_files,
     clear_drafts,
     only_writer,
@@ -26,26 +30,42 @@ from lemma.dataset.files import (
     sha256_of,
     versions,
     write_json,
+    write_text,
+    write_whole,
 )
 from lemma.dataset.instructions import check_recorded
-from lemma.dataset.lerobot.assembly import assemble, name_in_recipe
-from lemma.dataset.lerobot.episode import Source, is_whole, write_part
-from lemma.dataset.lerobot.layout import EXTRAS, INFO, Style
-from lemma.dataset.lerobot.video import DEPTH, RGB
+from lemma.dataset.lerobot.frames import (
+    Style,
+    describe_episode,
+    features,
+    frames,
+    robots_of,
+)
+from lemma.dataset.recipe.card import head
+from lemma.dataset.recipe.reader import read_group
 from lemma.dataset.recipe.replay import check_versions
 from lemma.dataset.recipe.schema import perturbed_as
 from lemma.dataset.rendered.render import (
     RenderConfig,
     RenderSummary,
     check_made_alike,
-    refusal,
 )
 from lemma.scene.rendering.gl_backend import choose_backend
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.names import task_rank
 
-_PARTS = ".parts"
+INFO = "meta/info.json"
+EXTRAS = "extras"
+EPISODES = f"{EXTRAS}/episodes.json"
+"""What is known of every episode beside the format."""
 _EXPORT = f"{EXTRAS}/export.json"
+_SHARDS = ".shards"
+_WHOLE = ".whole"
+_NAME = "lemma/export"
+_PARTS = ("data", "videos", "meta")
+"""Folders of a LeRobotDataset; the last one is the one that makes it whole."""
+DEPTH_LARGEST_M = 4.095
+"""Depths are stored in levels of 1 mm up to this; the cameras see 3.5 m at most [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,27 +76,47 @@ class LeRobotConfig:
     """Which episodes of which recipe, and the folder to write."""
     style: Style = field(default_factory=Style)
     """How to film them."""
+    per_video: int = 10
+    """Episodes that share a video. Readers look frames up by time in float32, to within
+    0.1 ms: a video should be shorter than 1000 s."""
 
     @property
     def out(self) -> Path:
         """Folder of the data set."""
         return self.source.out
 
-    def sources(self) -> list[Source]:
-        """Return the episodes: training first, tasks in the order of the suite.
+    def shards(self) -> "list[Shard]":
+        """Return the episodes by shard: training first, then in the suite's order.
 
         Raises:
             DatasetError: There is no recipe.
             UnknownNameError: It has no such task or split.
         """
         groups = sorted(self.source.groups(), key=lambda group: _rank(*group[:2]))
+        every = [
+            # Absolute, because a worker may be at home elsewhere.
+            (path.absolute(), group, rows[first : first + self.per_video])
+            for path, group, rows in groups
+            for first in range(0, len(rows), self.per_video)
+        ]
+        folder = (self.out / _SHARDS).absolute()
         return [
-            Source(path, group, row) for path, group, rows in groups for row in rows
+            Shard(*one, folder / f"{number:06d}") for number, one in enumerate(every)
         ]
 
-    def part(self, number: int) -> Path:
-        """Return where an episode is until all are there."""
-        return self.out / _PARTS / f"{number:06d}"
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """Episodes that one job writes as a LeRobotDataset of its own."""
+
+    path: Path
+    """File of the recipe."""
+    group: int
+    """Row group of the file."""
+    rows: tuple[int, ...]
+    """Rows of the group."""
+    folder: Path
+    """Where they are until all are there."""
 
 
 def _rank(path: Path, group: int) -> tuple[int, tuple[int, str], str, int]:
@@ -100,46 +140,71 @@ def write_dataset(
     Args:
         order: What is wanted.
         engine: Where to work.
-        advance: Told how many episodes were there at the beginning, and then of every
-            one that is done.
+        advance: Told how many episodes were there at the beginning, and then of those
+            of every shard that is done.
 
     Returns:
         What it came to.
 
     Raises:
-        DatasetError: The recipe cannot be read here, what is there was made from
-            another one or otherwise, something cannot be written, or sentences that
-            are held out would be those of training.
+        DatasetError: The lerobot package is not installed, the recipe cannot be read
+            here, what is there was made from another one or otherwise, something cannot
+            be written, or sentences that are held out would be those of training.
         UnknownNameError: The recipe has no such task or split.
         RenderingError: OpenGL does not work here.
     """
     start = perf_counter()
-    RGB.check()
-    if order.style.depth:
-        DEPTH.check()
-    sources = order.sources()
-    files = list(dict.fromkeys(source.path for source in sources))
+    shards = order.shards()
+    files = list(dict.fromkeys(shard.path for shard in shards))
     check_recorded(order.style.instruction, [path.parent.name for path in files])
     for path in files:
         found = open_table(path)[1]
         check_versions(found)
         if perturbed_as(found):
-            raise DatasetError(refusal(order.source.recipe, "lerobot"))
+            raise DatasetError(
+                f"{order.source.recipe} holds perturbed executions, in which what was "
+                "done is not what is right, and a LeRobotDataset says what was done. "
+                "Render keyframes, whose labels are the expert's, or a recipe of "
+                "demonstrations."
+            )
     check_files(order.source.recipe, partial=True)
+    check_installed()
+    total = sum(len(shard.rows) for shard in shards)
     with only_writer(order.out):
         clear_drafts(order.out)
         _begin(order, files)
-        made = 0
-        if (order.out / INFO).exists():
-            advance(len(sources))
-        else:
-            made = _film(order, sources, engine, advance)
-            parts = [order.part(number) for number in range(len(sources))]
-            assemble(order.out, order.style, parts, files)
-        rmtree(order.out / _PARTS, ignore_errors=True)
-    frames = read_json(order.out / INFO)["total_frames"]
+        missing = []
+        if not (order.out / INFO).exists():
+            missing = [shard for shard in shards if not shard.folder.exists()]
+        made = sum(len(shard.rows) for shard in missing)
+        advance(total - made)
+        jobs = [(shard, order.style) for shard in missing]
+        for episodes in engine.run(write_shard, jobs):
+            advance(episodes)
+        if not (order.out / INFO).exists():
+            _assemble(order, shards, files)
+        rmtree(order.out / _SHARDS, ignore_errors=True)
+    count = read_json(order.out / INFO)["total_frames"]
     size = sum(path.stat().st_size for path in order.out.rglob("*") if path.is_file())
-    return RenderSummary(len(sources), frames, made, perf_counter() - start, size / 1e6)
+    return RenderSummary(total, count, made, perf_counter() - start, size / 1e6)
+
+
+def check_installed() -> None:
+    """Check that LeRobotDatasets can be written here.
+
+    Raises:
+        DatasetError: They cannot.
+    """
+    try:
+        importlib.import_module("lerobot")
+    except ImportError as error:
+        raise DatasetError(
+            "LeRobotDatasets are written by the lerobot package, which is not "
+            "installed. It needs Python 3.12 or newer, and torch: make an environment "
+            "of its own, python3.12 -m venv .venv-lerobot, and install with "
+            ".venv-lerobot/bin/pip install 'lemma-bench[lerobot]', or '.[lerobot]' in "
+            "a checkout. A recipe may be generated elsewhere."
+        ) from error
 
 
 def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
@@ -150,10 +215,11 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
     """
     about = {
         "form": "lerobot",
-        "versions": {**versions(BENCHMARK_VERSION), "av": av.__version__},
+        "versions": {**versions(BENCHMARK_VERSION), "lerobot": version("lerobot")},
         "renderer": choose_backend().renderer,
         **asdict(order.style),
-        "recipe": {name_in_recipe(path): sha256_of(path) for path in files},
+        "per_video": order.per_video,
+        "recipe": {_name_in_recipe(path): sha256_of(path) for path in files},
     }
     path = order.out / _EXPORT
     if path.exists():
@@ -167,24 +233,190 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
         write_json(path, about)
 
 
-def _film(
-    order: LeRobotConfig,
-    sources: Sequence[Source],
-    engine: Engine,
-    advance: Callable[[int], None],
-) -> int:
-    """Film the episodes that are not there yet; return how many."""
-    missing = [
-        # Absolute, because a worker may be at home elsewhere.
-        (
-            replace(source, path=source.path.absolute()),
-            order.part(number).absolute(),
-            order.style,
-        )
-        for number, source in enumerate(sources)
-        if not is_whole(order.part(number))
+def _name_in_recipe(path: Path) -> str:
+    return f"{path.parent.name}/{path.name}"
+
+
+def write_shard(shard: Shard, style: Style) -> int:
+    """Write some episodes as a LeRobotDataset; return how many they are.
+
+    Args:
+        shard: The episodes.
+        style: How to film them.
+
+    Raises:
+        DatasetError: The motion is not the recorded one.
+        RenderingError: OpenGL does not work here.
+    """
+    group = read_group(shard.path, shard.group)
+    records = [group[row] for row in shard.rows]
+    draft = shard.folder.with_name(f".{shard.folder.name}")
+    rmtree(draft, ignore_errors=True)
+    dataset = _create(draft, features(robots_of(records[0]), style), style)
+    known = []
+    for record in records:
+        length = 0
+        for frame in frames(record, style):
+            dataset.add_frame(frame)
+            length += 1
+        dataset.save_episode()
+        known.append(describe_episode(record, style, length))
+    dataset.finalize()
+    write_json(draft / EPISODES, {"episodes": known})
+    draft.rename(shard.folder)
+    return len(records)
+
+
+def _create(folder: Path, holds: dict[str, dict[str, Any]], style: Style) -> Any:
+    """Return a new LeRobotDataset that encodes what it is given at once."""
+    _silence()
+    from lerobot.configs import DepthEncoderConfig, RGBEncoderConfig  # noqa: PLC0415
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: PLC0415
+
+    # A frame is found and decoded at little cost: every fifth needs no other one, and
+    # none a later one.
+    # Without macroblock trees 27 looks like 23 with them, at the same size.
+    color = {"bf": "0", "x264-params": "mbtree=0"}
+    # Nothing is lost; one thread, and no word on the processor.
+    x265 = "lossless=1:pools=none:frame-threads=1:log-level=none"
+    levels = {"bf": "0", "x265-params": x265}
+    return LeRobotDataset.create(
+        _NAME,
+        style.fps,
+        holds,
+        root=folder,
+        robot_type="lemma_team",
+        rgb_encoder=RGBEncoderConfig(
+            vcodec="h264", g=5, crf=27, preset="veryfast", extra_options=color
+        ),
+        depth_encoder=DepthEncoderConfig(
+            depth_min=0.0,
+            depth_max=DEPTH_LARGEST_M,
+            use_log=False,
+            g=5,
+            crf=None,
+            preset="superfast",
+            extra_options=levels,
+        ),
+        streaming_encoding=True,
+        encoder_threads=1,
+    )
+
+
+def _silence() -> None:
+    """Keep encoders and tables from talking over the progress bar."""
+    os.environ.setdefault("TQDM_DISABLE", "1")
+    logging.getLogger("lerobot").setLevel(logging.ERROR)
+    import av  # noqa: PLC0415
+    import datasets  # noqa: PLC0415
+
+    av.logging.set_libav_level(av.logging.ERROR)
+    datasets.disable_progress_bars()
+
+
+def _assemble(
+    order: LeRobotConfig, shards: Sequence[Shard], files: Sequence[Path]
+) -> None:
+    """Aggregate the shards, and add what the format has no place for.
+
+    Raises:
+        DatasetError: They have different numbers of robots.
+    """
+    _silence()
+    from lerobot.datasets.aggregate import aggregate_datasets  # noqa: PLC0415
+
+    episodes = [
+        episode
+        for shard in shards
+        for episode in read_json(shard.folder / EPISODES)["episodes"]
     ]
-    advance(len(sources) - len(missing))
-    for episodes in engine.run(write_part, missing):
-        advance(episodes)
-    return len(missing)
+    if len({len(episode["cameras"]) for episode in episodes}) > 1:
+        raise DatasetError(
+            "These episodes have different numbers of robots and do not fit into one "
+            "LeRobotDataset. Export the tasks into folders of their own, with --tasks."
+        )
+    whole = order.out / _SHARDS / _WHOLE
+    rmtree(whole, ignore_errors=True)
+    aggregate_datasets(
+        [_NAME] * len(shards),
+        _NAME,
+        roots=[shard.folder for shard in shards],
+        aggr_root=whole,
+        # Joined videos would be longer than readers can look frames up in.
+        concatenate_videos=False,
+    )
+    info = read_json(whole / INFO)
+    info["splits"] = dict(_splits(episodes))
+    write_json(whole / INFO, info)
+    write_json(
+        order.out / EPISODES,
+        {"episodes": [{"episode_index": n, **e} for n, e in enumerate(episodes)]},
+    )
+    _write_recipe(order.out / EXTRAS, files)
+    write_text(order.out / CARD, _card(info))
+    for part in _PARTS:
+        rmtree(order.out / part, ignore_errors=True)
+        (whole / part).rename(order.out / part)
+
+
+def _splits(episodes: Sequence[dict[str, Any]]) -> Iterator[tuple[str, str]]:
+    """Yield each split with the range of its episodes, ``"0:5600"``."""
+    names = [episode["split"] for episode in episodes]
+    for name in dict.fromkeys(names):
+        first = names.index(name)
+        yield name, f"{first}:{first + names.count(name)}"
+
+
+def _write_recipe(folder: Path, files: Sequence[Path]) -> None:
+    """Add the recipe of the episodes: instances, and states of the physics."""
+    manifest = read_json(files[0].parents[1] / MANIFEST)
+    listed = {}
+    for path in files:
+        name = _name_in_recipe(path)
+        write_whole(folder / name, partial(copyfile, path))
+        if name in manifest["files"]:
+            listed[name] = manifest["files"][name]
+    write_json(folder / MANIFEST, {**manifest, "files": listed})
+
+
+_CARD = """
+# LEMMA Bench demonstrations
+
+Two robot arms, one table, one sentence: expert demonstrations of LEMMA Bench as a
+LeRobotDataset, made by `lemma render --form lerobot`. {episodes} episodes, {frames}
+frames at {fps} per second.
+
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    dataset = LeRobotDataset("you/name", root="this/folder")
+
+`task` is one sentence of each episode, the columns `annotation.instruction.*` are all
+three, and `subtask` is what comes next. Do not train on
+`annotation.instruction.unseen`: those sentences are held out.
+
+`{extras}/episodes.json` says where each episode comes from and where the cameras are.
+`{extras}/` is the recipe of the episodes, too: every instance, and the full state of
+the physics at every keyframe. `lemma.load("{extras}")` reads it.
+
+## Features
+
+| name | type | shape |
+|---|---|---|
+{features}
+"""
+
+
+def _card(info: dict[str, Any]) -> str:
+    """Return the README of a data set, given its ``meta/info.json``."""
+    lines = [
+        f"| `{name}` | {each['dtype']} | {' x '.join(map(str, each['shape']))} |"
+        for name, each in info["features"].items()
+    ]
+    files = "configs:\n- config_name: default\n  data_files: data/*/*.parquet\n"
+    return head("LeRobot", more=files) + _CARD.format(
+        episodes=info["total_episodes"],
+        frames=info["total_frames"],
+        fps=info["fps"],
+        extras=EXTRAS,
+        features="\n".join(lines),
+    )

@@ -5,21 +5,23 @@ from pathlib import Path
 from lemma.dataset.files import write_text
 from lemma.dataset.recipe.schema import describe, perturbed_as
 
+LICENSE = "Apache-2.0"
+"""Of code and data: an SPDX identifier."""
 _HEAD = """---
-license: cc-by-4.0
+license: {license}
 task_categories:
 - robotics
 language:
 - en
 tags:
-- multi-robot
-- language-conditioned
-- manipulation
-- mujoco
+{tags}
+pretty_name: {name}
+{more}---
 """
+_TAGS = ("multi-robot", "language-conditioned", "manipulation", "mujoco")
+NAME = "LEMMA Bench demonstrations"
 
-_CARD = """pretty_name: LEMMA Bench demonstrations
-configs:
+_FILES = """configs:
 - config_name: default
   data_files:
   - split: train
@@ -28,8 +30,9 @@ configs:
     path: val/*.parquet
   - split: test
     path: test/*.parquet
----
+"""
 
+_CARD = """
 # LEMMA Bench demonstrations
 
 Expert demonstrations of the eight tasks of LEMMA Bench: two robot arms, one table,
@@ -60,9 +63,7 @@ crowd-sourced. Do not train on `unseen`.
 """
 
 
-_PERTURBED_CARD = """pretty_name: LEMMA Bench recovery states
----
-
+_PERTURBED_CARD = """
 # LEMMA Bench recovery states
 
 These are no demonstrations, and no part of the benchmark. In instances of LEMMA Bench
@@ -86,11 +87,25 @@ keyframes`, then `lemma train --recovery`. Do not train on `unseen`.
 """
 
 
+def head(*tags: str, name: str = NAME, more: str = "") -> str:
+    """Return the header of a card, which the Hugging Face Hub reads.
+
+    Args:
+        *tags: Beside those that all cards have.
+        name: What the data set is called.
+        more: Further lines of YAML.
+    """
+    listed = "\n".join(f"- {tag}" for tag in (*tags, *_TAGS))
+    # The Hub writes licenses in lower case.
+    return _HEAD.format(license=LICENSE.lower(), tags=listed, name=name, more=more)
+
+
 def write_card(folder: Path, about: dict[str, str]) -> None:
     """Write ``README.md`` of a recipe."""
     if perturbed_as(about):
         more = "\n".join(describe(perturbed=True).splitlines()[2:])
         text = _PERTURBED_CARD.format(columns=describe(), more=more, **about)
+        text = head(name="LEMMA Bench recovery states") + text
     else:
-        text = _CARD.format(columns=describe(), **about)
-    write_text(folder / "README.md", _HEAD + text)
+        text = head(more=_FILES) + _CARD.format(columns=describe(), **about)
+    write_text(folder / "README.md", text)

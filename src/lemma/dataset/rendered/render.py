@@ -1,4 +1,4 @@
-"""From a recipe to what is computed from it: images, or steps between keyframes.
+"""From a recipe to what is computed from it: images of its keyframes.
 
 The work is cut along the row groups of the recipe. A group's files are written by one
 job, each whole or not at all, so nothing has to be put together: a run that was killed
@@ -35,8 +35,6 @@ from lemma.dataset.recipe.schema import EpisodeRecord, perturbed_as
 from lemma.dataset.rendered.shards import changed, read_manifest
 from lemma.tasks.instance import BENCHMARK_VERSION
 
-LABELLED = ("keyframes",)
-"""Forms that hold what the expert would do, beside what was done."""
 _PERTURBED_NOTE = """
 ## Perturbed executions
 
@@ -200,8 +198,6 @@ def render(
         found = open_table(source)[1]
         check_versions(found)
         perturbed = perturbed_as(found)
-    if perturbed and form.name not in LABELLED:
-        raise DatasetError(refusal(order.recipe, form.name))
     check_files(order.recipe, partial=True)
     about = form.about({**versions(BENCHMARK_VERSION), **perturbed})
     chunks = list(_chunks(order, form, groups))
@@ -224,15 +220,6 @@ def render(
         write_text(order.out / CARD, form.card() + note)
     seconds = perf_counter() - start
     return RenderSummary(total, rows, made, seconds, size / 1e6)
-
-
-def refusal(recipe: Path, form: str) -> str:
-    """Return why perturbed executions are not rendered to a form."""
-    return (
-        f"{recipe} holds perturbed executions, in which what was done is not what is "
-        f"right, and the form {form!r} says what was done. Render {LABELLED[0]}, whose "
-        "labels are the expert's, or a recipe of demonstrations."
-    )
 
 
 def _at_home(chunk: _Chunk) -> _Chunk:

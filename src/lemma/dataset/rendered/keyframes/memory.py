@@ -1,13 +1,8 @@
-"""Rendered keyframes for a training loop: batches read ahead, or all in memory.
-
-Batches of maps are tens of megabytes. Handing them from process to process costs more
-than reading them, so threads, which share memory, are faster than processes here.
-"""
+"""The maps of a split in memory, for the fastest training loop."""
 
 import os
-from collections import deque
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.core.errors import InvalidConfigError
-from lemma.core.seeding import stream
 from lemma.dataset.instructions import RECORDED, Language
 from lemma.dataset.rendered.keyframes.dataset import (
     MAP_COLUMNS,
@@ -28,59 +21,6 @@ from lemma.dataset.rendered.keyframes.dataset import (
 from lemma.scene.raster import Raster
 
 _THREADS = 16
-
-
-@dataclass(frozen=True, kw_only=True)
-class KeyframeLoader:
-    """Batches of a data set, read ahead: ``for batch in loader``.
-
-    The order depends on the seed and on the data set's epoch alone.
-    """
-
-    dataset: KeyframeDataset
-    batch_size: int = 32
-    shuffle: bool = True
-    seed: int = 0
-    """Of the order."""
-    drop_last: bool = False
-    """Whether to leave out a last batch that is not full."""
-    threads: int = 2
-    """Threads that read ahead, two batches each."""
-
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        if self.batch_size < 1 or self.threads < 1:
-            raise InvalidConfigError(
-                f"batch_size and threads are 1 or more, not {self.batch_size} and "
-                f"{self.threads}."
-            )
-
-    def __len__(self) -> int:
-        """Return the number of batches."""
-        full, rest = divmod(len(self.dataset), self.batch_size)
-        return full + (rest > 0 and not self.drop_last)
-
-    def __iter__(self) -> Iterator[Sample]:
-        """Yield batches; see :meth:`KeyframeDataset.batch`."""
-        order = np.arange(len(self.dataset))
-        if self.shuffle:
-            order = stream("shuffle", self.seed, self.dataset.epoch).permutation(order)
-        size = self.batch_size
-        batches = iter([order[i * size : (i + 1) * size] for i in range(len(self))])
-        ahead: deque[Future[Sample]] = deque()
-        pool = ThreadPoolExecutor(self.threads)
-        try:
-            while True:
-                while len(ahead) < 2 * self.threads:
-                    following = next(batches, None)
-                    if following is None:
-                        break
-                    ahead.append(pool.submit(self.dataset.batch, following))
-                if not ahead:
-                    return
-                yield ahead.popleft().result()
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
 @dataclass(frozen=True)

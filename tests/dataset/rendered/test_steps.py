@@ -1,4 +1,4 @@
-"""An episode step by step, and on disk."""
+"""An episode step by step."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,33 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-from in_process import Serial
 from rendered_sets import (
-    SPLIT,
-    TASKS,
-    contents,
-    own_copy,
     recipe,
     recipe_folder,
-    scratch,
 )
 
 import lemma
-from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
-from lemma.dataset.files import METADATA_KEY, REVISION_VARIABLE
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.dataset.files import REVISION_VARIABLE
 from lemma.dataset.recipe.schema import EpisodeRecord
-from lemma.dataset.rendered.dense_form import DenseForm
-from lemma.dataset.rendered.dense_schema import (
-    DenseDataset,
-    DenseHeader,
-    columns,
-    describe,
-    open_steps,
-)
-from lemma.dataset.rendered.render import RenderConfig, render
+from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import DenseStep, count_steps, iterate_steps
 
 FIRST = 0
@@ -188,146 +172,10 @@ def test_drift_is_an_error(
 def test_rates_that_do_not_divide_a_second(hz: int) -> None:
     with pytest.raises(InvalidConfigError, match="10 is common"):
         count_steps(recipe()[FIRST], hz)
-    with pytest.raises(InvalidConfigError, match=r"Choose one of 1, 2, 4, 5, 10"):
-        DenseForm(hz)
 
 
 def order(out: Path, **changes: Any) -> RenderConfig:
     return RenderConfig(recipe=recipe_folder(), out=out, **changes)
-
-
-@cache
-def dense_folder() -> Path:
-    """Return all steps of the small recipe; do not write there."""
-    folder = scratch() / "dense"
-    render(order(folder), DenseForm(10), Serial())
-    return folder
-
-
-def test_what_is_written_is_what_was_seen() -> None:
-    found = DenseDataset(dense_folder(), SPLIT)
-    assert len(found) == len(recipe())
-    assert found.header.hz == 10
-    episode = found[FIRST]
-    record, (steps, _) = recipe()[FIRST], watched(10)
-    assert (episode["key"], episode["human"]) == (record.key, record.human)
-    state = [np.c_[step.joints, step.opening_m].ravel() for step in steps]
-    for name, expected in (
-        ("state", state),
-        ("velocity", [step.joint_velocities.ravel() for step in steps]),
-        ("action", [step.action.ravel() for step in steps]),
-    ):
-        assert episode[name].dtype == np.float32
-        assert np.array_equal(episode[name], np.array(expected, np.float32)), name
-    for name in ("reward", "progress", "subtask"):
-        assert episode[name].tolist() == pytest.approx(
-            [getattr(step, name) for step in steps]
-        )
-    assert episode["done"].tolist() == [step.is_done for step in steps]
-    assert episode["time_s"].tolist() == [step.time_s for step in steps]
-    for name, pose in steps[7].objects.items():
-        place = found.header.entities.index(name) * 7
-        assert np.array_equal(
-            episode["objects"][7, place : place + 7], pose.astype(np.float32)
-        )
-    missing = len(found.header.entities) - len(steps[7].objects)
-    assert np.isnan(episode["objects"][7]).sum() == 7 * missing
-
-
-def test_labels_are_those_of_the_recipe() -> None:
-    for record, episode in zip(
-        recipe(),
-        (DenseDataset(dense_folder(), SPLIT)[i] for i in range(4)),
-        strict=True,
-    ):
-        for subtask, sentence, pick in zip(
-            episode["subtask"],
-            episode["sub_instruction"],
-            episode["pick"],
-            strict=True,
-        ):
-            if subtask >= 0:
-                assert sentence == record.subtasks[subtask].instruction
-                assert pick == record.subtasks[subtask].pick
-        assert episode["primitive"][-1] == "stop"
-        assert episode["robot"][-1] == ""
-
-
-def test_channels_are_named() -> None:
-    header = DenseDataset(dense_folder(), SPLIT).header
-    assert len(header.channels) == 14
-    assert header.channels[6::7] == ("robot_0/opening", "robot_1/opening")
-    assert header.channels[0].startswith("robot_0/shoulder_pan")
-
-
-def test_any_parquet_reader_reads_the_folder() -> None:
-    table = pq.read_table(dense_folder() / "steps")
-    assert len(table) == sum(count_steps(record) for record in recipe())
-    header = DenseDataset(dense_folder(), SPLIT).header
-    assert set(columns(header)) <= set(table.column_names)
-
-
-def test_indices_and_names_are_checked() -> None:
-    found = DenseDataset(dense_folder(), SPLIT, tasks=TASKS[1:])
-    assert {found[i]["task"] for i in range(len(found))} == {TASKS[1]}
-    with pytest.raises(IndexError):
-        found[len(found)]
-    with pytest.raises(UnknownNameError, match="Did you mean 'stack'"):
-        DenseDataset(dense_folder(), SPLIT, tasks=("stak",))
-
-
-def test_a_lost_file_is_made_again_with_the_same_bytes(tmp_path: Path) -> None:
-    out = own_copy(dense_folder(), tmp_path / "set")
-    (out / "steps" / SPLIT / "pass-000.parquet").unlink()
-    with pytest.raises(DatasetError, match="is missing"):
-        DenseDataset(out, SPLIT)
-    summary = render(order(out), DenseForm(10), Serial())
-    assert summary.made == 2
-    assert contents(out) == contents(dense_folder())
-
-
-def test_another_rate_is_refused() -> None:
-    with pytest.raises(DatasetError, match="hz is 10 there, and 20 here"):
-        render(order(dense_folder()), DenseForm(20), Serial())
-
-
-def test_damaged_files_are_explained(tmp_path: Path) -> None:
-    out = own_copy(dense_folder(), tmp_path / "set")
-    path = out / "steps" / SPLIT / "pass-000.parquet"
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-50])
-    with pytest.raises(DatasetError, match="is damaged"):
-        open_steps(path)
-    # Of the same size, and wrong in the middle of a page.
-    data = bytearray(whole)
-    data[2000:2200] = bytes(200)
-    path.write_bytes(data)
-    with pytest.raises(DatasetError, match="is damaged"):
-        DenseDataset(out, SPLIT)[0]
-
-
-def test_other_files_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "other.parquet"
-    pq.write_table(pa.table({"key": ["a"]}), path)
-    with pytest.raises(DatasetError, match="holds no dense steps"):
-        open_steps(path)
-    header = DenseHeader("dense", "99", {"lemma": "7.0"}, 10, ("stick",), ("a",) * 7)
-    text = header.schema().metadata[METADATA_KEY]
-    pq.write_table(
-        pa.table({"key": ["a"]}).replace_schema_metadata({METADATA_KEY: text}), path
-    )
-    with pytest.raises(DatasetError, match=r"version 99.*reads version 1.*\(7.0\)"):
-        open_steps(path)
-
-
-def test_every_column_is_described() -> None:
-    text = describe()
-    assert all(f"| `{name}` |" in text for name in columns(open_first()))
-    assert "float[14]" in text
-
-
-def open_first() -> DenseHeader:
-    return DenseDataset(dense_folder(), SPLIT).header
 
 
 def test_commands_that_are_played_back_solve_the_task() -> None:

@@ -1,0 +1,111 @@
+"""What goes into a LeRobotDataset; `make test-lerobot` looks at what comes out."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rendered_sets import TASKS, recipe, recipe_folder
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.dataset.lerobot.export import LeRobotConfig
+from lemma.dataset.lerobot.frames import (
+    Style,
+    describe_episode,
+    features,
+    frames,
+    robots_of,
+)
+from lemma.dataset.rendered.render import RenderConfig
+from lemma.dataset.rendered.steps import NO_SUBTASK, iterate_steps
+
+STYLE = Style(fps=2, width_px=64, height_px=48)
+
+
+@cache
+def filmed() -> list[dict[str, Any]]:
+    return list(frames(recipe()[0], STYLE))
+
+
+@pytest.mark.render
+def test_frames_are_the_steps_of_the_episode() -> None:
+    record = recipe()[0]
+    steps = list(iterate_steps(record, STYLE.fps))
+    assert len(filmed()) == len(steps)
+    for frame, step in zip(filmed(), steps, strict=True):
+        state = frame["observation.state"].reshape(2, 7)
+        assert np.array_equal(state[:, :6], step.joints.astype(np.float32))
+        assert np.array_equal(state[:, 6], step.opening_m.astype(np.float32))
+        assert np.array_equal(frame["action"], step.action.ravel().astype(np.float32))
+        assert frame["next.done"].tolist() == [step.is_done]
+        assert frame["next.reward"].tolist() == [step.reward]
+        if step.subtask != NO_SUBTASK:
+            assert frame["subtask"] == record.subtasks[step.subtask].instruction
+        assert frame["task"] == frame["annotation.instruction.high_level"]
+        assert frame["annotation.instruction.unseen"] == record.unseen
+    assert filmed()[-1]["subtask"] == "done"
+    assert filmed()[-1]["next.success"].tolist() == [record.success]
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("depth", [True, False])
+def test_features_are_what_frames_hold(depth: bool) -> None:
+    style = Style(fps=2, width_px=64, height_px=48, depth=depth)
+    frame = next(frames(recipe()[0], style))
+    holds = features(robots_of(recipe()[0]), style)
+    assert set(frame) == {*holds, "task"}
+    for name, feature in holds.items():
+        if feature["dtype"] == "string":
+            assert isinstance(frame[name], str)
+        else:
+            assert frame[name].shape == feature["shape"]
+            is_color = name.endswith(("robot_0", "robot_1"))
+            kind = "uint8" if is_color else feature["dtype"]
+            assert frame[name].dtype == kind.replace("video", "float32")
+    assert (len(holds) == 13) == depth
+
+
+@pytest.mark.render
+def test_another_sentence_can_be_the_task() -> None:
+    style = Style(fps=2, width_px=64, height_px=48, instruction="human")
+    assert next(frames(recipe()[0], style))["task"] == recipe()[0].human
+
+
+def test_what_the_format_has_no_place_for_is_described() -> None:
+    told = describe_episode(recipe()[0], STYLE, 7)
+    assert told["key"] == recipe()[0].key
+    assert told["length"] == 7
+    assert set(told["cameras"]) == {"robot_0", "robot_1"}
+    matrix = np.array(told["cameras"]["robot_0"]["world_from_camera"])
+    # It looks down at the table.
+    assert matrix[2, 3] > 0.5
+    assert matrix[2, 2] < 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"fps": 30}, InvalidConfigError),
+        ({"width_px": 63}, InvalidConfigError),
+        ({"height_px": 16}, InvalidConfigError),
+        ({"instruction": "poem"}, UnknownNameError),
+    ],
+)
+def test_styles_that_cannot_be(changes: dict[str, Any], error: type[Exception]) -> None:
+    with pytest.raises(error):
+        Style(**changes)
+
+
+def test_shards_hold_every_episode_once_and_training_first(tmp_path: Path) -> None:
+    source = RenderConfig(recipe=recipe_folder(), out=tmp_path)
+    shards = LeRobotConfig(source=source, per_video=1).shards()
+    assert len(shards) == source.episodes()
+    assert len({shard.folder for shard in shards}) == len(shards)
+    assert [shard.path.stem for shard in shards] == [
+        task for task in TASKS for _ in range(len(shards) // len(TASKS))
+    ]
+    assert all(shard.path.is_absolute() for shard in shards)
+    together = LeRobotConfig(source=source).shards()
+    assert sum(len(shard.rows) for shard in together) == len(shards)
+    assert len(together) < len(shards)
