@@ -12,13 +12,13 @@ from typing import Any
 from lemma.evaluation.run.protocol import PROTOCOL, flat, in_force, sha256_of_protocol
 
 ROOT = Path(__file__).parents[1]
-FILE = ROOT / "src" / "lemma" / "evaluation" / PROTOCOL
+FILE = ROOT / "src" / "lemma" / "evaluation" / "run" / PROTOCOL
 PAGE = ROOT / "docs" / "protocol.md"
 _INTRODUCTION = """\
 # Protocol
 
-Everything that fixes a number, as one frozen file: `lemma/evaluation/protocol.json` in
-the package. This page is written from it, by `python scripts/protocol.py`.
+Everything that fixes a number, as one frozen file: `protocol.json` in
+`lemma.evaluation.run`. This page is written from it, by `python scripts/protocol.py`.
 
 | protocol | SHA-256 |
 |:---|:---|

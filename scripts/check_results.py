@@ -1,0 +1,129 @@
+"""Check that shipped policies still decide as the committed lines say.
+
+    python scripts/check_results.py                      # every entry of leaderboard/
+    python scripts/check_results.py reachnet --episodes 5 --kinds high_level
+
+Plays the first episodes of every task with the weights that ship, and compares each
+with its line in ``leaderboard/NAME.jsonl.gz``: sub-tasks, outcomes, success and why not
+must be equal, poses within 1 mm and 0.01 rad. Leaves with 1 if anything differs, and
+prints what.
+"""
+
+import argparse
+import math
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from lemma.core.parallel import ProcessPool, usable_cores
+from lemma.evaluation.records import PACKED, Row, key_of, read_about, read_lines
+from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.policies.spec import PolicySpec
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE
+
+BOARD = Path(__file__).parents[1] / "leaderboard"
+TOLERANCE_M = 0.001
+TOLERANCE_RAD = 0.01
+
+
+def policy_of(path: Path) -> PolicySpec:
+    """Return the policy of an entry, with the weights that ship."""
+    told = read_about(path)["policy"]
+    parts = [Path(part).name for part in told["name"].split("+")]
+    return PolicySpec("+".join(parts), told["planning"], told["gta"])
+
+
+def differences(line: Row, now: Row) -> Iterator[str]:
+    """Yield in what an episode differs from its line, in words.
+
+    Args:
+        line: What is committed.
+        now: What was played.
+    """
+    for name in ("instruction", "team", "success", "failure", "progress"):
+        if line[name] != now[name]:
+            yield f"{name} was {line[name]!r}, is {now[name]!r}"
+    before, after = line["subtasks"], now["subtasks"]
+    if len(before) != len(after):
+        yield f"{len(before)} sub-tasks, now {len(after)}"
+    for number, (old, new) in enumerate(zip(before, after, strict=False), 1):
+        for name in ("robot", "primitive", "pick", "place", "outcome"):
+            if old[name] != new[name]:
+                yield f"sub-task {number}: {name} was {old[name]}, is {new[name]}"
+        posed, poses = old["grounded"], new["grounded"]
+        if (posed is None) != (poses is None):
+            yield f"sub-task {number}: poses were {posed}, are {poses}"
+        elif posed is not None:
+            for end in ("pick", "place"):
+                shift_m, turn_rad = shift_of(posed[end], poses[end])
+                if shift_m > TOLERANCE_M or turn_rad > TOLERANCE_RAD:
+                    yield (
+                        f"sub-task {number}: its {end} moved by {1e3 * shift_m:.2f} mm "
+                        f"and {turn_rad:.4f} rad"
+                    )
+
+
+def shift_of(old: Sequence[float], new: Sequence[float]) -> tuple[float, float]:
+    """Return by how far a pose (x, y, yaw) moved [m], and turned [rad]."""
+    turn = math.remainder(new[2] - old[2], 2 * math.pi)
+    return math.dist(old[:2], new[:2]), abs(turn)
+
+
+def largest_shift(line: Row, now: Row) -> float:
+    """Return by how far any pose of an episode moved [m]."""
+    shifts = [
+        shift_of(old["grounded"][end], new["grounded"][end])[0]
+        for old, new in zip(line["subtasks"], now["subtasks"], strict=False)
+        if old["grounded"] and new["grounded"]
+        for end in ("pick", "place")
+    ]
+    return max(shifts, default=0.0)
+
+
+def check(name: str, asked: argparse.Namespace) -> int:
+    """Play episodes of an entry; print and count those that differ."""
+    path = BOARD / f"{name}{PACKED}"
+    lines = {key_of(row): row for row in read_lines(path)}
+    there = {kind for kind, _, _ in lines}
+    with tempfile.TemporaryDirectory() as folder:
+        order = EvaluationConfig(
+            out=Path(folder),
+            policy=policy_of(path),
+            tasks=tuple(asked.tasks),
+            kinds=tuple(kind for kind in asked.kinds if kind in there),
+            episodes=asked.episodes,
+        )
+        rows = evaluate(order, ProcessPool(asked.workers))
+    differing = 0
+    for row in rows:
+        found = list(differences(lines[key_of(row)], row))
+        differing += bool(found)
+        for one in found:
+            print(f"{name} {' '.join(map(str, key_of(row)))}: {one}")
+    shift_mm = 1e3 * max(largest_shift(lines[key_of(row)], row) for row in rows)
+    timed = max(abs(lines[key_of(row)]["elapsed_s"] - row["elapsed_s"]) for row in rows)
+    print(
+        f"{name}: {differing} of {len(rows)} episodes differ; poses moved by at most "
+        f"{shift_mm:.4f} mm, ends by {timed:.3f} s",
+        flush=True,
+    )
+    return differing
+
+
+def main() -> int:
+    """Do what the command line says."""
+    names = sorted(path.name.removesuffix(PACKED) for path in BOARD.glob(f"*{PACKED}"))
+    parser = argparse.ArgumentParser(description="Policies against committed lines.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(names))
+    parser.add_argument("--episodes", type=int, default=5, help="of every task")
+    parser.add_argument("--tasks", nargs="+", default=SUITE, choices=SUITE)
+    parser.add_argument("--kinds", nargs="+", default=KINDS[:1], choices=KINDS)
+    parser.add_argument("--workers", type=int, default=usable_cores())
+    asked = parser.parse_args()
+    return min(sum(check(name, asked) for name in asked.names or names), 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
