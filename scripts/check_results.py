@@ -7,6 +7,14 @@ Plays the first episodes of every task with the weights that ship, and compares 
 with its line in ``leaderboard/NAME.jsonl.gz``: sub-tasks, outcomes, success and why not
 must be equal, poses within 1 mm and 0.01 rad. Leaves with 1 if anything differs, and
 prints what.
+
+Images of another renderer (the lines of the learned policies were made with a graphics
+card) move poses by some millimetres, and a few decisions with them. To see whether a
+change of the code does, write lines with the code before it, on the same machine, and
+compare with those:
+
+    lemma evaluate --policy reachnet --episodes 5 --out before/reachnet
+    python scripts/check_results.py reachnet --lines before
 """
 
 import argparse
@@ -17,7 +25,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from lemma.core.parallel import ProcessPool, usable_cores
-from lemma.evaluation.records import PACKED, Row, key_of, read_about, read_lines
+from lemma.evaluation.records import (
+    EPISODES,
+    PACKED,
+    Row,
+    key_of,
+    read_about,
+    read_lines,
+)
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.language.template import KINDS
@@ -85,7 +100,8 @@ def largest_shift(line: Row, now: Row) -> float:
 def check(name: str, asked: argparse.Namespace) -> int:
     """Play episodes of an entry; print and count those that differ."""
     path = BOARD / f"{name}{PACKED}"
-    lines = {key_of(row): row for row in read_lines(path)}
+    source = asked.lines / name / EPISODES if asked.lines else path
+    lines = {key_of(row): row for row in read_lines(source)}
     there = {kind for kind, _, _ in lines}
     with tempfile.TemporaryDirectory() as folder:
         order = EvaluationConfig(
@@ -120,6 +136,7 @@ def main() -> int:
     parser.add_argument("--episodes", type=int, default=5, help="of every task")
     parser.add_argument("--tasks", nargs="+", default=SUITE, choices=SUITE)
     parser.add_argument("--kinds", nargs="+", default=KINDS[:1], choices=KINDS)
+    parser.add_argument("--lines", type=Path, help="folder of NAME/episodes.jsonl")
     parser.add_argument("--workers", type=int, default=usable_cores())
     asked = parser.parse_args()
     return min(sum(check(name, asked) for name in asked.names or names), 1)

@@ -7,25 +7,17 @@ and a change of skills or physics changes it.
 
 import hashlib
 import json
-from functools import cache, partial
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from lemma.core.errors import InvalidConfigError, SamplingError
-from lemma.core.parallel import Engine
-from lemma.evaluation.run.perturbed_starts import is_alike, perturbed
-from lemma.evaluation.run.rollout import Player, Rollout, roll_out
-from lemma.policies.spec import ORACLE, PolicySpec
-from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.core.errors import InvalidConfigError
+from lemma.evaluation.run.perturbed_starts import perturbed
+from lemma.tasks.instance import Instance
 
 TIMES = "expert_times.json"
 """File in the package."""
 TIMED_SPLITS = ("val", "test")
-PLACES = 3
-"""Decimals of times [s] in results: milliseconds."""
-_DRAWS = 200
-_CHUNK = 10
 
 
 def expert_s(
@@ -66,76 +58,6 @@ def perturbed_start(instance: Instance) -> Instance:
 def times_sha256() -> str:
     """Return the SHA-256 of the table."""
     return hashlib.sha256(_bytes()).hexdigest()
-
-
-def time_expert(task: str, split: str, index: int) -> tuple[float, int, float]:
-    """Let the expert solve an instance, and find its perturbed start.
-
-    Returns:
-        Its time [s], the draw of the perturbed start, and the time for that [s].
-
-    Raises:
-        SamplingError: It fails, or no perturbed start was found.
-    """
-    instance = load_instance(task, split, index)
-    elapsed = _solved_s(instance)
-    if elapsed is None:
-        raise SamplingError(
-            f"The expert does not solve {instance.key}. Freeze the instances anew."
-        )
-    for draw in range(_DRAWS):
-        moved = perturbed(instance, draw)
-        if is_alike(moved.scene, instance.scene):
-            moved_s = _solved_s(moved)
-            if moved_s is not None:
-                return elapsed, draw, moved_s
-    raise SamplingError(
-        f"None of {_DRAWS} perturbed starts of {instance.key} is the same problem. "
-        "Move things less."
-    )
-
-
-def time_all(engine: Engine) -> dict[str, Any]:
-    """Return the whole table, made anew."""
-    jobs = [
-        (task, split, range(start, min(start + _CHUNK, SPLITS[split])))
-        for split in TIMED_SPLITS
-        for task in SUITE
-        for start in range(0, SPLITS[split], _CHUNK)
-    ]
-    found: dict[tuple[str, str, int], tuple[float, int, float]] = {}
-    for group in engine.run(_time_group, jobs):
-        found.update(group)
-    return {
-        split: {
-            task: dict(
-                zip(
-                    ("elapsed_s", "draw", "perturbed_s"),
-                    map(list, zip(*listed, strict=True)),
-                    strict=True,
-                )
-            )
-            for task in SUITE
-            for listed in [[found[task, split, i] for i in range(SPLITS[split])]]
-        }
-        for split in TIMED_SPLITS
-    }
-
-
-def _time_group(
-    task: str, split: str, indices: range
-) -> dict[tuple[str, str, int], tuple[float, int, float]]:
-    each = partial(time_expert, task, split)
-    return {(task, split, index): each(index) for index in indices}
-
-
-def _solved_s(instance: Instance) -> float | None:
-    """Return the time of the expert [s]; None if it needs more than is promised."""
-    (play,) = roll_out([Rollout(instance)], Player.load(PolicySpec(ORACLE)), 1)
-    promised = task_named(instance.task).subtasks
-    if not play.success or len(play.steps) != promised:
-        return None
-    return round(play.episode.elapsed_s, PLACES)
 
 
 @cache
