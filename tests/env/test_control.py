@@ -48,7 +48,7 @@ def pose_row(matrix: FloatArray) -> list[float]:
 
 def watch(env: ControlEnv) -> list[FloatArray]:
     """Record, before every physics step, speeds and efforts over their limits."""
-    scene, drive, records = scene_of(env), env._drive, []
+    scene, drive, records = scene_of(env), env.controller.drive, []
 
     def look() -> None:
         drive()
@@ -57,7 +57,7 @@ def watch(env: ControlEnv) -> list[FloatArray]:
             efforts = scene.data.actuator_force[robot.ctrl] / robot.arm.effort_limits
             records.append(np.array([speeds.max(), np.abs(efforts).max()]))
 
-    env._drive = look  # type: ignore[method-assign]
+    env.controller.drive = look  # type: ignore[method-assign]
     return records
 
 

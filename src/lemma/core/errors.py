@@ -79,3 +79,7 @@ class DatasetError(LemmaError, RuntimeError):
 
 class WorkerError(LemmaError, RuntimeError):
     """Processes or machines that work keep dying, or cannot be had."""
+
+
+class CapacityError(LemmaError, RuntimeError):
+    """There is no room for what a scene needs: a defect of this package."""

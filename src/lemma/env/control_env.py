@@ -4,17 +4,15 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from lemma.core.errors import ResetNeededError
 from lemma.env.base_env import LemmaEnv, StepResult
 from lemma.env.config import EnvConfig
-from lemma.env.control.modes import CONTROLS, Controller, update_dynamics
+from lemma.env.control.modes import CONTROLS, Controller
 from lemma.env.episode import Episode
 from lemma.env.simulation import TICK_S
 
 SETTLE_S = 0.5
 """Success ends the episode when it has lasted so long."""
-
-_MOVING_RAD_S = 0.02
-_MOVING_M_S = 0.002
 
 
 class ControlEnv(LemmaEnv):
@@ -46,19 +44,24 @@ class ControlEnv(LemmaEnv):
         self.action_layout = self.mode.layout(self.robot_names)
         self.action_space = self.action_layout.box()
         self._max_episode_steps = max(1, round(config.horizon_s * config.control_hz))
-        self._controllers: dict[str, Controller] = {}
+        self._controller: Controller | None = None
         self._settled_s = 0.0
 
     def _begin(self, episode: Episode) -> None:
         super()._begin(episode)
-        arms = episode.simulation.arms
-        self._controllers = {
-            name: self.mode.controller(
-                arm, tuple(other for other in arms.values() if other is not arm)
-            )
-            for name, arm in arms.items()
-        }
+        self._controller = self.mode.controller(tuple(episode.simulation.arms.values()))
         self._settled_s = 0.0
+
+    @property
+    def controller(self) -> Controller:
+        """What drives the arms in this episode.
+
+        Raises:
+            ResetNeededError: There is no episode yet.
+        """
+        if self._controller is None:
+            raise ResetNeededError("There is no episode yet. Call reset() first.")
+        return self._controller
 
     def _is_done(self) -> bool:
         return self.episode.is_over or self._has_settled
@@ -87,10 +90,8 @@ class ControlEnv(LemmaEnv):
         """Step without looking: return reward, terminated and truncated."""
         episode = self._running()
         rows = self.action_layout.check(action)
-        for controller, row in zip(self._controllers.values(), rows, strict=True):
-            controller.check(row)
-        for controller, row in zip(self._controllers.values(), rows, strict=True):
-            controller.command(row)
+        self.controller.check(rows)
+        self.controller.command(rows)
         for _ in range(self.config.ticks_per_step):
             self._tick()
         success = episode.is_success
@@ -103,25 +104,12 @@ class ControlEnv(LemmaEnv):
 
     def _tick(self) -> None:
         simulation = self.episode.simulation
-        for controller in self._controllers.values():
-            controller.tick()
-        simulation.tick(drive=self._drive)
-        for name, clock in simulation.clocks.items():
-            if self._is_moving(name):
+        self.controller.look()
+        simulation.tick(drive=self.controller.drive)
+        moving = self.controller.moving()
+        for clock, busy in zip(simulation.clocks.values(), moving, strict=True):
+            if busy:
                 clock.busy_s += TICK_S
-
-    def _drive(self) -> None:
-        if self.actuation == "torque":
-            update_dynamics(self.episode.simulation.scene)
-        for controller in self._controllers.values():
-            controller.drive()
-
-    def _is_moving(self, name: str) -> bool:
-        scene = self.episode.simulation.scene
-        robot = scene.robot(name)
-        rates = scene.data.qvel[robot.dof.start : robot.dof.stop + 2].tolist()
-        turning = any(abs(rate) > _MOVING_RAD_S for rate in rates[:6])
-        return turning or any(abs(rate) > _MOVING_M_S for rate in rates[6:])
 
     def _remember(self) -> dict[str, Any]:
         return {"settled_s": self._settled_s}

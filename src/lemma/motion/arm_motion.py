@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from lemma.core.errors import InvalidConfigError
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow.leaves import Leaves
 from lemma.motion.rmpflow.policy import (
@@ -25,7 +26,7 @@ from lemma.scene.scene import RobotIndex, Scene
 
 SUBSTEP_S = 0.0025
 """RMPflow's own step: its stiffest leaves brake at 300/s and need it short."""
-_SUBSTEPS = round(TIME_STEP_S / SUBSTEP_S)
+SUBSTEPS = round(TIME_STEP_S / SUBSTEP_S)
 
 _PARK_BEARING_RAD = math.radians(115.0)
 _PARK_HEIGHTS_M = (0.42, 0.36, 0.30, 0.24)
@@ -51,7 +52,8 @@ def park_joints(arm_name: str) -> tuple[float, ...]:
         )
         solutions = gripper_ik(arm_name, np.eye(4), pose)
         # The elbow above the line from shoulder to wrist, and the base turned least.
-        elbow_up = [q for q in solutions if _elbow_height(arm_name, q) > 0.0]
+        dh = ARMS[arm_name].dh
+        elbow_up = [q for q in solutions if _elbow_height(dh, q) > 0.0]
         if elbow_up:
             return tuple(min(elbow_up, key=lambda q: abs(q[0]) + abs(q[3])).tolist())
     raise InvalidConfigError(
@@ -60,22 +62,25 @@ def park_joints(arm_name: str) -> tuple[float, ...]:
     )
 
 
-def _elbow_height(arm_name: str, q: FloatArray) -> float:
+@kernel
+def _elbow_height(dh: FloatArray, q: FloatArray) -> float:
     """Return how high the elbow is above the middle of shoulder and wrist [m]."""
     placed = np.empty((7, 4, 4))
-    frames(ARMS[arm_name].dh, np.eye(4), q, placed)
-    return float(placed[2, 2, 3] - 0.5 * (placed[1, 2, 3] + placed[3, 2, 3]))
+    frames(dh, np.eye(4), q, placed)
+    return placed[2, 2, 3] - 0.5 * (placed[1, 2, 3] + placed[3, 2, 3])
 
 
-def _branch(arm_name: str, q: FloatArray) -> tuple[bool, bool, bool]:
+@kernel
+def _branch(dh: FloatArray, q: FloatArray) -> tuple[bool, bool, bool]:
     """Return which of its eight ways the arm takes: elbow, shoulder, wrist."""
     placed = np.empty((7, 4, 4))
-    frames(ARMS[arm_name].dh, np.eye(4), q, placed)
+    frames(dh, np.eye(4), q, placed)
     # The shoulder looks at the wrist or away from it.
     front = placed[1, 0, 0] * placed[4, 0, 3] + placed[1, 1, 0] * placed[4, 1, 3]
-    return _elbow_height(arm_name, q) > 0.0, bool(front > 0.0), math.sin(q[4]) > 0.0
+    return _elbow_height(dh, q) > 0.0, front > 0.0, math.sin(q[4]) > 0.0
 
 
+@kernel
 def nearest_turn(angles: FloatArray, reference: FloatArray, limit: FloatArray) -> None:
     """Add whole turns to ``angles`` (6,) [rad] to bring them near ``reference``."""
     for i in range(6):
@@ -84,6 +89,31 @@ def nearest_turn(angles: FloatArray, reference: FloatArray, limit: FloatArray) -
         if abs(turned) > limit[i]:
             turned = angles[i]
         angles[i] = turned
+
+
+@kernel
+def _nearest(
+    dh: FloatArray,
+    solutions: FloatArray,
+    reference: FloatArray,
+    limit: FloatArray,
+    branch: tuple[bool, bool, bool],
+) -> int:
+    """Turn solutions, (n, 6), towards a reference; return the nearest, -1 if none is.
+
+    Those of another branch count as far away.
+    """
+    best, best_cost = -1, math.inf
+    for s in range(solutions.shape[0]):
+        q, cost = solutions[s], 0.0
+        nearest_turn(q, reference, limit)
+        for i in range(6):
+            cost = max(cost, abs(q[i] - reference[i]))
+        if _branch(dh, q) != branch:
+            cost += _BRANCH_COST
+        if cost < best_cost:
+            best, best_cost = s, cost
+    return best
 
 
 class ArmMotion:
@@ -98,12 +128,13 @@ class ArmMotion:
         """
         self.scene = scene
         self.robot = robot
+        self._dh = robot.arm.dh
         self.leaves = Leaves()
         envelope = envelope_of(robot.arm.name)
         limits = np.array(robot.arm.joint_range)
         self.joint_range = limits
         self._model = ArmModel(
-            dh=robot.arm.dh,
+            dh=self._dh,
             world_from_base=robot.world_from_base,
             tcp_offset_m=TCP_OFFSET_M,
             lower=-limits,
@@ -118,7 +149,7 @@ class ArmMotion:
         self.state: FloatArray = np.zeros((2, 6))
         self.opening_m = FINGER_OPENING_M
         self.park = np.array(park_joints(robot.arm.name))
-        self._park_branch = _branch(robot.arm.name, self.park)
+        self._park_branch = _branch(self._dh, self.park)
         self.goal = self._resting_goal()
         self.obstacles = np.zeros((0, 8))
         self.sync()
@@ -167,15 +198,12 @@ class ArmMotion:
         Returns:
             (6,) [rad], or None where the arm cannot be.
         """
-        best, best_cost = None, math.inf
-        for q in gripper_ik(self.robot.arm.name, self.robot.world_from_base, pose):
-            nearest_turn(q, self.state[0], self.joint_range)
-            cost = max(abs(a - b) for a, b in zip(q, self.state[0], strict=True))
-            if _branch(self.robot.arm.name, q) != self._park_branch:
-                cost += _BRANCH_COST
-            if cost < best_cost:
-                best, best_cost = q, cost
-        return best
+        robot = self.robot
+        found = gripper_ik(robot.arm.name, robot.world_from_base, pose)
+        best = _nearest(
+            self._dh, found, self.state[0], self.joint_range, self._park_branch
+        )
+        return found[best] if best >= 0 else None
 
     def aim(self, pose: FloatArray, posture: FloatArray | None = None) -> None:
         """Set the pose, (4, 4), that the tool centre point shall go to."""
@@ -193,6 +221,11 @@ class ArmMotion:
             np.zeros(3), np.eye(3), np.ascontiguousarray(posture), 0.0, 20.0
         )
 
+    def load(self) -> Workspace:
+        """Return the memory of RMPflow with all that is new since the last step."""
+        self._root.load(self._model, self.goal, self.leaves)
+        return self._root
+
     def step(self) -> None:
         """Advance the reference by one physics step and command the servos."""
         integrate(
@@ -203,7 +236,7 @@ class ArmMotion:
             self.state,
             self.obstacles,
             SUBSTEP_S,
-            _SUBSTEPS,
+            SUBSTEPS,
         )
         self.command()
 
@@ -223,7 +256,7 @@ class ArmMotion:
 
     def _tcp(self, q: FloatArray) -> FloatArray:
         placed = np.empty((7, 4, 4))
-        frames(self.robot.arm.dh, self.robot.world_from_base, q, placed)
+        frames(self._dh, self.robot.world_from_base, q, placed)
         pose: FloatArray = placed[6]
         pose[:3, 3] += TCP_OFFSET_M * pose[:3, 2]
         return pose
@@ -234,7 +267,7 @@ class ArmMotion:
         placed = np.empty((7, 4, 4))
         if q is None:
             q = np.asarray(self.scene.data.qpos[self.robot.qpos])
-        frames(self.robot.arm.dh, self.robot.world_from_base, q, placed)
+        frames(self._dh, self.robot.world_from_base, q, placed)
         out = np.empty((len(envelope.capsules), 7))
         place_capsules(placed, envelope.capsule_links, envelope.capsules, out)
         return out

@@ -75,15 +75,17 @@ def gripper_ik(
         Joint angles, (n, 6) [rad]: inside the limits, clear of the table and of the arm
         itself.
     """
-    envelope = envelope_of(arm_name)
-    arm = ARMS[arm_name]
-    return _usable(
-        arm.dh,
-        world_from_base,
-        pose,
-        np.array(arm.joint_range),
-        envelope.capsule_links,
-        envelope.capsules,
+    dh, joint_range, links, capsules = _constants(arm_name)
+    return _usable(dh, world_from_base, pose, joint_range, links, capsules)
+
+
+@lru_cache
+def _constants(arm_name: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what inverse kinematics needs of an arm type."""
+    arm, envelope = ARMS[arm_name], envelope_of(arm_name)
+    return (
+        *(arm.dh, np.array(arm.joint_range)),
+        *(envelope.capsule_links, envelope.capsules),
     )
 
 

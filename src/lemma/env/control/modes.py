@@ -10,6 +10,7 @@ same holds for what would ram an arm into something, see
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,61 +20,68 @@ from lemma.core.errors import InvalidActionError
 from lemma.core.poses import FloatArray, matrix_from_quaternion
 from lemma.core.registry import Registry
 from lemma.env.action_spaces import ActionLayout
-from lemma.env.control.joint_limits import (
-    accelerate,
-    advance,
-    approach,
-    bound,
-    predict,
-    saturate,
-    steer,
+from lemma.env.control.motor_commands import (
+    drive_poses,
+    drive_positions,
+    drive_torques,
+    drive_velocities,
+    find_moving,
 )
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.motion.arm_motion import ArmMotion
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS
-from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M, TIME_STEP_S
-from lemma.scene.scene import Scene
+from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
 
-SPEED_FRACTION = 0.95
-"""Of a joint's velocity limit: what references keep to."""
 CEILING_M = 1.5
 """Highest position of the tool centre point that can be asked for."""
 
-_ARM_RANGE_M = 0.15
-"""From where on an arm feels the others, as in skills."""
 _LEAST_NORM = 1e-3
 
 
 class Controller(ABC):
-    """Drives one arm from what one row of an action says."""
+    """Drives the arms of a scene from what an action says, one row for each."""
 
-    def __init__(self, arm: ArmMotion, others: tuple[ArmMotion, ...]) -> None:
-        """Take over an arm where it is.
+    def __init__(self, arms: Sequence[ArmMotion]) -> None:
+        """Take over the arms where they are.
 
         Args:
-            arm: The arm.
-            others: The other arms, to keep clear of.
+            arms: All arms of a scene, in the order of an action's rows.
         """
-        self.arm = arm
-        self.others = others
-        spec = arm.robot.arm
-        self.speeds = SPEED_FRACTION * np.array(spec.velocity_limits)
-        self.range = np.array(spec.joint_range)
-        self.guard = SafetyFilter(arm, others)
+        self.arms = arms
+        self.scene = arms[0].scene
+        self.guard = SafetyFilter(arms)
+        self.openings = np.array([arm.opening_m for arm in arms])
+        """What the grippers shall open to, (n,) [m]."""
+        self.states = np.stack([arm.state for arm in arms])
+        """The references of all arms, (n, 2, 6) [rad, rad/s]."""
+        for arm, state in zip(arms, self.states, strict=True):
+            # The same memory: whoever moves or restores an arm moves it here.
+            arm.state = state
+        data = self.scene.data
+        self.qvel: FloatArray = data.qvel
+        self.given = (
+            *(self.guard.records, self.states, self.openings),
+            *(self.guard.obstacles, self.guard.objects),
+            *(data.qpos, data.ctrl),
+        )
+        """What every kernel of :mod:`lemma.env.control.motor_commands` takes first."""
+        self._moving = np.zeros(len(arms), bool)
 
-    def check(self, row: FloatArray) -> None:  # noqa: B027 - bounds are mostly enough
-        """Raise what is wrong with a row of an action; changes nothing.
+    def check(self, rows: FloatArray) -> None:  # noqa: B027 - bounds are mostly enough
+        """Raise what is wrong with an action; changes nothing.
 
         Raises:
             InvalidActionError: It is in bounds, and still makes no sense.
         """
 
-    @abstractmethod
-    def command(self, row: FloatArray) -> None:
-        """Take note of a row of an action; the last number is the gripper's opening."""
+    def command(self, rows: FloatArray) -> None:
+        """Take note of an action, (n, k); last in a row is the gripper's opening."""
+        self.openings[:] = rows[:, -1]
+        for arm, opening_m in zip(self.arms, self.openings.tolist(), strict=True):
+            arm.opening_m = opening_m
 
-    def tick(self) -> None:
+    def look(self) -> None:
         """Look around, once per servo tick."""
         self.guard.look()
 
@@ -81,139 +89,112 @@ class Controller(ABC):
     def drive(self) -> None:
         """Command the motors, before every physics step."""
 
+    def moving(self) -> list[bool]:
+        """Return which arms move: a joint by 0.02 rad/s or a finger by 2 mm/s."""
+        find_moving(self.guard.records, self.qvel, self._moving)
+        return self._moving.tolist()
+
 
 class PoseController(Controller):
-    """Goes to a pose of the tool centre point under RMPflow."""
+    """Goes to poses of the tool centre points under RMPflow."""
 
-    def check(self, row: FloatArray) -> None:
+    def __init__(self, arms: Sequence[ArmMotion]) -> None:
+        """Take over the arms where they are."""
+        super().__init__(arms)
+        spaces = [arm.load() for arm in arms]
+        self._workspaces = np.concatenate([space.record for space in spaces])
+        self._spheres = np.stack([space.spheres for space in spaces])
+        for k, space in enumerate(spaces):
+            # The same memory, again.
+            space.record = self._workspaces[k : k + 1]
+
+    def check(self, rows: FloatArray) -> None:
         """Refuse a quaternion without a direction."""
-        norm = _norm(row[3:7])
-        if norm < _LEAST_NORM:
-            raise InvalidActionError(
-                f"The quaternion of {self.arm.robot.name} has length {norm:g}, so it "
-                "is no rotation. Any other length is fine: it is normalised. Pointing "
-                "down is (qw, qx, qy, qz) = (0, 1, 0, 0)."
-            )
+        for arm, row in zip(self.arms, rows.tolist(), strict=True):
+            norm = math.hypot(*row[3:7])
+            if norm < _LEAST_NORM:
+                raise InvalidActionError(
+                    f"The quaternion of {arm.robot.name} has length {norm:g}, so it "
+                    "is no rotation. Any other length is fine: it is normalised. "
+                    "Pointing down is (qw, qx, qy, qz) = (0, 1, 0, 0)."
+                )
 
-    def command(self, row: FloatArray) -> None:
-        """Aim at a position [m] and a quaternion wxyz in the world."""
-        pose = np.eye(4)
-        pose[:3, :3] = matrix_from_quaternion(row[3:7] / _norm(row[3:7]))
-        pose[:3, 3] = row[:3]
-        self.arm.aim(pose, self.arm.solve_posture(pose))
-        self.arm.opening_m = float(row[7])
-
-    def tick(self) -> None:
-        """Look around, and let RMPflow know where the other arms are."""
-        super().tick()
-        rows = [np.zeros((0, 8))]
-        for other in self.others:
-            capsules = other.capsules()
-            rows.append(np.c_[capsules, np.full(len(capsules), _ARM_RANGE_M)])
-        self.arm.set_obstacles(np.concatenate(rows))
+    def command(self, rows: FloatArray) -> None:
+        """Aim at positions [m] and quaternions wxyz in the world."""
+        super().command(rows)
+        for arm, row in zip(self.arms, rows, strict=True):
+            pose = np.eye(4)
+            pose[:3, :3] = matrix_from_quaternion(row[3:7] / _norm(row[3:7]))
+            pose[:3, 3] = row[:3]
+            arm.aim(pose, arm.solve_posture(pose))
+            arm.load()
 
     def drive(self) -> None:
-        """Advance the reference."""
-        before = self.arm.state[0].copy()
-        self.arm.step()
-        rates = (self.arm.state[0] - before) / TIME_STEP_S
-        if self.guard.restrain(before, rates, self.speeds):
-            self.arm.state[0] = before + TIME_STEP_S * rates
-            self.arm.state[1] = rates
-            self.arm.command()
-        _temper(self.arm, self.speeds)
+        """Advance the references."""
+        drive_poses(*self.given, self._workspaces, self._spheres)
 
 
-class PositionController(Controller):
+class JointController(Controller):
+    """Takes a number for each joint."""
+
+    def __init__(self, arms: Sequence[ArmMotion]) -> None:
+        """Take over the arms where they are; every number is 0."""
+        super().__init__(arms)
+        self.wanted = np.zeros((len(arms), 6))
+
+    def command(self, rows: FloatArray) -> None:
+        """Take note of joint angles [rad], speeds [rad/s] or torques [N m]."""
+        super().command(rows)
+        self.wanted[:] = rows[:, :6]
+
+
+class PositionController(JointController):
     """Leads the joints to angles, along a trapezoid of speed each."""
 
-    def __init__(self, arm: ArmMotion, others: tuple[ArmMotion, ...]) -> None:
-        """Stay where the reference is."""
-        super().__init__(arm, others)
-        self._target = arm.state[0].copy()
-
-    def command(self, row: FloatArray) -> None:
-        """Go to joint angles [rad]."""
-        self._target[:] = row[:6]
-        self.arm.opening_m = float(row[6])
-
     def drive(self) -> None:
-        """Advance the reference."""
-        state = self.arm.state
-        approach(state, self._target, self.speeds)
-        self.guard.restrain(state[0], state[1], self.speeds)
-        advance(state, self.range)
-        self.arm.command()
-        _temper(self.arm, self.speeds)
+        """Advance the references."""
+        drive_positions(*self.given, self.wanted)
 
 
-class VelocityController(Controller):
+class VelocityController(JointController):
     """Turns the joints at given speeds; they stop at the ends of their range."""
 
-    def __init__(self, arm: ArmMotion, others: tuple[ArmMotion, ...]) -> None:
-        """Stand still."""
-        super().__init__(arm, others)
-        self._wanted = np.zeros(6)
-
-    def command(self, row: FloatArray) -> None:
-        """Turn at joint speeds [rad/s]."""
-        self._wanted[:] = row[:6]
-        self.arm.opening_m = float(row[6])
-
     def drive(self) -> None:
-        """Advance the reference speed; the angles of the reference are the measured."""
-        data, robot = self.arm.scene.data, self.arm.robot
-        self.arm.state[0] = data.qpos[robot.qpos]
-        accelerate(self.arm.state, self._wanted, self.speeds, self.range)
-        self.guard.restrain(self.arm.state[0], self.arm.state[1], self.speeds)
-        data.ctrl[robot.ctrl] = self.arm.state[1]
-        data.ctrl[robot.gripper_ctrl] = self.arm.opening_m
+        """Advance the reference speeds; their angles are the measured."""
+        drive_velocities(*self.given, self.wanted)
 
 
-class TorqueController(Controller):
+class TorqueController(JointController):
     """Passes torques on, on top of gravity compensation, unless a joint is too fast."""
 
-    def __init__(self, arm: ArmMotion, others: tuple[ArmMotion, ...]) -> None:
+    def __init__(self, arms: Sequence[ArmMotion]) -> None:
         """Exert nothing."""
-        super().__init__(arm, others)
-        self._wanted = np.zeros(6)
-        self._efforts = np.array(arm.robot.arm.effort_limits)
+        super().__init__(arms)
+        data, count = self.scene.data, self.scene.model.nv
+        self._efforts = np.array([arm.robot.arm.effort_limits for arm in arms])
+        self._inertia = np.empty((count, count))
+        self._forces: tuple[FloatArray, ...] = (data.qfrc_bias, data.qfrc_passive)
 
-    def command(self, row: FloatArray) -> None:
+    def command(self, rows: FloatArray) -> None:
         """Exert joint torques [N m]."""
-        self._wanted[:] = np.clip(row[:6], -self._efforts, self._efforts)
-        self.arm.opening_m = float(row[6])
+        super().command(rows)
+        np.clip(self.wanted, -self._efforts, self._efforts, out=self.wanted)
 
     def drive(self) -> None:
         """Command what the joints' speeds allow."""
-        data, robot = self.arm.scene.data, self.arm.robot
-        self.arm.state[0] = data.qpos[robot.qpos]
-        self.arm.state[1] = data.qvel[robot.dof]
-        scene, span = self.arm.scene, robot.dof
-        full = np.empty((scene.model.nv, scene.model.nv))
-        mujoco.mj_fullM(scene.model, data, full)
-        inertia = np.ascontiguousarray(full[span, span])
-        bias = data.qfrc_bias[span] - data.qfrc_passive[span]
-        rates = np.empty(6)
-        predict(inertia, bias, self._wanted, self.arm.state[1], rates)
-        bounded = bound(self.arm.state[0], rates, self.speeds, self.range)
-        guarded = self.guard.restrain(self.arm.state[0], rates, self.speeds)
-        torques = self._wanted.copy()
-        if bounded or guarded:
-            steer(inertia, bias, rates - self.arm.state[1], self._efforts, torques)
-        data.ctrl[robot.ctrl] = torques
-        data.ctrl[robot.gripper_ctrl] = self.arm.opening_m
+        self._update_dynamics()
+        drive_torques(*self.given, self.wanted, self.qvel, self._inertia, *self._forces)
 
-
-def update_dynamics(scene: Scene) -> None:
-    """Compute inertias and bias forces of the present state, for the torque mode."""
-    model, data = scene.model, scene.data
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_makeM(model, data)
-    mujoco.mj_comVel(model, data)
-    mujoco.mj_passive(model, data)
-    mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+    def _update_dynamics(self) -> None:
+        """Compute inertias and bias forces of the present state."""
+        model, data = self.scene.model, self.scene.data
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_passive(model, data)
+        mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+        mujoco.mj_fullM(model, data, self._inertia)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,7 +212,7 @@ class ControlMode:
     high: tuple[float, ...]
     """Largest values."""
     controller: type[Controller]
-    """Drives one arm."""
+    """Drives the arms."""
 
     def layout(self, robots: tuple[str, ...]) -> ActionLayout:
         """Return the meaning of an action for some robots."""
@@ -301,13 +282,3 @@ CONTROLS.add(
 
 def _norm(quaternion: FloatArray) -> float:
     return math.sqrt(sum(value * value for value in quaternion.tolist()))
-
-
-def _temper(arm: ArmMotion, speeds: FloatArray) -> None:
-    """Keep position servos from catching up faster than the joints may turn.
-
-    The servo's torque is zero where ``(ctrl - q) / lag`` is the speed: bounding that
-    bounds the speed, whatever held the arm back.
-    """
-    data, robot = arm.scene.data, arm.robot
-    saturate(data.ctrl[robot.ctrl], data.qpos[robot.qpos], robot.arm.lag_s * speeds)

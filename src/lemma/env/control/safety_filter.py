@@ -1,4 +1,4 @@
-"""Keeps an arm that is commanded joint by joint from running into things.
+"""Keeps arms that are commanded joint by joint from running into things.
 
 A hand that is rammed into the table throws the wrist's joints far beyond their limits.
 :mod:`lemma.env.control.velocity_dampers` says how that is prevented.
@@ -8,17 +8,24 @@ touched by hands, but not at speed, and not by the rest of an arm.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
-from lemma.env.control.velocity_dampers import restrain
+from lemma.env.control.guarded_arm import CAPSULES, arm_records
+from lemma.env.control.velocity_dampers import ROW, enclose, restrain
 from lemma.motion.arm_motion import ArmMotion
-from lemma.robots.collision_model import closest_points, envelope_of
+from lemma.robots.collision_model import closest_points, place_capsules
+from lemma.robots.gripper import FINGER_OPENING_M, TCP_OFFSET_M
 from lemma.robots.ur.kinematics import frames
 from lemma.scene.objects.entity import kind_of
-from lemma.scene.objects.kind import Point
 from lemma.scene.scene import Scene
+
+ARM_RANGE_M = 0.15
+"""From where on RMPflow feels the other arms, as in skills."""
 
 # What is held is nearer to the tool centre point than the one, and the fingers are as
 # far apart as it is wide, give or take the other.
@@ -27,91 +34,185 @@ _GRIPPED_M = 0.006
 
 
 class SafetyFilter:
-    """Watches over one arm."""
+    """What the arms of a scene must keep clear of, for the kernels that drive them."""
 
-    def __init__(self, arm: ArmMotion, others: tuple[ArmMotion, ...]) -> None:
+    def __init__(self, arms: Sequence[ArmMotion]) -> None:
         """Begin to watch.
 
         Args:
-            arm: The arm.
-            others: The other arms of the scene.
+            arms: All arms of a scene.
         """
-        self._arm = arm
-        self._others = others
-        envelope = envelope_of(arm.robot.arm.name)
-        self._capsules = np.column_stack([envelope.capsules, envelope.capsule_links])
-        self._obstacles = np.zeros((0, 7))
-        self._objects = np.zeros((0, 8))
-        self._held = np.zeros((0, 8))
-        self._placed = np.empty((7, 4, 4))
+        self.records: NDArray[np.void] = arm_records(arms)
+        """One for each arm; see :data:`~lemma.env.control.guarded_arm.ARM`."""
+        count = len(arms)
+        self.obstacles = np.zeros((count, CAPSULES * (count - 1), ROW))
+        """For each arm the capsules of the others, see
+        :data:`~lemma.env.control.velocity_dampers.ROW`."""
+        self.obstacles[:, :, 7] = ARM_RANGE_M
+        scene = arms[0].scene
+        self._owners, self._capsules = _shells(scene)
+        self.objects = np.zeros((count, 2, len(self._capsules), ROW))
+        """For each arm capsules of objects: first of those beside its hand, then of
+        those in it; the arm's record says how many."""
+        self._qpos: FloatArray = scene.data.qpos
 
     def look(self) -> None:
-        """See where the other arms and the objects are now."""
-        self._obstacles = np.concatenate(
-            [np.zeros((0, 7)), *(other.capsules() for other in self._others)]
-        )
-        scene, tcp = self._arm.scene, self._arm.tcp_pose()[:3, 3]
-        opening = scene.opening_m(self._arm.robot)
-        point = np.array([*tcp, *tcp, 0.0])
-        objects: list[FloatArray] = []
-        held: list[FloatArray] = []
-        for name in scene.spec.object_names:
-            shell, grasp = _shell(scene, name), kind_of(name).grasp
-            away = min(
-                (
-                    closest_points(point, capsule, np.empty(3), np.empty(3))
-                    + capsule[6]
-                    for capsule in shell
-                ),
-                default=math.inf,
-            )
-            gripped = grasp is not None and abs(opening - grasp.width_m) < _GRIPPED_M
-            (held if gripped and away < _HELD_M else objects).extend(shell)
-        self._objects = np.array(objects).reshape(-1, 8)
-        self._held = np.array(held).reshape(-1, 8)
-
-    def restrain(self, q: FloatArray, rates: FloatArray, limits: FloatArray) -> bool:
-        """Change joint speeds as little as it takes to keep clear.
-
-        Args:
-            q: Joint angles, (6,) [rad].
-            rates: Joint speeds, (6,) [rad/s]; changed in place.
-            limits: Largest joint speeds, (6,) [rad/s].
-
-        Returns:
-            Whether anything had to be changed.
-        """
-        robot = self._arm.robot
-        frames(robot.arm.dh, robot.world_from_base, q, self._placed)
-        return bool(
-            restrain(
-                self._placed,
-                self._capsules,
-                self._obstacles,
-                self._objects,
-                self._held,
-                rates,
-                limits,
-            )
+        """See where arms and objects are now."""
+        _look(
+            self.records,
+            self._owners,
+            self._capsules,
+            self._qpos,
+            self.obstacles,
+            self.objects,
         )
 
 
-def _shell(scene: Scene, name: str) -> list[FloatArray]:
-    """Return an object as capsules, each with the height of its top, (8,) [m]."""
-    shell, matrix = kind_of(name).shell, scene.pose(name).matrix()
-    found = [
-        np.array([*_placed(matrix, c.start), *_placed(matrix, c.end), c.radius_m, 0.0])
-        for c in shell.capsules
-    ]
-    for row in found:
-        row[7] = max(found[0][2], found[0][5]) + shell.rim_m
-    return found
+@kernel
+def keep_clear(
+    arm: np.record,
+    obstacles: FloatArray,
+    objects: FloatArray,
+    q: FloatArray,
+    rates: FloatArray,
+) -> bool:
+    """Change joint speeds as little as it takes to keep clear.
+
+    Args:
+        arm: The arm; see :data:`~lemma.env.control.guarded_arm.ARM`.
+        obstacles: What :class:`SafetyFilter` saw for this arm.
+        objects: The same.
+        q: Joint angles, (6,) [rad].
+        rates: Joint speeds, (6,) [rad/s]; changed in place.
+
+    Returns:
+        Whether anything had to be changed.
+    """
+    frames(arm.dh, arm.world_from_base, q, arm.placed)
+    beside, inside = objects[0, : arm.beside], objects[1, : arm.inside]
+    return restrain(arm, obstacles, beside, inside, rates)
 
 
-def _placed(matrix: FloatArray, point: Point) -> list[float]:
-    """Return a point of a body's frame in the world [m]."""
-    x, y, z = point
-    return [
-        float(matrix[i, 3] + x * matrix[i, 0] + y * matrix[i, 1] + z * matrix[i, 2])
-        for i in range(3)
-    ]
+def _shells(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Return objects and the capsules around them.
+
+    Returns:
+        For each object the address in ``qpos`` or -1, its pose if that never changes,
+        how wide it is gripped (or nan), and how high its top is above the higher end of
+        its first capsule's axis, (n, 10); and capsules in objects' frames with the
+        number of the object, (m, 8) [m].
+    """
+    owners: list[list[float]] = []
+    capsules: list[list[float]] = []
+    for number, name in enumerate(scene.spec.object_names):
+        kind, pose, address = kind_of(name), scene.pose(name), -1.0
+        if name in scene.movable_names:
+            address = float(scene.model.joint(name).qposadr[0])
+        width = math.nan if kind.grasp is None else kind.grasp.width_m
+        fixed = (*pose.position, *pose.quaternion)
+        owners.append([address, *fixed, width, kind.shell.rim_m])
+        capsules += [
+            [*capsule.start, *capsule.end, capsule.radius_m, float(number)]
+            for capsule in kind.shell.capsules
+        ]
+    return np.array(owners).reshape(-1, 10), np.array(capsules).reshape(-1, 8)
+
+
+@kernel
+def _look(
+    records: np.ndarray,
+    owners: FloatArray,
+    capsules: FloatArray,
+    qpos: FloatArray,
+    obstacles: FloatArray,
+    objects: FloatArray,
+) -> None:
+    for k in range(records.shape[0]):
+        arm = records[k]
+        q = qpos[arm.qpos : arm.qpos + 6]
+        frames(arm.dh, arm.world_from_base, q, arm.placed)
+        place_capsules(arm.placed, arm.parts[:, 7], arm.parts, arm.world)
+        for i in range(CAPSULES):
+            enclose(arm.world[i])
+    for k in range(records.shape[0]):
+        count = 0
+        for other in range(records.shape[0]):
+            if other == k:
+                continue
+            for i in range(CAPSULES):
+                row, world = obstacles[k, count], records[other].world[i]
+                for j in range(ROW):
+                    if j != 7:
+                        row[j] = world[j]
+                count += 1
+        _look_for_objects(records[k], owners, capsules, qpos, objects[k])
+
+
+@kernel
+def _look_for_objects(
+    arm: np.record,
+    owners: FloatArray,
+    capsules: FloatArray,
+    qpos: FloatArray,
+    objects: FloatArray,
+) -> None:
+    """Write what is beside the hand and what is in it."""
+    tcp = np.zeros(7)
+    for i in range(3):
+        tcp[i] = arm.placed[6, i, 3] + TCP_OFFSET_M * arm.placed[6, i, 2]
+        tcp[3 + i] = tcp[i]
+    width = qpos[arm.fingers[0]] + qpos[arm.fingers[1]]
+    opening = min(max(width, 0.0), FINGER_OPENING_M)
+    matrix, near, far = np.empty((3, 4)), np.empty(3), np.empty(3)
+    arm.beside, arm.inside = 0, 0
+    c = 0
+    for o in range(owners.shape[0]):
+        address = int(owners[o, 0])
+        _transform(
+            qpos[address : address + 7] if address >= 0 else owners[o, 1:8], matrix
+        )
+        first, away = arm.beside, math.inf
+        while c < capsules.shape[0] and capsules[c, 7] == o:
+            row = objects[0, arm.beside]
+            _place(matrix, capsules[c], row)
+            enclose(row)
+            away = min(away, closest_points(tcp, row, near, far) + row[6])
+            arm.beside += 1
+            c += 1
+        for r in range(first, arm.beside):
+            higher = max(objects[0, first, 2], objects[0, first, 5])
+            objects[0, r, 7] = higher + owners[o, 9]
+        if abs(opening - owners[o, 8]) < _GRIPPED_M and away < _HELD_M:
+            for r in range(first, arm.beside):
+                objects[1, arm.inside] = objects[0, r]
+                arm.inside += 1
+            arm.beside = first
+
+
+@kernel
+def _transform(pose: FloatArray, out: FloatArray) -> None:
+    """Write a position and a unit quaternion wxyz as a transform, (3, 4)."""
+    w, x, y, z = pose[3], pose[4], pose[5], pose[6]
+    out[0, 0] = 1 - 2 * (y * y + z * z)
+    out[0, 1] = 2 * (x * y - w * z)
+    out[0, 2] = 2 * (x * z + w * y)
+    out[1, 0] = 2 * (x * y + w * z)
+    out[1, 1] = 1 - 2 * (x * x + z * z)
+    out[1, 2] = 2 * (y * z - w * x)
+    out[2, 0] = 2 * (x * z - w * y)
+    out[2, 1] = 2 * (y * z + w * x)
+    out[2, 2] = 1 - 2 * (x * x + y * y)
+    for i in range(3):
+        out[i, 3] = pose[i]
+
+
+@kernel
+def _place(matrix: FloatArray, capsule: FloatArray, out: FloatArray) -> None:
+    """Write ends and radius of a capsule in the world."""
+    for end in range(2):
+        x, y, z = capsule[3 * end], capsule[3 * end + 1], capsule[3 * end + 2]
+        for i in range(3):
+            out[3 * end + i] = (
+                matrix[i, 3] + x * matrix[i, 0] + y * matrix[i, 1] + z * matrix[i, 2]
+            )
+    out[6] = capsule[6]

@@ -3,287 +3,419 @@
 At every distance they can still stop in time (Faverjon and Tournassoud, 1987). What
 remains of a command is a nearby motion that obeys; sliding along the table stays
 possible. Plain loops, compiled: the same numbers on every machine.
+
+Of hundreds of pairs few are near and fast enough to matter. The others are left out by
+bounds that hold as long as joint speeds are changed by no more than
+:data:`EXPECTED_RAD_S`. Where they had to be changed by more, all is done again and
+nothing is left out. So the result is the same to the bit as if nothing ever were.
 """
 
 import math
 
 import numpy as np
 
+from lemma.core.errors import CapacityError
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
+from lemma.env.control.guarded_arm import CAPSULES, CORNERS
 from lemma.robots.collision_model import SELF_PAIRS, closest_points, place_capsules
-from lemma.robots.gripper import (
-    FINGER_OPENING_M,
-    FINGER_THICKNESS_M,
-    FINGER_WIDTH_M,
-    FINGERTIP_BEYOND_TCP_M,
-    PALM_BEYOND_FLANGE_M,
-    TCP_OFFSET_M,
-)
+from lemma.robots.gripper import TCP_OFFSET_M
 
+ROW = 12
+"""Numbers of a capsule in the world: both ends and the radius; the range in which an
+obstacle is felt, or the height of an object's top; and middle and radius of a ball
+around it, see :func:`enclose` [m]."""
 CLEARANCE_M = 0.003
 """Distance that is kept; fingertips grasp a stick 6 mm above the table."""
 DECELERATION_M_S2 = 2.0
 """How hard an approach can be braked by any arm in any posture."""
+EXPECTED_RAD_S = 0.15
+"""Norm of a change of joint speeds up to which the bounds hold."""
 
 _RANGE_M = 0.8
 _SLACK_M_S = 0.005
 _SWEEPS = 12
-_MOST_ROWS = 256
 _FIRST_ABOVE_TABLE = 2
 _LAST_ABOVE_TABLE = 7
 _FIRST_OF_HAND = 7
-# Corners of the fingers, wide open, and of the palm, in the frame of the flange [m].
-_CORNERS = np.array(
-    [
-        (x * side, y * across, z)
-        for x, y, z in (
-            (
-                FINGER_WIDTH_M / 2,
-                FINGER_OPENING_M / 2 + FINGER_THICKNESS_M,
-                TCP_OFFSET_M + FINGERTIP_BEYOND_TCP_M,
-            ),
-            (0.030, 0.056, PALM_BEYOND_FLANGE_M),
-        )
-        for side in (-1.0, 1.0)
-        for across in (-1.0, 1.0)
-    ]
-)
+_HAND = 6
+"""The link."""
 _TOUCH_M_S = 0.25
 """How fast a hand may touch an object, and put one down."""
 _IN_HAND_M = 0.10
 """What is nearer to the tool centre point than this is being handled."""
 _SELF_MARGIN_M = 0.007
 """How much thicker the housings are than the capsules that stand for them."""
+# Parts of an arm that may come near each other.
+_OWN_PAIRS = np.concatenate(
+    [
+        SELF_PAIRS,
+        [
+            (corner, inner)
+            for corner in range(CAPSULES, CAPSULES + CORNERS)
+            for inner in range(_FIRST_ABOVE_TABLE + 1)
+        ],
+    ]
+)
+_ANY_RAD_S = 1e6
+"""A change of joint speeds for which nothing is left out."""
+_ROUNDING = 1e-9
+
+
+@kernel
+def most_rows(arms: int, objects: int) -> int:
+    """Return how many constraints there can be.
+
+    Args:
+        arms: Capsules of the other arms.
+        objects: Capsules of objects, in the hand or not.
+    """
+    table = 2 * (_LAST_ABOVE_TABLE - _FIRST_ABOVE_TABLE + 1) + CORNERS
+    each = CORNERS + _FIRST_OF_HAND - _FIRST_ABOVE_TABLE
+    return table + _OWN_PAIRS.shape[0] + (CAPSULES - 1) * arms + each * objects
 
 
 @kernel
 def restrain(
-    placed: FloatArray,
-    capsules: FloatArray,
+    arm: np.record,
     obstacles: FloatArray,
     objects: FloatArray,
     held: FloatArray,
     rates: FloatArray,
-    limits: FloatArray,
 ) -> bool:
     """Change joint speeds as little as it takes to keep clear, in place.
 
     Args:
-        placed: World from link frames, (7, 4, 4).
-        capsules: Of the arm, in link frames, and their links, (n, 8) [m].
-        obstacles: Other arms: capsules in the world, (m, 7) [m].
-        objects: The same for objects, and the height of their tops, (k, 8) [m].
-        held: The same for what the hand holds, (l, 8) [m].
+        arm: The arm, links placed; see :data:`~lemma.env.control.guarded_arm.ARM`.
+        obstacles: Capsules of the other arms, (m, 12), see :data:`ROW`.
+        objects: Of objects, (k, 12).
+        held: Of what the hand holds, (l, 12).
         rates: Joint speeds, (6,) [rad/s].
-        limits: Largest joint speeds, (6,) [rad/s].
 
     Returns:
         Whether anything had to be changed.
+
+    Raises:
+        CapacityError: There are more constraints than :func:`most_rows` says.
     """
-    world = np.empty((capsules.shape[0], 7))
-    place_capsules(placed, capsules[:, 7], capsules[:, :7], world)
-    rows = np.empty((_MOST_ROWS, 7))
-    corners = np.zeros((_CORNERS.shape[0], 7))
-    for k in range(_CORNERS.shape[0]):
-        for i in range(3):
-            corners[k, i] = placed[6, i, 3]
-            for j in range(3):
-                corners[k, i] += placed[6, i, j] * _CORNERS[k, j]
-            corners[k, 3 + i] = corners[k, i]
-    count = _add_table_rows(placed, capsules, world, rows)
-    count = _add_hand_rows(placed, corners, objects, held, rows, count)
-    count = _add_self_rows(placed, capsules, world, corners, rows, count)
-    near, far = np.empty(3), np.empty(3)
-    for i in range(1, world.shape[0]):
-        for j in range(obstacles.shape[0]):
-            # Both may move: each may use half of the distance.
-            gap = 0.5 * closest_points(world[i], obstacles[j], near, far)
-            links = (0, int(capsules[i, 7]))
-            count = _add_row(placed, links, near, far, gap, rows, count)
-    count = _add_object_rows(placed, capsules, world, objects, rows, count)
-    return _project(rows[:count], rates, limits)
+    place_capsules(arm.placed, arm.parts[:, 7], arm.parts, arm.world)
+    _move(arm, rates)
+    most = most_rows(obstacles.shape[0], objects.shape[0] + held.shape[0])
+    rows = np.empty((most, 7))
+    wanted = rates.copy()
+    count = _constrain(arm, obstacles, objects, held, EXPECTED_RAD_S, rows)
+    if count == 0:
+        return False
+    changed, most_changed = _project(rows[:count], rates, arm.speeds)
+    if most_changed > EXPECTED_RAD_S:
+        rates[:] = wanted
+        count = _constrain(arm, obstacles, objects, held, _ANY_RAD_S, rows)
+        changed, _ = _project(rows[:count], rates, arm.speeds)
+    return changed
 
 
 @kernel
-def _add_table_rows(
-    placed: FloatArray, capsules: FloatArray, world: FloatArray, rows: FloatArray
+def _move(arm: np.record, rates: FloatArray) -> None:
+    """Write how links move, and balls around parts."""
+    twists = arm.twists
+    twists[0] = 0.0
+    for j in range(6):
+        f = arm.placed[j]
+        zx, zy, zz = f[0, 2] * rates[j], f[1, 2] * rates[j], f[2, 2] * rates[j]
+        x, y, z = f[0, 3], f[1, 3], f[2, 3]
+        twists[j + 1, 0] = twists[j, 0] + zx
+        twists[j + 1, 1] = twists[j, 1] + zy
+        twists[j + 1, 2] = twists[j, 2] + zz
+        twists[j + 1, 3] = twists[j, 3] + y * zz - z * zy
+        twists[j + 1, 4] = twists[j, 4] + z * zx - x * zz
+        twists[j + 1, 5] = twists[j, 5] + x * zy - y * zx
+    for i in range(arm.world.shape[0]):
+        enclose(arm.world[i])
+
+
+@kernel
+def enclose(row: FloatArray) -> None:
+    """Write the ball around a capsule to its row; see :data:`ROW`."""
+    length = 0.0
+    for k in range(3):
+        row[8 + k] = 0.5 * (row[k] + row[3 + k])
+        length += (row[k] - row[3 + k]) ** 2
+    row[11] = 0.5 * math.sqrt(length) + row[6]
+
+
+@kernel
+def _pace(arm: np.record, part: int, link: int, expected: float) -> float:
+    """Return how fast a part can be, seen from a link, if speeds change as expected."""
+    t, u = arm.twists[int(arm.parts[part, 7])], arm.twists[link]
+    wx, wy, wz = t[0] - u[0], t[1] - u[1], t[2] - u[2]
+    world, fastest = arm.world[part], 0.0
+    for end in range(2):
+        x, y, z = world[3 * end], world[3 * end + 1], world[3 * end + 2]
+        vx = t[3] - u[3] + wy * z - wz * y
+        vy = t[4] - u[4] + wz * x - wx * z
+        vz = t[5] - u[5] + wx * y - wy * x
+        fastest = max(fastest, vx * vx + vy * vy + vz * vz)
+    # Between the ends of a rigid body nothing is faster than at both.
+    return math.sqrt(fastest) + arm.parts[part, 8] * expected
+
+
+@kernel
+def _safe_gap(pace: float) -> float:
+    """Return the gap [m] from which on an approach [m/s] can be braked in time."""
+    gap = pace * pace / (2.0 * DECELERATION_M_S2) + CLEARANCE_M
+    return min(_RANGE_M, gap) + _ROUNDING
+
+
+@kernel
+def _is_clear(a: FloatArray, b: FloatArray, gap: float) -> bool:
+    """Whether two capsules are certainly further apart than a gap [m]."""
+    x, y, z = a[8] - b[8], a[9] - b[9], a[10] - b[10]
+    least = gap + a[11] + b[11]
+    return x * x + y * y + z * z > least * least
+
+
+@kernel
+def _constrain(
+    arm: np.record,
+    obstacles: FloatArray,
+    objects: FloatArray,
+    held: FloatArray,
+    expected: float,
+    rows: FloatArray,
 ) -> int:
+    """Write all constraints that can matter; return how many."""
+    for i in range(arm.world.shape[0]):
+        arm.pace[i] = _pace(arm, i, 0, expected)
+    count = _add_table_rows(arm, expected, rows)
+    count = _add_hand_rows(arm, objects, held, expected, rows, count)
+    count = _add_self_rows(arm, expected, rows, count)
+    count = _add_arm_rows(arm, obstacles, expected, rows, count)
+    return _add_object_rows(arm, objects, expected, rows, count)
+
+
+@kernel
+def _add_table_rows(arm: np.record, expected: float, rows: FloatArray) -> int:
     """Keep the links clear of the table."""
     count = 0
     near, far = np.empty(3), np.empty(3)
     for i in range(_FIRST_ABOVE_TABLE, _LAST_ABOVE_TABLE + 1):
+        safe = _safe_gap(arm.pace[i])
         for end in range(2):
-            near[:] = world[i, 3 * end : 3 * end + 3]
-            far[:] = near
-            far[2] = near[2] - 1.0
-            links = (0, int(capsules[i, 7]))
-            gap = near[2] - world[i, 6]
-            count = _add_row(placed, links, near, far, gap, rows, count)
+            gap = arm.world[i, 3 * end + 2] - arm.world[i, 6]
+            if gap <= safe:
+                near[:] = arm.world[i, 3 * end : 3 * end + 3]
+                far[:] = near
+                far[2] = near[2] - 1.0
+                count = _add_row(
+                    arm, (0, i), near, far, (gap, 0.0, expected), rows, count
+                )
     return count
 
 
 @kernel
 def _add_hand_rows(
-    placed: FloatArray,
-    corners: FloatArray,
+    arm: np.record,
     objects: FloatArray,
     held: FloatArray,
+    expected: float,
     rows: FloatArray,
     count: int,
 ) -> int:
     """Let the hand touch objects gently, and put down gently what it holds."""
     near, far = np.empty(3), np.empty(3)
-    for k in range(corners.shape[0]):
-        near[:] = corners[k, :3]
-        far[:] = near
-        far[2] = near[2] - 1.0
-        count = _add_row(placed, (0, 6), near, far, near[2], rows, count)
+    for k in range(CAPSULES, CAPSULES + CORNERS):
+        safe = _safe_gap(arm.pace[k])
+        corner = arm.world[k]
+        if corner[2] <= safe:
+            near[:] = corner[:3]
+            far[:] = near
+            far[2] = near[2] - 1.0
+            count = _add_row(
+                arm, (0, k), near, far, (near[2], 0.0, expected), rows, count
+            )
         for m in range(objects.shape[0]):
-            gap = closest_points(corners[k], objects[m], near, far)
-            count = _add_soft_row(placed, near, far, gap, rows, count)
+            if not _is_clear(corner, objects[m], safe):
+                gap = closest_points(corner, objects[m], near, far)
+                count = _add_row(
+                    arm, (0, k), near, far, (gap, _TOUCH_M_S, expected), rows, count
+                )
     for m in range(held.shape[0]):
         for end in range(2):
             near[:] = held[m, 3 * end : 3 * end + 3]
             far[:] = near
             far[2] = near[2] - 1.0
-            half = held[m, 7] - max(held[m, 2], held[m, 5])
-            gap = near[2] - half
-            count = _add_soft_row(placed, near, far, gap, rows, count)
+            gap = near[2] - (held[m, 7] - max(held[m, 2], held[m, 5]))
+            # No part of the arm, so there is no bound.
+            count = _add_row(
+                arm,
+                (0, CAPSULES),
+                near,
+                far,
+                (gap, _TOUCH_M_S, _ANY_RAD_S),
+                rows,
+                count,
+            )
     return count
 
 
 @kernel
 def _add_self_rows(
-    placed: FloatArray,
-    capsules: FloatArray,
-    world: FloatArray,
-    corners: FloatArray,
-    rows: FloatArray,
-    count: int,
+    arm: np.record, expected: float, rows: FloatArray, count: int
 ) -> int:
     """Keep the arm clear of itself."""
     near, far = np.empty(3), np.empty(3)
-    for k in range(SELF_PAIRS.shape[0]):
-        i, j = SELF_PAIRS[k, 0], SELF_PAIRS[k, 1]
-        gap = closest_points(world[i], world[j], near, far) - _SELF_MARGIN_M
-        links = (int(capsules[j, 7]), int(capsules[i, 7]))
-        count = _add_row(placed, links, near, far, gap, rows, count)
-    for k in range(corners.shape[0]):
-        for j in range(_FIRST_ABOVE_TABLE + 1):
-            gap = closest_points(corners[k], world[j], near, far) - _SELF_MARGIN_M
-            links = (int(capsules[j, 7]), 6)
-            count = _add_row(placed, links, near, far, gap, rows, count)
+    for k in range(_OWN_PAIRS.shape[0]):
+        outer, inner = _OWN_PAIRS[k]
+        link = int(arm.parts[inner, 7])
+        safe = _safe_gap(_pace(arm, outer, link, expected)) + _SELF_MARGIN_M
+        if not _is_clear(arm.world[outer], arm.world[inner], safe):
+            gap = closest_points(arm.world[outer], arm.world[inner], near, far)
+            given = (gap - _SELF_MARGIN_M, 0.0, expected)
+            count = _add_row(arm, (link, outer), near, far, given, rows, count)
+    return count
+
+
+@kernel
+def _add_arm_rows(
+    arm: np.record,
+    obstacles: FloatArray,
+    expected: float,
+    rows: FloatArray,
+    count: int,
+) -> int:
+    """Keep the arm clear of the others."""
+    near, far = np.empty(3), np.empty(3)
+    for i in range(1, CAPSULES):
+        # Both may move: each may use half of the distance.
+        safe = 2.0 * _safe_gap(arm.pace[i])
+        for j in range(obstacles.shape[0]):
+            if not _is_clear(arm.world[i], obstacles[j], safe):
+                gap = 0.5 * closest_points(arm.world[i], obstacles[j], near, far)
+                count = _add_row(
+                    arm, (0, i), near, far, (gap, 0.0, expected), rows, count
+                )
     return count
 
 
 @kernel
 def _add_object_rows(
-    placed: FloatArray,
-    capsules: FloatArray,
-    world: FloatArray,
-    objects: FloatArray,
-    rows: FloatArray,
-    count: int,
+    arm: np.record, objects: FloatArray, expected: float, rows: FloatArray, count: int
 ) -> int:
     """Keep what is not the hand clear of objects that are not in it."""
     near, far = np.empty(3), np.empty(3)
     tcp = np.zeros(7)
     for i in range(3):
-        tcp[i] = placed[6, i, 3] + TCP_OFFSET_M * placed[6, i, 2]
+        hand = arm.placed[_HAND]
+        tcp[i] = hand[i, 3] + TCP_OFFSET_M * hand[i, 2]
         tcp[3 + i] = tcp[i]
     for m in range(objects.shape[0]):
         if closest_points(tcp, objects[m], near, far) + objects[m, 6] < _IN_HAND_M:
             continue
         for i in range(_FIRST_ABOVE_TABLE, _FIRST_OF_HAND):
-            gap = closest_points(world[i], objects[m], near, far)
-            links = (0, int(capsules[i, 7]))
-            count = _add_row(placed, links, near, far, gap, rows, count)
+            if not _is_clear(arm.world[i], objects[m], _safe_gap(arm.pace[i])):
+                gap = closest_points(arm.world[i], objects[m], near, far)
+                count = _add_row(
+                    arm, (0, i), near, far, (gap, 0.0, expected), rows, count
+                )
     return count
 
 
 @kernel
 def _add_row(
-    placed: FloatArray,
-    links: tuple[int, int],
+    arm: np.record,
+    bodies: tuple[int, int],
     near: FloatArray,
     far: FloatArray,
-    gap: float,
+    given: tuple[float, float, float],
     rows: FloatArray,
     count: int,
 ) -> int:
     """Add how joints bring a point of the arm nearer to another, and how fast they may.
 
     Args:
-        placed: World from link frames.
-        links: Joints between these two links change the distance.
+        arm: The arm.
+        bodies: A link, and a part beyond it: joints between change the distance.
         near: Point of the arm [m].
         far: The point that it approaches [m].
-        gap: Distance of the surfaces [m].
+        given: Distance of the surfaces [m], approach that is always allowed [m/s], and
+            the change of joint speeds that is expected [rad/s].
         rows: (n, 7): approach per joint speed [m], largest approach [m/s].
         count: Rows so far.
 
     Returns:
         Rows now.
     """
-    if gap > _RANGE_M or count >= rows.shape[0]:
+    gap, least, expected = given
+    if gap > _RANGE_M:
         return count
     dx, dy, dz = far[0] - near[0], far[1] - near[1], far[2] - near[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     if length < 1e-9:
         return count
     dx, dy, dz = dx / length, dy / length, dz / length
+    room = max(0.0, gap - CLEARANCE_M)
+    limit = max(math.sqrt(2.0 * DECELERATION_M_S2 * room), least)
+    first, last = bodies[0], int(arm.parts[bodies[1], 7])
+    t, u = arm.twists[last], arm.twists[first]
+    x, y, z = near[0], near[1], near[2]
+    wx, wy, wz = t[0] - u[0], t[1] - u[1], t[2] - u[2]
+    approach = (
+        dx * (t[3] - u[3] + wy * z - wz * y)
+        + dy * (t[4] - u[4] + wz * x - wx * z)
+        + dz * (t[5] - u[5] + wx * y - wy * x)
+    )
+    if approach + arm.parts[bodies[1], 8] * expected < limit - _ROUNDING:
+        return count
+    if count >= rows.shape[0]:
+        raise CapacityError("There are more velocity dampers than most_rows() says.")
     for j in range(6):
         rows[count, j] = 0.0
-        if links[0] <= j < links[1]:
-            f = placed[j]
+        if first <= j < last:
+            f = arm.placed[j]
             x, y, z = near[0] - f[0, 3], near[1] - f[1, 3], near[2] - f[2, 3]
             rows[count, j] = (
                 dx * (f[1, 2] * z - f[2, 2] * y)
                 + dy * (f[2, 2] * x - f[0, 2] * z)
                 + dz * (f[0, 2] * y - f[1, 2] * x)
             )
-    room = max(0.0, gap - CLEARANCE_M)
-    rows[count, 6] = math.sqrt(2.0 * DECELERATION_M_S2 * room)
+    rows[count, 6] = limit
     return count + 1
 
 
 @kernel
-def _add_soft_row(
-    placed: FloatArray,
-    near: FloatArray,
-    far: FloatArray,
-    gap: float,
-    rows: FloatArray,
-    count: int,
-) -> int:
-    """Add a row for a point of the hand that may touch, gently."""
-    after = _add_row(placed, (0, 6), near, far, gap, rows, count)
-    if after > count:
-        rows[count, 6] = max(rows[count, 6], _TOUCH_M_S)
-    return after
+def _project(
+    rows: FloatArray, rates: FloatArray, limits: FloatArray
+) -> tuple[bool, float]:
+    """Project joint speeds onto what every row allows.
 
-
-@kernel
-def _project(rows: FloatArray, rates: FloatArray, limits: FloatArray) -> bool:
-    """Project joint speeds onto what every row allows; return whether they changed."""
-    changed = False
+    Returns:
+        Whether they changed, and the norm of the largest change on the way [rad/s].
+    """
+    changed, farthest = False, 0.0
+    before = rates.copy()
     for _ in range(_SWEEPS):
         clean = True
         for r in range(rows.shape[0]):
-            approach, norm = 0.0, 0.0
+            approach = 0.0
             for j in range(6):
                 approach += rows[r, j] * rates[j]
+            if approach <= rows[r, 6]:
+                continue
+            norm = 0.0
+            for j in range(6):
                 norm += rows[r, j] * rows[r, j]
-            if approach > rows[r, 6] and norm > 1e-12:
+            if norm > 1e-12:
                 changed, clean = True, False
                 step = (approach - rows[r, 6]) / norm
+                away = 0.0
                 for j in range(6):
                     rates[j] -= step * rows[r, j]
+                    away += (rates[j] - before[j]) ** 2
+                farthest = max(farthest, away)
         if clean:
             break
     if not changed:
-        return False
+        return False, 0.0
     scale = 1.0
     for j in range(6):
         if abs(rates[j]) * scale > limits[j]:
@@ -297,4 +429,4 @@ def _project(rows: FloatArray, rates: FloatArray, limits: FloatArray) -> bool:
             scale = most / approach
     for j in range(6):
         rates[j] *= scale
-    return True
+    return True, math.sqrt(farthest)

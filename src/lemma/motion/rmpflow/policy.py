@@ -20,7 +20,15 @@ from lemma.motion.rmpflow.leaves import Leaves
 from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget, Workspace, make_root
 from lemma.robots.ur.kinematics import frames, point_jacobian
 
-__all__ = ["ArmModel", "ArmTarget", "Workspace", "accelerate", "integrate", "make_root"]
+__all__ = [
+    "ArmModel",
+    "ArmTarget",
+    "Workspace",
+    "accelerate",
+    "integrate",
+    "integrate_record",
+    "make_root",
+]
 
 Triple = tuple[float, float, float]
 
@@ -67,11 +75,11 @@ def integrate(  # noqa: PLR0913 - all that the motion depends on
     other arguments are those of :func:`accelerate`.
     """
     root.load(arm, goal, parameters)
-    _integrate(root.record, root.spheres, state, obstacles, step_s, substeps)
+    integrate_record(root.record, root.spheres, state, obstacles, step_s, substeps)
 
 
 @kernel
-def _integrate(
+def integrate_record(
     record: np.ndarray,
     spheres: FloatArray,
     state: FloatArray,
@@ -79,6 +87,7 @@ def _integrate(
     step_s: float,
     substeps: int,
 ) -> None:
+    """Do what :func:`integrate` does, with a loaded workspace's record and spheres."""
     root = record[0]
     acceleration = root.acceleration
     for _ in range(substeps):

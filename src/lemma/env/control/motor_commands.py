@@ -1,0 +1,172 @@
+"""What the motors are told before a physics step, in one call for all arms.
+
+A kernel for each control mode: it advances references, has the safety filter bound them
+and writes the commands. Each takes the records of n arms
+(:data:`~lemma.env.control.guarded_arm.ARM`), their references (n, 2, 6), the openings
+of their grippers (n,) [m], what :class:`~lemma.env.control.safety_filter.SafetyFilter`
+saw, positions and commands of the simulation, and then what is asked for.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.kernels import kernel
+from lemma.core.poses import FloatArray
+from lemma.env.control.joint_limits import (
+    accelerate,
+    advance,
+    approach,
+    bound,
+    predict,
+    saturate,
+    steer,
+)
+from lemma.env.control.safety_filter import keep_clear
+from lemma.motion.arm_motion import SUBSTEP_S, SUBSTEPS
+from lemma.motion.rmpflow.policy import integrate_record
+from lemma.scene.build import TIME_STEP_S
+
+_MOVING_RAD_S = 0.02
+_MOVING_M_S = 0.002
+
+
+@kernel
+def drive_positions(  # noqa: PLR0913 - one call is what makes it fast
+    records: np.ndarray,
+    states: FloatArray,
+    openings: FloatArray,
+    obstacles: FloatArray,
+    objects: FloatArray,
+    qpos: FloatArray,
+    control: FloatArray,
+    targets: FloatArray,
+) -> None:
+    """Lead joints to angles, (n, 6) [rad], along a trapezoid of speed each."""
+    for k in range(records.shape[0]):
+        arm, state = records[k], states[k]
+        approach(state, targets[k], arm.speeds)
+        keep_clear(arm, obstacles[k], objects[k], state[0], state[1])
+        advance(state, arm.range)
+        _send_reference(arm, state, openings[k], qpos, control)
+
+
+@kernel
+def drive_velocities(  # noqa: PLR0913
+    records: np.ndarray,
+    states: FloatArray,
+    openings: FloatArray,
+    obstacles: FloatArray,
+    objects: FloatArray,
+    qpos: FloatArray,
+    control: FloatArray,
+    wanted: FloatArray,
+) -> None:
+    """Turn joints at speeds, (n, 6) [rad/s]; the angles are the measured."""
+    for k in range(records.shape[0]):
+        arm, state = records[k], states[k]
+        state[0] = qpos[arm.qpos : arm.qpos + 6]
+        accelerate(state, wanted[k], arm.speeds, arm.range)
+        keep_clear(arm, obstacles[k], objects[k], state[0], state[1])
+        control[arm.ctrl : arm.ctrl + 6] = state[1]
+        control[arm.gripper_ctrl] = openings[k]
+
+
+@kernel
+def drive_poses(  # noqa: PLR0913
+    records: np.ndarray,
+    states: FloatArray,
+    openings: FloatArray,
+    obstacles: FloatArray,
+    objects: FloatArray,
+    qpos: FloatArray,
+    control: FloatArray,
+    workspaces: np.ndarray,
+    spheres: FloatArray,
+) -> None:
+    """Go where RMPflow leads, whose records (n,) and spheres (n, m, 6) are given."""
+    before, rates = np.empty(6), np.empty(6)
+    for k in range(records.shape[0]):
+        arm, state = records[k], states[k]
+        before[:] = state[0]
+        workspace = workspaces[k : k + 1]
+        integrate_record(
+            workspace, spheres[k], state, obstacles[k], SUBSTEP_S, SUBSTEPS
+        )
+        for i in range(6):
+            rates[i] = (state[0, i] - before[i]) / TIME_STEP_S
+        if keep_clear(arm, obstacles[k], objects[k], before, rates):
+            for i in range(6):
+                state[0, i] = before[i] + TIME_STEP_S * rates[i]
+                state[1, i] = rates[i]
+        _send_reference(arm, state, openings[k], qpos, control)
+
+
+@kernel
+def drive_torques(  # noqa: PLR0913
+    records: np.ndarray,
+    states: FloatArray,
+    openings: FloatArray,
+    obstacles: FloatArray,
+    objects: FloatArray,
+    qpos: FloatArray,
+    control: FloatArray,
+    wanted: FloatArray,
+    qvel: FloatArray,
+    matrix: FloatArray,
+    bias_forces: FloatArray,
+    passive_forces: FloatArray,
+) -> None:
+    """Exert torques, (n, 6) [N m], as far as the joints' speeds allow.
+
+    The last four are the velocities of all joints, the inertia matrix of the scene, and
+    forces of its joints.
+    """
+    inertia, bias, rates = np.empty((6, 6)), np.empty(6), np.empty(6)
+    for k in range(records.shape[0]):
+        arm, state, start = records[k], states[k], records[k].dof
+        for i in range(6):
+            state[0, i] = qpos[arm.qpos + i]
+            state[1, i] = qvel[start + i]
+            bias[i] = bias_forces[start + i] - passive_forces[start + i]
+            for j in range(6):
+                inertia[i, j] = matrix[start + i, start + j]
+        predict(inertia, bias, wanted[k], state[1], rates)
+        bounded = bound(state[0], rates, arm.speeds, arm.range)
+        guarded = keep_clear(arm, obstacles[k], objects[k], state[0], rates)
+        torques = wanted[k].copy()
+        if bounded or guarded:
+            steer(inertia, bias, rates - state[1], arm.efforts, torques)
+        control[arm.ctrl : arm.ctrl + 6] = torques
+        control[arm.gripper_ctrl] = openings[k]
+
+
+@kernel
+def _send_reference(
+    arm: np.record,
+    state: FloatArray,
+    opening: float,
+    qpos: FloatArray,
+    control: FloatArray,
+) -> None:
+    """Send a reference to position servos, led by their lag.
+
+    They are kept from catching up faster than the joints may turn: a servo's torque is
+    zero where ``(control - q) / lag`` is the speed, so bounding that bounds the speed,
+    whatever held the arm back.
+    """
+    commands = control[arm.ctrl : arm.ctrl + 6]
+    for i in range(6):
+        commands[i] = state[0, i] + arm.lag_s * state[1, i]
+    saturate(commands, qpos[arm.qpos : arm.qpos + 6], arm.lag_s * arm.speeds)
+    control[arm.gripper_ctrl] = opening
+
+
+@kernel
+def find_moving(records: np.ndarray, qvel: FloatArray, out: NDArray[np.bool_]) -> None:
+    """Write, (n,), whose joint or finger is faster than 0.02 rad/s or 2 mm/s."""
+    for k in range(records.shape[0]):
+        start = records[k].dof
+        out[k] = False
+        for i in range(8):
+            if abs(qvel[start + i]) > (_MOVING_RAD_S if i < 6 else _MOVING_M_S):
+                out[k] = True
