@@ -106,16 +106,16 @@ def test_the_safety_filter_knows_what_the_hand_holds() -> None:
     simulation = lemma.Episode(instance()).simulation
     arms = simulation.arms
     arm = arms["robot_0"]
-    watch = SafetyFilter(arm, (arms["robot_1"],))
+    watch = SafetyFilter(tuple(arms.values()))
     watch.look()
-    assert len(watch._held) == 0
+    assert watch.records["inside"].tolist() == [0, 0]
     scene = simulation.scene
     pose = scene.pose(CAN)
     held = type(pose)(tuple(arm.tcp_pose()[:3, 3]), pose.quaternion)
     scene.set_pose(CAN, held)
     scene.set_joints(arm.robot, scene.data.qpos[arm.robot.qpos].copy(), 0.06)
     watch.look()
-    assert len(watch._held) == 1
+    assert watch.records["inside"].tolist() == [1, 0]
 
 
 def test_a_can_on_its_pad_is_seen_there() -> None:

@@ -8,18 +8,20 @@ import pytest
 
 from lemma.core.errors import CapacityError
 from lemma.core.poses import FloatArray, Pose, Pose2
+from lemma.env.control.approach_bounds import (
+    CLEARANCE_M,
+    DECELERATION_M_S2,
+    RANGE_M,
+)
 from lemma.env.control.guarded_arm import CAPSULES, CORNERS
 from lemma.env.control.modes import CONTROLS, Controller
 from lemma.env.control.safety_filter import keep_clear
 from lemma.env.control.velocity_dampers import (
     _IN_HAND_M,
-    _RANGE_M,
     _SELF_MARGIN_M,
     _SLACK_M_S,
     _SWEEPS,
     _TOUCH_M_S,
-    CLEARANCE_M,
-    DECELERATION_M_S2,
     _add_row,
     most_rows,
 )
@@ -75,7 +77,7 @@ class Plain:
         away = far - near
         x, y, z = away.tolist()
         length = np.sqrt(x * x + y * y + z * z)
-        if gap > _RANGE_M or length < 1e-9:
+        if gap > RANGE_M or length < 1e-9:
             return False
         x, y, z = x / length, y / length, z / length
         row = [0.0] * 6

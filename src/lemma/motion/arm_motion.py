@@ -67,7 +67,8 @@ def _elbow_height(dh: FloatArray, q: FloatArray) -> float:
     """Return how high the elbow is above the middle of shoulder and wrist [m]."""
     placed = np.empty((7, 4, 4))
     frames(dh, np.eye(4), q, placed)
-    return placed[2, 2, 3] - 0.5 * (placed[1, 2, 3] + placed[3, 2, 3])
+    height: float = placed[2, 2, 3] - 0.5 * (placed[1, 2, 3] + placed[3, 2, 3])
+    return height
 
 
 @kernel

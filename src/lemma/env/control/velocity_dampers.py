@@ -17,22 +17,23 @@ import numpy as np
 from lemma.core.errors import CapacityError
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
+from lemma.env.control.approach_bounds import (
+    CLEARANCE_M,
+    DECELERATION_M_S2,
+    RANGE_M,
+    ROUNDING,
+    is_clear,
+    pace,
+    place_and_move,
+    safe_gap,
+)
 from lemma.env.control.guarded_arm import CAPSULES, CORNERS
-from lemma.robots.collision_model import SELF_PAIRS, closest_points, place_capsules
+from lemma.robots.collision_model import SELF_PAIRS, closest_points
 from lemma.robots.gripper import TCP_OFFSET_M
 
-ROW = 12
-"""Numbers of a capsule in the world: both ends and the radius; the range in which an
-obstacle is felt, or the height of an object's top; and middle and radius of a ball
-around it, see :func:`enclose` [m]."""
-CLEARANCE_M = 0.003
-"""Distance that is kept; fingertips grasp a stick 6 mm above the table."""
-DECELERATION_M_S2 = 2.0
-"""How hard an approach can be braked by any arm in any posture."""
 EXPECTED_RAD_S = 0.15
 """Norm of a change of joint speeds up to which the bounds hold."""
 
-_RANGE_M = 0.8
 _SLACK_M_S = 0.005
 _SWEEPS = 12
 _FIRST_ABOVE_TABLE = 2
@@ -59,7 +60,6 @@ _OWN_PAIRS = np.concatenate(
 )
 _ANY_RAD_S = 1e6
 """A change of joint speeds for which nothing is left out."""
-_ROUNDING = 1e-9
 
 
 @kernel
@@ -72,7 +72,8 @@ def most_rows(arms: int, objects: int) -> int:
     """
     table = 2 * (_LAST_ABOVE_TABLE - _FIRST_ABOVE_TABLE + 1) + CORNERS
     each = CORNERS + _FIRST_OF_HAND - _FIRST_ABOVE_TABLE
-    return table + _OWN_PAIRS.shape[0] + (CAPSULES - 1) * arms + each * objects
+    pairs: int = _OWN_PAIRS.shape[0]
+    return table + pairs + (CAPSULES - 1) * arms + each * objects
 
 
 @kernel
@@ -87,7 +88,8 @@ def restrain(
 
     Args:
         arm: The arm, links placed; see :data:`~lemma.env.control.guarded_arm.ARM`.
-        obstacles: Capsules of the other arms, (m, 12), see :data:`ROW`.
+        obstacles: Capsules of the other arms, (m, 12); see
+            :data:`~lemma.env.control.approach_bounds.ROW`.
         objects: Of objects, (k, 12).
         held: Of what the hand holds, (l, 12).
         rates: Joint speeds, (6,) [rad/s].
@@ -98,8 +100,7 @@ def restrain(
     Raises:
         CapacityError: There are more constraints than :func:`most_rows` says.
     """
-    place_capsules(arm.placed, arm.parts[:, 7], arm.parts, arm.world)
-    _move(arm, rates)
+    place_and_move(arm, rates)
     most = most_rows(obstacles.shape[0], objects.shape[0] + held.shape[0])
     rows = np.empty((most, 7))
     wanted = rates.copy()
@@ -115,66 +116,6 @@ def restrain(
 
 
 @kernel
-def _move(arm: np.record, rates: FloatArray) -> None:
-    """Write how links move, and balls around parts."""
-    twists = arm.twists
-    twists[0] = 0.0
-    for j in range(6):
-        f = arm.placed[j]
-        zx, zy, zz = f[0, 2] * rates[j], f[1, 2] * rates[j], f[2, 2] * rates[j]
-        x, y, z = f[0, 3], f[1, 3], f[2, 3]
-        twists[j + 1, 0] = twists[j, 0] + zx
-        twists[j + 1, 1] = twists[j, 1] + zy
-        twists[j + 1, 2] = twists[j, 2] + zz
-        twists[j + 1, 3] = twists[j, 3] + y * zz - z * zy
-        twists[j + 1, 4] = twists[j, 4] + z * zx - x * zz
-        twists[j + 1, 5] = twists[j, 5] + x * zy - y * zx
-    for i in range(arm.world.shape[0]):
-        enclose(arm.world[i])
-
-
-@kernel
-def enclose(row: FloatArray) -> None:
-    """Write the ball around a capsule to its row; see :data:`ROW`."""
-    length = 0.0
-    for k in range(3):
-        row[8 + k] = 0.5 * (row[k] + row[3 + k])
-        length += (row[k] - row[3 + k]) ** 2
-    row[11] = 0.5 * math.sqrt(length) + row[6]
-
-
-@kernel
-def _pace(arm: np.record, part: int, link: int, expected: float) -> float:
-    """Return how fast a part can be, seen from a link, if speeds change as expected."""
-    t, u = arm.twists[int(arm.parts[part, 7])], arm.twists[link]
-    wx, wy, wz = t[0] - u[0], t[1] - u[1], t[2] - u[2]
-    world, fastest = arm.world[part], 0.0
-    for end in range(2):
-        x, y, z = world[3 * end], world[3 * end + 1], world[3 * end + 2]
-        vx = t[3] - u[3] + wy * z - wz * y
-        vy = t[4] - u[4] + wz * x - wx * z
-        vz = t[5] - u[5] + wx * y - wy * x
-        fastest = max(fastest, vx * vx + vy * vy + vz * vz)
-    # Between the ends of a rigid body nothing is faster than at both.
-    return math.sqrt(fastest) + arm.parts[part, 8] * expected
-
-
-@kernel
-def _safe_gap(pace: float) -> float:
-    """Return the gap [m] from which on an approach [m/s] can be braked in time."""
-    gap = pace * pace / (2.0 * DECELERATION_M_S2) + CLEARANCE_M
-    return min(_RANGE_M, gap) + _ROUNDING
-
-
-@kernel
-def _is_clear(a: FloatArray, b: FloatArray, gap: float) -> bool:
-    """Whether two capsules are certainly further apart than a gap [m]."""
-    x, y, z = a[8] - b[8], a[9] - b[9], a[10] - b[10]
-    least = gap + a[11] + b[11]
-    return x * x + y * y + z * z > least * least
-
-
-@kernel
 def _constrain(
     arm: np.record,
     obstacles: FloatArray,
@@ -185,7 +126,7 @@ def _constrain(
 ) -> int:
     """Write all constraints that can matter; return how many."""
     for i in range(arm.world.shape[0]):
-        arm.pace[i] = _pace(arm, i, 0, expected)
+        arm.pace[i] = pace(arm, i, 0, expected)
     count = _add_table_rows(arm, expected, rows)
     count = _add_hand_rows(arm, objects, held, expected, rows, count)
     count = _add_self_rows(arm, expected, rows, count)
@@ -199,7 +140,7 @@ def _add_table_rows(arm: np.record, expected: float, rows: FloatArray) -> int:
     count = 0
     near, far = np.empty(3), np.empty(3)
     for i in range(_FIRST_ABOVE_TABLE, _LAST_ABOVE_TABLE + 1):
-        safe = _safe_gap(arm.pace[i])
+        safe = safe_gap(arm.pace[i])
         for end in range(2):
             gap = arm.world[i, 3 * end + 2] - arm.world[i, 6]
             if gap <= safe:
@@ -224,7 +165,7 @@ def _add_hand_rows(
     """Let the hand touch objects gently, and put down gently what it holds."""
     near, far = np.empty(3), np.empty(3)
     for k in range(CAPSULES, CAPSULES + CORNERS):
-        safe = _safe_gap(arm.pace[k])
+        safe = safe_gap(arm.pace[k])
         corner = arm.world[k]
         if corner[2] <= safe:
             near[:] = corner[:3]
@@ -234,7 +175,7 @@ def _add_hand_rows(
                 arm, (0, k), near, far, (near[2], 0.0, expected), rows, count
             )
         for m in range(objects.shape[0]):
-            if not _is_clear(corner, objects[m], safe):
+            if not is_clear(corner, objects[m], safe):
                 gap = closest_points(corner, objects[m], near, far)
                 count = _add_row(
                     arm, (0, k), near, far, (gap, _TOUCH_M_S, expected), rows, count
@@ -267,8 +208,8 @@ def _add_self_rows(
     for k in range(_OWN_PAIRS.shape[0]):
         outer, inner = _OWN_PAIRS[k]
         link = int(arm.parts[inner, 7])
-        safe = _safe_gap(_pace(arm, outer, link, expected)) + _SELF_MARGIN_M
-        if not _is_clear(arm.world[outer], arm.world[inner], safe):
+        safe = safe_gap(pace(arm, outer, link, expected)) + _SELF_MARGIN_M
+        if not is_clear(arm.world[outer], arm.world[inner], safe):
             gap = closest_points(arm.world[outer], arm.world[inner], near, far)
             given = (gap - _SELF_MARGIN_M, 0.0, expected)
             count = _add_row(arm, (link, outer), near, far, given, rows, count)
@@ -287,9 +228,9 @@ def _add_arm_rows(
     near, far = np.empty(3), np.empty(3)
     for i in range(1, CAPSULES):
         # Both may move: each may use half of the distance.
-        safe = 2.0 * _safe_gap(arm.pace[i])
+        safe = 2.0 * safe_gap(arm.pace[i])
         for j in range(obstacles.shape[0]):
-            if not _is_clear(arm.world[i], obstacles[j], safe):
+            if not is_clear(arm.world[i], obstacles[j], safe):
                 gap = 0.5 * closest_points(arm.world[i], obstacles[j], near, far)
                 count = _add_row(
                     arm, (0, i), near, far, (gap, 0.0, expected), rows, count
@@ -312,7 +253,7 @@ def _add_object_rows(
         if closest_points(tcp, objects[m], near, far) + objects[m, 6] < _IN_HAND_M:
             continue
         for i in range(_FIRST_ABOVE_TABLE, _FIRST_OF_HAND):
-            if not _is_clear(arm.world[i], objects[m], _safe_gap(arm.pace[i])):
+            if not is_clear(arm.world[i], objects[m], safe_gap(arm.pace[i])):
                 gap = closest_points(arm.world[i], objects[m], near, far)
                 count = _add_row(
                     arm, (0, i), near, far, (gap, 0.0, expected), rows, count
@@ -346,7 +287,7 @@ def _add_row(
         Rows now.
     """
     gap, least, expected = given
-    if gap > _RANGE_M:
+    if gap > RANGE_M:
         return count
     dx, dy, dz = far[0] - near[0], far[1] - near[1], far[2] - near[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -364,7 +305,7 @@ def _add_row(
         + dy * (t[4] - u[4] + wz * x - wx * z)
         + dz * (t[5] - u[5] + wx * y - wy * x)
     )
-    if approach + arm.parts[bodies[1], 8] * expected < limit - _ROUNDING:
+    if approach + arm.parts[bodies[1], 8] * expected < limit - ROUNDING:
         return count
     if count >= rows.shape[0]:
         raise CapacityError("There are more velocity dampers than most_rows() says.")

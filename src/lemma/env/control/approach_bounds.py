@@ -1,0 +1,89 @@
+"""Bounds of how fast parts of an arm approach anything, for less than it takes to know.
+
+Two capsules are no nearer than balls around them, and no point of a rigid part is
+faster than the faster of its ends.
+"""
+
+import math
+
+import numpy as np
+
+from lemma.core.kernels import kernel
+from lemma.core.poses import FloatArray
+from lemma.robots.collision_model import place_capsules
+
+ROW = 12
+"""Numbers of a capsule in the world: both ends and the radius; the range in which an
+obstacle is felt, or the height of an object's top; and middle and radius of a ball
+around it, see :func:`enclose` [m]."""
+CLEARANCE_M = 0.003
+"""Distance that is kept; fingertips grasp a stick 6 mm above the table."""
+DECELERATION_M_S2 = 2.0
+"""How hard an approach can be braked by any arm in any posture."""
+RANGE_M = 0.8
+"""What is further away than this never matters."""
+ROUNDING = 1e-9
+"""More than what is lost by rounding, in any unit here."""
+
+
+@kernel
+def place_and_move(arm: np.record, rates: FloatArray) -> None:
+    """Write parts in the world with balls around them, and how links move."""
+    place_capsules(arm.placed, arm.parts[:, 7], arm.parts, arm.world)
+    twists = arm.twists
+    twists[0] = 0.0
+    for j in range(6):
+        f = arm.placed[j]
+        zx, zy, zz = f[0, 2] * rates[j], f[1, 2] * rates[j], f[2, 2] * rates[j]
+        x, y, z = f[0, 3], f[1, 3], f[2, 3]
+        twists[j + 1, 0] = twists[j, 0] + zx
+        twists[j + 1, 1] = twists[j, 1] + zy
+        twists[j + 1, 2] = twists[j, 2] + zz
+        twists[j + 1, 3] = twists[j, 3] + y * zz - z * zy
+        twists[j + 1, 4] = twists[j, 4] + z * zx - x * zz
+        twists[j + 1, 5] = twists[j, 5] + x * zy - y * zx
+    for i in range(arm.world.shape[0]):
+        enclose(arm.world[i])
+
+
+@kernel
+def enclose(row: FloatArray) -> None:
+    """Write the ball around a capsule to its row; see :data:`ROW`."""
+    length = 0.0
+    for k in range(3):
+        row[8 + k] = 0.5 * (row[k] + row[3 + k])
+        length += (row[k] - row[3 + k]) ** 2
+    row[11] = 0.5 * math.sqrt(length) + row[6]
+
+
+@kernel
+def pace(arm: np.record, part: int, link: int, expected: float) -> float:
+    """Return how fast a part can be, seen from a link, if speeds change as expected."""
+    t, u = arm.twists[int(arm.parts[part, 7])], arm.twists[link]
+    wx, wy, wz = t[0] - u[0], t[1] - u[1], t[2] - u[2]
+    world, fastest = arm.world[part], 0.0
+    for end in range(2):
+        x, y, z = world[3 * end], world[3 * end + 1], world[3 * end + 2]
+        vx = t[3] - u[3] + wy * z - wz * y
+        vy = t[4] - u[4] + wz * x - wx * z
+        vz = t[5] - u[5] + wx * y - wy * x
+        fastest = max(fastest, vx * vx + vy * vy + vz * vz)
+    # Between the ends of a rigid body nothing is faster than at both.
+    bound: float = math.sqrt(fastest) + arm.parts[part, 8] * expected
+    return bound
+
+
+@kernel
+def safe_gap(pace: float) -> float:
+    """Return the gap [m] from which on an approach [m/s] can be braked in time."""
+    gap = pace * pace / (2.0 * DECELERATION_M_S2) + CLEARANCE_M
+    return min(RANGE_M, gap) + ROUNDING
+
+
+@kernel
+def is_clear(a: FloatArray, b: FloatArray, gap: float) -> bool:
+    """Whether two capsules are certainly further apart than a gap [m]."""
+    x, y, z = a[8] - b[8], a[9] - b[9], a[10] - b[10]
+    least = gap + a[11] + b[11]
+    clear: bool = x * x + y * y + z * z > least * least
+    return clear
