@@ -8,16 +8,26 @@ The word is the number of processes. The same version writes the same bytes.
 import json
 import sys
 from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import SamplingError
 from lemma.core.parallel import Engine, ProcessPool
+from lemma.core.poses import Pose2
+from lemma.core.seeding import stream
 from lemma.evaluation.run.expert_times import TIMED_SPLITS, TIMES
-from lemma.evaluation.run.perturbed_starts import is_alike, perturbed
+from lemma.evaluation.run.perturbed_starts import APART_M, FROM_STICK_M, perturbed
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.spec import ORACLE, PolicySpec
+from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
+from lemma.scene.camera_mounts import camera_sees
+from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M
+from lemma.scene.spec import ObjectPlacement, SceneSpec
+from lemma.tasks.drags import stick_gap
 from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.placement import Board
 from lemma.tasks.suite import SUITE, load_instance, task_named
 
 TABLE = Path(__file__).parents[1] / "src" / "lemma" / "evaluation" / "run" / TIMES
@@ -25,6 +35,8 @@ _PLACES = 3
 """Decimals of times [s]: milliseconds, as in results."""
 _DRAWS = 200
 _CHUNK = 10
+_EDGE_M = 0.03
+"""Least distance of objects from the edge of the table [m]."""
 
 
 def time_expert(task: str, split: str, index: int) -> tuple[float, int, float]:
@@ -95,6 +107,47 @@ def _solved_s(instance: Instance) -> float | None:
     if not play.success or len(play.steps) != promised:
         return None
     return round(play.episode.elapsed_s, _PLACES)
+
+
+def is_alike(scene: SceneSpec, original: SceneSpec) -> bool:
+    """Whether a scene poses the same problem as the one that it was made of."""
+    board = Board(scene.robots, stream("unused"))
+    pairs = zip(scene.objects, original.objects, strict=True)
+    return all(
+        _is_reached(board, now) == _is_reached(board, before)
+        and any(camera_sees(robot, now.pose.x, now.pose.y) for robot in scene.robots)
+        and _is_on_table(now)
+        for now, before in pairs
+    ) and all(
+        _are_apart(one, another) for one, another in combinations(scene.objects, 2)
+    )
+
+
+def _is_reached(board: Board, placed: ObjectPlacement) -> list[tuple[bool, bool]]:
+    """Return for each robot whether it surely reaches, and surely does not."""
+    robots = range(len(board.robots))
+    return [
+        (board.reaches(r, placed.pose), board.cannot(r, placed.pose)) for r in robots
+    ]
+
+
+def _is_on_table(placed: ObjectPlacement) -> bool:
+    ends = [placed.pose]
+    if placed.name == STICK:
+        ends.append(placed.pose @ Pose2(HANDLE_LENGTH_M, 0.0))
+        ends.append(placed.pose @ Pose2(HANDLE_LENGTH_M, HOOK_LENGTH_M))
+    return all(
+        abs(end.x) < TABLE_HALF_X_M - _EDGE_M and abs(end.y) < TABLE_HALF_Y_M - _EDGE_M
+        for end in ends
+    )
+
+
+def _are_apart(one: ObjectPlacement, another: ObjectPlacement) -> bool:
+    if one.name == STICK:
+        one, another = another, one
+    if another.name == STICK:
+        return stick_gap(another.pose, one.pose.x, one.pose.y) >= FROM_STICK_M
+    return one.pose.distance(another.pose) >= APART_M
 
 
 if __name__ == "__main__":

@@ -1,24 +1,291 @@
-"""Add a result to the leaderboard, or write docs/leaderboard.md from its entries.
+"""The leaderboard: results that anybody hands in, each with the lines it came from.
 
-Run from the repository:
+Run from the repository, to add a result or to write docs/leaderboard.md from all:
 
     python scripts/leaderboard.py add DIR NAME --title TITLE --who WHO [--link URL]
     python scripts/leaderboard.py page
+
+An entry is ``NAME.json``: who, what, and the figures. Beside it lies ``NAME.jsonl.gz``
+with the lines of the episodes, from which all figures are made again whenever it is
+checked.
 """
 
 import argparse
+import gzip
+import json
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from lemma.evaluation.report.leaderboard import (
-    board_page,
-    check_submission,
-    read_board,
-    submit,
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.dataset.files import read_json, write_json, write_whole
+from lemma.evaluation.analysis.intervals import (
+    mean_over_tasks,
+    rate_of,
+    rates_by,
+    wilson_interval,
 )
+from lemma.evaluation.analysis.result import (
+    Result,
+    read_result,
+    summarise,
+)
+from lemma.evaluation.records import (
+    BOARD_SPLIT,
+    PACKED,
+    SUMMARY,
+    WALL_CLOCK,
+    Row,
+    key_of,
+    place_of,
+    read_about,
+    read_lines,
+    read_rows,
+)
+from lemma.evaluation.report.policy_results import starts_perturbed
+from lemma.evaluation.report.tables import ResultTable, markdown, words
+from lemma.evaluation.run.language_controls import FULL
+from lemma.evaluation.run.protocol import NAME, frozen, sha256_of_protocol
+from lemma.tasks.instance import SPLITS
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE, load_instance
 
 ROOT = Path(__file__).parents[1]
 BOARD = ROOT / "leaderboard"
 PAGE = ROOT / "docs" / "leaderboard.md"
+_PER_TASK = SPLITS[BOARD_SPLIT]
+_FREE = ("policy", "weights", "served", "lemma", "numpy", "numba", "revision")
+"""What an entry says of how it was made, besides the protocol."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Submission:
+    """One entry."""
+
+    title: str
+    """What the policy is called."""
+    who: str
+    """Who hands it in."""
+    link: str = ""
+    """A paper or code, if any."""
+    protocol: str
+    """Hash of the protocol that it follows."""
+    command: str
+    """The command line that gives it."""
+    about: dict[str, Any]
+    """Policy, weights and versions."""
+    episodes_sha256: str
+    """Of the lines of the episodes without wall-clock fields."""
+    success: dict[str, dict[str, Any]]
+    """By kind of instructions: episodes, successes, mean over the tasks [%] and
+    successes by task."""
+
+
+def submission_of(result: Result, title: str, who: str, link: str = "") -> Submission:
+    """Return the entry of a result.
+
+    Raises:
+        InvalidConfigError: It does not follow the protocol that ships, or is a control,
+            or is not of all episodes of the test split.
+    """
+    _check(result)
+    return Submission(
+        title=title,
+        who=who,
+        link=link,
+        protocol=result.about["protocol"],
+        command=result.command,
+        about={name: result.about.get(name) for name in _FREE},
+        episodes_sha256=result.episodes_sha256,
+        success=_success(result),
+    )
+
+
+def submit(folder: Path, board: Path, name: str, **told: str) -> Path:
+    """Add a result to a leaderboard.
+
+    Args:
+        folder: What ``lemma evaluate`` wrote, or ``lemma reproduce`` for a seed.
+        board: Folder of the leaderboard.
+        name: Of the entry's files.
+        told: Title, who and link; see :class:`Submission`.
+
+    Returns:
+        The file of the entry.
+
+    Raises:
+        DatasetError: The result is missing or damaged.
+        InvalidConfigError: It cannot be an entry.
+    """
+    # A reproduction keeps its summary beside the folder: only the summary is committed.
+    beside = folder.with_name(f"{folder.name}.json")
+    command = read_result(beside if beside.exists() else folder / SUMMARY).command
+    rows = [_without_clock(row) for row in read_rows(folder)]
+    result = summarise(rows, read_about(folder), command)
+    entry = board / f"{name}.json"
+    write_json(entry, asdict(submission_of(result, **told)))
+    text = "".join(json.dumps(row) + "\n" for row in sorted(rows, key=place_of))
+    packed = gzip.compress(text.encode(), compresslevel=9, mtime=0)
+    write_whole(entry.with_suffix(PACKED), lambda draft: _write(draft, packed))
+    return entry
+
+
+def read_board(board: Path) -> dict[str, Submission]:
+    """Return the entries of a leaderboard by name, each as its file says.
+
+    Raises:
+        DatasetError: One is damaged.
+    """
+    found = {}
+    for path in sorted(board.glob("*.json")):
+        try:
+            found[path.stem] = Submission(**read_json(path))
+        except TypeError as error:
+            raise DatasetError(
+                f"{path} is no entry: {error}. Submit it again."
+            ) from error
+    return found
+
+
+def check_submission(board: Path, name: str) -> None:
+    """Make an entry's figures again from its lines, and compare.
+
+    Raises:
+        DatasetError: They differ, or the lines are missing or damaged.
+        InvalidConfigError: The lines cannot be those of an entry.
+    """
+    said = read_board(board)[name]
+    path = board / f"{name}{PACKED}"
+    rows = read_lines(path)
+    _check_lines(path, rows)
+    about = {
+        **said.about,
+        "protocol": said.protocol,
+        "language": FULL,
+        "perturb_start": False,
+        "split": BOARD_SPLIT,
+    }
+    result = summarise(rows, about, said.command)
+    made = submission_of(result, said.title, said.who, said.link)
+    # As JSON reads it back.
+    here = json.loads(json.dumps(asdict(made)))
+    differing = [part for part, value in here.items() if value != asdict(said)[part]]
+    if differing:
+        raise DatasetError(
+            f"{board / name}.json says another {', '.join(differing)} than its lines "
+            f"in {path.name}. Submit the result again."
+        )
+
+
+def _check_lines(path: Path, rows: list[Row]) -> None:
+    """Check that each line begins with its own start and sentence."""
+    for row in rows:
+        own = load_instance(row["task"], BOARD_SPLIT, row["index"])
+        plain = row["split"] == BOARD_SPLIT and not row["perturb_start"]
+        sentence = own.instructions[row["instruction_kind"]]
+        if not plain or row["instruction"] != sentence:
+            raise DatasetError(
+                f"{path} has a line that is no episode of the board: "
+                f"{' '.join(map(str, key_of(row)))}. Submit the result again."
+            )
+
+
+def leaders(board: dict[str, Submission], kind: str) -> ResultTable:
+    """Return the entries with a kind of instructions, the best first."""
+    entries = [one for one in board.values() if kind in one.success]
+    entries.sort(key=lambda one: (-one.success[kind]["mean"], one.title))
+    rows = []
+    for one in entries:
+        told = one.success[kind]
+        low, high = wilson_interval(told["successes"], told["episodes"])
+        mean = f"{told['mean']:.1f} ({100 * low:.0f}–{100 * high:.0f})"
+        won = (told["tasks"][task] for task in SUITE)
+        each = (f"{100 * count / _PER_TASK:.1f}" for count in won)
+        title = f"[{one.title}]({one.link})" if one.link else one.title
+        rows.append((title, one.who, *each, mean, f"`{one.episodes_sha256[:12]}`"))
+    header = ("success [%]", "who", *SUITE, "mean", "episodes")
+    return ResultTable(header, tuple(rows), labels=2)
+
+
+def board_page(board: dict[str, Submission]) -> str:
+    """Return the page of a leaderboard."""
+    text = _INTRODUCTION.format(name=NAME, protocol=sha256_of_protocol(frozen())[:12])
+    for kind in KINDS:
+        table = leaders(board, kind)
+        body = markdown(table) if table.rows else "There are no entries yet.\n"
+        text += f"\n## {words(kind, '-').capitalize()} instructions\n\n{body}"
+    return text
+
+
+_INTRODUCTION = """\
+# Leaderboard
+
+Results that were handed in: all 60 test episodes of each task, under protocol
+`{name}` (`{protocol}`, [](protocol.md)). The mean is over the tasks, with the 95 %
+Wilson interval of all episodes. The last column begins the SHA-256 of the episodes'
+lines, which lie beside each entry; a test makes every figure from them again. This page
+is written by `python scripts/leaderboard.py page`.
+
+To hand in a result, evaluate a policy and open a pull request with the two files that
+the second command writes into `leaderboard`:
+
+```
+lemma evaluate --policy mypackage.mymodule:MyPolicy --instructions all --out out/mine
+python scripts/leaderboard.py add out/mine mine --title "My policy" --who "Me"
+```
+
+The expert knows the true state, and is here as the bound of what can be reached.
+"""
+
+
+def _check(result: Result) -> None:
+    about = result.about
+    ships = sha256_of_protocol(frozen())
+    if about.get("protocol") != ships:
+        raise InvalidConfigError(
+            f"The result follows protocol {about.get('protocol')}, and the leaderboard "
+            f"is of {ships} ({NAME}). Evaluate again with this version."
+        )
+    plain = about["language"] == FULL and not starts_perturbed(result)
+    if about["split"] != BOARD_SPLIT or not plain:
+        raise InvalidConfigError(
+            f"The leaderboard takes split {BOARD_SPLIT!r} with whole sentences and the "
+            "instances' own starts. Evaluate without --split, --language and "
+            "--perturb-start."
+        )
+    episodes = rates_by(result.cells, "kind", "task")
+    for kind in {cell.kind for cell in result.cells}:
+        for task in SUITE:
+            found = episodes.get((kind, task))
+            count = 0 if found is None else found.episodes
+            if count != _PER_TASK:
+                raise InvalidConfigError(
+                    f"The result has {count} of the {_PER_TASK} {kind} episodes of "
+                    f"{task}. Evaluate all of them."
+                )
+
+
+def _success(result: Result) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = {}
+    for kind in KINDS:
+        cells = [cell for cell in result.cells if cell.kind == kind]
+        if cells:
+            rates = rates_by(cells, "task")
+            found[kind] = {
+                "episodes": rate_of(cells).episodes,
+                "successes": rate_of(cells).successes,
+                "mean": round(100.0 * mean_over_tasks(cells), 4),
+                "tasks": {task: rates[task,].successes for task in SUITE},
+            }
+    return found
+
+
+def _without_clock(row: Row) -> dict[str, Any]:
+    return {name: value for name, value in row.items() if name not in WALL_CLOCK}
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
 
 
 def text() -> str:

@@ -2,7 +2,6 @@
 
 import gzip
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,15 +10,17 @@ from typing import Any
 import pytest
 from made_up import ABOUT, row, step
 
-from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.evaluation.analysis.result import Result, summarise
-from lemma.evaluation.report.leaderboard import (
+from leaderboard import (
+    PAGE,
     check_submission,
     leaders,
     read_board,
     submission_of,
     submit,
+    text,
 )
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.evaluation.analysis.result import Result, summarise
 from lemma.evaluation.run.protocol import quote
 from lemma.tasks.suite import SUITE, load_instance
 
@@ -72,10 +73,8 @@ def test_every_entry_is_what_its_lines_say(name: str) -> None:
     check_submission(BOARD, name)
 
 
-def test_the_page_is_made_from_the_entries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", [str(ROOT / "scripts"), *sys.path])
-    script = __import__("leaderboard")
-    assert script.text() == script.PAGE.read_text(encoding="utf-8"), (
+def test_the_page_is_made_from_the_entries() -> None:
+    assert text() == PAGE.read_text(encoding="utf-8"), (
         "docs/leaderboard.md is out of date: python scripts/leaderboard.py page"
     )
 

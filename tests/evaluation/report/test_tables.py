@@ -1,13 +1,13 @@
 """Tables: what was counted, with intervals, beside what the paper says."""
 
 import re
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 from made_up import result
 
+import results
 from lemma.cli.report import report as verb
 from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.result import Asked, Result
@@ -20,8 +20,6 @@ from lemma.evaluation.report.policy_results import (
 from lemma.evaluation.report.sections import page
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.suite import SUITE
-
-ROOT = Path(__file__).parents[3]
 
 
 def entry_of(*results: Result) -> PolicyResults:
@@ -237,13 +235,8 @@ def test_tables_are_even() -> None:
         assert len(widths) == 1
 
 
-def test_the_committed_page_is_made_from_the_committed_results(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(sys, "path", [str(ROOT / "scripts"), *sys.path])
-    script = __import__("results")
-    made = script.text()
-    assert made == script.PAGE.read_text(encoding="utf-8"), (
+def test_the_committed_page_is_made_from_the_committed_results() -> None:
+    assert results.text() == results.PAGE.read_text(encoding="utf-8"), (
         "docs/results.md is not what the results give: python scripts/results.py"
     )
 

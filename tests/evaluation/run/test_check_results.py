@@ -3,20 +3,14 @@
 import copy
 import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
+import check_results
 from lemma.evaluation.records import read_lines
 
 ROOT = Path(__file__).parents[3]
-
-
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.setattr(sys, "path", [str(ROOT / "scripts"), *sys.path])
-    return __import__("check_results")
 
 
 @pytest.fixture(scope="module")
@@ -24,23 +18,23 @@ def line() -> Any:
     return read_lines(ROOT / "leaderboard" / "expert.jsonl.gz")[0]
 
 
-def test_the_weights_that_ship_are_checked(script: ModuleType) -> None:
-    spec = script.policy_of(ROOT / "leaderboard" / "et-cliport.jsonl.gz")
+def test_the_weights_that_ship_are_checked() -> None:
+    spec = check_results.policy_of(ROOT / "leaderboard" / "et-cliport.jsonl.gz")
     assert spec.name == "episodic-transformer+cliport"
     assert (spec.planning, spec.gta) == ("single-step", False)
 
 
-def test_what_differs_is_told(script: ModuleType, line: Any) -> None:
-    assert list(script.differences(line, line)) == []
+def test_what_differs_is_told(line: Any) -> None:
+    assert list(check_results.differences(line, line)) == []
     now = copy.deepcopy(line)
     now["subtasks"][0]["grounded"]["pick"][0] += 0.0005
-    assert list(script.differences(line, now)) == []
-    assert script.largest_shift(line, now) == pytest.approx(0.0005)
+    assert list(check_results.differences(line, now)) == []
+    assert check_results.largest_shift(line, now) == pytest.approx(0.0005)
     now["subtasks"][0]["grounded"]["pick"][0] += 0.0010
     now["subtasks"][0]["outcome"] = "dropped"
     now["subtasks"][1]["grounded"]["place"][2] += 0.02
     now["success"] = False
-    assert list(script.differences(line, now)) == [
+    assert list(check_results.differences(line, now)) == [
         "success was True, is False",
         "sub-task 1: outcome was success, is dropped",
         "sub-task 1: its pick moved by 1.50 mm and 0.0000 rad",
@@ -48,7 +42,7 @@ def test_what_differs_is_told(script: ModuleType, line: Any) -> None:
     ]
     now["subtasks"][0]["grounded"] = None
     del now["subtasks"][1]
-    assert [one[:26] for one in script.differences(line, now)][1:] == [
+    assert [one[:26] for one in check_results.differences(line, now)][1:] == [
         "2 sub-tasks, now 1",
         "sub-task 1: outcome was su",
         "sub-task 1: poses were {'r",
@@ -57,7 +51,6 @@ def test_what_differs_is_told(script: ModuleType, line: Any) -> None:
 
 @pytest.mark.slow
 def test_the_expert_does_what_its_lines_say(
-    script: ModuleType,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -71,7 +64,7 @@ def test_the_expert_does_what_its_lines_say(
         "hook",
     ]
     monkeypatch.setattr(sys, "argv", words)
-    assert script.main() == 0
+    assert check_results.main() == 0
     assert "0 of 4 episodes differ; poses moved by at most 0.0000 mm" in (
         capsys.readouterr().out
     )

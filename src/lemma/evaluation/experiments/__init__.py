@@ -1,1 +1,1 @@
-"""The rows of the tables, the leaderboard, and the figures of the paper."""
+"""The rows of the tables, the figures of the paper, and how both are reproduced."""
