@@ -11,15 +11,14 @@ from lemma.core.poses import Pose2
 from lemma.expert.free_spots import FreeSpots
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.robots.collision_model import sweep_radius_m
+from lemma.robots.gripper import FINGER_CENTER_M, FINGER_DISC_M
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.entity import STICK, kind_of
+from lemma.scene.objects.stick import STICK_SECTION_M
 from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.tasks.drags import Disc, Drag, find_drag, stick_gap
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
-_FINGER_CENTRE_M = 0.059
-"""Of an open finger from the tool centre point."""
-_FINGER_RADIUS_M = 0.014
 _ENOUGH_M = 0.008
 _FLAT_M = 0.01
 """Fingers that grasp something come down over what is lower than this."""
@@ -124,16 +123,16 @@ class SceneGeometry:
         """Return the distance of the open fingers to what stands around [m]."""
         room = math.inf
         for side in (-1.0, 1.0):
-            finger = grip @ Pose2(0.0, side * _FINGER_CENTRE_M)
+            finger = grip @ Pose2(0.0, side * FINGER_CENTER_M)
             for name, pose in now.poses.items():
                 kind = kind_of(name)
                 if name in (cube, now.supports.get(cube)) or kind.height_m < _FLAT_M:
                     continue
                 if name == STICK:
-                    gap = stick_gap(pose, finger.x, finger.y) - 0.015
+                    gap = stick_gap(pose, finger.x, finger.y) - STICK_SECTION_M / 2
                 else:
                     gap = finger.distance(pose) - kind.side_m
-                room = min(room, gap - _FINGER_RADIUS_M)
+                room = min(room, gap - FINGER_DISC_M)
         return room
 
     def discs(self, now: SymbolicState, but: str) -> tuple[Disc, ...]:

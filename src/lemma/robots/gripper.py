@@ -14,6 +14,10 @@ FINGER_WIDTH_M = 0.022
 """Extent of a finger across the closing direction."""
 FINGER_THICKNESS_M = 0.016
 """Extent of a finger along the closing direction."""
+FINGER_CENTER_M = 0.059
+"""Distance of the middle of an open finger from the tool centre point."""
+FINGER_DISC_M = 0.014
+"""Radius of a disc around it that covers the finger, with little to spare."""
 PALM_BEYOND_FLANGE_M = 0.072
 """Where the palm ends: what is deeper than this collides with it."""
 PALM_ABOVE_TCP_M = TCP_OFFSET_M - PALM_BEYOND_FLANGE_M

@@ -15,7 +15,7 @@ import numpy as np
 from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_names
 from lemma.policies.interfaces import Decision, Policy, PolicyInput
-from lemma.scene.objects.entity import ENTITIES, SHARED
+from lemma.scene.objects.entity import SHARED, known_entities
 from lemma.serve.protocol.faults import (
     FaultKind,
     PolicyFailedError,
@@ -27,7 +27,6 @@ FARTHEST_M = 100.0
 """A pose farther from the middle of the table was never meant in metres."""
 
 _LONGEST = 300
-_NAMES = (*ENTITIES, SHARED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,9 +155,10 @@ def _subtask(subtask: object, robots: int) -> SubTask:
     team = robot_names(robots)
     if subtask.robot not in team:
         raise _unknown("robot", subtask.robot, team)
+    names = (*known_entities(), SHARED)
     for entity in (subtask.pick, subtask.place):
-        if entity != "" and entity not in _NAMES:
-            raise _unknown("entity", entity, list(_NAMES))
+        if entity != "" and entity not in names:
+            raise _unknown("entity", entity, list(names))
     return SubTask(subtask.robot, primitive, subtask.pick, subtask.place)
 
 

@@ -21,6 +21,7 @@ from lemma.policies.models.reachnet.drags import (
 )
 from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK, SceneTable
 from lemma.policies.models.reachnet.spots import CubeSpots, StickSpots
+from lemma.robots.gripper import FINGER_CENTER_M, FINGER_DISC_M
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.stick import STICK_SECTION_M
 
@@ -28,7 +29,6 @@ _PREPARE = (PRIMITIVES.index("prehook"), PRIMITIVES.index("prepoke"))
 _USE = (PRIMITIVES.index("hook"), PRIMITIVES.index("poke"))
 _MOVE = PRIMITIVES.index("move")
 _QUARTER_RAD = 0.5 * math.pi
-_FINGER_M, _FINGER_RADIUS_M = 0.059, 0.014
 _STICK_HALF_M = STICK_SECTION_M / 2
 _ENOUGH_M = 0.008
 _SAFE_M = 0.008
@@ -204,7 +204,7 @@ class ReachNetGrounder(nn.Module):
     ) -> Tensor:
         """Return the room of the open fingers for two yaws, (B, 2) [m]."""
         across = torch.stack([-yaws.sin(), yaws.cos()], -1)
-        sides = _FINGER_M * torch.stack([across, -across], 2)
+        sides = FINGER_CENTER_M * torch.stack([across, -across], 2)
         fingers = at[:, None, None] + sides
         cubes = table.xy[:, None, None, : len(CUBES)]
         apart = (fingers.unsqueeze(-2) - cubes).norm(dim=-1) - CUBE.side_m
@@ -213,7 +213,7 @@ class ReachNetGrounder(nn.Module):
         stick = stick_distance(
             table.grasp[:, None, None], table.yaw[:, THE_STICK, None, None], fingers
         )
-        room = torch.minimum(apart, stick - _STICK_HALF_M) - _FINGER_RADIUS_M
+        room = torch.minimum(apart, stick - _STICK_HALF_M) - FINGER_DISC_M
         return room.amin(-1)
 
     def _carried(
