@@ -1,22 +1,29 @@
 """An object, a color and a task of a user's own work wherever the benchmark's do."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
+from faulty_policies import given
 from gymnasium.spaces import Discrete
-from own_objects import own_objects
+from own_plugins import EXAMPLES, loaded
 
 import lemma
-from lemma.core.errors import InvalidActionError
+from lemma.cli.main import main
+from lemma.core.errors import InvalidActionError, InvalidConfigError
 from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.replay import replay
+from lemma.dataset.rendered.keyframes.dataset import KeyframeDataset
 from lemma.dataset.rendered.labels import entity_poses
 from lemma.env.action_spaces import PICKS, PLACES, decode_plan, encode_plan, plan_space
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.env.observation import object_poses
+from lemma.evaluation.run.fault_isolation import check
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.obstacles import around
+from lemma.policies.batch import decision_numbers
+from lemma.policies.interfaces import Decision
 from lemma.scene.objects.entity import ENTITIES, known_entities
 from lemma.scene.raster import RASTER
 from lemma.tasks.instance import Instance
@@ -28,7 +35,7 @@ CAN = "purple_can"
 
 @pytest.fixture(autouse=True)
 def _registered() -> Iterator[None]:
-    with own_objects():
+    with loaded(EXAMPLES / "05_write_an_object.py"):
         yield
 
 
@@ -124,6 +131,44 @@ def test_a_can_on_its_pad_is_seen_there() -> None:
     list(lemma.solve(episode, expert))
     supports = SymbolicState.observe(episode.simulation.scene).supports
     assert set(episode.instance.goal.pairs) <= set(supports.items())
+
+
+def test_learned_policies_say_that_they_have_no_number_for_it() -> None:
+    with pytest.raises(InvalidConfigError, match="no number for 'purple_can'"):
+        decision_numbers(SubTask("robot_0", Primitive.MOVE, CAN, "shared").to_dict())
+
+
+def test_a_decision_may_name_it() -> None:
+    decision = Decision(SubTask("robot_0", Primitive.MOVE, CAN, "shared"), None)
+    assert check(decision, given()) == decision
+
+
+@pytest.mark.slow
+@pytest.mark.render
+def test_it_goes_through_every_verb(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def run(*words: object) -> str:
+        with pytest.raises(SystemExit) as ended:
+            main([str(word) for word in words])
+        out, err = capsys.readouterr()
+        assert not ended.value.code, err
+        return out
+
+    recipe, result = tmp_path / "recipe", tmp_path / "result"
+    one = ("--tasks", "can_stack", "--episodes", 1, "--workers", 1)
+    run("generate", *one, "--out", recipe)
+    assert "reproduced to the bit" in run("replay", recipe, "--workers", 1)
+    frames = tmp_path / "frames"
+    run("render", recipe, "--out", frames, "--size", "64x48", "--workers", 1)
+    columns = ("pick", "objects")
+    rows = KeyframeDataset(frames, split="free", columns=columns)
+    assert {row["pick"] for row in rows} >= {CAN}
+    assert all(len(row["objects"]) == len(known_entities()) for row in rows)
+    run("evaluate", "--policy", "oracle", *one, "--out", result)
+    run("report", result, "--out", tmp_path / "report")
+    assert "can_stack" in (tmp_path / "report" / "results.md").read_text()
+    assert CAN in run("show", "can_stack", "--out", tmp_path / "can.png")
 
 
 @pytest.mark.render

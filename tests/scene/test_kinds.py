@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 import pytest
-from own_objects import forgotten
+from own_plugins import loaded
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
@@ -37,7 +37,7 @@ from lemma.scene.spec import ObjectPlacement, SceneSpec
 
 @pytest.fixture(autouse=True)
 def _registries() -> Iterator[None]:
-    with forgotten():
+    with loaded():
         yield
 
 

@@ -9,6 +9,8 @@ import pytest
 
 from lemma.core import plugins
 from lemma.core.registry import Registry
+from lemma.scene.objects.kind import OBJECT_KINDS
+from lemma.scene.palette import OBJECT_COLORS
 from lemma.tasks.suite import TASKS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -16,7 +18,8 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 @contextmanager
 def loaded(
-    *names: object, registries: tuple[Registry, ...] = (TASKS,)
+    *names: object,
+    registries: tuple[Registry, ...] = (TASKS, OBJECT_KINDS, OBJECT_COLORS),
 ) -> Iterator[None]:
     """Load plugins, and forget them and what they have registered."""
     with pytest.MonkeyPatch.context() as patch:

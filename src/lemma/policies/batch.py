@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lemma.core.errors import DatasetError
+from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.robot_names import robot_number
 from lemma.dataset.rendered.keyframes.dataset import POLICY_COLUMNS
 from lemma.dataset.rendered.keyframes.memory import MapsInMemory
@@ -325,9 +325,18 @@ def decision_numbers(subtask: dict[str, str]) -> list[int]:
     return [
         robot_number(subtask["robot"]) if subtask["robot"] else NOBODY,
         PRIMITIVES.index(subtask["primitive"]),
-        ENTITIES.index(pick) if pick else NOBODY,
-        PLACES.index(place) if place else NOBODY,
+        _entity_number(pick, ENTITIES) if pick else NOBODY,
+        _entity_number(place, PLACES) if place else NOBODY,
     ]
+
+
+def _entity_number(name: str, names: tuple[str, ...]) -> int:
+    if name not in names:
+        raise InvalidConfigError(
+            f"Learned policies have no number for {name!r}: they count the benchmark's "
+            f"own entities, {', '.join(names)}. Train them on data without it."
+        )
+    return names.index(name)
 
 
 def joined(first: Batch, second: Batch, episodes: int) -> Batch:
