@@ -162,7 +162,8 @@ def test_it_goes_through_every_verb(
     frames = tmp_path / "frames"
     run("render", recipe, "--out", frames, "--size", "64x48", "--workers", 1)
     columns = ("pick", "objects")
-    rows = KeyframeDataset(frames, split="free", columns=columns)
+    data = KeyframeDataset(frames, split="free", columns=columns)
+    rows = [data[i] for i in range(len(data))]
     assert {row["pick"] for row in rows} >= {CAN}
     assert all(len(row["objects"]) == len(known_entities()) for row in rows)
     run("evaluate", "--policy", "oracle", *one, "--out", result)
