@@ -21,8 +21,8 @@ from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.evaluation.run.server_check import FIRST, NEAR_M, NEAR_RAD, SCENE
 from lemma.expert.expert import Expert
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.policies.interfaces import Decision, PastStep, PolicyInput
-from lemma.policies.spec import TIMEOUT_S, PolicySpec
+from lemma.policies.interfaces import TIMEOUT_S, Decision, PastStep, PolicyInput
+from lemma.policies.spec import PolicySpec
 from lemma.scene.raster import RASTER
 from lemma.serve.client.conversation import Conversation, ProtocolMode
 from lemma.serve.client.remote import remote

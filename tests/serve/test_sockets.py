@@ -345,7 +345,7 @@ def test_browsers_are_told_what_this_is(served: PolicyServer) -> None:
 
 
 def test_a_taken_port_is_explained(served: PolicyServer) -> None:
-    with pytest.raises(InvalidConfigError, match="Choose another port"):
+    with pytest.raises(InvalidConfigError, match="another port"):
         PolicyServer(Scripted(), port=served.port)
     with pytest.raises(ProtocolError, match="no policy"):
         PolicyServer(object(), port=0)

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.box import SIMPLE_HEAD
@@ -10,16 +10,12 @@ from rich.table import Table
 
 from lemma.cli.options import Flag, JsonFlag, Number, Word, complain, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
-from lemma.evaluation.analysis.intervals import Rate, mean_over_tasks, rates_by
-from lemma.evaluation.analysis.result import Cell, summarise
-from lemma.evaluation.records import SUMMARY, Row, read_about
-from lemma.evaluation.run.evaluate import EvaluationConfig
-from lemma.evaluation.run.evaluate import evaluate as run
-from lemma.evaluation.run.protocol import NAME, departures
-from lemma.policies.spec import TIMEOUT_S, PolicySpec
-from lemma.tasks.language.template import KINDS
-from lemma.tasks.names import in_order
-from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
+from lemma.policies.interfaces import TIMEOUT_S
+
+if TYPE_CHECKING:
+    from lemma.evaluation.analysis.intervals import Rate
+    from lemma.evaluation.analysis.result import Cell
+    from lemma.evaluation.records import Row
 
 _ALL = "all"
 _COMPLAINTS = 5
@@ -85,6 +81,16 @@ def evaluate(
         working: Where to work.
         as_json: Print one JSON object instead of a table.
     """
+    # Imported here, so that help does not wait for it.
+    from lemma.evaluation.analysis.result import summarise
+    from lemma.evaluation.records import SUMMARY, read_about
+    from lemma.evaluation.run.evaluate import EvaluationConfig
+    from lemma.evaluation.run.evaluate import evaluate as run
+    from lemma.evaluation.run.protocol import NAME, departures
+    from lemma.policies.spec import PolicySpec
+    from lemma.tasks.language.template import KINDS
+    from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
+
     tasks = _names(ask.tasks, SUITE)
     split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
     order = EvaluationConfig(
@@ -105,23 +111,13 @@ def evaluate(
     result.write(out / SUMMARY)
     complain_of(rows)
     if as_json:
-        rates = rates_by(result.cells, "kind", "task")
-        print_json(
-            {
-                kind: {
-                    task: asdict(rate) | {"success_rate": rate.success_rate}
-                    for (k, task), rate in rates.items()
-                    if k == kind
-                }
-                for kind in order.kinds
-            }
-        )
+        print_json(_rates(result.cells, order.kinds))
     else:
         output().print(table(result.cells))
     return 0
 
 
-def complain_of(rows: list[Row]) -> None:
+def complain_of(rows: "list[Row]") -> None:
     """Say which episodes failed because the policy itself did."""
     faulty = [row for row in rows if row.get("policy_error")]
     if not faulty:
@@ -141,8 +137,30 @@ def _names(text: str, every: tuple[str, ...]) -> tuple[str, ...]:
     return every if text == _ALL else tuple(text.split(","))
 
 
-def table(cells: tuple[Cell, ...]) -> Table:
+def _rates(
+    cells: "tuple[Cell, ...]", kinds: tuple[str, ...]
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Return rates of success by kind of instruction and task, ready for JSON."""
+    from lemma.evaluation.analysis.intervals import rates_by
+
+    rates = rates_by(cells, "kind", "task")
+    return {
+        kind: {
+            task: asdict(rate) | {"success_rate": rate.success_rate}
+            for (k, task), rate in rates.items()
+            if k == kind
+        }
+        for kind in kinds
+    }
+
+
+def table(cells: "tuple[Cell, ...]") -> Table:
     """Return success rates [%] with Wilson intervals: tasks down, kinds across."""
+    from lemma.evaluation.analysis.intervals import mean_over_tasks, rates_by
+    from lemma.tasks.language.template import KINDS
+    from lemma.tasks.names import in_order
+    from lemma.tasks.suite import SUITE
+
     rates = rates_by(cells, "kind", "task")
     kinds = [kind for kind in KINDS if any(k == kind for k, _ in rates)]
     shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
@@ -161,7 +179,7 @@ def table(cells: tuple[Cell, ...]) -> Table:
     return shown
 
 
-def _cell(rate: Rate | None) -> str:
+def _cell(rate: "Rate | None") -> str:
     if rate is None:
         return ""
     low, high = rate.interval

@@ -25,7 +25,7 @@ VERBS = {
     "inspect": "Say what is in a recipe; with --task and --index, draw one episode.",
     "push-to-hub": "Check a dataset and upload it to the Hugging Face Hub.",
     "pull": "Fetch a dataset from the Hugging Face Hub, and check it.",
-    "render": "Make images, or steps, from a recipe.",
+    "render": "Make images, or a LeRobotDataset, from a recipe.",
     "instructions": "Draw instructions of a task, as training sees them or of one "
     "kind.",
     "train": "Train a model, or go on with it where it was stopped.",

@@ -17,6 +17,9 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 if TYPE_CHECKING:
     from lemma.env.episode import Episode
 
+TIMEOUT_S = 30.0
+"""Time that a decision of somebody else's policy may take [s]."""
+
 
 @dataclass(frozen=True, eq=False)
 class PastStep:

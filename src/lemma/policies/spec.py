@@ -7,7 +7,7 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.policies.class_path import instance_of
 from lemma.policies.compose import MultiStep, PlannerWithGrounder
-from lemma.policies.interfaces import Grounder, Planner, Policy
+from lemma.policies.interfaces import TIMEOUT_S, Grounder, Planner, Policy
 from lemma.policies.oracle import (
     GroundTruthAllocation,
     OracleGrounder,
@@ -16,8 +16,6 @@ from lemma.policies.oracle import (
 
 ORACLE = "oracle"
 PLANNINGS = ("single-step", "multi-step")
-TIMEOUT_S = 30.0
-"""Time that a decision may take [s]."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from lemma.env.camera_rig import CameraRig
 from lemma.evaluation.run.rollout import Rollout
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.policies.spec import TIMEOUT_S
+from lemma.policies.interfaces import TIMEOUT_S
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.client.websocket import connect
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask

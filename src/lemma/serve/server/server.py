@@ -138,7 +138,8 @@ class PolicyServer:
             )
         except (OSError, OverflowError) as error:
             raise InvalidConfigError(
-                f"Nothing can listen at {host}:{port}: {error}. Choose another port."
+                f"Nothing can listen at {host}:{port}: {str(error).rstrip('.')}. "
+                "Choose another port or address."
             ) from error
         self.host, self.port = host, int(self._server.socket.getsockname()[1])
         self._thread: threading.Thread | None = None
