@@ -1,14 +1,19 @@
 """The arms of the UR family: one record of numbers each.
 
-Lengths, masses and limits are the maker's published ones (as in the ROS-Industrial
-descriptions); radii are measured off pictures; servo gains are ours.
+Lengths are the maker's. Masses and limits of the arms below are those of an old ROS
+description (``ur_description`` of ROS-Industrial), from which the maker's own tables
+differ; benchmark version v1 keeps them, and :mod:`lemma.robots.ur.published` has the
+maker's. Inertias are those of solid cylinders of these masses. Radii are measured off
+pictures; servo gains are ours.
 """
 
 import math
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, fields
 
 import numpy as np
 
+from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray
 from lemma.core.registry import Registry
 
@@ -25,7 +30,7 @@ class ArmSpec:
     """The numbers that make one arm of the family."""
 
     name: str
-    """Name in the registry."""
+    """Name in the registry, a lower-case word: ``"ur16e"``."""
     d1: float
     """Height of the shoulder above the base [m]."""
     a2: float
@@ -71,6 +76,35 @@ class ArmSpec:
     """Inertias of the rotors, seen through the gears [kg m2]."""
     joint_range: Six = (math.tau, math.tau, math.pi, math.tau, math.tau, math.tau)
     """Joint limits, symmetric about zero [rad]."""
+
+    def __post_init__(self) -> None:
+        """Check that every number is there and can be one of an arm's."""
+        if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name):
+            raise InvalidConfigError(
+                f"{self.name!r} cannot name an arm. Use a lower-case word: 'ur16e'."
+            )
+        for field in fields(self):
+            if field.name != "name":
+                self._check(field.name, field.type is Six)
+
+    def _check(self, name: str, of_joints: bool) -> None:
+        value = getattr(self, name)
+        numbers = list(value) if isinstance(value, list | tuple) else [value]
+        expected = len(JOINTS) if of_joints else 1
+        if isinstance(value, list | tuple) != of_joints or len(numbers) != expected:
+            wanted = f"{expected} numbers, one per joint" if of_joints else "one number"
+            raise InvalidConfigError(
+                f"{name} of arm {self.name!r} is {value!r}, but must be {wanted}: arms "
+                f"here have the joints {', '.join(JOINTS)}."
+            )
+        signed = name in ("shoulder_offset", "elbow_offset")
+        for number in numbers:
+            real = isinstance(number, int | float) and math.isfinite(number)
+            if not real or not (signed or number > 0.0):
+                raise InvalidConfigError(
+                    f"{name} of arm {self.name!r} is {value!r}. It must be finite"
+                    f"{'' if signed else ' and positive'}."
+                )
 
     @property
     def dh(self) -> FloatArray:
