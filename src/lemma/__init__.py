@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 from lemma.registration import make, parallel_env, register_environments
 
 if TYPE_CHECKING:
+    from lemma.core.plugins import load_plugins
     from lemma.dataset.recipe.reader import load
     from lemma.env.episode import Episode
     from lemma.expert.expert import Expert, solve
     from lemma.expert.policy import ExpertPolicy
+    from lemma.expert.primitives import PRIMITIVES, PrimitiveSpec
+    from lemma.robots.ur.arms import ARMS, ArmSpec
     from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
     from lemma.scene.palette import OBJECT_COLORS
     from lemma.tasks.instance import Instance
@@ -24,26 +27,33 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "ARMS",
     "OBJECT_COLORS",
     "OBJECT_KINDS",
+    "PRIMITIVES",
     "SUITE",
     "TASKS",
+    "ArmSpec",
     "Episode",
     "Expert",
     "ExpertPolicy",
     "Instance",
     "LanguageBank",
     "ObjectKind",
+    "PrimitiveSpec",
     "Task",
     "__version__",
     "load",
     "load_instance",
+    "load_plugins",
     "make",
     "parallel_env",
     "solve",
 ]
 
 _HOMES = {
+    "ARMS": "lemma.robots.ur.arms",
+    "ArmSpec": "lemma.robots.ur.arms",
     "Episode": "lemma.env.episode",
     "Expert": "lemma.expert.expert",
     "ExpertPolicy": "lemma.expert.policy",
@@ -52,11 +62,14 @@ _HOMES = {
     "OBJECT_COLORS": "lemma.scene.palette",
     "OBJECT_KINDS": "lemma.scene.objects.entity",
     "ObjectKind": "lemma.scene.objects.kind",
+    "PRIMITIVES": "lemma.expert.primitives",
+    "PrimitiveSpec": "lemma.expert.primitives",
     "SUITE": "lemma.tasks.suite",
     "TASKS": "lemma.tasks.suite",
     "Task": "lemma.tasks.task",
     "load": "lemma.dataset.recipe.reader",
     "load_instance": "lemma.tasks.suite",
+    "load_plugins": "lemma.core.plugins",
     "solve": "lemma.expert.expert",
 }
 

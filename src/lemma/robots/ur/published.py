@@ -7,8 +7,9 @@ are for the next version, which makes its arms with :func:`with_published`.
 Source: Universal Robots' own description for ROS 2,
 https://github.com/UniversalRobots/Universal_Robots_ROS2_Description, in the folder
 ``config`` of each arm ``physical_parameters.yaml`` (commit 3426d67) for masses, and
-``joint_limits.yaml`` (commit 8ef39b3) for the rest. The latter quotes the user manuals of UR5 and UR10 (CB3, version 3.13)
-for speeds, and the maker's article "Max. joint torques" of June 2020.
+``joint_limits.yaml`` (commit 8ef39b3) for the rest. The latter quotes the user manuals
+of UR5 and UR10 (CB3, version 3.13) for speeds, and the maker's article "Max. joint
+torques" of June 2020.
 """
 
 import math
