@@ -8,6 +8,7 @@ import reprlib
 from collections.abc import Iterable
 from typing import Self
 
+_LONGEST = 100
 _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = _REPR.maxlong = 80
 _REPR.maxlevel = 3
@@ -15,7 +16,8 @@ _REPR.maxlevel = 3
 
 def shown(value: object) -> str:
     """Return any value as a message shows it: short, however large or deep it is."""
-    return _REPR.repr(value)
+    text = _REPR.repr(value)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
 class LemmaError(Exception):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lemma.core.engine import mujoco
-from lemma.core.errors import UnknownNameError
+from lemma.core.errors import PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.outcome import Outcome, SkillResult
@@ -18,6 +18,7 @@ from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.motion.skills import Skill, SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.build import TIME_STEP_S
+from lemma.scene.overlaps import check_layout
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.subtask import GroundedSubTask
@@ -74,6 +75,10 @@ class Simulation:
         Args:
             spec: The scene.
             actuation: ``"position"``, ``"velocity"`` or ``"torque"``.
+
+        Raises:
+            UnknownNameError: No such actuation.
+            InvalidConfigError: Things overlap, or do not lie on the table.
         """
         self.scene = Scene(spec, actuation)
         self.arms = {
@@ -86,6 +91,7 @@ class Simulation:
             self.scene.set_joints(arm.robot, arm.park, FINGER_OPENING_M)
             arm.sync()
             arm.follow_posture(arm.park)
+        check_layout(self.scene)
         self._settle()
 
     def _settle(self) -> None:
@@ -110,15 +116,25 @@ class Simulation:
             active: Robots whose reference moves under RMPflow; the servos of the others
                 keep what they were last told.
             drive: Called before every physics step, to command servos otherwise.
+
+        Raises:
+            PhysicsError: The state has become infinite, or no number at all.
         """
         moving = [self.arms[name] for name in active]
         model, data = self.scene.model, self.scene.data
+        start = data.time
         for _ in range(STEPS_PER_TICK):
             for arm in moving:
                 arm.step()
             if drive is not None:
                 drive()
             mujoco.mj_step(model, data)
+        # What diverges is put back to the beginning by MuJoCo: its time too.
+        if not data.time > start:
+            raise PhysicsError(
+                f"The physics became unstable {start:g} s after the beginning, and "
+                "what is simulated means nothing any more. Reset before you go on."
+            )
         for observer in self.observers:
             observer()
 

@@ -3,6 +3,7 @@
 import hashlib
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -197,15 +198,21 @@ class Scene:
         _derive(self.model, self.data)
 
     def posed(self, qpos: FloatArray) -> mujoco.MjData:
-        """Return data of their own with derived poses, for rendering.
+        """Return other data than the scene's with derived poses, for rendering.
 
         Args:
             qpos: The positions of all joints, (nq,).
+
+        Returns:
+            What is good until the next call.
         """
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = qpos
-        _derive(self.model, data)
-        return data
+        self._posed.qpos[:] = qpos
+        _derive(self.model, self._posed)
+        return self._posed
+
+    @cached_property
+    def _posed(self) -> mujoco.MjData:
+        return mujoco.MjData(self.model)
 
     def state_hash(self) -> str:
         """Return the SHA-256 of the full integration state."""

@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.arguments import known, real
+from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_names
 from lemma.robots.ur.arms import ARMS
@@ -11,6 +12,8 @@ from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.palette import OBJECT_COLORS
 
 ROBOT_COLORS = ("red", "white")
+ROOM_M = 5.0
+"""Nothing is placed farther from the middle of the table, along x or y [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +28,15 @@ class RobotPlacement:
     """World from base: the yaw points the robot's front at the table."""
 
     def __post_init__(self) -> None:
-        """Check the names."""
+        """Check the names and the numbers.
+
+        Raises:
+            UnknownNameError: No such arm or color.
+            InvalidConfigError: The base is no pose in the room.
+        """
         ARMS[self.arm]
-        if self.color not in ROBOT_COLORS:
-            raise UnknownNameError("robot color", self.color, ROBOT_COLORS)
+        known("robot color", self.color, ROBOT_COLORS)
+        _check_pose(f"base of the {self.arm}", self.base)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +52,15 @@ class ObjectPlacement:
     """World from object, lying on the table."""
 
     def __post_init__(self) -> None:
-        """Check the names."""
+        """Check the names and the numbers.
+
+        Raises:
+            UnknownNameError: No such kind or color.
+            InvalidConfigError: The pose is none in the room.
+        """
         if OBJECT_KINDS[self.kind].colored:
             OBJECT_COLORS[self.color]
+        _check_pose(f"pose of the {self.name}", self.pose)
 
     @property
     def entity(self) -> Entity:
@@ -68,7 +82,22 @@ class SceneSpec:
     objects: tuple[ObjectPlacement, ...]
 
     def __post_init__(self) -> None:
-        """Check that every entity can be named without doubt."""
+        """Check that every entity can be named without doubt.
+
+        Raises:
+            InvalidConfigError: It cannot, or these are no robots and objects.
+        """
+        for placed, wanted in (
+            (self.robots, RobotPlacement),
+            (self.objects, ObjectPlacement),
+        ):
+            if not isinstance(placed, tuple) or not all(
+                isinstance(one, wanted) for one in placed
+            ):
+                raise InvalidConfigError(
+                    f"{shown(placed)} cannot be part of a scene. Valid: a tuple of "
+                    f"{wanted.__name__}."
+                )
         names = [placed.name for placed in self.objects]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -97,3 +126,18 @@ class SceneSpec:
             if placed.name == name:
                 return placed
         raise UnknownNameError("object in this scene", name, self.object_names)
+
+
+def _check_pose(what: str, pose: object) -> None:
+    """Check that something can be placed there.
+
+    Raises:
+        InvalidConfigError: It is no pose in the room.
+    """
+    if not isinstance(pose, Pose2):
+        raise InvalidConfigError(
+            f"The {what} is {shown(pose)}. Valid: a Pose2, x and y in m, yaw in rad."
+        )
+    real(f"x in the {what}", pose.x, -ROOM_M, ROOM_M)
+    real(f"y in the {what}", pose.y, -ROOM_M, ROOM_M)
+    real(f"yaw in the {what}", pose.yaw)

@@ -4,8 +4,12 @@ import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
+import msgspec
+
+from lemma.core.arguments import whole
+from lemma.core.errors import InvalidConfigError, shown
 from lemma.core.poses import Pose2
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
@@ -15,6 +19,30 @@ BENCHMARK_VERSION = "v1"
 
 SPLITS = {"train": 700, "val": 40, "test": 60}
 """Frozen instances per task and split (paper, section V)."""
+
+
+_PARTS = {
+    "task": str,
+    "split": str,
+    "scene": SceneSpec,
+    "goal": Goal,
+    "instructions": dict,
+    "distractors": tuple,
+}
+_Placed = tuple[str, str, int | float, int | float, int | float]
+
+
+class _Data(TypedDict):
+    """The form of an instance as plain data."""
+
+    task: str
+    split: str
+    index: int
+    robots: list[_Placed]
+    objects: list[_Placed]
+    goal: list[tuple[str, str]]
+    instructions: dict[str, str]
+    distractors: list[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +58,32 @@ class Instance:
     """Kind (``high_level``, ``human``, ``unseen``) to sentence."""
     distractors: tuple[str, ...]
     """Objects that the goal does not need."""
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit together.
+
+        Raises:
+            InvalidConfigError: They do not, or one of them is something else.
+        """
+        for name, wanted in _PARTS.items():
+            if not isinstance(getattr(self, name), wanted):
+                raise InvalidConfigError(
+                    f"{name}={shown(getattr(self, name))} cannot be part of an "
+                    f"instance. Valid: a {wanted.__name__}."
+                )
+        whole("index", self.index, 0)
+        words = (*self.instructions, *self.instructions.values())
+        if not all(isinstance(word, str) for word in words):
+            raise InvalidConfigError(
+                f"instructions={shown(self.instructions)} are no sentences by kind."
+            )
+        names = self.scene.object_names
+        absent = [n for n in (*self.goal.entities, *self.distractors) if n not in names]
+        if absent:
+            raise InvalidConfigError(
+                f"Goal or distractors name {shown(absent[0])}, which is not on the "
+                f"table. There are {', '.join(names) or 'no objects'}."
+            )
 
     @property
     def key(self) -> str:
@@ -63,7 +117,20 @@ class Instance:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "Instance":
-        """Make an instance from what :meth:`to_dict` returned."""
+        """Make an instance from what :meth:`to_dict` returned.
+
+        Raises:
+            InvalidConfigError: The data are of another form, or describe no instance.
+            UnknownNameError: They name an arm, a kind, a color or an entity that does
+                not exist.
+        """
+        try:
+            msgspec.convert(data, _Data)
+        except (msgspec.ValidationError, RecursionError) as error:
+            raise InvalidConfigError(
+                f"{shown(data)} describes no instance: {error}. Valid: what "
+                "Instance.to_dict() returned."
+            ) from None
         robots = tuple(
             RobotPlacement(arm, color, Pose2(x, y, yaw))
             for arm, color, x, y, yaw in data["robots"]

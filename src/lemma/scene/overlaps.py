@@ -1,0 +1,59 @@
+"""Whether a scene can be set up: nothing lies in something else or beside the table."""
+
+import numpy as np
+
+from lemma.core.engine import mujoco
+from lemma.core.errors import InvalidConfigError
+from lemma.scene.scene import Scene
+
+TOLERANCE_M = 0.005
+"""What contacts push apart gently: a cube may begin on a pad, which is 4 mm thick."""
+
+
+def check_layout(scene: Scene) -> None:
+    """Check where the objects and robots of a scene are now; changes no state.
+
+    Physics would throw apart what overlaps, and objects would fall forever beside the
+    table.
+
+    Raises:
+        InvalidConfigError: Two of them overlap, or an object's origin is not on the
+            table.
+    """
+    half_x, half_y, _ = scene.model.geom("table").size
+    for name in scene.spec.object_names:
+        x, y, _ = scene.pose(name).position
+        if abs(x) > half_x or abs(y) > half_y:
+            raise InvalidConfigError(
+                f"The {name} at ({x:g}, {y:g}) m does not lie on the table. Valid: x "
+                f"from {-half_x:g} to {half_x:g}, y from {-half_y:g} to {half_y:g}."
+            )
+    for first, second, depth_m in _overlaps(scene):
+        if depth_m > TOLERANCE_M:
+            raise InvalidConfigError(
+                f"{first} and {second} overlap by {1000 * depth_m:.0f} mm where they "
+                "begin. Place them apart."
+            )
+
+
+def _overlaps(scene: Scene) -> list[tuple[str, str, float]]:
+    """Return which things may be in each other, and how deep [m]."""
+    model, data = scene.model, scene.data
+    scene.refresh()
+    solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+    roots = model.body_rootid[model.geom_bodyid[solid]]
+    # All that belongs to the room hangs from the world.
+    solid, roots = solid[roots > 0], roots[roots > 0]
+    position, radius = data.geom_xpos[solid], model.geom_rbound[solid]
+    near = np.abs(position[:, None] - position).max(-1) < radius[:, None] + radius
+    near &= roots[:, None] < roots
+    found = []
+    for i, j in np.argwhere(near).tolist():
+        first, second = int(solid[i]), int(solid[j])
+        gap_m = mujoco.mj_geomDistance(model, data, first, second, TOLERANCE_M, None)
+        if np.abs(position[i] - position[j]).max() < TOLERANCE_M:
+            # Of what has one middle, MuJoCo says that the distance is 0.
+            gap_m = -float(min(radius[i], radius[j]))
+        names = (model.body(int(roots[k])).name.partition("/")[0] for k in (i, j))
+        found.append((*names, -gap_m))
+    return found
