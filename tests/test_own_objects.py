@@ -20,11 +20,12 @@ from lemma.env.action_spaces import PICKS, PLACES, decode_plan, encode_plan, pla
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.env.observation import object_poses
 from lemma.evaluation.run.fault_isolation import check
+from lemma.evaluation.run.language_controls import say
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.obstacles import around
 from lemma.policies.batch import decision_numbers
 from lemma.policies.interfaces import Decision
-from lemma.scene.objects.entity import ENTITIES, known_entities
+from lemma.scene.objects.entity import ENTITIES, kind_of, known_entities
 from lemma.scene.raster import RASTER
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import Primitive, SubTask
@@ -141,6 +142,17 @@ def test_learned_policies_say_that_they_have_no_number_for_it() -> None:
 def test_a_decision_may_name_it() -> None:
     decision = Decision(SubTask("robot_0", Primitive.MOVE, CAN, "shared"), None)
     assert check(decision, given()) == decision
+
+
+def test_another_goal_is_asked_for_in_the_same_words() -> None:
+    said = say("swapped", instance(), "high_level")
+    assert said.sentence is not None
+    asked = lemma.TASKS["can_stack"].language.parse(said.sentence)
+    assert asked is not None
+    assert asked != frozenset(instance().goal.pairs)
+    assert {kind_of(name).name for pair in asked for name in pair} == {
+        *("can", "cube", "pad")
+    }
 
 
 @pytest.mark.slow
