@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.dataset.files import read_json, write_json, write_whole
+from lemma.core.files import read_json, write_json, write_whole
 from lemma.evaluation.analysis.intervals import (
     mean_over_tasks,
     rate_of,

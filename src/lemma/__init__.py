@@ -7,6 +7,7 @@ below are imported when they are first used.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from lemma.core.version import VERSION as __version__
 from lemma.registration import make, parallel_env, register_environments
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from lemma.tasks.language.bank import LanguageBank
     from lemma.tasks.suite import SUITE, load_instance
     from lemma.tasks.task import TASKS, Task
-
-__version__ = "0.1.0"
 
 __all__ = [
     "ARMS",

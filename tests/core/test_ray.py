@@ -14,9 +14,9 @@ from ray.cluster_utils import Cluster
 from recipes import bytes_of, lemma, small_recipe
 
 from lemma.core.errors import DatasetError, WorkerError
+from lemma.core.files import read_json
 from lemma.core.parallel import is_worker
 from lemma.core.ray_cluster import RayCluster
-from lemma.dataset.files import read_json
 
 pytestmark = pytest.mark.slow
 

@@ -6,33 +6,38 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recipes import made_up, small_disk, write_recipe
+from in_process import Serial
+from recipes import made_up, small_disk, small_order, write_recipe
 
 from lemma.core.errors import DatasetError
-from lemma.dataset import files
-from lemma.dataset.files import (
-    MANIFEST,
-    METADATA_KEY,
-    REVISION_VARIABLE,
-    check_files,
-    check_same,
+from lemma.core.files import (
     clear_drafts,
     only_writer,
-    open_table,
     read_json,
-    read_table,
-    versions,
     write_json,
-    write_table,
     write_text,
     write_whole,
 )
+from lemma.dataset.files import MANIFEST, check_files
+from lemma.dataset.recipe import files
+from lemma.dataset.recipe.digests import export
+from lemma.dataset.recipe.files import (
+    METADATA_KEY,
+    REVISION_VARIABLE,
+    check_same,
+    open_table,
+    read_table,
+    versions,
+    write_table,
+)
+from lemma.dataset.recipe.generate import generate
 from lemma.dataset.recipe.schema import SCHEMA, from_table, to_table
 
 ABOUT = versions("v1")
@@ -139,7 +144,7 @@ def test_a_folder_has_one_writer(tmp_path: Path) -> None:
     with only_writer(tmp_path):
         code = (
             "import sys; from pathlib import Path\n"
-            "from lemma.dataset.files import only_writer\n"
+            "from lemma.core.files import only_writer\n"
             "with only_writer(Path(sys.argv[1])): pass"
         )
         done = subprocess.run(
@@ -147,7 +152,8 @@ def test_a_folder_has_one_writer(tmp_path: Path) -> None:
         )
         assert "Another process is writing" in done.stderr
     hold(tmp_path)
-    assert list(tmp_path.iterdir()) == []
+    # An empty file that costs nothing; to remove it would let two of them in.
+    assert [path.name for path in tmp_path.iterdir()] == [".lock"]
 
 
 def test_drafts_are_cleared_and_nothing_else(tmp_path: Path) -> None:
@@ -257,11 +263,49 @@ def test_a_file_that_nobody_listed(tmp_path: Path) -> None:
         check_files(tmp_path)
 
 
-@pytest.mark.parametrize("content", ["{", "[1]", ""])
+DEEP = '{"files":' * 5000 + "1" + "}" * 5000
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("{", "[1]", "", "null", "\xff{", DEEP, "[" * 100_000),
+        *('{"files": 3}', '{"files": {"a": 3}}', '{"files": {"a": {}}}'),
+        '{"files": {"a": {"sha256": 3}}}',
+        '{"files": {"a": {"sha256": "00", "digests": 3}}}',
+        '{"files": {"../a": {"sha256": "00"}}}',
+        '{"files": {"/etc/passwd": {"sha256": "00"}}}',
+    ],
+    ids=range(14),
+)
 def test_a_damaged_manifest(tmp_path: Path, content: str) -> None:
     (tmp_path / MANIFEST).write_text(content)
     with pytest.raises(DatasetError, match=r"manifest\.json"):
         check_files(tmp_path)
+
+
+@pytest.mark.parametrize("versions", ["3", "[]", '{"lemma": 3}', "null"])
+def test_versions_of_a_manifest_that_are_none(tmp_path: Path, versions: str) -> None:
+    (tmp_path / MANIFEST).write_text(f'{{"files": {{}}, "versions": {versions}}}')
+    with pytest.raises(DatasetError, match=r"manifest\.json is damaged"):
+        export(tmp_path, tmp_path / "digests")
+    with pytest.raises(DatasetError, match=r"manifest\.json is damaged"):
+        generate(small_order(tmp_path), Serial())
+
+
+@pytest.mark.parametrize("text", [b"", b"{", b"[]", b"3", DEEP.encode(), b"\xff"])
+def test_metadata_that_are_no_json_object(tmp_path: Path, text: bytes) -> None:
+    table = to_table([made_up()]).replace_schema_metadata({METADATA_KEY: text})
+    pq.write_table(table, tmp_path / "a.parquet")
+    with pytest.raises(DatasetError, match=r"a\.parquet"):
+        open_table(tmp_path / "a.parquet")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", DEEP])
+def test_an_instance_that_is_no_json_object(text: str) -> None:
+    record = replace(made_up(), instance=text)
+    with pytest.raises(DatasetError, match=r"the instance of .* cannot be read"):
+        record.instance_data()
 
 
 def test_json_has_the_same_bytes_for_the_same_data(tmp_path: Path) -> None:
@@ -278,7 +322,7 @@ def test_the_revision_is_never_that_of_somebody_elses_repository(
     package = tmp_path / "project" / ".venv" / "lib" / "lemma" / "dataset"
     package.mkdir(parents=True)
     subprocess.run(["git", "init", "-q", str(tmp_path / "project")], check=True)
-    monkeypatch.setattr(files, "__file__", str(package / "files.py"))
+    monkeypatch.setattr(files, "__file__", str(package / "recipe" / "files.py"))
     assert versions("v1")["revision"] == "release"
 
 

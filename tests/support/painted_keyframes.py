@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lemma.core.files import sha256_of, write_json
 from lemma.core.seeding import stream
-from lemma.dataset.files import MANIFEST, sha256_of, write_json
+from lemma.dataset.files import MANIFEST
 from lemma.dataset.rendered.keyframes.files import write_keyframes
 from lemma.dataset.rendered.keyframes.schema import (
     FORM,

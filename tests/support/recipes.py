@@ -18,15 +18,10 @@ import pytest
 from in_process import Serial
 
 from lemma.cli.main import main
-from lemma.dataset.files import (
-    MANIFEST,
-    REVISION_VARIABLE,
-    sha256_of,
-    versions,
-    write_json,
-    write_table,
-)
+from lemma.core.files import sha256_of, write_json
+from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.digests import content_digest, shorten
+from lemma.dataset.recipe.files import REVISION_VARIABLE, versions, write_table
 from lemma.dataset.recipe.generate import GenerateConfig, generate, recipe_file
 from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord, to_table
 from lemma.tasks.instance import BENCHMARK_VERSION

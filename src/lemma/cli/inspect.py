@@ -8,8 +8,8 @@ from rich.table import Table
 from lemma.cli.options import File, JsonFlag, Number, Word, messages, output, print_json
 from lemma.cli.replay import Folder, choose
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.files import open_table
 from lemma.dataset.recipe.balance import ALL
+from lemma.dataset.recipe.files import open_table
 from lemma.dataset.recipe.reader import Recipe, load
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.recipe.statistics import Statistics, statistics_of

@@ -9,7 +9,7 @@ import tyro
 from lemma.cli.options import Flag, Number, messages, output
 from lemma.cli.report import print_written
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
-from lemma.dataset.files import write_text
+from lemma.core.files import write_text
 from lemma.evaluation.experiments.catalog import selected
 from lemma.evaluation.experiments.reproduction import (
     MissingWeightsError,

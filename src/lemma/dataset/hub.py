@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.dataset.files import MANIFEST, check_files, read_json, sha256_of
+from lemma.core.files import sha256_of
+from lemma.dataset.files import MANIFEST, check_files, listed_files
 
 _KIND = "dataset"
 _HIDDEN = [".*", ".*/**", "**/.*"]
@@ -124,7 +125,7 @@ def _damaged(folder: Path) -> list[str]:
         return []
     return [
         name
-        for name, entry in read_json(folder / MANIFEST).get("files", {}).items()
+        for name, entry in listed_files(folder).items()
         if (folder / name).is_file() and sha256_of(folder / name) != entry["sha256"]
     ]
 

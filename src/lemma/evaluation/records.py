@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 
 from lemma.core.errors import DatasetError
-from lemma.dataset.files import read_json, write_text
+from lemma.core.files import read_json, write_text
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.names import task_rank

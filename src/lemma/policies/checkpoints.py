@@ -17,7 +17,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from lemma.core.errors import LemmaError
-from lemma.dataset.files import write_whole
+from lemma.core.files import write_whole
 from lemma.policies.model import Model
 from lemma.policies.models.catalog import make_model
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from lemma.core.errors import UnknownNameError
-from lemma.dataset.files import read_json, sha256_of, write_json
+from lemma.core.files import read_json, sha256_of, write_json
 from lemma.policies.checkpoints import WeightsError, load_weights, read_about
 from lemma.policies.model import Model
 

@@ -9,7 +9,8 @@ import pytest
 from recipes import made_up, small_recipe, write_recipe
 
 from lemma.core.errors import UnknownNameError
-from lemma.dataset.files import MANIFEST, read_json, versions
+from lemma.core.files import read_json
+from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.digests import (
     content_digest,
     differing,
@@ -18,6 +19,7 @@ from lemma.dataset.recipe.digests import (
     export,
     shorten,
 )
+from lemma.dataset.recipe.files import versions
 from lemma.dataset.recipe.record import record_episode
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.suite import SUITE, load_instance

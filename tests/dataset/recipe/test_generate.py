@@ -11,19 +11,12 @@ from in_process import Serial
 from recipes import bytes_of, made_up, small_order, small_recipe
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.files import only_writer, read_json, sha256_of, write_json
 from lemma.core.parallel import ProcessPool
-from lemma.dataset.files import (
-    MANIFEST,
-    only_writer,
-    open_table,
-    read_json,
-    sha256_of,
-    versions,
-    write_json,
-    write_table,
-)
+from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe import generate as generating
 from lemma.dataset.recipe.digests import differing
+from lemma.dataset.recipe.files import open_table, versions, write_table
 from lemma.dataset.recipe.generate import (
     GenerateConfig,
     generate,
@@ -229,7 +222,7 @@ def test_the_small_recipe_is_what_was_published() -> None:
 
 def test_a_folder_holds_nothing_but_the_recipe() -> None:
     found = {path.name for path in small_recipe().rglob("*") if path.is_file()}
-    assert found == {"README.md", MANIFEST, "pass.parquet", "stack.parquet"}
+    assert found == {".lock", "README.md", MANIFEST, "pass.parquet", "stack.parquet"}
 
 
 def test_the_card_has_the_header_of_the_hub() -> None:

@@ -9,8 +9,8 @@ import pytest
 from recipes import made_up, small_recipe, write_recipe
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.dataset.files import versions
 from lemma.dataset.recipe import reader
+from lemma.dataset.recipe.files import versions
 from lemma.dataset.recipe.reader import EpisodeHeader, load
 
 

@@ -21,16 +21,12 @@ from recipes import bytes_of, lemma, small_order, small_recipe
 
 from lemma.cli.generate import GenerateOptions
 from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.files import read_json, write_json
 from lemma.core.parallel import ProcessPool
-from lemma.dataset.files import (
-    MANIFEST,
-    METADATA_KEY,
-    open_table,
-    read_json,
-    write_json,
-)
+from lemma.dataset.files import MANIFEST
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
 from lemma.dataset.recipe.digests import expected_digests, export, shorten
+from lemma.dataset.recipe.files import METADATA_KEY, open_table
 from lemma.dataset.recipe.generate import generate, generate_part, recipe_file
 from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.recovery import record_perturbed, recovery_figures

@@ -12,8 +12,10 @@ from in_process import Serial
 from recipes import made_up, small_recipe, write_recipe
 
 from lemma.core.errors import DatasetError
+from lemma.core.files import read_json, write_json
 from lemma.core.parallel import ProcessPool
-from lemma.dataset.files import MANIFEST, read_json, versions, write_json
+from lemma.dataset.files import MANIFEST
+from lemma.dataset.recipe.files import versions
 from lemma.dataset.recipe.generate import recipe_file
 from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.replay import check_versions, replay, replay_all

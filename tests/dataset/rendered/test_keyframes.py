@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 
 from lemma.core.errors import DatasetError, UnknownNameError
-from lemma.dataset.files import METADATA_KEY
+from lemma.dataset.recipe.files import METADATA_KEY
 from lemma.dataset.rendered.keyframes.files import KeyframeFile, write_keyframes
 from lemma.dataset.rendered.keyframes.schema import (
     FORM,

@@ -18,7 +18,7 @@ from rendered_sets import (
 from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose
-from lemma.dataset.files import REVISION_VARIABLE
+from lemma.dataset.recipe.files import REVISION_VARIABLE
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm, stored
 from lemma.dataset.rendered.keyframes.dataset import (
     CAMERA_COLUMNS,

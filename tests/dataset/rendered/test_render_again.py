@@ -16,7 +16,8 @@ from rendered_sets import (
 
 from lemma.core.errors import DatasetError
 from lemma.core.parallel import ProcessPool
-from lemma.dataset.files import MANIFEST, REVISION_VARIABLE, open_table
+from lemma.dataset.files import MANIFEST
+from lemma.dataset.recipe.files import REVISION_VARIABLE, open_table
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.keyframes.dataset import KeyframeDataset

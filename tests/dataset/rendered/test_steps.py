@@ -15,7 +15,7 @@ from rendered_sets import (
 
 import lemma
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.dataset.files import REVISION_VARIABLE
+from lemma.dataset.recipe.files import REVISION_VARIABLE
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import DenseStep, count_steps, iterate_steps

@@ -4,7 +4,7 @@ import pytest
 from in_process import Serial
 from rendered_sets import SPLIT, TASKS, contents, recipe_folder
 
-from lemma.dataset.files import REVISION_VARIABLE
+from lemma.dataset.recipe.files import REVISION_VARIABLE
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, render

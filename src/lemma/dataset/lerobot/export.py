@@ -18,21 +18,17 @@ from time import perf_counter
 from typing import Any
 
 from lemma.core.errors import DatasetError
-from lemma.core.parallel import Engine
-from lemma.dataset.files import (
-    CARD,
-    MANIFEST,
-    check_files,
+from lemma.core.files import (
     clear_drafts,
     only_writer,
-    open_table,
     read_json,
     sha256_of,
-    versions,
     write_json,
     write_text,
     write_whole,
 )
+from lemma.core.parallel import Engine
+from lemma.dataset.files import CARD, MANIFEST, check_files
 from lemma.dataset.instructions import check_recorded
 from lemma.dataset.lerobot.frames import (
     Style,
@@ -42,6 +38,7 @@ from lemma.dataset.lerobot.frames import (
     robots_of,
 )
 from lemma.dataset.recipe.card import head
+from lemma.dataset.recipe.files import open_table, versions
 from lemma.dataset.recipe.reader import read_group
 from lemma.dataset.recipe.replay import check_versions
 from lemma.dataset.recipe.schema import perturbed_as

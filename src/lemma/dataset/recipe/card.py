@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from lemma.dataset.files import write_text
+from lemma.core.files import write_text
 from lemma.dataset.recipe.schema import describe, perturbed_as
 
 LICENSE = "Apache-2.0"

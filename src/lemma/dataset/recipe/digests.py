@@ -13,13 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError, UnknownNameError
-from lemma.dataset.files import (
-    MANIFEST,
-    listed_files,
-    read_json,
-    write_json,
-    write_text,
-)
+from lemma.core.files import write_json, write_text
+from lemma.dataset.files import MANIFEST, listed_files, listed_versions
 from lemma.dataset.recipe.schema import executions, perturbed_as
 
 _HERE = files("lemma.dataset") / "digests"
@@ -49,20 +44,19 @@ def export(folder: Path, out: Path) -> dict[str, Any]:
     Raises:
         DatasetError: The recipe holds perturbed executions.
     """
-    found = read_json(folder / MANIFEST)
-    if perturbed_as(found["versions"]):
+    versions = listed_versions(folder)
+    if perturbed_as(versions):
         raise DatasetError(
-            f"{folder} holds {executions(found['versions'])}, which are no part of the "
+            f"{folder} holds {executions(versions)}, which are no part of the "
             "benchmark. Export the digests of demonstrations."
         )
     lists: dict[str, dict[str, list[str]]] = {}
-    for name, entry in found["files"].items():
+    for name, entry in listed_files(folder).items():
         split, _, task = name.removesuffix(".parquet").partition("/")
         lists.setdefault(split, {})[task] = entry["digests"]
     for split, tasks in lists.items():
         for task, digests in tasks.items():
             write_text(out / f"{task}-{split}.txt", "\n".join(digests) + "\n")
-    versions = found["versions"]
     manifest = {
         "versions": {name: versions[name] for name in (*_BINDING, "revision")},
         "splits": {

@@ -16,26 +16,25 @@ from typing import Any
 import pyarrow as pa
 
 from lemma.core.errors import DatasetError, InvalidConfigError, SamplingError
+from lemma.core.files import clear_drafts, only_writer, read_json, sha256_of, write_json
 from lemma.core.parallel import Engine, peak_memory_mb
 from lemma.dataset.files import (
     MANIFEST,
-    check_alike,
     check_free,
-    check_same,
     check_sum,
-    clear_drafts,
     listed_files,
-    only_writer,
-    open_table,
-    read_json,
-    read_table,
-    sha256_of,
-    versions,
-    write_json,
-    write_table,
+    listed_versions,
 )
 from lemma.dataset.recipe.card import write_card
 from lemma.dataset.recipe.digests import content_digest, shorten
+from lemma.dataset.recipe.files import (
+    check_alike,
+    check_same,
+    open_table,
+    read_table,
+    versions,
+    write_table,
+)
 from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.recovery import described, perturbation_of, record_perturbed
 from lemma.dataset.recipe.schema import EpisodeRecord, from_table, to_table
@@ -304,7 +303,7 @@ def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
             f"{folder} holds {form!r}, which was rendered from a recipe. Choose "
             "another folder."
         )
-    check_alike(folder, manifest.get("versions", {}), about)
+    check_alike(folder, listed_versions(folder), about)
     return listed_files(folder)
 
 

@@ -9,7 +9,8 @@ from typing import Any, overload
 import pyarrow as pa
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.dataset.files import damaged, open_table, read_table
+from lemma.core.files import damaged
+from lemma.dataset.recipe.files import WRITTEN_BY, open_table, read_table
 from lemma.dataset.recipe.schema import EpisodeRecord, from_table
 
 _KEPT_GROUPS = 8
@@ -186,4 +187,4 @@ def read_group(path: Path, group: int) -> list[EpisodeRecord]:
     try:
         return from_table(file.read_row_group(group))
     except (OSError, pa.ArrowException) as error:
-        raise DatasetError(damaged(path, error)) from error
+        raise DatasetError(damaged(path, error, WRITTEN_BY)) from error

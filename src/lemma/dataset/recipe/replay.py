@@ -10,7 +10,8 @@ import numpy as np
 from lemma.core.errors import DatasetError
 from lemma.core.parallel import Engine
 from lemma.core.poses import Pose2
-from lemma.dataset.files import check_files, open_table, versions
+from lemma.dataset.files import check_files
+from lemma.dataset.recipe.files import open_table, versions
 from lemma.dataset.recipe.reader import Recipe, read_group
 from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord
 from lemma.env.episode import Episode

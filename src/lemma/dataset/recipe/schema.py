@@ -9,11 +9,13 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from lemma.core.files import parse_json
 from lemma.core.poses import FloatArray
 
 FORMAT_VERSION = "1"
@@ -178,9 +180,12 @@ class EpisodeRecord:
         return np.frombuffer(self.keyframe_state[keyframe], dtype="<f8")
 
     def instance_data(self) -> dict[str, Any]:
-        """Return the instance as plain data; ``Instance.from_dict`` reads it."""
-        data: dict[str, Any] = json.loads(self.instance)
-        return data
+        """Return the instance as plain data; ``Instance.from_dict`` reads it.
+
+        Raises:
+            DatasetError: It is no JSON object.
+        """
+        return parse_json(self.instance, Path(f"the instance of {self.key}"))
 
     def digest(self) -> str:
         """Return the SHA-256 of everything in the record."""

@@ -13,22 +13,17 @@ from time import perf_counter
 from typing import Any, Protocol
 
 from lemma.core.errors import DatasetError, UnknownNameError
-from lemma.core.parallel import Engine
-from lemma.dataset.files import (
-    CARD,
-    MANIFEST,
-    check_files,
-    check_free,
+from lemma.core.files import (
     clear_drafts,
-    listed_files,
     only_writer,
-    open_table,
     sha256_of,
-    versions,
     write_json,
     write_text,
 )
+from lemma.core.parallel import Engine
+from lemma.dataset.files import CARD, MANIFEST, check_files, check_free, listed_files
 from lemma.dataset.recipe.digests import content_digest
+from lemma.dataset.recipe.files import open_table, versions
 from lemma.dataset.recipe.reader import load, read_group
 from lemma.dataset.recipe.replay import check_versions
 from lemma.dataset.recipe.schema import EpisodeRecord, perturbed_as

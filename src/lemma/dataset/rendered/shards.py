@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError, UnknownNameError
-from lemma.dataset.files import MANIFEST, listed_files, read_json, sha256_of
+from lemma.core.files import read_json, sha256_of
+from lemma.dataset.files import MANIFEST, listed_files
 from lemma.dataset.rendered.keyframes.files import KeyframeFile
 from lemma.dataset.rendered.keyframes.schema import FORM, PARTS, Header
 

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from lemma.core.errors import DatasetError
-from lemma.dataset.files import read_json, write_text
+from lemma.core.files import read_json, write_text
 from lemma.evaluation.analysis.coordination import Coordination, coordination_of
 from lemma.evaluation.analysis.failure_causes import cause_of
 from lemma.evaluation.records import (

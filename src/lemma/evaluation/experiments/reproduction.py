@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from lemma.core.errors import DatasetError
+from lemma.core.files import read_json
 from lemma.core.parallel import Engine
-from lemma.dataset.files import read_json
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.experiments.catalog import (
     ABLATIONS,

@@ -18,15 +18,9 @@ from time import perf_counter
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.files import clear_drafts, only_writer, read_json, write_json
 from lemma.core.parallel import Engine, report
-from lemma.dataset.files import (
-    check_same,
-    clear_drafts,
-    only_writer,
-    read_json,
-    versions,
-    write_json,
-)
+from lemma.dataset.recipe.files import check_same, versions
 from lemma.evaluation.records import (
     ABOUT,
     EPISODES,

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from lemma.dataset.files import sha256_of
+from lemma.core.files import sha256_of
 from lemma.policies.interfaces import Policy
 from lemma.policies.spec import ORACLE, PolicySpec, load_part
 from lemma.serve.client.conversation import ProtocolMode

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from lemma import __version__
 from lemma.core.errors import LemmaError
-from lemma.dataset.files import only_writer, write_json
+from lemma.core.files import only_writer, write_json
 from lemma.policies.checkpoints import (
     About,
     load_weights,

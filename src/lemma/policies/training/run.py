@@ -11,8 +11,9 @@ import torch
 
 from lemma import __version__
 from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.files import clear_drafts, read_json, write_json
 from lemma.core.seeding import stream
-from lemma.dataset.files import MANIFEST, clear_drafts, read_json, write_json
+from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.schema import executions, perturbed_as
 from lemma.dataset.rendered.keyframes.schema import FORM
 from lemma.dataset.rendered.shards import keyframe_shards, read_manifest

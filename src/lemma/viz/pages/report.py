@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from lemma import __version__
-from lemma.dataset.files import write_text
+from lemma.core.files import write_text
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.records import Departure
 from lemma.evaluation.report.episodes import (

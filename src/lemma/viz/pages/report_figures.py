@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean, stdev
 
-from lemma.dataset.files import write_text
+from lemma.core.files import write_text
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.analysis.intervals import mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Cell

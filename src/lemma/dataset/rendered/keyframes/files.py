@@ -16,7 +16,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from lemma.core.errors import DatasetError, UnknownNameError
-from lemma.dataset.files import METADATA_KEY, write_whole
+from lemma.core.files import damaged, write_whole
+from lemma.dataset.recipe.files import METADATA_KEY
 from lemma.dataset.rendered.keyframes.schema import Header, Row
 
 _CODECS = {
@@ -95,7 +96,7 @@ def mapped(path: Path) -> pa.NativeFile:
     try:
         return pa.memory_map(str(path))
     except (OSError, pa.ArrowException) as error:
-        raise DatasetError(damaged(path, error)) from error
+        raise DatasetError(damaged(path, error, "lemma render")) from error
 
 
 class KeyframeFile:
@@ -139,7 +140,7 @@ class KeyframeFile:
         try:
             return pa.ipc.open_file(self._source, options=options)
         except (OSError, pa.ArrowException) as error:
-            raise DatasetError(damaged(self.path, error)) from error
+            raise DatasetError(damaged(self.path, error, "lemma render")) from error
 
     @cached_property
     def _decoders(self) -> list[tuple[str, "_Tensor | None"]]:
@@ -166,7 +167,7 @@ class KeyframeFile:
                 for i, (name, tensor) in enumerate(self._decoders)
             }
         except (OSError, pa.ArrowException) as error:
-            raise DatasetError(damaged(self.path, error)) from error
+            raise DatasetError(damaged(self.path, error, "lemma render")) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,11 +188,3 @@ class _Tensor:
         array = array.reshape(self.shape)
         # What was decompressed is ours; what was not is the file.
         return array if array.flags.writeable else array.copy()
-
-
-def damaged(path: Path, error: Exception) -> str:
-    """Return what to say about a rendered file that cannot be read."""
-    return (
-        f"{path} is damaged: {str(error).rstrip('.')}. It may have been cut short. "
-        "Delete it and run 'lemma render' again: it makes what is missing."
-    )

@@ -15,11 +15,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 
 from lemma.core.errors import DatasetError
-from lemma.dataset.files import METADATA_KEY
+from lemma.core.files import damaged, parse_json
+from lemma.dataset.recipe.files import METADATA_KEY
 from lemma.dataset.recipe.schema import perturbed_as
 from lemma.scene.raster import RASTER, Raster
 
@@ -42,7 +44,7 @@ class Header:
     """One of :data:`PARTS`."""
     version: str
     versions: dict[str, str]
-    """Versions of what made it; see :func:`lemma.dataset.files.versions`."""
+    """Versions of what made it; see :func:`lemma.dataset.recipe.files.versions`."""
     renderer: str
     """What drew the images: other software may draw other pixels."""
     robots: int
@@ -76,22 +78,24 @@ class Header:
         Raises:
             DatasetError: It is no such file, or of another version.
         """
-        data: dict[str, Any] = json.loads(text) if text else {}
+        data = parse_json(text, path) if text else {}
         if data.get("form") != FORM:
             raise DatasetError(
                 f"{path} holds no rendered keyframes. 'lemma render --form keyframes' "
                 "makes them from a recipe."
             )
-        if data["version"] != KEYFRAMES_VERSION:
+        versions = data.get("versions")
+        if data.get("version") != KEYFRAMES_VERSION:
+            by = versions.get("lemma") if isinstance(versions, dict) else None
             raise DatasetError(
-                f"{path} has version {data['version']} of the keyframe format, and "
+                f"{path} has version {data.get('version')} of the keyframe format, and "
                 f"this package reads version {KEYFRAMES_VERSION}. Install the version "
-                f"that wrote it ({data['versions']['lemma']}), or render it again."
+                f"that wrote it ({by}), or render it again."
             )
-        data["raster"] = Raster(**data["raster"])
-        for name in ("entities", "digests", "keyframes"):
-            data[name] = tuple(data[name])
-        return cls(**data)
+        try:
+            return msgspec.convert(data, cls)
+        except msgspec.ValidationError as error:
+            raise DatasetError(damaged(path, error, "lemma render")) from error
 
     def schema(self) -> pa.Schema:
         """Return the columns of a file, with this header as metadata."""

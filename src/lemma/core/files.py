@@ -1,0 +1,177 @@
+"""Files that are either whole or not there, JSON, checksums, and who may write."""
+
+import errno
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from lemma.core.errors import DatasetError
+
+_DRAFT = ".draft"
+_LOCK = ".lock"
+
+
+def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file so that it is whole or not there, whenever the power fails.
+
+    Args:
+        path: The file.
+        write: Writes it, at the path that it is given.
+
+    Raises:
+        DatasetError: The disk is full, or the folder cannot be written to.
+    """
+    draft = path.with_name(f".{path.name}.{os.getpid()}{_DRAFT}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(draft)
+        with draft.open("rb+") as file:
+            os.fsync(file.fileno())
+        draft.replace(path)
+    except OSError as error:
+        raise DatasetError(_explain(path, error)) from error
+    finally:
+        # Only what went wrong leaves a draft, and then its folder may be gone too.
+        with suppress(OSError):
+            draft.unlink()
+
+
+def clear_drafts(folder: Path) -> None:
+    """Remove what writers left behind that were killed."""
+    for draft in folder.rglob(f".*{_DRAFT}"):
+        with suppress(OSError):
+            draft.unlink()
+
+
+@contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Hold a folder, which is made if it is missing, so that nobody else writes to it.
+
+    An empty file ``.lock`` stays behind. The system lets go of it when this process
+    ends, however it ends.
+
+    Raises:
+        DatasetError: Somebody holds it, or it cannot be made.
+    """
+    lock = FileLock(folder / _LOCK, timeout=0)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        # On a network file system without locks nobody watches.
+        with suppress(NotImplementedError):
+            lock.acquire()
+    except Timeout as error:
+        raise DatasetError(
+            f"Another process is writing to {folder}. Wait until it has ended, or "
+            "choose another folder."
+        ) from error
+    except OSError as error:
+        raise DatasetError(_explain(folder, error)) from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+_NO_ROOM = {
+    errno.ENOSPC: "The disk is full",
+    errno.EDQUOT: "Your quota of the disk is used up",
+    errno.EFBIG: "Files of that size are not allowed here",
+}
+
+
+def _explain(path: Path, error: OSError) -> str:
+    if error.errno in _NO_ROOM:
+        return (
+            f"{_NO_ROOM[error.errno]}: {path} could not be written. Nothing that was "
+            "written before is lost. Free some space, or ask for more, and run the "
+            "same command again."
+        )
+    return (
+        f"{path} cannot be written: {error.strerror or error}. Choose a folder that "
+        "you may write to; nothing that was written before is lost."
+    )
+
+
+def damaged(path: Path, error: Exception, command: str) -> str:
+    """Return what to say about a file that cannot be read.
+
+    Args:
+        path: The file.
+        error: Why.
+        command: What writes it, such as ``"lemma generate"``.
+    """
+    return (
+        f"{path} is damaged: {str(error).rstrip('.')}. It may have been cut short. "
+        f"Delete it and run '{command}' again: it writes what is missing."
+    )
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises:
+        DatasetError: It is missing, damaged, nested too deep, or no object.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise DatasetError(
+            f"{path} is missing: nothing was written there, or not to the end. Run the "
+            "command again that writes it, such as 'lemma generate' for a recipe."
+        ) from error
+    except (OSError, ValueError) as error:
+        raise DatasetError(_unreadable(path, error)) from error
+    return parse_json(text, path)
+
+
+def parse_json(text: str | bytes, path: Path) -> dict[str, Any]:
+    """Return the JSON object that a file is or contains.
+
+    Args:
+        text: The JSON.
+        path: Where it comes from.
+
+    Raises:
+        DatasetError: It is damaged, nested too deep, or no object.
+    """
+    try:
+        data = json.loads(text)
+    # A thousand brackets are no data of ours, and overflow the parser.
+    except (ValueError, RecursionError) as error:
+        raise DatasetError(_unreadable(path, error)) from error
+    if not isinstance(data, dict):
+        raise DatasetError(_unreadable(path, "it is no JSON object"))
+    return data
+
+
+def _unreadable(path: Path, why: object) -> str:
+    return (
+        f"{path} cannot be read: {str(why).rstrip('.')}. Fetch it again, or delete it "
+        "and run the command again that wrote it."
+    )
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_json(path: Path, data: dict[str, Any]) -> None:
+    """Write JSON, the same bytes for the same data."""
+    write_text(path, json.dumps(data, indent=1, sort_keys=True) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+
+    def write(draft: Path) -> None:
+        draft.write_text(text, encoding="utf-8")
+
+    write_whole(path, write)

@@ -1,0 +1,173 @@
+"""The Parquet files of a recipe, and the versions that they depend on."""
+
+import json
+import os
+from importlib.metadata import version
+from pathlib import Path
+from subprocess import DEVNULL, SubprocessError, check_output
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from lemma.core.errors import DatasetError
+from lemma.core.files import damaged, parse_json, write_whole
+from lemma.core.version import VERSION
+from lemma.dataset.recipe.schema import (
+    FORMAT_VERSION,
+    PERTURBED_SCHEMA,
+    SCHEMA,
+    executions,
+    perturbed_as,
+)
+
+METADATA_KEY = b"lemma"
+REVISION_VARIABLE = "LEMMA_REVISION"
+"""Environment variable that says the git revision where the checkout has no .git."""
+ROW_GROUP = 20
+"""Episodes that are read together: what random access costs."""
+WRITTEN_BY = "lemma generate"
+"""The command that writes them."""
+
+
+def versions(benchmark: str) -> dict[str, str]:
+    """Return what the bits of a recipe depend on.
+
+    Args:
+        benchmark: Version of the benchmark's instances.
+    """
+    return {
+        "format": FORMAT_VERSION,
+        "benchmark": benchmark,
+        "lemma": VERSION,
+        "mujoco": version("mujoco"),
+        "numpy": version("numpy"),
+        "numba": version("numba"),
+        "revision": _revision(),
+    }
+
+
+def _revision() -> str:
+    """Return the git revision of the package's checkout, or ``"release"``.
+
+    Another project's repository, around an environment in which this package is
+    installed, is not asked.
+    """
+    told = os.environ.get(REVISION_VARIABLE)
+    if told:
+        return told
+    root = Path(__file__).parents[4]
+    if not (root / "src/lemma").is_dir() or not (root / ".git").exists():
+        return "release"
+    try:
+        return check_output(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--match="],
+            cwd=root,
+            stderr=DEVNULL,
+            text=True,
+        ).strip()
+    except (OSError, SubprocessError):
+        return "release"
+
+
+def write_table(path: Path, table: pa.Table, about: dict[str, str]) -> None:
+    """Write a table of a recipe to Parquet, with what it says about itself."""
+    metadata = {METADATA_KEY: json.dumps(about, sort_keys=True).encode()}
+    # In one piece, because where pieces begin shows in the bytes.
+    table = table.replace_schema_metadata(metadata).combine_chunks()
+
+    def write(draft: Path) -> None:
+        pq.write_table(
+            table,
+            draft,
+            compression="zstd",
+            row_group_size=ROW_GROUP,
+            write_page_checksum=True,
+        )
+
+    write_whole(path, write)
+
+
+def open_table(path: Path) -> tuple[pq.ParquetFile, dict[str, str]]:
+    """Open a Parquet file of a recipe.
+
+    Returns:
+        The file, and what it says about itself.
+
+    Raises:
+        DatasetError: It is truncated, or not of this format.
+    """
+    try:
+        file = pq.ParquetFile(path, page_checksum_verification=True)
+    except (OSError, pa.ArrowException) as error:
+        raise DatasetError(damaged(path, error, WRITTEN_BY)) from error
+    found = (file.schema_arrow.metadata or {}).get(METADATA_KEY)
+    known = (SCHEMA.names, PERTURBED_SCHEMA.names)
+    if found is None or file.schema_arrow.names not in known:
+        raise DatasetError(
+            f"{path} is no recipe of this benchmark. Recipes are written by "
+            "'lemma generate'."
+        )
+    about: dict[str, str] = parse_json(found, path)
+    if about.get("format") != FORMAT_VERSION:
+        raise DatasetError(
+            f"{path} has format {about.get('format')}, and this version of the package "
+            f"reads format {FORMAT_VERSION}. Install the version that wrote it "
+            f"({about.get('lemma')}), or generate it again."
+        )
+    return file, about
+
+
+def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
+    """Read a Parquet file of a recipe.
+
+    Args:
+        path: The file.
+        columns: Names of columns; all if None.
+
+    Raises:
+        DatasetError: It is damaged, or not of this format.
+    """
+    file, _ = open_table(path)
+    try:
+        return file.read(columns=columns)
+    except (OSError, pa.ArrowException) as error:
+        raise DatasetError(damaged(path, error, WRITTEN_BY)) from error
+
+
+def check_same(path: Path, found: dict[str, str], about: dict[str, str]) -> None:
+    """Check that a file says the same about itself as what would be written now.
+
+    Args:
+        path: The file.
+        found: What it says about itself.
+        about: What would be written now.
+
+    Raises:
+        DatasetError: It is of another version, or perturbed otherwise.
+    """
+    check_alike(path, found, about)
+    differing = [k for k in about if k != "revision" and found.get(k) != about[k]]
+    if differing:
+        what = ", ".join(f"{k} {found.get(k)} instead of {about[k]}" for k in differing)
+        raise DatasetError(
+            f"{path} was written by another version: {what}. Its states would not fit "
+            "what is generated now. Choose a new folder, or delete this one."
+        )
+
+
+def check_alike(path: Path, found: dict[str, str], about: dict[str, str]) -> None:
+    """Check that demonstrations and perturbed executions are not mixed.
+
+    Args:
+        path: A file, or the folder of a recipe.
+        found: What it says about itself.
+        about: What would be written now.
+
+    Raises:
+        DatasetError: One is perturbed and the other is not, or otherwise.
+    """
+    if perturbed_as(found) != perturbed_as(about):
+        raise DatasetError(
+            f"{path} holds {executions(found)}, and what is wanted are "
+            f"{executions(about)}. Choose a new folder."
+        )
