@@ -178,7 +178,9 @@ def test_a_failing_expert_is_told_and_the_rest_is_kept(
     order = replace(small_order(tmp_path), splits=("val",))
     with monkeypatch.context() as patch:
         patch.setattr(generating, "record_episode", fail_once)
-        with pytest.raises(DatasetError, match=r"1 instances: v1/pass/val/1 .dropped"):
+        with pytest.raises(
+            DatasetError, match=r"1 episodes .*: v1/pass/val/1 .dropped"
+        ):
             generate(order, Serial())
     assert not (tmp_path / MANIFEST).exists()
     assert generate(order, Serial()).made == 1
