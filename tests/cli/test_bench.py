@@ -9,6 +9,10 @@ SPEED = {
     *("realtime_factor", "camera_fps", "map_ms"),
     *("reset_state_ms", "reset_images_ms", "peak_mb"),
 }
+CONTROL = {
+    *("bare_physics_hz", "joint_position_hz", "joint_position_ratio"),
+    *("ee_pose_hz", "ee_pose_ratio", "rgbd_hz"),
+}
 EXPERT = {
     *("episodes", "success_rate", "raw_success_rate"),
     *("mean_sim_s", "max_sim_s", "rejection_rate"),
@@ -23,7 +27,10 @@ def test_bench_as_json(capsys: pytest.CaptureFixture[str]) -> None:
         main(words.split())
     assert end.value.code == 0
     report = json.loads(capsys.readouterr().out)
-    assert set(report) == {"machine", "speed", "expert"}
+    assert set(report) == {"machine", "speed", "control", "expert"}
+    assert set(report["control"]) == CONTROL
+    assert 0.0 < report["control"]["ee_pose_ratio"] < 1.0
+    assert 0.0 < report["control"]["joint_position_ratio"] < 1.0
     assert set(report["speed"]) == SPEED
     assert all(value > 0 for value in report["speed"].values())
     assert report["speed"]["peak_mb"] > 50
@@ -70,4 +77,4 @@ def test_figures_of_a_policy(capsys: pytest.CaptureFixture[str]) -> None:
     assert 0 < found["decision_ms"] <= found["slowest_ms"]
     assert found["look_ms"] == 0.0
     assert found["success_rate"] == 1.0
-    assert found["demo_peak_mb"] > 50
+    assert found["peak_mb"] > 50

@@ -1,14 +1,9 @@
 """The figures of `lemma bench --policy`: how long it thinks, and how much it needs."""
 
-import os
 import statistics
-import tempfile
 import time
-from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
-from lemma.cli.demo import demo
 from lemma.core.parallel import ProcessPool, peak_memory_mb
 from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.policies.spec import PolicySpec
@@ -29,8 +24,8 @@ class PolicyFigures:
     """Of 20 decisions, 19 are faster."""
     success_rate: float
     """In these few episodes."""
-    demo_peak_mb: float
-    """Largest memory of the process of ``lemma demo --policy``, with videos."""
+    peak_mb: float
+    """Largest memory of a process that plays one episode."""
 
     def to_dict(self) -> dict[str, float]:
         """Return plain data, ready for JSON."""
@@ -62,7 +57,7 @@ def measure_policy(name: str, instances: list[Instance]) -> PolicyFigures:
         decision_ms=1000.0 * statistics.median(decisions),
         slowest_ms=1000.0 * decisions[int(0.95 * (len(decisions) - 1))],
         success_rate=successes / len(instances),
-        demo_peak_mb=_measure_demo_mb(name, instances[-1].task),
+        peak_mb=next(ProcessPool(1).run(_peak_mb, [(name, instances[-1])])),
     )
 
 
@@ -81,16 +76,6 @@ def _play(
     return play, times
 
 
-def _measure_demo_mb(policy: str, task: str) -> float:
-    (peak_mb,) = ProcessPool(1).run(_demo_mb, [(policy, task)])
-    return float(peak_mb)
-
-
-def _demo_mb(policy: str, task: str) -> float:
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        Path(os.devnull).open("w", encoding="utf-8") as nowhere,
-        redirect_stdout(nowhere),
-    ):
-        demo((task,), policy=policy, out=Path(folder))
-        return peak_memory_mb()
+def _peak_mb(policy: str, instance: Instance) -> float:
+    _play(Player.load(PolicySpec(policy)), instance)
+    return peak_memory_mb()

@@ -6,6 +6,7 @@ import tyro
 from rich.progress import track
 from rich.table import Table
 
+from lemma.bench.control import HZ, ControlFigures, measure_control
 from lemma.bench.machine import describe_machine
 from lemma.bench.policy import PolicyFigures, measure_policy
 from lemma.bench.speed import (
@@ -41,13 +42,21 @@ _TARGETS = {
     "peak_mb": ("memory of one environment, with cameras", "{:.0f} MB", "< 400 MB"),
 }
 """Of every figure: what it is, how to print it, and what it should be."""
+_CONTROL_TARGETS = {
+    "bare_physics_hz": ("bare physics, ten mj_step", "{:.0f} steps/s", ""),
+    "joint_position_hz": ("joint_position", "{:.0f} steps/s", ""),
+    "joint_position_ratio": ("over bare physics", "{:.2f}", "≥ 0.6"),
+    "ee_pose_hz": ("ee_pose", "{:.0f} steps/s", ""),
+    "ee_pose_ratio": ("over bare physics", "{:.2f}", "≥ 0.45"),
+    "rgbd_hz": ("with two 320 x 240 RGB-D cameras", "{:.0f} steps/s", "≥ 80"),
+}
 _POLICY_TARGETS = {
     "decisions": ("decisions that were timed", "{:.0f}", ""),
     "look_ms": ("both cameras and the map before each", "{:.0f} ms", ""),
     "decision_ms": ("one decision, median", "{:.0f} ms", "< 150 ms"),
     "slowest_ms": ("one decision, 95 of 100 are faster", "{:.0f} ms", ""),
     "success_rate": ("success in these episodes", "{:.0%}", ""),
-    "demo_peak_mb": ("memory of lemma demo --policy", "{:.0f} MB", "< 1500 MB"),
+    "peak_mb": ("memory of a process that plays", "{:.0f} MB", "< 1500 MB"),
 }
 
 
@@ -93,6 +102,7 @@ def bench(
         return 0
     with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
         speed = measure_speed(instances)
+        control = measure_control(instances[0])
     figures: dict[str, ExpertFigures] = {}
     if expert:
         trials = track(
@@ -103,34 +113,34 @@ def bench(
         )
         figures = expert_figures(trials)
     if as_json:
-        print_json(report(machine, speed, figures))
+        print_json(report(machine, speed, control, figures))
     else:
-        _print(machine, speed, figures, f"first {each} of split {_SPLIT!r} per task")
+        _print_machine(machine)
+        title = f"Speed (first {each} of split {_SPLIT!r} per task)"
+        output().print(_figures(title, speed, _TARGETS))
+        title = f"Control level, {HZ:g} steps per simulated second, random actions"
+        output().print(_figures(title, control, _CONTROL_TARGETS))
+        if figures:
+            _print_expert(figures)
     return 0
 
 
 def report(
-    machine: dict[str, Any], speed: Speed, figures: dict[str, ExpertFigures]
+    machine: dict[str, Any],
+    speed: Speed,
+    control: ControlFigures,
+    figures: dict[str, ExpertFigures],
 ) -> dict[str, Any]:
     """Return the one object that ``--json`` prints."""
     return {
         "machine": machine,
         "speed": rounded(speed),
+        "control": rounded(control),
         "expert": {task: rounded(found) for task, found in figures.items()},
     }
 
 
-def _print(
-    machine: dict[str, Any],
-    speed: Speed,
-    figures: dict[str, ExpertFigures],
-    episodes: str,
-) -> None:
-    console = output()
-    _print_machine(machine)
-    console.print(_figures(f"Speed ({episodes})", speed, _TARGETS))
-    if not figures:
-        return
+def _print_expert(figures: dict[str, ExpertFigures]) -> None:
     table = Table(title="The expert", title_justify="left")
     table.add_column("task", style="bold")
     for heading in (
@@ -148,7 +158,7 @@ def _print(
             f"{found.max_sim_s:.1f}",
             f"{found.rejection_rate:.1%}",
         )
-    console.print(table)
+    output().print(table)
 
 
 def _print_policy(machine: dict[str, Any], found: PolicyFigures, policy: str) -> None:
