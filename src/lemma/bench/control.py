@@ -87,15 +87,15 @@ def time_steps(
     )
     env.reset(options={"instance": instance})
     rng = np.random.default_rng(0)
-    low, high = env.action_space.low, env.action_space.high
+    layout = env.action_layout
     scene = env.episode.simulation.scene
     spare = mujoco.MjData(scene.model)
     times: list[tuple[float, float]] = []
-    action = rng.uniform(low, high)
+    action = rng.uniform(layout.low, layout.high, layout.shape)
     # The first warms up.
     for step in range(steps + 1):
         if step % _KEPT_STEPS == 0:
-            action = rng.uniform(low, high)
+            action = rng.uniform(layout.low, layout.high, layout.shape)
         mujoco.mj_copyData(spare, scene.model, scene.data)
         start = time.perf_counter()
         for _ in range(round(1.0 / HZ / TIME_STEP_S)):

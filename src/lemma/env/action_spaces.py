@@ -15,6 +15,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lemma.core.errors import InvalidActionError, UnknownNameError, shown
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.core.robot_names import robot_name, robot_names, robot_number
 from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
@@ -87,11 +88,11 @@ class ActionLayout:
                 f"The action has shape {values.shape}. {self._valid()}{hint}"
             )
         low, high, slack = self._bounds
-        # So written, NaN is outside.
-        outside = ~((low - slack <= values) & (values <= high + slack))
-        if outside.any():
+        if not _clip(values, low, high, slack):
+            # So written, NaN is outside.
+            outside = ~((low - slack <= values) & (values <= high + slack))
             self._refuse(values, np.argwhere(outside))
-        return np.where(values < low, low, np.where(values > high, high, values))
+        return values
 
     @cached_property
     def _bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -134,6 +135,20 @@ class ActionLayout:
             f"Valid: shape {self.shape}, one row for each of {', '.join(self.rows)}, "
             f"with {', '.join(self.columns)}."
         )
+
+
+@kernel
+def _clip(
+    values: FloatArray, low: FloatArray, high: FloatArray, slack: FloatArray
+) -> bool:
+    """Clip rows to bounds in place, unless one misses them by more than the slack."""
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            value = values[i, j]
+            if not low[j] - slack[j] <= value <= high[j] + slack[j]:
+                return False
+            values[i, j] = min(max(value, low[j]), high[j])
+    return True
 
 
 SKILL_POSES = ActionLayout(

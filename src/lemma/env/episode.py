@@ -90,7 +90,10 @@ class Episode:
     @property
     def is_success(self) -> bool:
         """Whether the goal holds now, and nothing is held."""
-        return self.progress == 1.0 and not self.simulation.held()
+        return self._succeeds(self.progress)
+
+    def _succeeds(self, progress: float) -> bool:
+        return progress == 1.0 and not self.simulation.held()
 
     @property
     def failure(self) -> str | None:
@@ -162,12 +165,13 @@ class Episode:
 
     def info(self) -> dict[str, Any]:
         """Return the figures that every step and reset reports."""
-        success = self.is_success
+        progress = self.progress
+        success = self._succeeds(progress)
         elapsed = self.elapsed_s
         return {
             "is_success": success,
             "success": success,
-            "progress": self.progress,
+            "progress": progress,
             "elapsed_s": elapsed,
             "idle_s": {
                 name: clock.idle_s(elapsed)

@@ -7,12 +7,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lemma.core.poses import FloatArray, Pose, wrap
+from lemma.core.poses import FloatArray, wrap
 from lemma.core.registry import Registry
 from lemma.core.robot_names import robot_name
 from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
-from lemma.env.simulation import Simulation
+from lemma.env.proprioception import Proprioception
 from lemma.env.view import View
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
@@ -85,18 +85,19 @@ class Observer:
         """
         self.contents = OBSERVATIONS[mode]
         self.rig = CameraRig(*size)
+        self._proprioception: Proprioception | None = None
         self._robots = robots
         self._size = size
         self._names = tuple(map(robot_name, robots))
         self._entities = known_entities()
-        self.space = spaces.Dict(self._proprioception())
+        self.space = spaces.Dict(self._joints())
         for name, space in self._vision().items():
             self.space[name] = space
         if self.contents.truth:
             for name, space in self._truth().items():
                 self.space[name] = space
 
-    def _proprioception(self) -> dict[str, spaces.Space[Any]]:
+    def _joints(self) -> dict[str, spaces.Space[Any]]:
         count = len(self._robots)
         turn = np.max([ARMS[name].joint_range for name in ARMS], axis=0)
         joints = [*(turn + _JOINT_SLACK_RAD), FINGER_OPENING_M]
@@ -153,18 +154,25 @@ class Observer:
         Raises:
             RenderingError: Pictures are asked for, and OpenGL does not work here.
         """
-        simulation = episode.simulation
-        view = self.view(simulation.scene)
+        scene = episode.simulation.scene
+        if self._proprioception is None or self._proprioception.scene is not scene:
+            boxes = [
+                self.space[name] for name in ("agent_pos", "agent_vel", "tcp_pose")
+            ]
+            low, high = (
+                np.concatenate([getattr(box, end) for box in boxes])
+                for end in ("low", "high")
+            )
+            self._proprioception = Proprioception(scene, self._names, low, high)
+        joints, rates, poses = self._proprioception.measure()
         found: Observation = {
-            "agent_pos": self._fit("agent_pos", _rows(view.joints, view.opening_m)),
-            "agent_vel": self._fit(
-                "agent_vel", _rows(view.joint_velocities, view.opening_m_s)
-            ),
-            "tcp_pose": self._fit("tcp_pose", self._tcp_poses(simulation)),
+            "agent_pos": joints,
+            "agent_vel": rates,
+            "tcp_pose": poses,
             "instruction": write_text(episode.instance.instructions[kind]),
         }
         if self.contents.renders:
-            found.update(self._see(view))
+            found.update(self._see(self.view(scene)))
         if self.contents.truth:
             found.update(self._know(episode))
         return found
@@ -176,13 +184,6 @@ class Observer:
     def close(self) -> None:
         """Free what rendering uses."""
         self.rig.close()
-
-    def _tcp_poses(self, simulation: Simulation) -> list[float]:
-        poses: list[float] = []
-        for name in self._names:
-            tcp = Pose.from_matrix(simulation.arms[name].tcp_pose())
-            poses += [*tcp.position, *tcp.quaternion]
-        return poses
 
     def _see(self, view: View) -> Observation:
         found: Observation = {}
@@ -248,18 +249,7 @@ def read_text(codes: NDArray[np.uint8]) -> str:
 
 def object_poses(scene: Scene) -> dict[str, FloatArray]:
     """Return the true pose of every object: position [m] and quaternion wxyz, (7,)."""
-    found = {}
-    for name in scene.spec.object_names:
-        pose = scene.pose(name)
-        found[name] = np.array([*pose.position, *pose.quaternion])
-    return found
-
-
-def _rows(joints: FloatArray | None, opening: FloatArray | None) -> FloatArray:
-    """Return the numbers of all robots in a row: six joints, then the gripper."""
-    assert joints is not None
-    assert opening is not None
-    return np.column_stack((joints, opening)).ravel()
+    return {name: scene.pose_row(name) for name in scene.spec.object_names}
 
 
 def _box(low: Any, high: Any) -> spaces.Box:

@@ -133,6 +133,15 @@ class Scene:
         q = self.data.qpos[address : address + 7].tolist()
         return Pose((q[0], q[1], q[2]), (q[3], q[4], q[5], q[6]))
 
+    def pose_row(self, name: str) -> FloatArray:
+        """Return position [m] and quaternion wxyz of an object, (7,)."""
+        address = self._free_qpos.get(name)
+        if address is None:
+            pose = self.pose(name)
+            return np.array([*pose.position, *pose.quaternion])
+        row: FloatArray = self.data.qpos[address : address + 7].copy()
+        return row
+
     def pose2(self, name: str) -> Pose2:
         """Return the pose of an object on the table: the heading of its x axis."""
         pose = self.pose(name)
