@@ -93,7 +93,7 @@ def evaluate(
 
     tasks = _names(ask.tasks, SUITE)
     split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
-    order = EvaluationConfig(
+    config = EvaluationConfig(
         out=out,
         policy=PolicySpec(policy, ask.planning, ask.gta, ask.timeout_s),
         tasks=tasks,
@@ -105,13 +105,13 @@ def evaluate(
     )
     for departure in departures():
         complain(f"This is not protocol {NAME}, and its result says so: {departure}.")
-    with progress_bar("evaluate", order.total, _AT_INTERRUPT) as advance:
-        rows = run(order, working.make_engine(), advance)
-    result = summarise(rows, read_about(out), order.command())
+    with progress_bar("evaluate", config.total, _AT_INTERRUPT) as advance:
+        rows = run(config, working.make_engine(), advance)
+    result = summarise(rows, read_about(out), config.command())
     result.write(out / SUMMARY)
     complain_of(rows)
     if as_json:
-        print_json(_rates(result.cells, order.kinds))
+        print_json(_rates(result.cells, config.kinds))
     else:
         output().print(table(result.cells))
     return 0

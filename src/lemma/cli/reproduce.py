@@ -86,11 +86,11 @@ def reproduce(
     engine = working.make_engine()
     for experiment in experiments:
         try:
-            order, _ = plan.order(experiment)
+            config, _ = plan.config(experiment)
         except MissingWeightsError as error:
             messages().print(f"Skipped {experiment.name}: {error}", soft_wrap=True)
             continue
-        with progress_bar(experiment.name, order.total, _AT_INTERRUPT) as advance:
+        with progress_bar(experiment.name, config.total, _AT_INTERRUPT) as advance:
             plan.run(experiment, engine, advance)
     entries = entries_of(read_results([out]) if out.exists() else [], complete=True)
     write_text(out / REPORT, page(entries))

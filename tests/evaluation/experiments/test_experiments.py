@@ -134,9 +134,9 @@ def test_missing_weights_are_explained(tmp_path: Path) -> None:
     pytest.importorskip("torch")
     plan = Reproduction(out=tmp_path, weights=tmp_path)
     with pytest.raises(MissingWeightsError, match="lemma train episodic-transformer"):
-        plan.order(EXPERIMENTS["et-cliport-single-step"])
+        plan.config(EXPERIMENTS["et-cliport-single-step"])
     with pytest.raises(MissingWeightsError, match="augmentation"):
-        Reproduction(out=tmp_path).order(EXPERIMENTS["no-palette"])
+        Reproduction(out=tmp_path).config(EXPERIMENTS["no-palette"])
 
 
 def test_the_page_lists_every_ablation() -> None:

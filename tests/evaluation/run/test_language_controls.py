@@ -2,7 +2,12 @@
 
 import pytest
 
-from lemma.evaluation.run.language_controls import FULL, LANGUAGES, OWN_SENTENCE, say
+from lemma.evaluation.run.language_controls import (
+    FULL,
+    LANGUAGES,
+    OWN_SENTENCE,
+    control_of,
+)
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.goal import Goal
 from lemma.tasks.language.template import KINDS
@@ -16,40 +21,40 @@ def test_swapped_colors_ask_for_another_goal(kind: str) -> None:
     there = 0
     for task, index in INSTANCES:
         instance = load_instance(task, "test", index)
-        said = say("swapped", instance, kind)
-        assert said.sentence is not None
-        assert said.sentence != instance.instructions[kind]
-        if said.asks is None:
+        control = control_of("swapped", instance, kind)
+        assert control.sentence is not None
+        assert control.sentence != instance.instructions[kind]
+        if control.asks is None:
             continue
         there += 1
-        assert set(Goal.from_pairs(said.asks).entities) <= set(
+        assert set(Goal.from_pairs(control.asks).entities) <= set(
             instance.scene.object_names
         )
         # No conjunct of the goal is asked for, so who obeys cannot reach it.
-        assert not set(said.asks) & set(instance.goal.pairs)
-        tops = [top for top, _ in said.asks]
+        assert not set(control.asks) & set(instance.goal.pairs)
+        tops = [top for top, _ in control.asks]
         assert len(set(tops)) == len(tops)
     assert there > 0.8 * len(INSTANCES)
 
 
 def test_the_words_stay_and_the_colors_change() -> None:
     instance = load_instance("stack", "test", 0)
-    said = say("swapped", instance, "unseen")
-    assert said.asks is not None
+    control = control_of("swapped", instance, "unseen")
+    assert control.asks is not None
     colors = {entity_named(name).color for name in instance.scene.object_names[:5]}
 
     def bare(sentence: str) -> list[str]:
         return [w for w in sentence.lower().split() if w.strip(".,!?") not in colors]
 
     own = instance.instructions["unseen"]
-    assert bare(said.sentence or "") == bare(own)
+    assert bare(control.sentence or "") == bare(own)
 
 
 def test_every_kind_asks_for_the_same() -> None:
     instance = load_instance("pass2", "test", 3)
-    asked = {say("swapped", instance, kind).asks for kind in KINDS}
+    asked = {control_of("swapped", instance, kind).asks for kind in KINDS}
     assert len(asked) == 1
-    assert asked == {say("swapped", instance, "human").asks}
+    assert asked == {control_of("swapped", instance, "human").asks}
 
 
 def test_where_there_is_nothing_else_colors_are_of_nothing() -> None:
@@ -59,21 +64,21 @@ def test_where_there_is_nothing_else_colors_are_of_nothing() -> None:
         for instance in [load_instance("pass", "test", index)]
         if len(instance.scene.objects) == 2
     )
-    said = say("swapped", alone, "high_level")
-    assert said.asks is None
-    assert said.sentence is not None
+    control = control_of("swapped", alone, "high_level")
+    assert control.asks is None
+    assert control.sentence is not None
     cube, pad = alone.goal.pairs[0]
-    assert f"{entity_named(cube).color} cube" not in said.sentence
-    assert f"{entity_named(pad).color} pad" not in said.sentence
+    assert f"{entity_named(cube).color} cube" not in control.sentence
+    assert f"{entity_named(pad).color} pad" not in control.sentence
 
 
 def test_shuffled_sentences_are_of_the_next_instance() -> None:
     last, first = load_instance("stack", "val", 39), load_instance("stack", "val", 0)
-    said = say("shuffled", last, "human")
-    assert said.sentence == first.instructions["human"]
+    control = control_of("shuffled", last, "human")
+    assert control.sentence == first.instructions["human"]
     for index in range(40):
         instance = load_instance("stack", "val", index)
-        asks = say("shuffled", instance, "human").asks
+        asks = control_of("shuffled", instance, "human").asks
         if asks is not None:
             assert {name for pair in asks for name in pair} <= set(
                 instance.scene.object_names
@@ -83,6 +88,6 @@ def test_shuffled_sentences_are_of_the_next_instance() -> None:
 
 def test_nothing_and_all() -> None:
     instance = load_instance("hook", "test", 0)
-    assert say("none", instance, "human").sentence == ""
-    assert say("full", instance, "human") == OWN_SENTENCE
+    assert control_of("none", instance, "human").sentence == ""
+    assert control_of("full", instance, "human") == OWN_SENTENCE
     assert next(iter(LANGUAGES)) == FULL

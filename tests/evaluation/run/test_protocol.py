@@ -1,7 +1,6 @@
 """The protocol: frozen, quoted, on its page, and never mixed with another."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,7 @@ from lemma.evaluation.run.protocol import (
     quote,
     sha256_of_protocol,
 )
-
-ROOT = Path(__file__).parents[3]
+from protocol import PAGE, text
 
 
 def test_what_is_in_force_is_what_is_frozen() -> None:
@@ -34,11 +32,9 @@ def test_what_is_in_force_is_what_is_frozen() -> None:
     assert sha256_of_protocol(frozen()) == quote()
 
 
-def test_the_page_is_made_from_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", [str(ROOT / "scripts"), *sys.path])
-    script = __import__("protocol")
-    page = script.PAGE.read_text(encoding="utf-8")
-    assert script.text(frozen()) == page, (
+def test_the_page_is_made_from_the_file() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    assert text(frozen()) == page, (
         "docs/protocol.md is out of date: python scripts/protocol.py"
     )
     assert quote() in page

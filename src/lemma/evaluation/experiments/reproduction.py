@@ -40,7 +40,7 @@ class Reproduction:
     episodes: int | None = None
     """Only the first so many of every task; all if None."""
 
-    def order(self, experiment: Experiment) -> tuple[EvaluationConfig, int]:
+    def config(self, experiment: Experiment) -> tuple[EvaluationConfig, int]:
         """Return what to evaluate, and with which seed its weights were trained.
 
         Raises:
@@ -49,7 +49,7 @@ class Reproduction:
         """
         policy = self._found(experiment)
         seed = training_seed(weights_of(policy))
-        order = EvaluationConfig(
+        config = EvaluationConfig(
             out=experiment.summary_path(self.out, seed).with_suffix(""),
             policy=policy,
             split=self.split,
@@ -58,7 +58,7 @@ class Reproduction:
             language=experiment.language,
             perturb_start=experiment.perturb_start,
         )
-        return order, seed
+        return config, seed
 
     def run(
         self,
@@ -79,10 +79,10 @@ class Reproduction:
         Raises:
             DatasetError: Something is missing, or cannot be written.
         """
-        order, seed = self.order(experiment)
-        rows = evaluate(order, engine, advance)
+        config, seed = self.config(experiment)
+        rows = evaluate(config, engine, advance)
         # Names of weights, not where they lay on this machine.
-        about = read_json(order.out / ABOUT) | {"policy": asdict(experiment.policy)}
+        about = read_json(config.out / ABOUT) | {"policy": asdict(experiment.policy)}
         command = self._command(experiment, seed)
         path = experiment.summary_path(self.out, seed)
         summarise(rows, about, command, experiment.name).write(path)

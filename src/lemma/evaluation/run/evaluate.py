@@ -33,7 +33,7 @@ from lemma.evaluation.records import (
 )
 from lemma.evaluation.run.expert_feedback import count_steps, left_in
 from lemma.evaluation.run.expert_times import TIMED_SPLITS, expert_s, perturbed_start
-from lemma.evaluation.run.language_controls import FULL, LANGUAGES, say
+from lemma.evaluation.run.language_controls import FULL, LANGUAGES, control_of
 from lemma.evaluation.run.loading import served_parts, weights_of
 from lemma.evaluation.run.protocol import GROUP, check_protocol, quote
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out, subtasks_of
@@ -145,14 +145,14 @@ class EvaluationConfig:
 
 
 def evaluate(
-    order: EvaluationConfig,
+    config: EvaluationConfig,
     engine: Engine,
     advance: Callable[[int], None] = lambda count: None,
 ) -> list[Row]:
     """Play what is missing, and write the result.
 
     Args:
-        order: What is wanted.
+        config: What is wanted.
         engine: Where to work.
         advance: Told how many episodes were there at the beginning, and then of every
             one that has ended.
@@ -164,26 +164,26 @@ def evaluate(
         DatasetError: Something cannot be written, or what is there is of another
             policy or version.
     """
-    about = order.about()
-    with only_writer(order.out):
-        clear_drafts(order.out)
-        note = order.out / ABOUT
+    about = config.about()
+    with only_writer(config.out):
+        clear_drafts(config.out)
+        note = config.out / ABOUT
         if note.exists():
             found = read_json(note)
-            check_protocol(about, found, "What is asked for", order.out)
+            check_protocol(about, found, "What is asked for", config.out)
             check_same(note, found, about)
         else:
             write_json(note, about)
-        parts = (order.out / _PARTS).absolute()
-        done = {key_of(row): row for row in read_rows(order.out)}
+        parts = (config.out / _PARTS).absolute()
+        done = {key_of(row): row for row in read_rows(config.out)}
         jobs = []
-        for kind, task, indices in order.groups():
+        for kind, task, indices in config.groups():
             path = parts / f"{kind}-{task}-{indices.start}-{indices.stop}.jsonl"
             there = all((kind, task, index) in done for index in indices)
             if there or path.exists():
                 advance(len(indices))
             else:
-                jobs.append((order, kind, task, indices, path))
+                jobs.append((config, kind, task, indices, path))
         ended: dict[tuple[str, str, int], Row] = {}
 
         def take(row: Row) -> None:
@@ -200,11 +200,11 @@ def evaluate(
             for path in sorted(parts.glob("*.jsonl")):
                 done.update((key_of(row), row) for row in read_lines(path))
             rows = sorted(done.values(), key=place_of)
-            write_rows(order.out / EPISODES, rows)
+            write_rows(config.out / EPISODES, rows)
             rmtree(parts, ignore_errors=True)
     wanted = {
         (kind, task, index)
-        for kind, task, indices in order.groups()
+        for kind, task, indices in config.groups()
         for index in indices
     }
     return [row for row in rows if key_of(row) in wanted]
@@ -224,19 +224,20 @@ def start_of(task: str, split: str, index: int, *, moved: bool) -> Instance:
 
 
 def play_group(
-    order: EvaluationConfig, kind: str, task: str, indices: range, path: Path
+    config: EvaluationConfig, kind: str, task: str, indices: range, path: Path
 ) -> None:
     """Play some episodes, report each as it ends, and write them all."""
-    player = _player(order.policy)
-    plays = []
+    player = _player(config.policy)
+    rollouts = []
     for index in indices:
-        instance = start_of(task, order.split, index, moved=order.perturb_start)
-        plays.append(Rollout(instance, kind, said=say(order.language, instance, kind)))
+        instance = start_of(task, config.split, index, moved=config.perturb_start)
+        control = control_of(config.language, instance, kind)
+        rollouts.append(Rollout(instance, kind, control=control))
     rows: list[Row] = []
     start = perf_counter()
-    for play in roll_out(plays, player, len(plays)):
+    for rollout in roll_out(rollouts, player, len(rollouts)):
         wall_s = (perf_counter() - start) / (len(rows) + 1)
-        rows.append(_row(play, order, wall_s))
+        rows.append(_row(rollout, config, wall_s))
         report(rows[-1])
     # They were played together, so each took its part.
     even = [{**row, "wall_s": rows[-1]["wall_s"]} for row in rows]
@@ -253,27 +254,27 @@ def _player(spec: PolicySpec) -> Player:
     return player
 
 
-def _row(play: Rollout, order: EvaluationConfig, wall_s: float) -> Row:
-    instance, episode = play.instance, play.episode
+def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
+    instance, episode = rollout.instance, rollout.episode
     info = episode.info()
-    subtasks, left = subtasks_of(play.steps), left_in(episode)
-    asks = play.said.asks
-    least_m = play.clearance.least_m
+    subtasks, left = subtasks_of(rollout.steps), left_in(episode)
+    asks = rollout.control.asks
+    least_m = rollout.clearance.least_m
     return {
         "task": instance.task,
         "split": instance.split,
         "index": instance.index,
         "team": instance.team,
         "distractors": len(instance.distractors),
-        "perturb_start": order.perturb_start,
-        "instruction_kind": play.kind,
-        "instruction": play.instruction,
+        "perturb_start": config.perturb_start,
+        "instruction_kind": rollout.kind,
+        "instruction": rollout.instruction,
         "asked": None if asks is None else [list(pair) for pair in asks],
-        "asked_holds": play.asked_holds,
-        "success": play.success,
+        "asked_holds": rollout.asked_holds,
+        "success": rollout.success,
         "progress": info["progress"],
-        "failure": play.failure,
-        "policy_error": play.fault.to_dict() if play.fault else None,
+        "failure": rollout.failure,
+        "policy_error": rollout.fault.to_dict() if rollout.fault else None,
         "elapsed_s": round(info["elapsed_s"], 3),
         "idle_s": {name: round(idle, 3) for name, idle in info["idle_s"].items()},
         "coordination": {
@@ -281,7 +282,7 @@ def _row(play: Rollout, order: EvaluationConfig, wall_s: float) -> Row:
                 instance.task,
                 instance.split,
                 instance.index,
-                perturbed_start=order.perturb_start,
+                perturbed_start=config.perturb_start,
             ),
             **count_steps(subtasks, left),
             "clearance_mm": round(1000.0 * least_m, 1) if least_m < inf else None,

@@ -44,7 +44,7 @@ OWN_SENTENCE = LanguageControl()
 """What the instance says is said."""
 
 
-def say(language: str, instance: Instance, kind: str) -> LanguageControl:
+def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:
     """Return what is said in an episode.
 
     Args:

@@ -57,7 +57,7 @@ class Rollout:
     kind: str = "high_level"
     """Which of its instructions is given."""
     horizon_s: float = HORIZON_S
-    said: LanguageControl = OWN_SENTENCE
+    control: LanguageControl = OWN_SENTENCE
     """What is said instead of that instruction."""
     steps: list[TakenStep] = field(default_factory=list)
     past: list[PastStep] = field(default_factory=list)
@@ -74,7 +74,7 @@ class Rollout:
     def instruction(self) -> str:
         """What the policy is told."""
         own = self.instance.instructions[self.kind]
-        return own if self.said.sentence is None else self.said.sentence
+        return own if self.control.sentence is None else self.control.sentence
 
     @property
     def success(self) -> bool:
@@ -84,10 +84,10 @@ class Rollout:
     @property
     def asked_holds(self) -> bool | None:
         """Whether the other goal holds that was asked for; None if none was."""
-        if self.said.asks is None:
+        if self.control.asks is None:
             return None
         simulation = self.episode.simulation
-        asked = Goal.from_pairs(self.said.asks)
+        asked = Goal.from_pairs(self.control.asks)
         return asked.progress(simulation.scene) == 1.0 and not simulation.held()
 
     @property
@@ -176,7 +176,7 @@ class Player:
 
 
 def roll_out(
-    plays: Iterable[Rollout],
+    rollouts: Iterable[Rollout],
     player: Player,
     at_once: int = 8,
     on_step: Callable[[Rollout, TakenStep], None] | None = None,
@@ -187,7 +187,7 @@ def roll_out(
     the others go on.
 
     Args:
-        plays: What to play; the next is set up when one has ended.
+        rollouts: What to play; the next is set up when one has ended.
         player: Decides, for all running episodes together.
         at_once: Episodes that run at a time.
         on_step: Told of every sub-task as soon as it has ended.
@@ -196,20 +196,20 @@ def roll_out(
         PolicyUnreachableError: The policy's server is gone.
     """
     guard = IsolatedPolicy(player.policy)
-    waiting = iter(plays)
+    waiting = iter(rollouts)
     running = list(islice(waiting, at_once))
     while running:
-        inputs = [play.given(player.rig) for play in running]
+        inputs = [rollout.given(player.rig) for rollout in running]
         decisions = guard.decide(inputs)
-        for play, given, decision in zip(running, inputs, decisions, strict=True):
+        for rollout, given, decision in zip(running, inputs, decisions, strict=True):
             if isinstance(decision, Fault):
-                play.fail(decision)
+                rollout.fail(decision)
                 continue
-            step = play.take(given, decision)
+            step = rollout.take(given, decision)
             if step is not None and on_step is not None:
-                on_step(play, step)
-        over = [play for play in running if play.episode.is_over]
-        running = [play for play in running if not play.episode.is_over]
+                on_step(rollout, step)
+        over = [rollout for rollout in running if rollout.episode.is_over]
+        running = [rollout for rollout in running if not rollout.episode.is_over]
         yield from over
         running += islice(waiting, at_once - len(running))
 
