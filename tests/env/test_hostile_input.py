@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 import lemma
-from lemma.core.errors import InvalidActionError, InvalidConfigError, UnknownNameError
+from lemma.core.errors import (
+    InvalidActionError,
+    InvalidConfigError,
+    UnknownNameError,
+)
 from lemma.env.base_env import LemmaEnv
 from lemma.expert.plan_env import PlanEnv
 from lemma.tasks.subtask import STOP
