@@ -17,6 +17,7 @@ from packaging.version import Version
 
 import lemma
 from lemma.cli import main
+from lemma.core.plugins import GROUP as ENTRY_POINTS
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
@@ -241,6 +242,7 @@ def commands_in(page: Path, program: str) -> list[list[str]]:
 def test_python_names_in_the_documentation_exist(page: Path) -> None:
     text = page.read_text()
     names = set(re.findall(r"(?<![\w./-])lemma(?:\.[A-Za-z_]\w*)+(?![\w/-])", text))
+    names -= {ENTRY_POINTS}
     assert sorted(name for name in names if not resolves(name)) == []
 
 
@@ -287,7 +289,9 @@ def test_make_targets_in_the_documentation_exist(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=relative)
 def test_lemma_commands_in_the_documentation_exist(page: Path) -> None:
     wrong = []
-    for words in commands_in(page, "lemma"):
+    for all_words in commands_in(page, "lemma"):
+        words, plugins = main.split_plugins(all_words)
+        assert all((ROOT / plugin).exists() for plugin in plugins)
         options = {word.split("=")[0].strip("[],") for word in words if "--" in word}
         verb = words[0] if re.fullmatch(r"[a-z][a-z-]*", words[0]) else ""
         known = options_of(verb)
