@@ -106,6 +106,20 @@ def test_no_layer_is_dodged_by_a_string(path: Path) -> None:
         assert modules_imported_by_string(path) == []
 
 
+def test_names_are_taken_apart_in_one_place() -> None:
+    homes = ("core/robot_names.py", "scene/objects/entity.py")
+    apart = re.compile(
+        r"""f"robot_\{|removeprefix\("robot_|r?partition\("_"\)"""
+        r"""|(?:endswith|removesuffix)\(\(?"_?(?:cube|pad|stick)"""
+    )
+    found = [
+        relative(path)
+        for path in SOURCES
+        if apart.search(path.read_text()) and not relative(path).endswith(homes)
+    ]
+    assert found == []
+
+
 def test_every_folder_of_sources_is_a_package() -> None:
     folders = {path.parent for path in SOURCES} - {ROOT / "src"}
     assert [f for f in sorted(folders) if not (f / "__init__.py").exists()] == []

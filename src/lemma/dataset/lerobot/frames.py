@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.robot_names import robot_names
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.labels import label
 from lemma.dataset.rendered.steps import (
@@ -71,7 +72,7 @@ def depth_key(robot: str) -> str:
 
 def robots_of(record: EpisodeRecord) -> tuple[str, ...]:
     """Return the names of an episode's robots."""
-    return tuple(f"robot_{i}" for i in range(len(record.instance_data()["robots"])))
+    return robot_names(len(record.instance_data()["robots"]))
 
 
 def features(robots: tuple[str, ...], style: Style) -> dict[str, dict[str, Any]]:
