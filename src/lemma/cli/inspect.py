@@ -1,5 +1,6 @@
 """`lemma inspect`: what is in a recipe; one episode of it as pictures."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
@@ -8,20 +9,17 @@ from rich.table import Table
 from lemma.cli.options import File, JsonFlag, Number, Word, messages, output, print_json
 from lemma.cli.replay import Folder, choose
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.recipe.balance import ALL
 from lemma.dataset.recipe.files import open_table
 from lemma.dataset.recipe.reader import Recipe, load
 from lemma.dataset.recipe.schema import EpisodeRecord
-from lemma.dataset.recipe.statistics import Statistics, statistics_of
+from lemma.dataset.recipe.summary import ALL, GroupSummary, RecipeSummary, summarize
 from lemma.viz.keyframe_sheet import keyframe_strip
-from lemma.viz.pages.dataset import (
-    p_words,
-    table_cells,
-    verdict_words,
-    write_dataset_page,
-)
 
 _SPLIT = "test"
+_HEADINGS = (
+    *("episodes", "solved", "sub-tasks", "objects", "distractors"),
+    *("time", "margin"),
+)
 
 
 def inspect(
@@ -39,25 +37,21 @@ def inspect(
         task: Only this task.
         split: Only this split; for one episode, test by default.
         index: Draw the episode of this number.
-        out: The page with plots (HTML), or the picture of the episode (PNG); in
-            out/inspect by default.
-        as_json: Print one JSON object instead of tables, and write no page.
+        out: The picture of the episode (PNG); in out/inspect by default.
+        as_json: Print one JSON object instead of a table.
     """
     recipe = load(data)
     if index is not None:
         return _inspect_episode(recipe, task, split or _SPLIT, index, out)
     chosen = choose(recipe, task, split)
     with messages().status(f"Reading {len(chosen)} episodes ..."):
-        found = statistics_of(chosen)
+        found = summarize(chosen)
     versions = open_table(chosen.files()[0])[1]
     if as_json:
-        print_json({"versions": versions, **found.to_dict()})
+        print_json({"versions": versions, **asdict(found)})
         return 0
-    path = out or Path("out", "inspect", f"{data.resolve().name}.html")
     size_mb = sum(file.stat().st_size for file in chosen.files()) / 1e6
-    write_dataset_page(path, data.resolve().name, found, versions, size_mb)
     _print(found, size_mb)
-    output().print(f"page       {path}", style="bold", soft_wrap=True)
     return 0
 
 
@@ -98,44 +92,32 @@ def _print_episode(record: EpisodeRecord) -> None:
     console.print(table)
 
 
-def _print(found: Statistics, size_mb: float) -> None:
-    console = output()
-    console.print(_groups_table(found))
-    console.print(_balance_table(found))
-    even = found.evenness.even
-    console.print(verdict_words(found.evenness), style=None if even else "bold red")
-    rejected = (
-        f"{task} {rates.sampler_rate:.1%}" for task, rates in found.rejections.items()
-    )
-    refused = sum(rates.by_expert for rates in found.rejections.values())
-    console.print()
-    if found.rejections:
-        console.print(f"rejected   tables, by the sampler: {', '.join(rejected)}")
-        console.print(f"           instances, by the expert: {refused}")
-    console.print(f"size       {size_mb:.1f} MB")
-
-
-def _groups_table(found: Statistics) -> Table:
-    """Return the numbers by task, by split, by team, and of all."""
+def _print(found: RecipeSummary, size_mb: float) -> None:
+    """Print the numbers by task, by split, by team, and of all."""
     # Eighty columns are enough without padding.
     table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
-    for heading in ("", *table_cells(found.total)):
+    for heading in ("", *_HEADINGS):
         table.add_column(heading, justify="right" if heading else "left")
-    groups = [found.tasks, found.splits, found.teams]
-    for group in (group for group in groups if len(group) > 1):
-        for name, summary in group.items():
-            table.add_row(name, *table_cells(summary).values())
+    for group in (found.tasks, found.splits, found.teams):
+        for name, summary in group.items() if len(group) > 1 else ():
+            table.add_row(name, *_cells(summary))
         table.add_section()
-    table.add_row(ALL, *table_cells(found.total).values(), style="bold")
-    return table
+    table.add_row(ALL, *_cells(found.total), style="bold")
+    output().print(table)
+    means = (f"{name} {s.mean:.1f} s" for name, s in found.primitives_s.items())
+    output().print(f"sub-tasks  {', '.join(means)}", soft_wrap=True)
+    output().print(f"size       {size_mb:.1f} MB")
 
 
-def _balance_table(found: Statistics) -> Table:
-    """Return how often everything was drawn, over all tasks."""
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
-    for heading in ("drawn evenly?", "counts", "p"):
-        table.add_column(heading, justify="right" if heading == "p" else "left")
-    for name, balances in found.balances.items():
-        counts = (f"{value} {count}" for value, count in balances[ALL].counts.items())
-        table.add_row(name, ", ".join(counts), p_words(balances[ALL]))
-    return table
+def _cells(group: GroupSummary) -> tuple[str, ...]:
+    """Return the numbers of a group in words."""
+    objects, more = group.objects, group.distractors
+    return (
+        f"{group.episodes}",
+        f"{group.solved / group.episodes:.0%}",
+        f"{group.subtasks.mean:.2f}",
+        f"{objects.least:.0f}–{objects.most:.0f}",
+        f"{more.least:.0f}–{more.most:.0f}",
+        f"{group.elapsed_s.mean:.1f} s",
+        f"{100 * group.margin_m.least:.1f} cm",
+    )
