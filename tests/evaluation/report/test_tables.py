@@ -255,6 +255,12 @@ def test_a_part_is_called_a_part() -> None:
     text = page(entries_of([whole]))
     assert "60 episodes of each of the eight tasks, with high-level instr" in text
     assert "†" not in text
+    for tasks, words in (
+        (SUITE, "10 of 60 episodes of each of the eight tasks, with"),
+        (("hook",), "10 of 60 episodes of hook, with"),
+        (("hook", "tower"), "10 of 60 episodes of each of 2 tasks (hook, tower), with"),
+    ):
+        assert f"**in part**, {words}" in page(entries_of([result(5, tasks=tasks)]))
     both = page(entries_of([whole, result(5, seed=1, tasks=SUITE)]))
     assert "Some rows are of fewer" in both
 

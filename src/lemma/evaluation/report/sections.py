@@ -222,13 +222,13 @@ def _part_words(tasks: Sequence[str], counts: Sequence[int], split: str) -> str:
     number = f"{most}" if least == most else f"{least} to {most}"
     if split in SPLITS:
         number += f" of {SPLITS[split]}"
-    unknown = [task for task in tasks if task not in SUITE]
-    of = (
-        f"{len(tasks)} task{'s' * (len(tasks) > 1)}"
-        if unknown
-        else (f"{len(tasks)} of the eight tasks")
-    )
-    return f"{number} episodes of each of {of} ({', '.join(tasks)})"
+    names = ", ".join(tasks)
+    if len(tasks) == 1:
+        return f"{number} episodes of {names}"
+    if set(tasks) == set(SUITE):
+        return f"{number} episodes of each of the eight tasks"
+    of = "" if set(tasks) - set(SUITE) else " of the eight"
+    return f"{number} episodes of each of {len(tasks)}{of} tasks ({names})"
 
 
 def _kind_words(results: Iterable[Result]) -> str:
