@@ -20,7 +20,7 @@ from lemma.env.action_spaces import PICKS, PLACES, decode_plan, encode_plan, pla
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.env.observation import object_poses
 from lemma.evaluation.run.fault_isolation import check
-from lemma.evaluation.run.language_controls import say
+from lemma.evaluation.run.language_controls import control_of
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.obstacles import around
 from lemma.policies.batch import decision_numbers
@@ -145,7 +145,7 @@ def test_a_decision_may_name_it() -> None:
 
 
 def test_another_goal_is_asked_for_in_the_same_words() -> None:
-    said = say("swapped", instance(), "high_level")
+    said = control_of("swapped", instance(), "high_level")
     assert said.sentence is not None
     asked = lemma.TASKS["can_stack"].language.parse(said.sentence)
     assert asked is not None
