@@ -12,12 +12,12 @@ from lemma.core.registry import Registry
 from lemma.core.robot_names import robot_name
 from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
-from lemma.env.proprioception import Proprioception
 from lemma.env.view import View
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.build import ARMS
 from lemma.scene.objects.entity import known_entities
+from lemma.scene.proprioception import Proprioception
 from lemma.scene.raster import CEILING_M, RASTER
 from lemma.scene.scene import Scene
 
