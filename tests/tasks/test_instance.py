@@ -93,7 +93,11 @@ def test_a_team_is_named_from_small_to_large(arms: tuple[str, str], team: str) -
         RobotPlacement(arm, "red", Pose2(x, 0.0))
         for arm, x in zip(arms, (-1.0, 1.0), strict=True)
     )
-    scene = SceneSpec((left, right), ())
+    cubes = tuple(
+        ObjectPlacement("cube", color, Pose2(x, 0.0))
+        for color, x in (("red", 0.0), ("blue", 0.3))
+    )
+    scene = SceneSpec((left, right), cubes)
     goal = Goal.from_pairs((("red_cube", "blue_cube"),))
     assert Instance("stack", "free", 0, scene, goal, {}, ()).team == team
 
@@ -123,7 +127,11 @@ def test_a_goal_asks_for_something() -> None:
 
 
 def test_a_spoilt_line_is_refused() -> None:
-    scene = SceneSpec((), (ObjectPlacement("cube", "red", Pose2(0.0, 0.0)),))
+    cubes = tuple(
+        ObjectPlacement("cube", color, Pose2(x, 0.0))
+        for color, x in (("red", 0.0), ("blue", 0.3))
+    )
+    scene = SceneSpec((), cubes)
     goal = Goal.from_pairs((("red_cube", "blue_cube"),))
     data = Instance("stack", "free", 0, scene, goal, {}, ()).to_dict()
     data["objects"][0][1] = "purple"

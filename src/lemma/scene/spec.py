@@ -12,7 +12,7 @@ from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.palette import OBJECT_COLORS
 
 ROBOT_COLORS = ("red", "white")
-ROOM_M = 5.0
+ROOM_M = 10.0
 """Nothing is placed farther from the middle of the table, along x or y [m]."""
 
 
