@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 import ray
+from own_plugins import loaded
 from ray.cluster_utils import Cluster
 from recipes import bytes_of, lemma, small_recipe
 
 from lemma.core.errors import DatasetError, WorkerError
 from lemma.core.files import read_json
 from lemma.core.parallel import is_worker
+from lemma.core.plugins import load_plugins
 from lemma.core.ray_cluster import RayCluster
 
 pytestmark = pytest.mark.slow
@@ -121,6 +123,13 @@ def test_jobs_run_on_both_nodes_at_a_time(engine: RayCluster, tmp_path: Path) ->
 def test_workers_know_that_they_are(engine: RayCluster) -> None:
     assert list(engine.run(is_worker, [()])) == [True]
     assert not is_worker()
+
+
+def test_plugins_are_loaded_there_too(engine: RayCluster, tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text("")
+    with loaded(path):
+        assert list(engine.run(load_plugins, [()])) == [(str(path),)]
 
 
 def test_what_a_job_raises_comes_out(engine: RayCluster, tmp_path: Path) -> None:
