@@ -13,13 +13,14 @@ import argparse
 import time
 from collections.abc import Collection, Iterator
 from itertools import product
+from typing import get_args
 
 import numpy as np
 import torch
 
 from lemma.core.seeding import stream
 from lemma.policies.models.reachnet.goal_reader import GoalReader, goal_numbers
-from lemma.policies.text.encoder import SENTENCE, TEXT_KINDS, TextConfig
+from lemma.policies.text.encoder import TextConfig, TextKind
 from lemma.policies.text.paraphrase import ParaphraseConfig, paraphrase
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import templates
@@ -31,6 +32,7 @@ NATIVE = ParaphraseConfig(
 )
 """Templates as they stand."""
 Said = tuple[str, Template]
+KINDS: tuple[TextKind, ...] = get_args(TextKind)
 
 
 def held(kinds: tuple[str, ...], numbers: Collection[int]) -> list[Said]:
@@ -104,7 +106,10 @@ def runs(options: argparse.Namespace) -> Iterator[tuple[str, list[Said], list[Sa
 
 
 def train(
-    kind: str, config: ParaphraseConfig, taught: list[Said], options: argparse.Namespace
+    kind: TextKind,
+    config: ParaphraseConfig,
+    taught: list[Said],
+    options: argparse.Namespace,
 ) -> GoalReader:
     """Return a reader that has learned."""
     torch.manual_seed(options.seed)
@@ -129,7 +134,7 @@ def train(
 def main() -> None:
     """Train and measure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kinds", nargs="+", default=TEXT_KINDS, choices=TEXT_KINDS)
+    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS)
     parser.add_argument("--texts", nargs="+", default=["templates", "paraphrases"])
     parser.add_argument("--steps", type=int, default=1500)
     parser.add_argument("--batch", type=int, default=64)
@@ -142,8 +147,6 @@ def main() -> None:
     parser.add_argument("--misread", action="store_true", help="list the templates")
     options = parser.parse_args()
     for kind, texts in product(options.kinds, options.texts):
-        if kind == SENTENCE and texts == "paraphrases":
-            continue
         config = NATIVE if texts == "templates" else ParaphraseConfig()
         for name, taught, asked in runs(options):
             start = time.perf_counter()

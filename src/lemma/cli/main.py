@@ -155,8 +155,7 @@ def _print_help() -> None:
     console.print(verbs)
     console.print(
         "\n'lemma VERB --help' says more about each verb. --plugin my_module, or "
-        "my_file.py, registers tasks, arms or primitives of your own first. 'lemma "
-        "--tyro-print-completion bash' (zsh, tcsh) prints what completes all this."
+        "my_file.py, registers tasks, arms or primitives of your own first."
     )
 
 

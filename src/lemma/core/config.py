@@ -1,67 +1,76 @@
-"""Dataclasses from plain data, such as JSON."""
+"""Dataclasses from plain data, such as JSON: every type, range and name is checked."""
 
-from dataclasses import MISSING, fields
+from collections.abc import Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+import msgspec
+
+from lemma.core.errors import InvalidConfigError, LemmaError, UnknownNameError
+
+T = TypeVar("T")
+
+Width = Annotated[int, msgspec.Meta(ge=1, le=4096)]
+"""Channels of a map, or values of a token."""
+Widths = Annotated[tuple[Width, ...], msgspec.Meta(min_length=1, max_length=8)]
+"""Channels of each level of a network."""
+Depth = Annotated[int, msgspec.Meta(ge=1, le=64)]
+"""Layers, blocks or heads."""
+Count = Annotated[int, msgspec.Meta(ge=1, le=1024)]
+"""Of whatever is not built of weights."""
+Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
+"""Part of a whole, less than all of it."""
+Size = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
+"""Of something on the table [m]."""
 
 
-def decode(kind: type[Any], data: Any) -> Any:
-    """Return a value of a type from plain data, such as JSON.
+def decode(kind: type[T], data: Any) -> T:
+    """Return a dataclass from plain data, such as JSON.
 
-    Dataclasses, tuples, paths, optional and literal values are understood.
+    Types are strict: a text that reads like a number is no number. Ranges are those of
+    the fields' annotations.
+
+    Args:
+        kind: The dataclass; its fields may be dataclasses, too.
+        data: A mapping with some of its fields.
 
     Raises:
-        UnknownNameError: A field has a name that is not there.
-        InvalidConfigError: A value is of another type.
+        UnknownNameError: There is no field of that name.
+        InvalidConfigError: A value is of another type or out of its range, or one that
+            has no default is missing.
     """
-    origin = get_origin(kind)
-    if origin is Annotated:
-        return decode(get_args(kind)[0], data)
-    if origin in (Union, UnionType):
-        if data is None and NoneType in get_args(kind):
-            return None
-        choices = [arg for arg in get_args(kind) if arg is not NoneType]
-        return decode(choices[0], data)
-    if origin is Literal:
-        if data not in get_args(kind):
-            raise UnknownNameError("value", data, map(str, get_args(kind)))
-        return data
-    if origin is tuple:
-        first, *others = get_args(kind)
-        repeated = others == [Ellipsis]
-        kinds = [first] * len(data) if repeated else [first, *others]
-        return tuple(decode(k, value) for k, value in zip(kinds, data, strict=True))
-    if hasattr(kind, "__dataclass_fields__"):
-        return _decode_fields(kind, data)
-    return _decode_plain(kind, data)
+    _check_names(kind, data)
+    try:
+        return msgspec.convert(data, kind, dec_hook=_path)
+    except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, LemmaError):
+            raise error.__cause__ from None
+        raise InvalidConfigError(f"{_name(kind)}: {error}.") from error
+    except RecursionError as error:
+        raise InvalidConfigError(f"{_name(kind)}: nested too deeply.") from error
 
 
-def _decode_fields(kind: type[Any], data: Any) -> Any:
-    hints = get_type_hints(kind, include_extras=True)
-    for name in data:
-        if name not in hints:
-            raise UnknownNameError(f"option of {kind.__name__}", name, hints)
-    values = {name: decode(hints[name], value) for name, value in data.items()}
-    missing = [
-        f.name
-        for f in fields(kind)
-        if f.name not in values
-        and f.default is MISSING
-        and f.default_factory is MISSING
-    ]
-    if missing:
-        raise InvalidConfigError(f"{kind.__name__} lacks {', '.join(missing)}.")
-    return kind(**values)
+def _check_names(kind: Any, data: Any) -> None:
+    """Check names, which msgspec passes over in what it makes dataclasses from.
+
+    Raises:
+        UnknownNameError: There is no field of that name.
+    """
+    if not (is_dataclass(kind) and isinstance(data, Mapping)):
+        return
+    fields = get_type_hints(kind)
+    for name, value in data.items():
+        if name not in fields:
+            raise UnknownNameError(f"option of {_name(kind)}", name, fields)
+        _check_names(fields[name], value)
 
 
-def _decode_plain(kind: type[Any], data: Any) -> Any:
-    if kind is Path:
-        return Path(data)
-    if kind is float and type(data) in (int, float):
-        return float(data)
-    if kind in (bool, int, str) and type(data) is not kind:
-        raise InvalidConfigError(f"{data!r} is no {kind.__name__}.")
-    return data
+def _name(kind: Any) -> str:
+    return str(getattr(kind, "__name__", kind))
+
+
+def _path(kind: type[Any], value: Any) -> Any:
+    """Return a path from its text; nothing else is unknown to msgspec."""
+    assert kind is Path
+    return Path(value)

@@ -10,6 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.core.errors import InvalidConfigError
+
 GROUP_CHANNELS = 8
 """Channels that are normalised together."""
 
@@ -86,8 +88,12 @@ class TransformerLayer(nn.Module):
             heads: Of the attention; they share the width evenly.
             hidden: Width between the two linear layers.
             dropout: Share of values that are left out in training.
+
+        Raises:
+            InvalidConfigError: The heads cannot share the width.
         """
         super().__init__()
+        check_heads(width, heads)
         self.heads = heads
         self.attention_norm = nn.LayerNorm(width)
         self.query_key_value = nn.Linear(width, 3 * width)
@@ -122,6 +128,19 @@ class TransformerLayer(nn.Module):
         joined = mixed.transpose(1, 2).reshape(count, length, width)
         out: Tensor = self.attention_out(joined)
         return out
+
+
+def check_heads(width: int, heads: int) -> None:
+    """Check that the heads of an attention share its width evenly.
+
+    Raises:
+        InvalidConfigError: They do not.
+    """
+    if width % heads:
+        raise InvalidConfigError(
+            f"{heads} heads cannot share a width of {width} evenly. Take a width such "
+            f"as {heads * max(1, width // heads)}."
+        )
 
 
 def sinusoids(length: int, width: int) -> Tensor:

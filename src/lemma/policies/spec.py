@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
@@ -81,7 +82,7 @@ class PolicySpec:
             whole = load(first)
             if first == ORACLE:
                 return self._compose(OraclePlanner(), OracleGrounder())
-            if isinstance(whole, Planner) and isinstance(whole, Grounder):
+            if _can(whole, Planner) and _can(whole, Grounder):
                 if self.gta or self.planning != PLANNINGS[0]:
                     return self._compose(whole, whole)
             elif self.gta or self.planning != PLANNINGS[0]:
@@ -89,18 +90,21 @@ class PolicySpec:
                     f"{self.name} does not plan in symbols, so neither multi-step "
                     "planning nor ground-truth allocation applies to it."
                 )
-            if isinstance(whole, Policy):
-                return whole
+            if _can(whole, Policy):
+                found: Policy = whole
+                return found
             raise InvalidConfigError(
-                f"{self.name} is no whole policy: it has no act(). Combine a planner "
-                "with a grounder, as in episodic-transformer+cliport."
+                f"{self.name} is no whole policy: it has no act(inputs). Combine a "
+                "planner with a grounder, as in episodic-transformer+cliport."
             )
         planner = OraclePlanner() if first == ORACLE else load(first)
         grounder = OracleGrounder() if second == ORACLE else load(second)
-        if not isinstance(planner, Planner):
-            raise InvalidConfigError(f"{first} cannot plan; it has no plan().")
-        if not isinstance(grounder, Grounder):
-            raise InvalidConfigError(f"{second} cannot ground; it has no ground().")
+        if not _can(planner, Planner):
+            raise InvalidConfigError(f"{first} cannot plan; it has no plan(inputs).")
+        if not _can(grounder, Grounder):
+            raise InvalidConfigError(
+                f"{second} cannot ground; it has no ground(inputs, subtasks)."
+            )
         return self._compose(planner, grounder)
 
     def _compose(self, planner: Planner, grounder: Grounder) -> Policy:
@@ -109,6 +113,28 @@ class PolicySpec:
         if self.gta:
             planner = GroundTruthAllocation(planner)
         return PlannerWithGrounder(planner, grounder)
+
+
+_VERBS = {Planner: ("plan", 1), Grounder: ("ground", 2), Policy: ("act", 1)}
+"""What each interface asks for, and how many arguments that takes."""
+
+
+def _can(part: Any, interface: type[Any]) -> bool:
+    """Return whether an object has the method of an interface.
+
+    ``isinstance`` looks at names alone: agents of other libraries have an ``act`` too.
+    """
+    verb, arguments = _VERBS[interface]
+    method = getattr(part, verb, None)
+    if not callable(method):
+        return False
+    try:
+        signature(method).bind(*range(arguments))
+    except TypeError:
+        return False
+    except ValueError:  # of a function that does not say what it takes
+        return True
+    return True
 
 
 def load_part(name: str) -> Any:

@@ -1,6 +1,7 @@
-"""Weights by name: those that ship, files, and the Hugging Face Hub."""
+"""Weights by name: published ones, files, and the Hugging Face Hub."""
 
 import json
+import os
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -8,16 +9,16 @@ from typing import Any
 import torch
 
 from lemma.core.errors import UnknownNameError
-from lemma.core.files import read_json, sha256_of, write_json
-from lemma.policies.checkpoints import WeightsError, load_weights, read_about
+from lemma.core.files import read_json, sha256_of
 from lemma.policies.model import Model
+from lemma.policies.weights_file import WeightsError, load_weights
 
-SHIPPED = Path(__file__).with_name("trained")
-"""Where weights that ship lie: in the package, so that a checkout, an editable
-installation and a wheel find them at the same place."""
 LIST = "weights.json"
-"""Says what each of them is."""
-LARGEST_MB = 35.0
+"""Says which weights are published: file, checksum, where from, and how made."""
+FOLDER_VARIABLE = "LEMMA_WEIGHTS"
+"""Environment variable that names a folder with files of published weights."""
+CHECKOUT = Path(__file__).parents[3] / "weights"
+"""The folder of a checkout; an installed package has the list alone, beside this."""
 SUFFIX = ".safetensors"
 
 
@@ -25,7 +26,7 @@ def load_model(name: str, device: torch.device | str = "cpu") -> Model:
     """Return a trained model, ready to be used.
 
     Args:
-        name: Weights that ship, such as ``"reachnet"``; a file; a folder that ``lemma
+        name: Published weights, such as ``"reachnet"``; a file; a folder that ``lemma
             train`` wrote; or a repository of the Hugging Face Hub, ``"org/name"`` or
             ``"org/name/file.safetensors"``.
         device: Where it shall be.
@@ -37,99 +38,95 @@ def load_model(name: str, device: torch.device | str = "cpu") -> Model:
     return load_weights(find_weights(name), device)
 
 
-def find_weights(name: str, folder: Path = SHIPPED) -> Path:
-    """Return the file of weights that a name means.
+def find_weights(name: str) -> Path:
+    """Return the file of weights that a name means, fetched if it is not here.
+
+    Published weights are looked for in the folder that ``LEMMA_WEIGHTS`` names, in the
+    checkout, and in the cache of the Hub's client, in this order.
 
     Args:
         name: See :func:`load_model`.
-        folder: Where those lie that ship.
 
     Raises:
         UnknownNameError: Nothing is called that.
-        WeightsError: It is not the file that ships.
+        WeightsError: It is not the file that was published, or cannot be fetched.
     """
-    shipped = shipped_weights(folder)
-    if name in shipped:
-        return _checked(name, shipped[name], folder)
+    published = published_weights()
+    if name in published:
+        return find_published(name)
     path = Path(name)
     if path.is_dir():
         return path / f"weights{SUFFIX}"
     if path.is_file() or path.is_absolute() or name.startswith("."):
         return path
     if "/" in name and path.suffix in ("", SUFFIX):
-        return _from_hub(name)
+        owner, repository, *rest = name.split("/")
+        return _fetch(f"{owner}/{repository}", "/".join(rest) or f"weights{SUFFIX}")
     if path.suffix == SUFFIX:
         return path
-    raise UnknownNameError("weights", name, shipped)
+    raise UnknownNameError("weights", name, published)
 
 
-def shipped_weights(folder: Path = SHIPPED) -> dict[str, dict[str, Any]]:
-    """Return what ships, by name: file, hash, data version, command and scores."""
-    path = folder / LIST
+def published_weights() -> dict[str, dict[str, Any]]:
+    """Return what is published, by name: file, hash, source, command and scores."""
+    beside = Path(__file__).with_name(LIST)
+    path = CHECKOUT / LIST if (CHECKOUT / LIST).is_file() else beside
     return read_json(path) if path.exists() else {}
 
 
-def ship(source: Path, name: str, folder: Path = SHIPPED) -> Path:
-    """Add the weights of a training run to those that ship.
-
-    Args:
-        source: A file of weights, or the folder of a run.
-        name: What they shall be called.
-        folder: Where those lie that ship.
-
-    Returns:
-        The file.
+def find_published(name: str) -> Path:
+    """Return the file of published weights, fetched if it is not here.
 
     Raises:
-        WeightsError: They are missing, damaged or too large.
+        UnknownNameError: None are called that.
+        WeightsError: It is not the file that was published, or cannot be fetched.
     """
-    source = find_weights(str(source), folder)
-    about = read_about(source)
-    # Fits the model of this very version.
-    load_weights(source)
-    size_mb = source.stat().st_size / 1e6
-    if size_mb > LARGEST_MB:
+    published = published_weights()
+    if name not in published:
+        raise UnknownNameError("published weights", name, published)
+    entry, told = published[name], os.environ.get(FOLDER_VARIABLE)
+    for folder in (Path(told) if told else None, CHECKOUT):
+        if folder is not None and (path := folder / entry["file"]).is_file():
+            return _checked(path, entry)
+    if entry["revision"] is None:
         raise WeightsError(
-            f"{source} has {size_mb:.1f} MB; at most {LARGEST_MB:.0f} MB ship. Train a "
-            "smaller model."
+            f"The weights {name!r} are not on this machine, and not on a hub yet. They "
+            f"are {entry['file']} in the folder 'weights' of the repository of "
+            f"lemma-bench: copy it, and name its folder with {FOLDER_VARIABLE}=FOLDER. "
+            f"Or train them: {entry['command']}"
         )
-    folder.mkdir(parents=True, exist_ok=True)
-    target = folder / f"{name}{SUFFIX}"
-    target.write_bytes(source.read_bytes())
-    entry = {
-        "file": target.name,
-        "sha256": sha256_of(target),
-        "bytes": target.stat().st_size,
-        "model": about.model,
-        "data": about.data,
-        "command": about.command,
-        "scores": about.scores,
-        "lemma": about.lemma,
-    }
-    write_json(folder / LIST, {**shipped_weights(folder), name: entry})
-    return target
+    source = entry["repository"], entry["file"], entry["revision"]
+    try:
+        path = _fetch(*source)
+        if sha256_of(path) != entry["sha256"]:
+            path = _fetch(*source, again=True)
+    except WeightsError as error:
+        raise WeightsError(
+            f"The weights {name!r} are not on this machine. Fetch them where there is "
+            f"a network: lemma pull --weights {name}. Or name a folder that has "
+            f"{entry['file']} with {FOLDER_VARIABLE}=FOLDER. ({error})"
+        ) from error
+    return _checked(path, entry)
 
 
-def _checked(name: str, entry: dict[str, Any], folder: Path) -> Path:
-    path: Path = folder / entry["file"]
-    if not path.is_file():
-        raise WeightsError(
-            f"The weights {name!r} are not part of this installation: {path} is "
-            "missing. They are in the repository of lemma-bench; install it from there "
-            f"or train them: {entry['command']}"
-        )
+def _checked(path: Path, entry: dict[str, Any]) -> Path:
     if sha256_of(path) != entry["sha256"]:
         raise WeightsError(
-            f"{path} is not the file that ships: its checksum differs. Install "
-            "lemma-bench again, or fetch the file from its repository."
+            f"{path} is not the file that was published: its checksum differs. Remove "
+            "it, and fetch it again: git checkout, or lemma pull --weights."
         )
     return path
 
 
-def _from_hub(name: str) -> Path:
-    """Return a file of the Hub, downloaded unless it was before."""
-    owner, repository, *rest = name.split("/")
-    file = "/".join(rest) or f"weights{SUFFIX}"
+def _fetch(
+    repository: str, file: str, revision: str | None = None, *, again: bool = False
+) -> Path:
+    """Return a file of the Hub, downloaded unless it was before.
+
+    Raises:
+        WeightsError: It cannot be had.
+    """
+    name = f"{repository}/{file}"
     try:
         hub = import_module("huggingface_hub")
     except ImportError as error:
@@ -138,12 +135,16 @@ def _from_hub(name: str) -> Path:
             "another package: python -m pip install 'lemma-bench[hub]'"
         ) from error
     try:
-        return Path(hub.hf_hub_download(f"{owner}/{repository}", file))
+        return Path(
+            hub.hf_hub_download(
+                repository, file, revision=revision, force_download=again
+            )
+        )
     except (OSError, ValueError) as error:
-        known = ", ".join(shipped_weights()) or "none"
+        known = ", ".join(published_weights()) or "none"
         raise WeightsError(
             f"{name} is no file here, and the Hugging Face Hub does not give it: "
-            f"{_first_line(error)} Weights that ship: {known}."
+            f"{_first_line(error)} Published weights: {known}."
         ) from error
 
 

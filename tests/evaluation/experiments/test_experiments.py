@@ -10,6 +10,7 @@ import pytest
 import tyro
 from in_process import Serial
 
+from lemma.core.config import decode
 from lemma.core.errors import UnknownNameError
 from lemma.evaluation.analysis.result import read_result
 from lemma.evaluation.experiments.catalog import (
@@ -27,6 +28,7 @@ from lemma.evaluation.experiments.reproduction import (
 )
 from lemma.evaluation.run.loading import learned_parts
 from lemma.policies.training.config import TrainingConfig, model_options
+from lemma.policies.weights import published_weights
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE
 
@@ -50,7 +52,10 @@ def test_the_command_line_takes_the_training(name: str) -> None:
     config = tyro.cli(TrainingConfig, args=words[2:])
     assert (config.seed, config.out) == (2, Path("runs/seed-2") / name)
     _, options = MODELS[config.model]
-    model_options(options, config.options)
+    decode(options, model_options(config.options))
+    # By samples alone: no clock decides what is trained.
+    assert config.samples is not None
+    assert (config.steps, config.time_limit_s) == (None, None)
 
 
 @pytest.mark.parametrize("verb", ["generate", "render", "reproduce"])
@@ -106,8 +111,16 @@ def test_figures_of_the_paper_are_of_the_suite() -> None:
 
 
 def test_every_seed_is_trained_once_for_each_part() -> None:
-    lines = commands(selected("paper"))
+    every = commands(selected("paper"))
+    lines = [line for line in every if not line.startswith("# ")]
     assert len(lines) == len(set(lines)) == 4 + 3 * (3 + 5)
+    # Beside them stands how the published ones were really made.
+    told = [line for line in every if line.startswith("# What is published of ")]
+    assert len(told) == 3
+    for line in told:
+        name = line.split()[5].rstrip(":")
+        assert published_weights()[name]["command"] in line
+        assert "ended by its time limit" in line
     assert all(
         each.startswith("lemma reproduce") for each in commands(selected("oracle"))
     )

@@ -68,6 +68,14 @@ def submitted(tmp_path: Path, summary: str) -> Path:
     return tmp_path / "board"
 
 
+def test_weights_that_a_clock_made_are_refused() -> None:
+    weights = {"sha256": "a" * 64, "seed": 0, "data": {}}
+    submission_of(result(lines(), weights={"reachnet": weights}), "Mine", "Me")
+    limited = {"reachnet": {**weights, "ended": "time limit"}}
+    with pytest.raises(InvalidConfigError, match="without --time-limit-s"):
+        submission_of(result(lines(), weights=limited), "Mine", "Me")
+
+
 @pytest.mark.parametrize("name", sorted(path.stem for path in BOARD.glob("*.json")))
 def test_every_entry_is_what_its_lines_say(name: str) -> None:
     check_submission(BOARD, name)

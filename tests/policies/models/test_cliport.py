@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,7 +20,6 @@ from batches import (
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import PLACES, PRIMITIVES
 from lemma.policies.interfaces import Grounder
-from lemma.policies.models.cliport.clip_trunk import CLIPTrunk
 from lemma.policies.models.cliport.model import CLIPort, CLIPortConfig
 from lemma.policies.models.cliport.poses import Poses, score_poses
 from lemma.scene.objects.entity import ENTITIES
@@ -232,110 +230,8 @@ def test_scores_know_the_symmetries(
     [
         ({"widths": (8, 8)}, "four levels"),
         ({"crop": 30}, "multiple of 4"),
-        ({"clip_weights": "nowhere.pt"}, "no CLIP weights"),
     ],
 )
 def test_bad_options_are_explained(changes: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidConfigError, match=message):
         tiny(**changes)
-
-
-def saved_clip(path: Path, **extra: torch.Tensor) -> CLIPTrunk:
-    """Save a narrow CLIP with random weights as OpenAI's would be; return its trunk."""
-    torch.manual_seed(1)
-    trunk = CLIPTrunk(8, (2, 1, 1, 1))
-    for name, value in trunk.named_buffers():
-        if name.endswith("running_mean"):
-            value.normal_(std=0.1)
-    tensors = {f"visual.{n}": v.half() for n, v in trunk.state_dict().items()}
-    others = {"visual.attnpool.positional_embedding": torch.zeros(50, 8)}
-    torch.save({**tensors, **others, "logit_scale": torch.tensor(1.0), **extra}, path)
-    return trunk
-
-
-def test_clip_weights_are_read_and_stay(tmp_path: Path) -> None:
-    path = tmp_path / "clip.pt"
-    trunk = saved_clip(path)
-    model = tiny(clip_weights=str(path)).train()
-    read = model.trunk
-    assert isinstance(read, CLIPTrunk)
-    assert read.widths == (32, 64, 128, 256)
-    assert not any(module.training for module in read.modules())
-    color = torch.rand(1, 3, 64, 96) * 2 - 1
-    expected = trunk(color)
-    for one, other in zip(read(color), expected, strict=True):
-        assert torch.allclose(one, other, atol=0.02, rtol=0.02)
-    assert [tuple(x.shape[-2:]) for x in expected] == [
-        (16, 24),
-        (8, 12),
-        (4, 6),
-        (2, 3),
-    ]
-    before = {n: v.clone() for n, v in read.state_dict().items()}
-    learned = [p for p in model.parameters() if p.requires_grad]
-    optimizer = torch.optim.Adam(learned, 1e-2)
-    total(model.loss(drawn_batch(2))).backward()
-    assert all(p.grad is not None for p in learned)
-    optimizer.step()
-    for name, value in read.state_dict().items():
-        assert torch.equal(value, before[name])
-
-
-def test_the_trunk_is_that_of_the_published_network() -> None:
-    names = {n: tuple(v.shape) for n, v in CLIPTrunk().state_dict().items()}
-    assert names["conv1.weight"] == (32, 3, 3, 3)
-    assert names["conv3.weight"] == (64, 32, 3, 3)
-    assert names["layer1.0.downsample.0.weight"] == (256, 64, 1, 1)
-    assert names["layer3.5.conv2.weight"] == (256, 256, 3, 3)
-    assert names["layer4.2.bn3.running_var"] == (2048,)
-    assert "layer1.1.downsample.0.weight" not in names
-    weights = sum(p.numel() for p in CLIPTrunk().parameters())
-    # RN50 without its last, fully connected layer, with the deeper stem.
-    assert weights == 23_527_264
-
-
-@pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
-def test_a_scripted_archive_is_read(tmp_path: Path) -> None:
-    class Whole(torch.nn.Module):
-        def __init__(self) -> None:
-            super().__init__()
-            self.visual = CLIPTrunk(8, (1, 1, 1, 1))
-
-        def forward(self, x: torch.Tensor) -> torch.Tensor:
-            features: torch.Tensor = self.visual(x)[0]
-            return features
-
-    torch.manual_seed(2)
-    whole = Whole()
-    path = tmp_path / "RN50.pt"
-    traced = torch.jit.trace(whole, torch.zeros(1, 3, 32, 32))
-    torch.jit.save(traced, str(path))
-    found = CLIPTrunk.load(path).state_dict()
-    for name, value in whole.visual.state_dict().items():
-        assert torch.equal(found[name], value)
-
-
-@pytest.mark.parametrize(
-    ("tensors", "message"),
-    [
-        ({"visual.conv1.weight": torch.zeros(768, 3, 32, 32)}, "no ResNet of CLIP"),
-        ([1, 2, 3], "no tensors by name"),
-    ],
-)
-def test_other_weights_are_refused(
-    tmp_path: Path, tensors: object, message: str
-) -> None:
-    path = tmp_path / "vit.pt"
-    torch.save(tensors, path)
-    with pytest.raises(InvalidConfigError, match=message):
-        CLIPTrunk.load(path)
-
-
-def test_damaged_weights_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "clip.pt"
-    path.write_bytes(b"not weights at all")
-    with pytest.raises(InvalidConfigError, match="torch can read"):
-        CLIPTrunk.load(path)
-    saved_clip(path, **{"visual.layer1.0.conv1.weight": torch.zeros(3, 3, 1, 1)})
-    with pytest.raises(InvalidConfigError, match="another shape"):
-        CLIPTrunk.load(path)

@@ -5,8 +5,9 @@ import math
 import pytest
 import torch
 from batches import RASTER
+from torch.nn import functional as F
 
-from lemma.policies.models.cliport.correlation import correlate, correlate_directly
+from lemma.policies.models.cliport.correlation import correlate
 from lemma.policies.models.cliport.grid import Cells, read_at
 from lemma.policies.models.cliport.rotations import (
     bin_yaws,
@@ -110,6 +111,18 @@ def test_turning_is_counter_clockwise(size: int) -> None:
     ):
         assert (4 - row) * up + (column - 4) * right >= 2
         assert abs((4 - row) * right + (column - 4) * up) <= 1
+
+
+def correlate_directly(key: torch.Tensor, kernels: torch.Tensor) -> torch.Tensor:
+    """Do what correlate does by sliding kernels: the definition."""
+    count, rotations, channels, side, _ = kernels.shape
+    found = F.conv2d(
+        key.reshape(1, count * channels, *key.shape[-2:]),
+        kernels.reshape(count * rotations, channels, side, side),
+        padding=side // 2,
+        groups=count,
+    )
+    return found.view(count, rotations, *key.shape[-2:])
 
 
 def test_spectra_and_sliding_agree() -> None:

@@ -31,6 +31,7 @@ from lemma.policies.training.loader import BatchLoader, Sampler
 from lemma.policies.training.loop import train
 from lemma.policies.training.run import training_units
 from lemma.policies.training.step import Trainer, learning_rate
+from lemma.policies.weights_file import read_metadata
 
 HERE = Path(__file__).parent
 ALONE = ProcessGroup(0, 1, torch.device("cpu"))
@@ -313,8 +314,11 @@ def test_time_is_up(data: Path, tmp_path: Path) -> None:
     assert report.status == "time is up"
     assert 0 < report.steps < 100_000
     assert report.best_step == report.steps
-    assert (tmp_path / "weights.safetensors").exists()
+    path = tmp_path / "weights.safetensors"
+    ended = read_metadata(path)
+    assert (ended.ended, ended.steps) == ("time limit", report.steps)
     assert train(run).steps == report.steps
+    assert read_metadata(path) == ended
 
 
 def test_weights_can_be_what_another_run_begins_with(

@@ -7,15 +7,15 @@ import pytest
 import tiny_model
 import torch
 from painted_keyframes import write_painted
-from tiny_model import NAME, Tiny, TinyConfig, config
+from tiny_model import NAME, Tiny, config
 
 from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.dataset.files import MANIFEST
-from lemma.policies.checkpoints import WeightsError
 from lemma.policies.training.config import model_options
 from lemma.policies.training.loop import TrainingError, train
 from lemma.policies.training.run import TrainingReport
+from lemma.policies.weights_file import WeightsError
 
 tiny_model.register()
 
@@ -48,11 +48,13 @@ def test_options_of_the_model_are_checked(data: Path, tmp_path: Path) -> None:
         train(config(data, tmp_path, options=("widthh=3",)))
     with pytest.raises(InvalidConfigError, match="NAME=VALUE"):
         train(config(data, tmp_path, options=("width",)))
-    with pytest.raises(InvalidConfigError, match="'wide' is no int"):
+    with pytest.raises(InvalidConfigError, match=r"Expected `int`, got `str`.*width"):
         train(config(data, tmp_path, options=("width=wide",)))
+    with pytest.raises(InvalidConfigError, match="part of what has one"):
+        train(config(data, tmp_path, options=("width=4", "width.deep=3")))
     with pytest.raises(UnknownNameError, match="Unknown model 'tinny'"):
         train(config(data, tmp_path, model="tinny"))
-    assert model_options(TinyConfig, ("width=4", "dropout=0.5")) == {
+    assert model_options(("width=4", "dropout=0.5")) == {
         "width": 4,
         "dropout": 0.5,
     }

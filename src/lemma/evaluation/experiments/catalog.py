@@ -9,6 +9,7 @@ from lemma.core.registry import Registry
 from lemma.evaluation.experiments import paper_figures as paper
 from lemma.evaluation.experiments.paper_figures import Figures
 from lemma.policies.spec import ORACLE, PolicySpec
+from lemma.policies.training.config import DEFAULTS
 from lemma.tasks.language.template import KINDS
 
 SUITES = ("paper", "ours", "controls", "ablations")
@@ -75,7 +76,7 @@ class Training:
     """If others than the model's own."""
 
     def command(self, runs: str, seed: int) -> str:
-        """Return the command line.
+        """Return the command line; what it trains is counted in samples alone.
 
         Args:
             runs: Folder of the runs; each has the name of its weights.
@@ -85,8 +86,8 @@ class Training:
         if self.recovery:
             words.append(f"--recovery {RECOVERY}")
         words.append(f"--out {runs}/{self.name} --seed {seed}")
-        if self.samples:
-            words.append(f"--samples {self.samples}")
+        # Spelled out, so that a line stays true where the model's own number changes.
+        words.append(f"--samples {self.samples or DEFAULTS[self.model].samples}")
         if self.arguments:
             words.append(self.arguments)
         return " ".join(words)

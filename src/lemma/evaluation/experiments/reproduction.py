@@ -95,7 +95,7 @@ class Reproduction:
         if not learned:
             return policy
         # torch is an extra, which the expert does without.
-        from lemma.policies.weights import shipped_weights  # noqa: PLC0415
+        from lemma.policies.weights import published_weights  # noqa: PLC0415
 
         parts = policy.name.split("+")
         for part in learned:
@@ -105,7 +105,7 @@ class Reproduction:
                 where = f"are not in {self.weights}"
                 parts[parts.index(part)] = str(path)
             else:
-                missing, where = part not in shipped_weights(), "do not ship yet"
+                missing, where = part not in published_weights(), "do not ship yet"
             if missing:
                 raise MissingWeightsError(
                     f"The weights of {part} {where}. They are made by: "
@@ -130,9 +130,26 @@ def commands(experiments: list[Experiment]) -> list[str]:
     ablations = bool(experiments) and experiments[0].suite == ABLATIONS
     for seed in SEEDS[:1] if ablations else SEEDS:
         runs = experiments[0].runs(seed)
-        lines += [training.command(runs, seed) for training in _needed(experiments)]
+        for training in _needed(experiments):
+            if seed == SEEDS[0]:
+                lines += _as_it_was(training.name)
+            lines.append(training.command(runs, seed))
         lines += [f"lemma reproduce {one.name} --weights {runs}" for one in experiments]
     return lines
+
+
+def _as_it_was(name: str) -> list[str]:
+    """Return a comment with the command that made published weights, if others did."""
+    # torch is an extra, which the expert does without.
+    from lemma.policies.weights import published_weights  # noqa: PLC0415
+
+    entry = published_weights().get(name)
+    if entry is None or entry["ended"] == "steps":
+        return []
+    how = "ended by its time limit" if entry["ended"] else "how it ended is not known"
+    if entry["steps"]:
+        how += f" after {entry['steps']} steps"
+    return [f"# What is published of {name}: {entry['command']} ({how})"]
 
 
 def _needed(experiments: list[Experiment]) -> list[Training]:

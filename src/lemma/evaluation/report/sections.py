@@ -17,6 +17,7 @@ from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE
 
 REPORT = "results.md"
+_LIMITED = " (a time limit ended the training: nobody can repeat it)"
 _INTRODUCTION = """\
 # Results
 
@@ -275,7 +276,7 @@ def _provenance(entries: Iterable[PolicyResults]) -> Section:
             rows.append((entry.title, command, tables.NOT_RUN, "", ""))
         for result in entry.results:
             hashes = ", ".join(
-                f"{name} `{told['sha256'][:12]}`"
+                f"{name} `{told['sha256'][:12]}`{_LIMITED * bool(told.get('ended'))}"
                 for name, told in result.about["weights"].items()
             )
             seed = str(result.seed) if hashes else "none"

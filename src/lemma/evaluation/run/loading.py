@@ -54,7 +54,8 @@ def served_parts(spec: PolicySpec) -> dict[str, Any]:
 
 
 Weights = dict[str, dict[str, Any]]
-"""By name of the model: hash, seed of the training, digest of its data."""
+"""By name of the model: hash, seed of the training, digest of its data; and that a
+time limit ended it, if one did."""
 
 
 def learned_parts(policy: str) -> list[str]:
@@ -75,15 +76,17 @@ def weights_of(spec: PolicySpec) -> Weights:
     if not parts:
         return found
     # torch is an extra, which the oracle and other people's policies do without.
-    from lemma.policies.checkpoints import read_about  # noqa: PLC0415
     from lemma.policies.weights import find_weights  # noqa: PLC0415
+    from lemma.policies.weights_file import TIME_LIMIT, read_metadata  # noqa: PLC0415
 
     for part in parts:
         path = find_weights(part)
-        about = read_about(path)
+        about = read_metadata(path)
         found[about.model] = {
             "sha256": sha256_of(path),
             "seed": about.training.get("seed", 0),
             "data": about.data,
         }
+        if about.ended == TIME_LIMIT:
+            found[about.model]["ended"] = about.ended
     return found

@@ -8,7 +8,6 @@ import lemma.policies.models.cliport.model
 import lemma.policies.models.episodic_transformer.model
 import lemma.policies.models.reachnet.model  # noqa: F401
 from lemma.core.config import decode
-from lemma.core.errors import InvalidConfigError
 from lemma.policies.model import MODELS, Model
 
 
@@ -24,11 +23,7 @@ def make_model(name: str, options: dict[str, Any]) -> Model:
         InvalidConfigError: An option has a value that cannot be.
     """
     model, config = MODELS[name]
-    try:
-        chosen = decode(config, options)
-    except (TypeError, ValueError) as error:
-        raise InvalidConfigError(f"Options of {name}: {error}") from error
-    made: Model = model(chosen)
+    made: Model = model(decode(config, options))
     return made
 
 

@@ -2,18 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
-from lemma.core.errors import UnknownNameError
+from lemma.core.config import Count, Depth, Share, Width
 from lemma.policies.layers import TransformerLayer, sinusoids
-from lemma.policies.text.sentence_features import sentence_features
 from lemma.policies.text.vocabulary import PADDING, UNKNOWN, Vocabulary
 from lemma.policies.text.word_vectors import word_vectors
 
-WORDS, WORDS_AND_VECTORS, SENTENCE = "words", "words+vectors", "sentence"
-TEXT_KINDS = (WORDS, WORDS_AND_VECTORS, SENTENCE)
+TextKind = Literal["words", "words+vectors"]
 """Kinds of encoders."""
 _REMEMBERED = 100_000
 """Texts whose numbers are kept."""
@@ -23,24 +22,23 @@ _REMEMBERED = 100_000
 class TextConfig:
     """Options of a :class:`TextEncoder`."""
 
-    kind: str = WORDS
+    kind: TextKind = "words"
     """``words``: learned embeddings of the words that training sees.
-    ``words+vectors``: with pretrained vectors of many more words added.
-    ``sentence``: one token, from a pretrained feature of the whole sentence."""
-    width: int = 256
+    ``words+vectors``: with pretrained vectors of many more words added."""
+    width: Width = 256
     """Of a token."""
-    layers: int = 2
+    layers: Depth = 2
     """Transformer layers over the words."""
-    heads: int = 4
+    heads: Depth = 4
     """Of the attention."""
-    max_words: int = 40
+    max_words: Count = 40
     """Words behind these are not read."""
-    dropout: float = 0.1
+    dropout: Share = 0.1
     """Share of values that are left out in training."""
-    word_dropout: float = 0.1
+    word_dropout: Share = 0.1
     """Share of words that are unknown in training; colors of objects always are
     known, because nothing else could tell them."""
-    embedding_dropout: float = 0.5
+    embedding_dropout: Share = 0.5
     """Share of words whose learned embedding is left out in training, so that their
     vectors must do; of ``words+vectors`` only, and never of colors."""
 
@@ -53,17 +51,10 @@ class TextEncoder(nn.Module):
 
         Args:
             config: Options; the defaults if None.
-
-        Raises:
-            UnknownNameError: There is no such kind.
         """
         super().__init__()
         self.config = config = config or TextConfig()
-        if config.kind not in TEXT_KINDS:
-            raise UnknownNameError("kind of text encoder", config.kind, TEXT_KINDS)
-        self.reader: _Words | _Sentences = (
-            _Sentences(config) if config.kind == SENTENCE else _Words(config)
-        )
+        self.reader = _Words(config)
 
     def encode(self, texts: Sequence[str]) -> tuple[Tensor, Tensor]:
         """Return tokens (B, L, width), and which of them are words, (B, L) bool.
@@ -72,10 +63,6 @@ class TextEncoder(nn.Module):
 
         Args:
             texts: One per row; upper case, punctuation and typing errors are fine.
-
-        Raises:
-            InvalidConfigError: A sentence has no feature, and the model that makes
-                them is not installed; with kind ``sentence`` only.
         """
         tokens, mask = self.reader(texts)
         return tokens, mask
@@ -110,7 +97,7 @@ class _Words(nn.Module):
         places = sinusoids(config.max_words, config.width)
         self.register_buffer("places", places, persistent=False)
         self.meaning: nn.Linear | None = None
-        if config.kind == WORDS_AND_VECTORS:
+        if config.kind == "words+vectors":
             vectors = torch.from_numpy(word_vectors().vectors).float()
             self.register_buffer("vectors", vectors, persistent=False)
             self.meaning = nn.Linear(vectors.shape[1], config.width, bias=False)
@@ -163,23 +150,3 @@ class _Words(nn.Module):
             if len(self._numbers) < _REMEMBERED:
                 self._numbers[text] = found
         return found
-
-
-class _Sentences(nn.Module):
-    """One token per sentence."""
-
-    def __init__(self, config: TextConfig) -> None:
-        super().__init__()
-        size = sentence_features().size
-        self.first = nn.Linear(size, 2 * config.width)
-        self.second = nn.Linear(2 * config.width, config.width)
-        self.dropout = nn.Dropout(config.dropout)
-        self.norm = nn.LayerNorm(config.width)
-
-    def forward(self, texts: Sequence[str]) -> tuple[Tensor, Tensor]:
-        features = torch.from_numpy(sentence_features().of(texts)).float()
-        features = features.to(self.first.weight.device)
-        # Features are of length 1 over many values: small, each of them.
-        hidden = nn.functional.gelu(self.first(features * features.shape[1] ** 0.5))
-        tokens = self.norm(self.second(self.dropout(hidden))).unsqueeze(1)
-        return tokens, torch.ones_like(tokens[:, :, 0], dtype=torch.bool)

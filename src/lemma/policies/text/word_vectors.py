@@ -1,6 +1,6 @@
 """What English words mean: vectors that stay as they are, made beforehand.
 
-``scripts/make_text_features.py`` made them: all-MiniLM-L6-v2 on single words, in the
+``scripts/make_word_vectors.py`` made them: all-MiniLM-L6-v2 on single words, in the
 space that the words of training span. There a word that training never sees lies near
 those of a similar meaning, *beneath* near *under*.
 """

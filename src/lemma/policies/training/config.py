@@ -5,14 +5,14 @@ Plain data that needs no torch, so that the command line can show it at once.
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from lemma.core.config import decode
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.errors import InvalidConfigError
 from lemma.dataset.instructions import TRAINING_KINDS
 
 # The hint would repeat "(default: None)" where the help says what happens.
@@ -131,7 +131,8 @@ class TrainingConfig:
     """Seconds between checkpoints."""
     time_limit_s: Amount = None
     """Seconds of training, in all runs, after which it ends, with the learning rate
-    down to zero, however many steps are left."""
+    down to zero, however many steps are left; for trying. Weights of such a run say so:
+    another machine would have done other steps."""
     train_split: str = "train"
     """Split to train on."""
     val_split: str = "val"
@@ -224,8 +225,7 @@ class TrainingConfig:
             UnknownNameError: One has a name that this version does not know.
             InvalidConfigError: One has a value that cannot be.
         """
-        config: TrainingConfig = decode(cls, data)
-        return config
+        return decode(cls, data)
 
 
 @dataclass(frozen=True)
@@ -264,52 +264,31 @@ MAY_CHANGE = (
 """Options that may be others when a run is continued."""
 
 
-def model_options(kind: type[Any], words: tuple[str, ...]) -> dict[str, Any]:
+def model_options(words: tuple[str, ...]) -> dict[str, Any]:
     """Return the options of a model that a user typed, as plain data.
 
+    Whether the model has such options is seen where they are decoded.
+
     Args:
-        kind: The model's dataclass of options.
         words: ``("width=128", "text.layers=2")``.
 
     Raises:
-        UnknownNameError: There is no such option.
-        InvalidConfigError: A word has no value.
+        InvalidConfigError: A word has no value, or is part of what has one.
     """
     chosen: dict[str, Any] = {}
     for word in words:
         name, equals, text = word.partition("=")
-        if not equals:
-            raise InvalidConfigError(
-                f"{word!r} has no value. Write options as NAME=VALUE, such as "
-                f"{_names(kind)[0]}=..."
-            )
-        place, part = chosen, kind
         *outer, last = name.split(".")
+        place: Any = chosen
         for step in outer:
-            part = _part(part, step)
-            place = place.setdefault(step, {})
-        if last not in _names(part):
-            raise UnknownNameError("option of the model", last, _names(part))
-        place[last] = _parse(text)
+            place = place.setdefault(step, {}) if isinstance(place, dict) else None
+        if not (equals and isinstance(place, dict)):
+            raise InvalidConfigError(
+                f"{word!r} has no value, or is part of what has one. Write options as "
+                "NAME=VALUE, or PART.NAME=VALUE, such as text.layers=2."
+            )
+        try:
+            place[last] = json.loads(text)
+        except ValueError:
+            place[last] = text
     return chosen
-
-
-def _names(kind: type[Any]) -> list[str]:
-    return [f.name for f in fields(kind)]
-
-
-def _part(kind: type[Any], name: str) -> Any:
-    if name not in _names(kind):
-        raise UnknownNameError("option of the model", name, _names(kind))
-    part = get_type_hints(kind)[name]
-    if not hasattr(part, "__dataclass_fields__"):
-        raise InvalidConfigError(f"{name} has no options of its own.")
-    return part
-
-
-def _parse(text: str) -> Any:
-    """Return a number, truth value or list as JSON has it; else the text."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return {"True": True, "False": False}.get(text, text)

@@ -26,14 +26,8 @@ from torch import Tensor
 from lemma import __version__
 from lemma.core.errors import LemmaError
 from lemma.core.files import only_writer, write_json
-from lemma.policies.checkpoints import (
-    About,
-    load_weights,
-    read_state,
-    write_state,
-    write_weights,
-)
 from lemma.policies.models.catalog import options_of
+from lemma.policies.training.checkpoint import read_state, write_state
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup, processes
 from lemma.policies.training.loader import BatchLoader, FrameSource, Sampler
@@ -53,6 +47,13 @@ from lemma.policies.training.run import (
 )
 from lemma.policies.training.step import Trainer
 from lemma.policies.training.validation import Scores, validate
+from lemma.policies.weights_file import (
+    TIME_LIMIT,
+    WeightsMetadata,
+    load_weights,
+    mark_ended,
+    write_weights,
+)
 
 LOG_EVERY = 20
 """Steps between readings of the losses, for which a GPU has to be waited for."""
@@ -234,7 +235,7 @@ class _Run:
             so_far.best_step, so_far.scores = step, scores
             if self.team.first:
                 write_weights(
-                    self.config.out / WEIGHTS, model.state_dict(), self._about()
+                    self.config.out / WEIGHTS, model.state_dict(), self._metadata()
                 )
         self.reporter.scores(step, scores, best=better)
         self._logged = time.perf_counter()
@@ -252,14 +253,21 @@ class _Run:
         if not history or history[-1]["step"] != self.trainer.step:
             self._validate()
         self._save()
+        if self.team.first:
+            finished = self.trainer.step >= self.steps
+            mark_ended(
+                self.config.out / WEIGHTS,
+                "steps" if finished else TIME_LIMIT,
+                self.trainer.step,
+            )
 
-    def _about(self) -> About:
-        return About(
+    def _metadata(self) -> WeightsMetadata:
+        return WeightsMetadata(
             model=self.config.model,
             options=options_of(self.model),
             data=self.data.about,
             command=self.command,
-            scores=self.so_far.scores,
+            scores=dict(self.so_far.scores),
             training=self.config.to_dict(),
             lemma=__version__,
         )

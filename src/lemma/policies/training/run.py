@@ -216,8 +216,8 @@ def first_model(config: TrainingConfig) -> Model:
         WeightsError: It shall start from weights that cannot be used.
         InvalidConfigError: They are of another model.
     """
-    kind, options = MODELS[config.model]
-    chosen = model_options(options, config.options)
+    kind, _ = MODELS[config.model]
+    chosen = model_options(config.options)
     torch.manual_seed(seed_of(config.seed, -1))
     if config.start is None:
         return make_model(config.model, chosen)

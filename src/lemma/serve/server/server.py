@@ -124,7 +124,7 @@ class PolicyServer:
         """
         Session(policy, about)
         self._policy, self._about = policy, about
-        self._dispatcher = RequestDispatcher()
+        self._desk = RequestDispatcher()
         self._exceptions = websockets("exceptions")
         try:
             self._server = websockets("sync.server").serve(
@@ -157,7 +157,7 @@ class PolicyServer:
     def close(self) -> None:
         """Hang up on everybody."""
         self._server.shutdown()
-        self._dispatcher.close()
+        self._desk.close()
 
     def __enter__(self) -> Self:
         """Answer in a thread."""
@@ -181,7 +181,7 @@ class PolicyServer:
             return connection.close_code is not None or not _is_open(connection)
 
         session = Session(
-            self._policy, self._about, lambda work: self._dispatcher.call(work, left)
+            self._policy, self._about, lambda work: self._desk.call(work, left)
         )
         with suppress(CancelledError, self._exceptions.ConnectionClosed):
             while True:

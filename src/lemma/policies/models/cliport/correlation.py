@@ -6,7 +6,6 @@ sliding them over the map.
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
 
 def correlate(key: Tensor, kernels: Tensor) -> Tensor:
@@ -30,18 +29,6 @@ def correlate(key: Tensor, kernels: Tensor) -> Tensor:
         product = (key_spectrum[:, None] * kernel_spectra.conj()).sum(2)
         fits = torch.fft.irfft2(product, s=size)
     return torch.roll(fits, (half, half), (-2, -1))[..., :rows, :columns]
-
-
-def correlate_directly(key: Tensor, kernels: Tensor) -> Tensor:
-    """Do what :func:`correlate` does by sliding kernels: the definition, for tests."""
-    count, rotations, channels, side, _ = kernels.shape
-    found = F.conv2d(
-        key.reshape(1, count * channels, *key.shape[-2:]),
-        kernels.reshape(count * rotations, channels, side, side),
-        padding=side // 2,
-        groups=count,
-    )
-    return found.view(count, rotations, *key.shape[-2:])
 
 
 def _fast(least: int) -> int:

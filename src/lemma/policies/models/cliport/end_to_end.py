@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.core.config import Depth, Share
 from lemma.core.robot_names import robot_name
 from lemma.policies.batch import PRIMITIVES, STOP, Batch, batch_of
 from lemma.policies.interfaces import Decision, PolicyInput
@@ -45,9 +46,9 @@ _STOP_WIDTH = 128
 class MCLIPortConfig(CLIPortConfig):
     """Options of :class:`MCLIPort`."""
 
-    word_dropout: float = 0.1
+    word_dropout: Share = 0.1
     """Share of words that are unknown in training."""
-    robots: int = 2
+    robots: Depth = 2
     """Of every scene."""
 
 

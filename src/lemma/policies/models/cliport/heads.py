@@ -13,7 +13,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.policies.models.cliport.clip_trunk import CLIPTrunk
 from lemma.policies.models.cliport.correlation import correlate
 from lemma.policies.models.cliport.grid import Cells, read_at
 from lemma.policies.models.cliport.networks import STRIDE, TwoStreams
@@ -93,10 +92,10 @@ def place_cells(raster: Raster) -> Cells:
 class PickHead(nn.Module):
     """Where to pick, and with which yaw."""
 
-    def __init__(self, config: HeadsConfig, trunk: CLIPTrunk | None) -> None:
+    def __init__(self, config: HeadsConfig) -> None:
         """Make the weights."""
         super().__init__()
-        self.streams = TwoStreams(config.widths, config.sentence_width, trunk)
+        self.streams = TwoStreams(config.widths, config.sentence_width)
         width = self.streams.width
         self.context_width = self.streams.context_width
         self.maps = nn.Sequential(
@@ -138,11 +137,11 @@ class PickHead(nn.Module):
 class PlaceHead(nn.Module):
     """Where what was picked goes, and with which yaw."""
 
-    def __init__(self, config: HeadsConfig, trunk: CLIPTrunk | None) -> None:
+    def __init__(self, config: HeadsConfig) -> None:
         """Make the weights."""
         super().__init__()
-        self.key = TwoStreams(config.widths, config.sentence_width, trunk)
-        self.query = TwoStreams(config.query_widths, config.sentence_width, trunk)
+        self.key = TwoStreams(config.widths, config.sentence_width)
+        self.query = TwoStreams(config.query_widths, config.sentence_width)
         width, channels = self.key.width, config.kernel_channels
         self.to_key = nn.Conv2d(width, channels, 1)
         self.to_kernel = nn.Conv2d(self.query.width, channels, 1)

@@ -18,15 +18,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
+from lemma.core.config import Count, Depth, Share, Size, Width, Widths
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.policies.batch import Batch, batch_of
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.model import MODELS, Model
-from lemma.policies.models.cliport.clip_trunk import CLIPTrunk
 from lemma.policies.models.cliport.heads import HeadsConfig, PickHead, PlaceHead
 from lemma.policies.models.cliport.networks import STRIDE, image_of
 from lemma.policies.models.cliport.poses import (
@@ -51,30 +51,27 @@ AT_ONCE = 16
 class CLIPortConfig:
     """Options of :class:`CLIPort`."""
 
-    widths: tuple[int, ...] = (32, 64, 128, 224)
+    widths: Widths = (32, 64, 128, 224)
     """Channels at a quarter to a 32nd of the map's resolution."""
-    query_widths: tuple[int, ...] = (32, 64, 96, 128)
+    query_widths: Widths = (32, 64, 96, 128)
     """The same of the network that sees what lies around the pick."""
-    bins: int = 12
+    bins: Count = 12
     """Of yaw; each is refined by a residual."""
-    kernel_channels: int = 8
+    kernel_channels: Width = 8
     """Channels that are correlated."""
-    crop: int = 128
+    crop: Count = 128
     """Cells of the map along a side of what is seen around the pick; it should hold the
     stick, wherever it is grasped."""
     zoom: bool = True
     """Whether to look again at the place that was found, which CLIPort does not."""
-    text_width: int = 192
+    text_width: Width = 192
     """Of a word."""
-    text_layers: int = 2
+    text_layers: Depth = 2
     """Transformer layers over the words."""
-    word_dropout: float = 0.0
+    word_dropout: Share = 0.0
     """Share of words that are unknown in training; each word of a sub-instruction
     counts."""
-    clip_weights: str | None = None
-    """Weights of CLIP's ResNet, in OpenAI's format, for the semantic stream; a network
-    of its own if None."""
-    cell_m: float = 0.008
+    cell_m: Size = 0.008
     """Side of a cell of the map [m]."""
     floor_m: float = -0.1
     """What the map shows as its lowest [m]."""
@@ -132,13 +129,9 @@ class PickAndPlace(Model):
         # One each: the pick listens for other words than the place.
         self.pick_text = TextEncoder(text)
         self.place_text = TextEncoder(text)
-        self.trunk: nn.Module | None = None
-        trunk = None
-        if config.clip_weights is not None:
-            self.trunk = trunk = CLIPTrunk.load(config.clip_weights)
-        self.pick = PickHead(heads, trunk)
-        self.place = PlaceHead(heads, trunk)
-        self.zoom = Zoom(heads, trunk) if config.zoom else None
+        self.pick = PickHead(heads)
+        self.place = PlaceHead(heads)
+        self.zoom = Zoom(heads) if config.zoom else None
 
     def sentences(self, batch: Batch) -> list[str]:
         """Return what the model is told."""

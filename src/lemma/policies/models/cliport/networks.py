@@ -14,7 +14,6 @@ from torch.nn import functional as F
 
 from lemma.policies.batch import Batch
 from lemma.policies.layers import ResidualBlock, norm, upsample_to
-from lemma.policies.models.cliport.clip_trunk import CLIPTrunk
 
 STRIDE = 4
 """Cells of the map along a side of a cell of features."""
@@ -125,27 +124,17 @@ class _Lateral(nn.Module):
 class TwoStreams(nn.Module):
     """A picture and a sentence in, features at a quarter of the resolution out."""
 
-    def __init__(
-        self,
-        widths: Sequence[int],
-        sentence_width: int,
-        trunk: CLIPTrunk | None = None,
-    ) -> None:
+    def __init__(self, widths: Sequence[int], sentence_width: int) -> None:
         """Make the weights.
 
         Args:
             widths: Channels of each level, from fine to coarse.
             sentence_width: Of the sentence's vector.
-            trunk: What encodes color in the semantic stream, frozen and shared by
-                several networks; a network of its own if None.
         """
         super().__init__()
         self.spatial = Encoder(IMAGE_CHANNELS, widths)
-        # In a list, because a shared trunk belongs to whoever shares it.
-        self._trunk = [trunk] if trunk else []
-        self.semantic = None if trunk else Encoder(len(_SEMANTIC), widths)
-        skips = tuple(trunk.widths if trunk else widths)
-        self.enter = nn.Conv2d(skips[-1], widths[-1], 1)
+        self.semantic = Encoder(len(_SEMANTIC), widths)
+        self.enter = nn.Conv2d(widths[-1], widths[-1], 1)
         self.spatial_ups = nn.ModuleList()
         self.semantic_ups = nn.ModuleList()
         self.films = nn.ModuleList([_FiLM(sentence_width, widths[-1])])
@@ -153,7 +142,7 @@ class TwoStreams(nn.Module):
         for level in reversed(range(len(widths) - 1)):
             width, coarser = widths[level], widths[level + 1]
             self.spatial_ups.append(_Up(coarser, width, width))
-            self.semantic_ups.append(_Up(coarser, skips[level], width))
+            self.semantic_ups.append(_Up(coarser, width, width))
             self.films.append(_FiLM(sentence_width, width))
             self.laterals.append(_Lateral(width))
         self.width = widths[0]
@@ -172,12 +161,7 @@ class TwoStreams(nn.Module):
         """
         image = image.contiguous(memory_format=torch.channels_last)
         spatial = self.spatial(image)
-        if self._trunk:
-            seen = self._trunk[0](image[:, :3])
-        else:
-            assert self.semantic is not None
-            seen = self.semantic(image[:, _SEMANTIC])
-        seen = [_as_large(x, other) for x, other in zip(seen, spatial, strict=True)]
+        seen = self.semantic(image[:, _SEMANTIC])
         where = spatial[-1]
         what = self.films[0](self.enter(seen[-1]), sentence)
         what = self.laterals[0](what, where)
@@ -189,7 +173,3 @@ class TwoStreams(nn.Module):
             what = self.films[i + 1](what, sentence)
             what = self.laterals[i + 1](what, where)
         return what, context
-
-
-def _as_large(x: Tensor, other: Tensor) -> Tensor:
-    return x if x.shape[-2:] == other.shape[-2:] else upsample_to(x, other)

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.policies.models.cliport.clip_trunk import CLIPTrunk
 from lemma.policies.models.cliport.grid import read_at
 from lemma.policies.models.cliport.heads import Fit, HeadsConfig, place_cells, reader
 from lemma.policies.models.cliport.networks import TwoStreams
@@ -30,10 +29,10 @@ _KNOWN = 6
 class Zoom(nn.Module):
     """Corrects where the place head would go."""
 
-    def __init__(self, config: HeadsConfig, trunk: CLIPTrunk | None) -> None:
+    def __init__(self, config: HeadsConfig) -> None:
         """Make the weights."""
         super().__init__()
-        self.streams = TwoStreams(config.query_widths, config.sentence_width, trunk)
+        self.streams = TwoStreams(config.query_widths, config.sentence_width)
         width = self.streams.width + self.streams.context_width
         self.read = reader(width + config.widths[0] + _KNOWN, 3)
         self.crop = config.crop

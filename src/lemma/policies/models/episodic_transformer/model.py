@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.core.config import Count, Depth, Share, Width, Widths
 from lemma.core.robot_names import robot_name
 from lemma.env.view import View
 from lemma.policies.batch import (
@@ -35,7 +36,7 @@ from lemma.policies.model import MODELS, Model
 from lemma.policies.models.episodic_transformer import layout as episodic_layout
 from lemma.policies.models.episodic_transformer.layout import SLOTS, TokenLayout
 from lemma.policies.models.episodic_transformer.view_cache import ViewCache
-from lemma.policies.text.encoder import WORDS, TextConfig, TextEncoder
+from lemma.policies.text.encoder import TextConfig, TextEncoder, TextKind
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import ENTITIES, STICK, kind_of
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
@@ -52,33 +53,33 @@ _HEIGHT_SCALE = 5.0
 class EpisodicTransformerConfig:
     """Options of the :class:`EpisodicTransformer`."""
 
-    robots: int = 2
+    robots: Depth = 2
     """Robots of a team."""
-    text: str = WORDS
+    text: TextKind = "words"
     """Kind of the text encoder: see ``TextConfig``."""
-    width: int = 384
+    width: Width = 384
     """Of a token."""
-    heads: int = 6
+    heads: Depth = 6
     """Of each attention."""
-    text_layers: int = 2
+    text_layers: Depth = 2
     """Layers over the words alone."""
-    layers: int = 2
+    layers: Depth = 2
     """Layers over words, frames and decisions."""
-    channels: tuple[int, ...] = (48, 96, 192, 384)
+    channels: Widths = (48, 96, 192, 384)
     """Of the stages of the image network, each with half the resolution."""
-    blocks: int = 2
+    blocks: Depth = 2
     """Residual blocks in each stage; 2 make a ResNet-18."""
-    grid: int = 7
+    grid: Depth = 7
     """Rows and columns of cells that a frame is pooled to."""
-    cell_channels: int = 64
+    cell_channels: Width = 64
     """Values that remain of each cell."""
-    max_words: int = 40
+    max_words: Count = 40
     """Words behind these are not read."""
-    dropout: float = 0.1
+    dropout: Share = 0.1
     """Share of values that are left out in training."""
-    visual_dropout: float = 0.3
+    visual_dropout: Share = 0.3
     """The same, of the cells."""
-    first_view_only: float = 0.25
+    first_view_only: Share = 0.25
     """Share of the episodes that in training show their first frame throughout, as in
     multi-step planning."""
 

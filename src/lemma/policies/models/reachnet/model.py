@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from lemma.core.config import Depth, Size
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.policies.batch import (
@@ -56,7 +57,7 @@ from lemma.policies.models.reachnet.scene_table import (
     turned_numbers,
 )
 from lemma.policies.models.reachnet.scores import score_decisions
-from lemma.policies.text.encoder import WORDS_AND_VECTORS, TextConfig
+from lemma.policies.text.encoder import TextConfig
 from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import Raster
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
@@ -78,19 +79,19 @@ class ReachNetConfig:
     reach: Literal["simulator", "demonstrations", "none"] = "simulator"
     """Where reach is learned from: labels of the simulator, or who did what in the
     demonstrations; or not at all."""
-    robots: int = 2
+    robots: Depth = 2
     """Robots of a team."""
     eye: PerceptionConfig = field(default_factory=PerceptionConfig)
     """What sees."""
     text: TextConfig = field(
-        default_factory=lambda: TextConfig(kind=WORDS_AND_VECTORS, width=128)
+        default_factory=lambda: TextConfig(kind="words+vectors", width=128)
     )
     """What reads."""
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     """What decides."""
     noise: Noise = field(default_factory=Noise)
     """Of tables that are made from labels."""
-    draws: int = 2
+    draws: Depth = 2
     """Tables that are made from the labels of each frame; half of them are turned."""
     perceived: bool = True
     """Whether the planner also learns from what the eye sees."""
@@ -98,7 +99,7 @@ class ReachNetConfig:
     """What a sub-task loses, in log-probability, each time it fails in a row."""
     recolor: bool = True
     """Whether the reader also learns from sentences with other colors."""
-    cell_m: float = 0.008
+    cell_m: Size = 0.008
     """Side of a cell of the map [m]."""
     floor_m: float = -0.1
     """Lowest height of the map [m]."""

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.core.config import Depth, Share, Width, Widths
 from lemma.policies.batch import Batch
 from lemma.policies.layers import ResidualBlock, norm, upsample_to
 from lemma.policies.models.reachnet.scene_table import (
@@ -44,13 +45,13 @@ _NEAR_HEIGHT_CELLS = 1
 class PerceptionConfig:
     """Options of the eye."""
 
-    widths: tuple[int, ...] = (64, 96, 160, 224)
+    widths: Widths = (64, 96, 160, 224)
     """Channels at a quarter of the map's resolution, an eighth, and so on."""
-    blocks: int = 2
+    blocks: Depth = 2
     """Residual blocks at each resolution on the way down."""
-    ring_width: int = 64
+    ring_width: Width = 64
     """Between what is seen of a robot and its reach."""
-    joint_dropout: float = 0.3
+    joint_dropout: Share = 0.3
     """Share of robots whose joints are not given in training, so that reach is also
     seen."""
 

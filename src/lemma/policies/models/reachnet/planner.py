@@ -13,7 +13,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.core.config import Depth, Share, Width
 from lemma.policies.batch import NOBODY, PLACES, PRIMITIVES, STOP
+from lemma.policies.layers import check_heads
 from lemma.policies.models.reachnet.drags import DragUtility
 from lemma.policies.models.reachnet.features import (
     PAIR,
@@ -46,15 +48,15 @@ _ABSENT = -20.0
 class PlannerConfig:
     """Options of the planner."""
 
-    width: int = 128
+    width: Width = 128
     """Of a token."""
-    layers: int = 4
+    layers: Depth = 4
     """Of the transformer."""
-    heads: int = 4
+    heads: Depth = 4
     """Of the attention."""
-    dropout: float = 0.05
+    dropout: Share = 0.05
     """Share of values left out in training."""
-    past_dropout: float = 0.5
+    past_dropout: Share = 0.5
     """Share of frames whose past is left out in training: what lies on the table says
     nearly all, and a policy that trusts its past does not see when it failed."""
 
@@ -215,6 +217,7 @@ class _Layer(nn.Module):
 
     def __init__(self, width: int, heads: int, dropout: float) -> None:
         super().__init__()
+        check_heads(width, heads)
         self.heads = heads
         self.attention_norm = nn.LayerNorm(width)
         self.query_key_value = nn.Linear(width, 3 * width)

@@ -1,0 +1,260 @@
+"""Files of weights: which model they belong to, its options, and where they come from.
+
+Weights are safetensors in 16 bits, or packed in fewer (:mod:`lemma.policies.packing`);
+metadata are JSON beside them. A file may come from anybody: nothing in it is executed,
+and all of it is checked before memory is taken for it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from lemma.core.errors import LemmaError
+from lemma.core.files import write_whole
+from lemma.policies.model import Model
+from lemma.policies.models.catalog import make_model
+from lemma.policies.packing import Fineness, PackingError, Rounding, pack, unpack
+
+METADATA_KEY = "lemma"
+WEIGHTS_VERSION = "2"
+TIME_LIMIT: Literal["time limit"] = "time limit"
+"""How a run ended that other machines would have ended elsewhere."""
+_LONGEST = 2**20
+"""Characters of metadata that are read."""
+
+
+class WeightsError(LemmaError, RuntimeError):
+    """Weights that cannot be found, read or used."""
+
+
+@dataclass(frozen=True)
+class WeightsMetadata:
+    """What a file of weights says about itself."""
+
+    model: str
+    """Its name, as ``lemma train`` knows it."""
+    options: dict[str, Any]
+    """Of the model."""
+    data: dict[str, Any] = field(default_factory=dict)
+    """Version and digest of the data that it was trained on."""
+    command: str = ""
+    """The command line that made it."""
+    scores: dict[str, float | None] = field(default_factory=dict)
+    """In validation."""
+    training: dict[str, Any] = field(default_factory=dict)
+    """All options of the run."""
+    ended: Literal["", "steps", "time limit"] = ""
+    """What ended the run: all of its steps, or a time limit, after which other machines
+    have done other steps. Empty while it goes on, and where nobody wrote it down."""
+    steps: int | None = None
+    """That were done when it ended."""
+    packed: dict[str, Rounding] = field(default_factory=dict)
+    """How the tensors were rounded that are not in 16 bits, by name."""
+    lemma: str = ""
+    """Version of the package."""
+    version: str = WEIGHTS_VERSION
+    """Of the format."""
+
+
+def write_weights(
+    path: Path,
+    weights: Mapping[str, Tensor],
+    metadata: WeightsMetadata,
+    fineness: Fineness | None = None,
+) -> None:
+    """Write weights, whole or not at all.
+
+    Args:
+        path: The file.
+        weights: By name, as a module's ``state_dict`` has them.
+        metadata: What it shall say about itself.
+        fineness: How finely they are rounded, and packed; 16 bits each if None.
+
+    Raises:
+        WeightsError: One does not fit into 16 bits.
+        DatasetError: The disk is full, or the folder cannot be written to.
+    """
+    tensors = {}
+    for name, value in weights.items():
+        tensors[name] = value.detach().to("cpu", copy=True).contiguous()
+        if value.is_floating_point():
+            tensors[name] = tensors[name].half()
+            if not torch.isfinite(tensors[name]).all():
+                raise WeightsError(
+                    f"Weight {name!r} is not finite in 16 bits. Training diverged; "
+                    "lower the learning rate."
+                )
+    if fineness is not None:
+        tensors, packed = pack(tensors, fineness)
+        metadata = replace(metadata, packed=packed)
+    _write(path, tensors, metadata)
+
+
+def mark_ended(path: Path, ended: Literal["steps", "time limit"], steps: int) -> None:
+    """Write into a file of weights how the run ended that they are the best of.
+
+    Args:
+        path: The file.
+        ended: What ended it.
+        steps: That were done.
+
+    Raises:
+        WeightsError: It is missing or damaged.
+        DatasetError: The disk is full, or the folder cannot be written to.
+    """
+    metadata = replace(read_metadata(path), ended=ended, steps=steps)
+    with safe_open(path, "pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    _write(path, tensors, metadata)
+
+
+def _write(path: Path, tensors: dict[str, Tensor], metadata: WeightsMetadata) -> None:
+    text = msgspec.json.encode(metadata, order="sorted").decode()
+
+    def write(draft: Path) -> None:
+        save_file(tensors, draft, {METADATA_KEY: text})
+        # Else nobody but the owner may read them.
+        draft.chmod(0o644)
+
+    write_whole(path, write)
+
+
+def read_metadata(path: Path) -> WeightsMetadata:
+    """Return what a file of weights says about itself.
+
+    Raises:
+        WeightsError: It is missing, damaged, or no such file.
+    """
+    try:
+        with safe_open(path, "pt") as file:
+            text = (file.metadata() or {}).get(METADATA_KEY)
+    except FileNotFoundError as error:
+        raise WeightsError(
+            f"There is no file {path}. Write the path of weights."
+        ) from error
+    except (SafetensorError, OSError, ValueError) as error:
+        raise _damaged(path, error) from error
+    if text is None:
+        raise WeightsError(
+            f"{path} does not say which model it is for. Only files that 'lemma "
+            "train' wrote can be loaded."
+        )
+    if len(text) > _LONGEST:
+        raise _damaged(path, ValueError(f"its metadata have {len(text)} characters"))
+    try:
+        metadata = msgspec.json.decode(text, type=WeightsMetadata)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise WeightsError(
+            f"{path} was written by another version of this package, or is damaged: "
+            f"{error}. Fetch it again, or train again."
+        ) from error
+    if metadata.version != WEIGHTS_VERSION:
+        raise WeightsError(
+            f"{path} has version {metadata.version} of the format of weights, and this "
+            f"package reads version {WEIGHTS_VERSION}. Install lemma-bench "
+            f"{metadata.lemma}, or train again."
+        )
+    return metadata
+
+
+def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
+    """Return the model in a file of weights, ready to be used.
+
+    Args:
+        path: The file.
+        device: Where it shall be.
+
+    Raises:
+        WeightsError: The file is missing, damaged, or does not fit its model.
+    """
+    metadata = read_metadata(path)
+    try:
+        # First a model that takes no memory: sizes may be anything.
+        with torch.device("meta"):
+            wanted = make_model(metadata.model, metadata.options).state_dict()
+        with safe_open(path, "pt") as file:
+            _check_shapes(path, metadata, file, wanted)
+            model = make_model(metadata.model, metadata.options)
+            model.load_state_dict(
+                {
+                    name: _read_tensor(file, name, metadata, value)
+                    for name, value in wanted.items()
+                }
+            )
+    except WeightsError:
+        raise
+    except LemmaError as error:
+        raise WeightsError(
+            f"{path} is for a model of another version of this package "
+            f"({metadata.lemma or 'unknown'}): {error} Install that version, or train "
+            f"again: {metadata.command or 'lemma train'}"
+        ) from error
+    except (SafetensorError, OSError, ValueError, RuntimeError) as error:
+        # torch has RuntimeErrors for sizes that cannot be.
+        raise _damaged(path, error) from error
+    return model.to(device).eval()
+
+
+def _check_shapes(
+    path: Path, metadata: WeightsMetadata, file: Any, wanted: Mapping[str, Tensor]
+) -> None:
+    """Check that a file has the tensors of a model, before any is read.
+
+    Raises:
+        WeightsError: They are of another model, or of other options.
+    """
+    found = {
+        name: metadata.packed[name].shape
+        if name in metadata.packed
+        else tuple(file.get_slice(name).get_shape())
+        for name in file.keys()  # noqa: SIM118 - it is no mapping
+    }
+    problems = [f"{name} is missing" for name in wanted if name not in found]
+    problems += [f"{name} is not known" for name in found if name not in wanted]
+    problems += [
+        f"{name} is {found[name]} instead of {tuple(value.shape)}"
+        for name, value in wanted.items()
+        if name in found and found[name] != tuple(value.shape)
+    ]
+    if problems:
+        more = f" and {len(problems) - 3} more" if len(problems) > 3 else ""
+        raise WeightsError(
+            f"{path} does not fit {metadata.model} of this version: "
+            f"{'; '.join(problems[:3])}{more}. Use weights that were trained with this "
+            "version and the same options, or train again."
+        )
+
+
+def _read_tensor(
+    file: Any, name: str, metadata: WeightsMetadata, like: Tensor
+) -> Tensor:
+    """Return a tensor of a file, of the type that a model's own has.
+
+    Raises:
+        ValueError: It is of another type, or not finite.
+    """
+    value: Tensor = file.get_tensor(name)
+    if name in metadata.packed:
+        try:
+            value = unpack(value, metadata.packed[name])
+        except PackingError as error:
+            raise ValueError(f"{name} has {error}") from error
+    if value.is_floating_point() != like.is_floating_point():
+        raise ValueError(f"{name} is {value.dtype} where {like.dtype} is meant")
+    if value.is_floating_point() and not torch.isfinite(value).all():
+        raise ValueError(f"{name} is not finite")
+    return value.to(like.dtype)
+
+
+def _damaged(path: Path, error: Exception) -> WeightsError:
+    return WeightsError(
+        f"{path} is damaged, or no file of weights: {error}. Fetch it again, or train "
+        "again."
+    )
