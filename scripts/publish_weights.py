@@ -21,11 +21,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from lemma.core.errors import WeightsError
 from lemma.core.files import read_json, sha256_of, write_json
 from lemma.policies.packing import Fineness
 from lemma.policies.weights import CHECKOUT, LIST, SUFFIX, find_weights
 from lemma.policies.weights_file import (
-    WeightsError,
     load_weights,
     read_metadata,
     write_weights,

@@ -183,3 +183,39 @@ def test_an_incomplete_installation_is_explained(
     monkeypatch.setattr(command, "import_module", fail)
     assert run("tasks") == 2
     assert remedy in capsys.readouterr().err
+
+
+WITHOUT_TORCH = """
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("torch", "safetensors"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Absent())
+from lemma.cli.main import main
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize(
+    ("policy", "words"),
+    [
+        ("reachnt", "Did you mean 'reachnet'?"),
+        ("oracel", "Did you mean 'oracle'?"),
+        ("reachnet", "'lemma-bench[learn]'"),
+    ],
+)
+def test_a_misspelled_policy_is_understood_without_torch(
+    policy: str, words: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    line = ["evaluate", "--policy", policy, "--out", str(out), "--episodes", "1"]
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_TORCH, *line],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr

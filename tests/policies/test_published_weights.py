@@ -16,7 +16,7 @@ from tiny_model import NAME, Tiny, TinyConfig
 
 import publish_weights as publish
 from lemma.cli.main import main
-from lemma.core.errors import UnknownNameError
+from lemma.core.errors import UnknownNameError, WeightsError
 from lemma.core.files import read_json, write_json
 from lemma.policies import weights
 from lemma.policies.packing import Fineness
@@ -30,7 +30,6 @@ from lemma.policies.weights import (
     published_weights,
 )
 from lemma.policies.weights_file import (
-    WeightsError,
     WeightsMetadata,
     read_metadata,
     write_weights,

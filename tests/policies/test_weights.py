@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from tiny_model import NAME, Tiny, TinyConfig
 
-from lemma.core.errors import DatasetError
+from lemma.core.errors import DatasetError, WeightsError
 from lemma.policies import packing, weights_file
 from lemma.policies.models.catalog import MODELS
 from lemma.policies.packing import Fineness, PackingError, Rounding, pack, unpack
@@ -18,7 +18,6 @@ from lemma.policies.training.checkpoint import read_state, write_state
 from lemma.policies.weights import load_model
 from lemma.policies.weights_file import (
     METADATA_KEY,
-    WeightsError,
     WeightsMetadata,
     load_weights,
     mark_ended,

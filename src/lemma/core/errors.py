@@ -85,3 +85,7 @@ class WorkerError(LemmaError, RuntimeError):
 
 class CapacityError(LemmaError, RuntimeError):
     """There is no room for what a scene needs: a defect of this package."""
+
+
+class WeightsError(LemmaError, RuntimeError):
+    """Weights that cannot be found, read or used."""

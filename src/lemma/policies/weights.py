@@ -1,17 +1,21 @@
-"""Weights by name: published ones, files, and the Hugging Face Hub."""
+"""Weights by name: published ones, files, and the Hugging Face Hub.
+
+Finding them needs no torch, so that a misspelled name is told as such without it.
+"""
 
 import json
 import os
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-
-from lemma.core.errors import UnknownNameError
+from lemma.core.errors import UnknownNameError, WeightsError
 from lemma.core.files import read_json, sha256_of
-from lemma.policies.model import Model
-from lemma.policies.weights_file import WeightsError, load_weights
+
+if TYPE_CHECKING:
+    import torch
+
+    from lemma.policies.model import Model
 
 LIST = "weights.json"
 """Says which weights are published: file, checksum, where from, and how made."""
@@ -22,7 +26,7 @@ CHECKOUT = Path(__file__).parents[3] / "weights"
 SUFFIX = ".safetensors"
 
 
-def load_model(name: str, device: torch.device | str = "cpu") -> Model:
+def load_model(name: str, device: "torch.device | str" = "cpu") -> "Model":
     """Return a trained model, ready to be used.
 
     Args:
@@ -35,7 +39,10 @@ def load_model(name: str, device: torch.device | str = "cpu") -> Model:
         UnknownNameError: Nothing is called that.
         WeightsError: The file is missing, damaged, or does not fit its model.
     """
-    return load_weights(find_weights(name), device)
+    path = find_weights(name)
+    from lemma.policies.weights_file import load_weights  # noqa: PLC0415
+
+    return load_weights(path, device)
 
 
 def find_weights(name: str) -> Path:

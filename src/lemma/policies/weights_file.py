@@ -16,7 +16,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from lemma.core.errors import LemmaError
+from lemma.core.errors import LemmaError, WeightsError
 from lemma.core.files import write_whole
 from lemma.policies.model import Model
 from lemma.policies.models.catalog import make_model
@@ -28,10 +28,6 @@ TIME_LIMIT: Literal["time limit"] = "time limit"
 """How a run ended that other machines would have ended elsewhere."""
 _LONGEST = 2**20
 """Characters of metadata that are read."""
-
-
-class WeightsError(LemmaError, RuntimeError):
-    """Weights that cannot be found, read or used."""
 
 
 @dataclass(frozen=True)

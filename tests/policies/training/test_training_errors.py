@@ -10,12 +10,16 @@ from painted_keyframes import write_painted
 from tiny_model import NAME, Tiny, config
 
 from lemma.cli.main import main
-from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.errors import (
+    DatasetError,
+    InvalidConfigError,
+    UnknownNameError,
+    WeightsError,
+)
 from lemma.dataset.files import MANIFEST
 from lemma.policies.training.config import model_options
 from lemma.policies.training.loop import TrainingError, train
 from lemma.policies.training.run import TrainingReport
-from lemma.policies.weights_file import WeightsError
 
 tiny_model.register()
 

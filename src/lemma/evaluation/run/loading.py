@@ -1,10 +1,13 @@
 """Policies by name, with other people's kept at a distance."""
 
+from pathlib import Path
 from typing import Any
 
+from lemma.core.errors import UnknownNameError
 from lemma.core.files import sha256_of
 from lemma.policies.interfaces import Policy
 from lemma.policies.spec import ORACLE, PolicySpec, load_part
+from lemma.policies.weights import find_weights, published_weights
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.client.websocket import connect, is_address
 from lemma.serve.isolation import isolate
@@ -75,12 +78,11 @@ def weights_of(spec: PolicySpec) -> Weights:
     parts = learned_parts(spec.name)
     if not parts:
         return found
+    paths = [_find(part) for part in parts]
     # torch is an extra, which the oracle and other people's policies do without.
-    from lemma.policies.weights import find_weights  # noqa: PLC0415
     from lemma.policies.weights_file import TIME_LIMIT, read_metadata  # noqa: PLC0415
 
-    for part in parts:
-        path = find_weights(part)
+    for path in paths:
         about = read_metadata(path)
         found[about.model] = {
             "sha256": sha256_of(path),
@@ -90,3 +92,11 @@ def weights_of(spec: PolicySpec) -> Weights:
         if about.ended == TIME_LIMIT:
             found[about.model]["ended"] = about.ended
     return found
+
+
+def _find(part: str) -> Path:
+    try:
+        return find_weights(part)
+    except UnknownNameError:
+        valid = (ORACLE, *published_weights())
+        raise UnknownNameError("policy", part, valid) from None

@@ -6,8 +6,8 @@ from typing import Any
 
 import torch
 
+from lemma.core.errors import WeightsError
 from lemma.core.files import write_whole
-from lemma.policies.weights_file import WeightsError
 
 
 def write_state(path: Path, state: dict[str, Any]) -> None:
