@@ -30,6 +30,7 @@ from lemma.core.files import (
 from lemma.core.parallel import Engine
 from lemma.dataset.files import CARD, MANIFEST, check_files
 from lemma.dataset.instructions import check_recorded
+from lemma.dataset.lerobot.card import EXTRAS, card
 from lemma.dataset.lerobot.frames import (
     Style,
     describe_episode,
@@ -37,7 +38,6 @@ from lemma.dataset.lerobot.frames import (
     frames,
     robots_of,
 )
-from lemma.dataset.recipe.card import head
 from lemma.dataset.recipe.files import open_table, versions
 from lemma.dataset.recipe.reader import read_group
 from lemma.dataset.recipe.replay import check_versions
@@ -52,7 +52,6 @@ from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.names import task_rank
 
 INFO = "meta/info.json"
-EXTRAS = "extras"
 EPISODES = f"{EXTRAS}/episodes.json"
 """What is known of every episode beside the format."""
 _EXPORT = f"{EXTRAS}/export.json"
@@ -350,7 +349,7 @@ def _assemble(
         {"episodes": [{"episode_index": n, **e} for n, e in enumerate(episodes)]},
     )
     _write_recipe(order.out / EXTRAS, files)
-    write_text(order.out / CARD, _card(info))
+    write_text(order.out / CARD, card(info))
     for part in _PARTS:
         rmtree(order.out / part, ignore_errors=True)
         (whole / part).rename(order.out / part)
@@ -374,46 +373,3 @@ def _write_recipe(folder: Path, files: Sequence[Path]) -> None:
         if name in manifest["files"]:
             listed[name] = manifest["files"][name]
     write_json(folder / MANIFEST, {**manifest, "files": listed})
-
-
-_CARD = """
-# LEMMA Bench demonstrations
-
-Two robot arms, one table, one sentence: expert demonstrations of LEMMA Bench as a
-LeRobotDataset, made by `lemma render --form lerobot`. {episodes} episodes, {frames}
-frames at {fps} per second.
-
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    dataset = LeRobotDataset("you/name", root="this/folder")
-
-`task` is one sentence of each episode, the columns `annotation.instruction.*` are all
-three, and `subtask` is what comes next. Do not train on
-`annotation.instruction.unseen`: those sentences are held out.
-
-`{extras}/episodes.json` says where each episode comes from and where the cameras are.
-`{extras}/` is the recipe of the episodes, too: every instance, and the full state of
-the physics at every keyframe. `lemma.load("{extras}")` reads it.
-
-## Features
-
-| name | type | shape |
-|---|---|---|
-{features}
-"""
-
-
-def _card(info: dict[str, Any]) -> str:
-    """Return the README of a data set, given its ``meta/info.json``."""
-    lines = [
-        f"| `{name}` | {each['dtype']} | {' x '.join(map(str, each['shape']))} |"
-        for name, each in info["features"].items()
-    ]
-    files = "configs:\n- config_name: default\n  data_files: data/*/*.parquet\n"
-    return head("LeRobot", more=files) + _CARD.format(
-        episodes=info["total_episodes"],
-        frames=info["total_frames"],
-        fps=info["fps"],
-        extras=EXTRAS,
-        features="\n".join(lines),
-    )
