@@ -24,7 +24,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from lemma.core.parallel import ProcessPool, usable_cores
+from lemma.core.workers.pool import ProcessPool, usable_cores
 from lemma.evaluation.records import (
     EPISODES,
     PACKED,

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import SamplingError
-from lemma.core.parallel import Engine, ProcessPool
 from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
+from lemma.core.workers.pool import Engine, ProcessPool
 from lemma.evaluation.run.expert_times import TIMED_SPLITS, TIMES
 from lemma.evaluation.run.perturbed_starts import APART_M, FROM_STICK_M, perturbed
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out

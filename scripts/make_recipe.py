@@ -16,7 +16,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from lemma.core.parallel import ProcessPool
+from lemma.core.workers.pool import ProcessPool
 from lemma.dataset.recipe.digests import export
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.recipe.reader import load

@@ -9,8 +9,8 @@ from own_plugins import loaded
 
 from lemma.core import plugins
 from lemma.core.errors import PluginError
-from lemma.core.parallel import ProcessPool
 from lemma.core.plugins import ENVIRONMENT, load_plugins, split_names
+from lemma.core.workers.pool import ProcessPool
 
 came: list[str] = []
 """What plugins of these tests add to when they are imported."""

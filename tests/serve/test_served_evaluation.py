@@ -17,7 +17,7 @@ from lemma.cli.options import complain
 from lemma.cli.serve import serve as serve_verb
 from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
-from lemma.core.parallel import Job, Listener, ProcessPool, ignore
+from lemma.core.workers.pool import Job, Listener, ProcessPool, ignore
 from lemma.evaluation.records import ABOUT, EPISODES, Row, read_rows
 from lemma.evaluation.run import loading
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate

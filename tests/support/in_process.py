@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from lemma.core.parallel import Job, Listener, heard_by, ignore
+from lemma.core.workers.pool import Job, Listener, heard_by, ignore
 
 
 class Serial:

@@ -8,7 +8,7 @@ from typing import Any
 
 from lemma import __version__
 from lemma.core.errors import RenderingError
-from lemma.core.parallel import usable_cores
+from lemma.core.workers.pool import usable_cores
 from lemma.scene.rendering.gl_backend import choose_backend
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 
 from lemma.bench.control import ControlFigures
-from lemma.core.parallel import ProcessPool, peak_memory_mb, run_in_order
+from lemma.core.workers.pool import ProcessPool, peak_memory_mb, run_in_order
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
 from lemma.scene.cameras import CameraImage

@@ -11,7 +11,7 @@ import tyro
 from lemma.cli.options import Flag, JsonFlag, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
-from lemma.core.parallel import Engine
+from lemma.core.workers.pool import Engine
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
 from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm

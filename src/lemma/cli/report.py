@@ -11,7 +11,7 @@ from lemma.cli.options import Flag, Number, Word, complain, output
 from lemma.cli.workers import progress_bar
 from lemma.core.errors import DatasetError, InvalidConfigError, RenderingError
 from lemma.core.files import write_text
-from lemma.core.parallel import usable_cores
+from lemma.core.workers.pool import usable_cores
 from lemma.evaluation.report.episodes import Case, cases_of, spread
 from lemma.evaluation.report.policy_results import (
     PolicyResults,

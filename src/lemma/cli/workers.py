@@ -20,8 +20,8 @@ from rich.text import Text
 
 from lemma.cli.options import Number, messages
 from lemma.core.errors import InvalidConfigError
-from lemma.core.parallel import Engine, ProcessPool
-from lemma.core.ray_cluster import RayCluster
+from lemma.core.workers.pool import Engine, ProcessPool
+from lemma.core.workers.ray_cluster import RayCluster
 
 _RATE_PERIOD_S = 60.0
 

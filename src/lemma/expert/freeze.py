@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lemma.core.errors import SamplingError
-from lemma.core.parallel import ProcessPool, run_in_order
+from lemma.core.workers.pool import ProcessPool, run_in_order
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
 from lemma.tasks.instance import SPLITS, Instance

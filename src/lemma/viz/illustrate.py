@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from lemma.core.parallel import ProcessPool
+from lemma.core.workers.pool import ProcessPool
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.viz.map_overlay import annotated_map

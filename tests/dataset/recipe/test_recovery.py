@@ -22,7 +22,7 @@ from recipes import bytes_of, lemma, small_order, small_recipe
 from lemma.cli.generate import GenerateOptions
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import read_json, write_json
-from lemma.core.parallel import ProcessPool
+from lemma.core.workers.pool import ProcessPool
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
 from lemma.dataset.recipe.digests import expected_digests, export, shorten

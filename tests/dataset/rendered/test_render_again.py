@@ -15,7 +15,7 @@ from rendered_sets import (
 )
 
 from lemma.core.errors import DatasetError
-from lemma.core.parallel import ProcessPool
+from lemma.core.workers.pool import ProcessPool
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.files import REVISION_VARIABLE, open_table
 from lemma.dataset.recipe.generate import GenerateConfig, generate

@@ -27,7 +27,7 @@ from lemma.core.files import (
     write_text,
     write_whole,
 )
-from lemma.core.parallel import Engine
+from lemma.core.workers.pool import Engine
 from lemma.dataset.files import CARD, MANIFEST, check_files
 from lemma.dataset.instructions import check_recorded
 from lemma.dataset.lerobot.card import EXTRAS, card

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from lemma.core.errors import DatasetError
-from lemma.core.parallel import Engine
 from lemma.core.poses import Pose2
+from lemma.core.workers.pool import Engine
 from lemma.dataset.files import check_files
 from lemma.dataset.recipe.files import open_table, versions
 from lemma.dataset.recipe.reader import Recipe, read_group

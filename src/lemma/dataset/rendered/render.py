@@ -20,7 +20,7 @@ from lemma.core.files import (
     write_json,
     write_text,
 )
-from lemma.core.parallel import Engine
+from lemma.core.workers.pool import Engine
 from lemma.dataset.files import CARD, MANIFEST, check_files, check_free, listed_files
 from lemma.dataset.recipe.digests import content_digest
 from lemma.dataset.recipe.files import open_table, versions

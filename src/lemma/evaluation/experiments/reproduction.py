@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json
-from lemma.core.parallel import Engine
+from lemma.core.workers.pool import Engine
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.experiments.catalog import (
     ABLATIONS,

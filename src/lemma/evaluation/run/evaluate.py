@@ -19,7 +19,7 @@ from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import clear_drafts, only_writer, read_json, write_json
-from lemma.core.parallel import Engine, report
+from lemma.core.workers.pool import Engine, report
 from lemma.dataset.recipe.files import check_same, versions
 from lemma.evaluation.records import (
     ABOUT,

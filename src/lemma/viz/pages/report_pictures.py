@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lemma.core.parallel import ProcessPool
 from lemma.core.poses import FloatArray
+from lemma.core.workers.pool import ProcessPool
 from lemma.env.episode import Episode
 from lemma.env.simulation import TICK_S
 from lemma.evaluation.report.episodes import Case, subtask_words

@@ -13,7 +13,7 @@ import pytest
 from in_process import Serial
 
 from lemma.core.errors import DatasetError, InvalidConfigError, WorkerError
-from lemma.core.parallel import (
+from lemma.core.workers.pool import (
     Engine,
     Job,
     ProcessPool,
@@ -22,7 +22,7 @@ from lemma.core.parallel import (
     run_in_order,
     usable_cores,
 )
-from lemma.core.ray_cluster import RayCluster
+from lemma.core.workers.ray_cluster import RayCluster
 
 
 def double(number: int) -> tuple[int, int]:
@@ -235,8 +235,8 @@ def parent() -> Iterator[subprocess.Popen[bytes]]:
     folders = [str(Path(__file__).parent), str(Path(in_process.__file__).parent)]
     code = (
         f"import sys; sys.path[:0] = {folders}\n"
-        "from lemma.core.parallel import ProcessPool\n"
-        "from test_parallel import wait_long\n"
+        "from lemma.core.workers.pool import ProcessPool\n"
+        "from test_pool import wait_long\n"
         "if __name__ == '__main__':\n"
         "    list(ProcessPool(2).run(wait_long, [(0,), (1,)]))\n"
     )

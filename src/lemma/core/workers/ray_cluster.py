@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from lemma.core.errors import WorkerError
-from lemma.core.parallel import (
+from lemma.core.plugins import load_plugins
+from lemma.core.workers.pool import (
     MOST_DEATHS,
     Job,
     Listener,
@@ -15,7 +16,6 @@ from lemma.core.parallel import (
     heard_by,
     ignore,
 )
-from lemma.core.plugins import load_plugins
 
 _AHEAD = 2
 """Jobs per core that the cluster is told of at a time."""

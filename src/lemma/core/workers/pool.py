@@ -2,7 +2,7 @@
 
 A job is a plain function of plain arguments. What it returns comes back in the order in
 which jobs end; what it reports before, such as progress, comes back at once. A Ray
-cluster does the same for many machines, see :mod:`lemma.core.ray_cluster`.
+cluster does the same for many machines, see :mod:`lemma.core.workers.ray_cluster`.
 """
 
 import atexit

@@ -16,9 +16,9 @@ from recipes import bytes_of, lemma, small_recipe
 
 from lemma.core.errors import DatasetError, WorkerError
 from lemma.core.files import read_json
-from lemma.core.parallel import is_worker
 from lemma.core.plugins import load_plugins
-from lemma.core.ray_cluster import RayCluster
+from lemma.core.workers.pool import is_worker
+from lemma.core.workers.ray_cluster import RayCluster
 
 pytestmark = pytest.mark.slow
 
