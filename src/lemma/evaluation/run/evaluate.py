@@ -24,6 +24,7 @@ from lemma.dataset.recipe.files import check_same, versions
 from lemma.evaluation.records import (
     ABOUT,
     EPISODES,
+    EpisodeKey,
     Row,
     key_of,
     place_of,
@@ -143,6 +144,14 @@ class EvaluationConfig:
                     end = min(start + GROUP, self.per_task)
                     yield kind, task, range(start, end)
 
+    def keys(self) -> set[EpisodeKey]:
+        """Return which episodes are asked for."""
+        return {
+            (kind, task, index)
+            for kind, task, indices in self.groups()
+            for index in indices
+        }
+
 
 def evaluate(
     config: EvaluationConfig,
@@ -202,11 +211,7 @@ def evaluate(
             rows = sorted(done.values(), key=place_of)
             write_rows(config.out / EPISODES, rows)
             rmtree(parts, ignore_errors=True)
-    wanted = {
-        (kind, task, index)
-        for kind, task, indices in config.groups()
-        for index in indices
-    }
+    wanted = config.keys()
     return [row for row in rows if key_of(row) in wanted]
 
 
