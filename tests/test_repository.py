@@ -156,11 +156,13 @@ def test_version_is_the_same_everywhere() -> None:
 
 UNPINNED = ("track",)
 """Extras that no target of the Makefile installs; the versions are the user's."""
+APART = ("lerobot",)
+"""Extras for an environment of their own, whose versions exclude ours."""
 
 
 def requirements() -> list[Requirement]:
     every = PROJECT["optional-dependencies"]
-    extras = [group for name, group in every.items() if name not in UNPINNED]
+    extras = [group for name, group in every.items() if name not in UNPINNED + APART]
     return [
         Requirement(text)
         for group in (PROJECT["dependencies"], *extras)
@@ -319,7 +321,7 @@ def options_of(verb: str) -> frozenset[str]:
     code = "from lemma.cli.main import main; main()"
     done = run_python("-c", code, *([verb] if verb else []), "--help")
     assert done.returncode == 0, f"lemma {verb}: {done.stdout}{done.stderr}"
-    return frozenset(re.findall(r"--[a-z][a-z-]*", done.stdout)) | {"--help"}
+    return frozenset(re.findall(r"--[a-z][a-z-]*", done.stdout)) | {"--help", "--tyro-print-completion"}
 
 
 def run_python(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -28,7 +28,7 @@ from lemma.cli.options import (
 )
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import usable_cores
-from lemma.tasks.instance import SPLITS
+from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.suite import SUITE, load_instance, task_named
 
 _SPLIT = "test"
@@ -93,12 +93,7 @@ def bench(
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
     if policy is not None:
-        with messages().status(f"Playing {len(instances)} episodes ..."):
-            found = measure_policy(policy, instances)
-        if as_json:
-            print_json({"machine": machine, "policy": found.to_dict()})
-        else:
-            _print_policy(machine, found, policy)
+        _bench_policy(machine, policy, instances, as_json)
         return 0
     with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
         speed = measure_speed(instances)
@@ -123,6 +118,17 @@ def bench(
         if figures:
             _print_expert(figures)
     return 0
+
+
+def _bench_policy(
+    machine: dict[str, Any], policy: str, instances: list[Instance], as_json: bool
+) -> None:
+    with messages().status(f"Playing {len(instances)} episodes ..."):
+        found = measure_policy(policy, instances)
+    if as_json:
+        print_json({"machine": machine, "policy": found.to_dict()})
+    else:
+        _print_policy(machine, found, policy)
 
 
 def report(
