@@ -321,7 +321,8 @@ def options_of(verb: str) -> frozenset[str]:
     code = "from lemma.cli.main import main; main()"
     done = run_python("-c", code, *([verb] if verb else []), "--help")
     assert done.returncode == 0, f"lemma {verb}: {done.stdout}{done.stderr}"
-    return frozenset(re.findall(r"--[a-z][a-z-]*", done.stdout)) | {"--help", "--tyro-print-completion"}
+    printed = re.findall(r"--[a-z][a-z-]*", done.stdout)
+    return frozenset(printed) | {"--help", "--tyro-print-completion"}
 
 
 def run_python(*arguments: str) -> subprocess.CompletedProcess[str]:
