@@ -24,7 +24,7 @@ VERBS = {
     "replay": "Execute a recipe again, and say where its states cannot be reproduced.",
     "inspect": "Say what is in a recipe; with --task and --index, draw one episode.",
     "push-to-hub": "Check a dataset and upload it to the Hugging Face Hub.",
-    "pull": "Fetch a dataset from the Hugging Face Hub, and check it.",
+    "pull": "Fetch a dataset from the Hugging Face Hub, or published weights.",
     "render": "Make images, or a LeRobotDataset, from a recipe.",
     "instructions": "Draw instructions of a task, as training sees them or of one "
     "kind.",

@@ -36,7 +36,7 @@ def pull(
     revision: Word = None,
     weights: Names = None,
 ) -> int:
-    """Fetch a dataset from the Hugging Face Hub, and check it; or published weights.
+    """Fetch a dataset from the Hugging Face Hub, or published weights.
 
     Args:
         repository: Repository of a dataset on the Hub.
