@@ -18,7 +18,7 @@ from lemma.motion.rmpflow.policy import (
 )
 from lemma.robots.collision_model import envelope_of, place_capsules
 from lemma.robots.gripper import FINGER_OPENING_M, TCP_OFFSET_M
-from lemma.robots.reach import gripper_ik, reach_of
+from lemma.robots.reach import gripper_ik, ik_constants, reach_of, usable_postures
 from lemma.robots.ur.build import ARMS
 from lemma.robots.ur.kinematics import frames, top_down
 from lemma.scene.build import TIME_STEP_S
@@ -117,6 +117,41 @@ def _nearest(
     return best
 
 
+@kernel
+def choose_posture(
+    dh: FloatArray,
+    base: FloatArray,
+    links: FloatArray,
+    capsules: FloatArray,
+    limit: FloatArray,
+    park: FloatArray,
+    reference: FloatArray,
+    pose: FloatArray,
+    out: FloatArray,
+) -> bool:
+    """Write the joint angles that :meth:`ArmMotion.solve_posture` returns to ``out``.
+
+    Args:
+        dh: Of the arm, (6,) [m].
+        base: World from base, (4, 4).
+        links: Link that each capsule of the arm is fixed to, (n,).
+        capsules: Ends and radius in the frame of the link, (n, 7) [m].
+        limit: Largest angles, (6,) [rad].
+        park: Where the arm waits, (6,) [rad].
+        reference: Where it is, (6,) [rad].
+        pose: World from gripper at the tool centre point, (4, 4).
+        out: Written, (6,) [rad]; left alone where the arm cannot be.
+
+    Returns:
+        Whether the arm can be there.
+    """
+    found = usable_postures(dh, base, pose, limit, links, capsules)
+    best = _nearest(dh, found, reference, limit, _branch(dh, park))
+    if best >= 0:
+        out[:] = found[best]
+    return best >= 0
+
+
 class ArmMotion:
     """The reference of one arm, advanced in time with the physics."""
 
@@ -150,7 +185,6 @@ class ArmMotion:
         self.state: FloatArray = np.zeros((2, 6))
         self.opening_m = FINGER_OPENING_M
         self.park = np.array(park_joints(robot.arm.name))
-        self._park_branch = _branch(self._dh, self.park)
         self.goal = self._resting_goal()
         self.obstacles = np.zeros((0, 8))
         self.sync()
@@ -199,12 +233,13 @@ class ArmMotion:
         Returns:
             (6,) [rad], or None where the arm cannot be.
         """
-        robot = self.robot
-        found = gripper_ik(robot.arm.name, robot.world_from_base, pose)
-        best = _nearest(
-            self._dh, found, self.state[0], self.joint_range, self._park_branch
+        dh, limit, links, capsules = ik_constants(self.robot.arm.name)
+        base, posture = self.robot.world_from_base, np.empty(6)
+        found = choose_posture(
+            *(dh, base, links, capsules, limit),
+            *(self.park, self.state[0], pose, posture),
         )
-        return found[best] if best >= 0 else None
+        return posture if found else None
 
     def aim(self, pose: FloatArray, posture: FloatArray | None = None) -> None:
         """Set the pose, (4, 4), that the tool centre point shall go to."""
@@ -215,6 +250,11 @@ class ArmMotion:
             target_weight=1.0,
             posture_weight=1.0,
         )
+
+    def take(self, goal: ArmTarget) -> None:
+        """Take a goal that is in the memory of RMPflow already."""
+        self.goal = goal
+        self._root.take(goal)
 
     def follow_posture(self, posture: FloatArray) -> None:
         """Go to joint angles, (6,) [rad]."""

@@ -75,13 +75,17 @@ def gripper_ik(
         Joint angles, (n, 6) [rad]: inside the limits, clear of the table and of the arm
         itself.
     """
-    dh, joint_range, links, capsules = _constants(arm_name)
-    return _usable(dh, world_from_base, pose, joint_range, links, capsules)
+    dh, joint_range, links, capsules = ik_constants(arm_name)
+    return usable_postures(dh, world_from_base, pose, joint_range, links, capsules)
 
 
 @lru_cache
-def _constants(arm_name: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what inverse kinematics needs of an arm type."""
+def ik_constants(arm_name: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what :func:`usable_postures` needs of an arm type.
+
+    Returns:
+        ``dh``, ``joint_range``, ``links`` and ``capsules``.
+    """
     arm, envelope = ARMS[arm_name], envelope_of(arm_name)
     return (
         *(arm.dh, np.array(arm.joint_range)),
@@ -90,7 +94,7 @@ def _constants(arm_name: str) -> tuple[FloatArray, FloatArray, FloatArray, Float
 
 
 @kernel
-def _usable(
+def usable_postures(
     dh: FloatArray,
     base: FloatArray,
     pose: FloatArray,
@@ -98,6 +102,16 @@ def _usable(
     links: FloatArray,
     capsules: FloatArray,
 ) -> FloatArray:
+    """Do what :func:`gripper_ik` does, for kernels; see there.
+
+    Args:
+        dh: Of the arm, (6,) [m].
+        base: World from base, (4, 4).
+        pose: World from gripper, (4, 4).
+        joint_range: Largest angles, (6,) [rad].
+        links: Link that each capsule is fixed to, (n,).
+        capsules: Ends and radius in the frame of the link, (n, 7) [m].
+    """
     local = np.zeros((4, 4))
     for i in range(3):
         for j in range(3):

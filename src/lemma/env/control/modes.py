@@ -17,7 +17,7 @@ import numpy as np
 
 from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidActionError
-from lemma.core.poses import FloatArray, matrix_from_quaternion
+from lemma.core.poses import FloatArray
 from lemma.core.registry import Registry
 from lemma.env.action_spaces import ActionLayout
 from lemma.env.control.motor_commands import (
@@ -27,8 +27,10 @@ from lemma.env.control.motor_commands import (
     drive_velocities,
     find_moving,
 )
+from lemma.env.control.pose_targets import aim_arms
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.motion.arm_motion import ArmMotion
+from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS
 from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
@@ -104,6 +106,8 @@ class PoseController(Controller):
         spaces = [arm.load() for arm in arms]
         self._workspaces = np.concatenate([space.record for space in spaces])
         self._spheres = np.stack([space.spheres for space in spaces])
+        self._parks = np.stack([arm.park for arm in arms])
+        self._rows = np.empty((len(arms), 8))
         for k, space in enumerate(spaces):
             # The same memory, again.
             space.record = self._workspaces[k : k + 1]
@@ -122,12 +126,16 @@ class PoseController(Controller):
     def command(self, rows: FloatArray) -> None:
         """Aim at positions [m] and quaternions wxyz in the world."""
         super().command(rows)
-        for arm, row in zip(self.arms, rows, strict=True):
-            pose = np.eye(4)
-            pose[:3, :3] = matrix_from_quaternion(row[3:7] / _norm(row[3:7]))
-            pose[:3, 3] = row[:3]
-            arm.aim(pose, arm.solve_posture(pose))
-            arm.load()
+        self._rows[:] = rows
+        goals = np.empty((len(self.arms), 18))
+        aim_arms(
+            *(self.guard.records, self.states, self._parks),
+            *(self._rows, self._workspaces, goals),
+        )
+        for arm, goal in zip(self.arms, goals, strict=True):
+            # The same numbers, for whoever asks the arm.
+            turn = goal[3:12].reshape(3, 3)
+            arm.take(ArmTarget(goal[:3], turn, goal[12:], 1.0, 1.0))
 
     def drive(self) -> None:
         """Advance the references."""
@@ -278,7 +286,3 @@ CONTROLS.add(
         TorqueController,
     ),
 )
-
-
-def _norm(quaternion: FloatArray) -> float:
-    return math.sqrt(sum(value * value for value in quaternion.tolist()))

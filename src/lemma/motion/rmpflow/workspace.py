@@ -137,6 +137,10 @@ class Workspace:
             )
             self._arm = arm
 
+    def take(self, goal: ArmTarget) -> None:
+        """Know a goal as loaded that a kernel has written to the record."""
+        self._goal = goal
+
 
 def make_root() -> Workspace:
     """Return the memory of one arm."""
