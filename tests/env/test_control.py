@@ -8,7 +8,7 @@ import pytest
 
 import lemma
 from lemma.core.errors import ResetNeededError
-from lemma.core.poses import FloatArray, Pose
+from lemma.core.poses import FloatArray, Pose, matrix_from_quaternion
 from lemma.env.control_env import ControlEnv
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down
@@ -193,6 +193,32 @@ def test_poses_are_reached_with_any_length_of_quaternion() -> None:
         env.step(action)
     for arm, target in zip(env.episode.simulation.arms.values(), targets, strict=True):
         assert np.abs(arm.tcp_pose() - target).max() < 5e-3
+
+
+def test_arms_are_aimed_with_the_posture_that_they_would_choose() -> None:
+    env = control_env("ee_pose", "hook")
+    env.reset()
+    rng = np.random.default_rng(0)
+    layout = env.action_layout
+    arms, found = list(env.episode.simulation.arms.values()), 0
+    for _ in range(40):
+        action = rng.uniform(layout.low, layout.high, layout.shape)
+        action[:, 3:7] = np.eye(4)[1] + rng.normal(0.0, 0.1, (len(arms), 4))
+        env.controller.command(action)
+        for arm, row in zip(arms, action, strict=True):
+            pose = np.eye(4)
+            pose[:3, :3] = matrix_from_quaternion(row[3:7] / math.hypot(*row[3:7]))
+            pose[:3, 3] = row[:3]
+            posture = arm.solve_posture(pose)
+            found += posture is not None
+            wanted = arm.state[0] if posture is None else posture
+            assert np.allclose(arm.goal.posture, wanted, atol=1e-9)
+            assert np.allclose(arm.goal.rotation, pose[:3, :3], atol=1e-12)
+            # What RMPflow works on says the same.
+            goal = arm.load().record[0]["goal"]
+            for name in arm.goal._fields:
+                assert np.array_equal(goal[name], getattr(arm.goal, name))
+    assert 10 < found < 80
 
 
 def test_a_cube_can_be_picked_up_with_poses() -> None:

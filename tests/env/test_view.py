@@ -9,7 +9,7 @@ import pytest
 
 import lemma
 from lemma.dataset.rendered.keyframes.capture import stored
-from lemma.env.camera_rig import CameraRig
+from lemma.env.camera_rig import CameraRig, round_depth
 from lemma.env.view import View
 from lemma.evaluation.run.rollout import Rollout
 from lemma.expert.plan_env import PlanEnv
@@ -110,6 +110,14 @@ def test_view_can_be_pickled() -> None:
     assert type(copy) is View
     assert np.array_equal(copy.height_m, view.height_m)
     assert np.array_equal(copy.cameras["robot_1"].rgb, view.cameras["robot_1"].rgb)
+
+
+def test_depths_are_rounded_as_if_they_were_stored() -> None:
+    depth_m = np.linspace(0.0, 7.0, 6000, dtype=np.float32).reshape(60, 100)
+    depth_m[0, :3] = (np.inf, 6.55355, 0.00005)
+    rounded = depth_m.copy()
+    round_depth(rounded)
+    assert np.array_equal(rounded, decode_depth(encode_depth(depth_m)))
 
 
 def test_holding_a_view_needs_no_simulator() -> None:

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.env.view import View
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
-from lemma.scene.cameras import CameraImage
-from lemma.scene.raster import RASTER, MapImage, decode_depth, encode_depth
+from lemma.scene.cameras import CameraImage, DepthImage
+from lemma.scene.raster import LARGEST, RASTER, UNIT_M, MapImage
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
@@ -69,13 +70,23 @@ class CameraRig:
         found = {}
         for name in robots:
             image = self._renderer.rgbd(scene.model, data, f"{name}/camera")
-            depth_m = decode_depth(encode_depth(image.depth_m))
-            found[name] = image._replace(depth_m=depth_m)
+            round_depth(image.depth_m)
+            found[name] = image
         return found
 
     def close(self) -> None:
         """Forget the last scene; the rig can still be used afterwards."""
         self._renderer.close()
+
+
+@kernel
+def round_depth(depth_m: DepthImage) -> None:
+    """Encode depths [m] and decode them again, in place: see the raster's module."""
+    for row in depth_m:
+        for j in range(row.shape[0]):
+            value = np.rint(np.float64(row[j]) / UNIT_M)
+            stored = value if value <= LARGEST else 0.0
+            row[j] = np.float32(stored) * np.float32(UNIT_M)
 
 
 class _SceneView(View):

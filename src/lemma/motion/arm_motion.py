@@ -118,7 +118,7 @@ def _nearest(
 
 
 @kernel
-def choose_posture(
+def choose_posture(  # noqa: PLR0913 - all that the choice depends on
     dh: FloatArray,
     base: FloatArray,
     links: FloatArray,

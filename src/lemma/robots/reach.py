@@ -80,7 +80,9 @@ def gripper_ik(
 
 
 @lru_cache
-def ik_constants(arm_name: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def ik_constants(
+    arm_name: str,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return what :func:`usable_postures` needs of an arm type.
 
     Returns:

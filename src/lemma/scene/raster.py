@@ -25,7 +25,8 @@ UNIT_M = 1e-4
 CEILING_M = 0.6
 """Points above it are not on the map: the table below them counts as not seen [m]."""
 
-_LARGEST = 65535
+LARGEST = 65535
+"""The largest number that is stored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +113,7 @@ class MapImage:
 def encode_depth(depth_m: ArrayLike) -> NDArray[np.uint16]:
     """Return depths [m] as they are stored; 0 where nothing is within 6.5 m."""
     values = np.rint(np.asarray(depth_m, np.float64) / UNIT_M)
-    return np.where(values <= _LARGEST, values, 0.0).astype(np.uint16)
+    return np.where(values <= LARGEST, values, 0.0).astype(np.uint16)
 
 
 def decode_depth(values: NDArray[np.uint16]) -> NDArray[np.float32]:

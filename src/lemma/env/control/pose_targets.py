@@ -7,6 +7,7 @@ import numpy as np
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.env.control.guarded_arm import CAPSULES
+from lemma.env.control.safety_filter import transform
 from lemma.motion.arm_motion import choose_posture
 
 
@@ -30,23 +31,18 @@ def aim_arms(
         workspaces: The records of RMPflow, (n,); their goals are written.
         goals: Written: position, rotation and posture, (n, 18) [m, rad].
     """
-    pose = np.eye(4)
+    pose, unit = np.eye(4), np.empty(7)
     for k in range(records.shape[0]):
         arm, row, out = records[k], rows[k], goals[k]
-        w, x, y, z = row[3], row[4], row[5], row[6]
-        norm = math.sqrt(w * w + x * x + y * y + z * z)
-        w, x, y, z = w / norm, x / norm, y / norm, z / norm
-        pose[0, 0] = 1 - 2 * (y * y + z * z)
-        pose[0, 1] = 2 * (x * y - w * z)
-        pose[0, 2] = 2 * (x * z + w * y)
-        pose[1, 0] = 2 * (x * y + w * z)
-        pose[1, 1] = 1 - 2 * (x * x + z * z)
-        pose[1, 2] = 2 * (y * z - w * x)
-        pose[2, 0] = 2 * (x * z - w * y)
-        pose[2, 1] = 2 * (y * z + w * x)
-        pose[2, 2] = 1 - 2 * (x * x + y * y)
+        norm = 0.0
+        for i in range(3, 7):
+            norm += row[i] * row[i]
+        norm = math.sqrt(norm)
+        for i in range(7):
+            unit[i] = row[i] if i < 3 else row[i] / norm
+        transform(unit, pose)
         for i in range(3):
-            pose[i, 3] = out[i] = row[i]
+            out[i] = row[i]
             for j in range(3):
                 out[3 + 3 * i + j] = pose[i, j]
         out[12:18] = states[k, 0]

@@ -169,7 +169,7 @@ def _look_for_objects(
     c = 0
     for o in range(owners.shape[0]):
         address = int(owners[o, 0])
-        _transform(
+        transform(
             qpos[address : address + 7] if address >= 0 else owners[o, 1:8], matrix
         )
         first, away = arm.beside, math.inf
@@ -191,8 +191,8 @@ def _look_for_objects(
 
 
 @kernel
-def _transform(pose: FloatArray, out: FloatArray) -> None:
-    """Write a position and a unit quaternion wxyz as a transform, (3, 4)."""
+def transform(pose: FloatArray, out: FloatArray) -> None:
+    """Write a position and a unit quaternion wxyz as a transform, (3, 4) or (4, 4)."""
     w, x, y, z = pose[3], pose[4], pose[5], pose[6]
     out[0, 0] = 1 - 2 * (y * y + z * z)
     out[0, 1] = 2 * (x * y - w * z)

@@ -13,6 +13,8 @@ TABLE_RANGE_M = 0.10
 OWN_BASE_RANGE_M = 0.06
 """Distance from which on the arm's own base is ignored."""
 _FIRST_WRIST_LINK = 4
+_ROUNDING_M = 1e-9
+"""More than what is lost by rounding."""
 
 
 @kernel
@@ -28,6 +30,7 @@ def add_collision_leaves(
         qd: Joint velocities, (6,) [rad/s].
         obstacles: Capsules and the range in which they are felt, (m, 8) [m].
     """
+    balls = _balls(obstacles)
     for s in range(spheres.shape[0]):
         sx, sy, sz, radius = spheres[s, 0], spheres[s, 1], spheres[s, 2], spheres[s, 3]
         link = int(spheres[s, 4])
@@ -44,9 +47,26 @@ def add_collision_leaves(
             if gap - radius < OWN_BASE_RANGE_M:
                 _add_one(root, qd, link, centre, away, gap - radius, OWN_BASE_RANGE_M)
         for o in range(obstacles.shape[0]):
+            dx, dy, dz = x - balls[o, 0], y - balls[o, 1], z - balls[o, 2]
+            least = balls[o, 3] + radius
+            if dx * dx + dy * dy + dz * dz > least * least:
+                continue
             gap, away = capsule_distance(obstacles[o], centre)
             if gap - radius < obstacles[o, 7]:
                 _add_one(root, qd, link, centre, away, gap - radius, obstacles[o, 7])
+
+
+@kernel
+def _balls(obstacles: FloatArray) -> FloatArray:
+    """Return balls outside of which obstacles are not felt: middle, radius, (m, 4)."""
+    balls = np.empty((obstacles.shape[0], 4))
+    for o in range(obstacles.shape[0]):
+        capsule, length = obstacles[o], 0.0
+        for i in range(3):
+            balls[o, i] = 0.5 * (capsule[i] + capsule[3 + i])
+            length += (capsule[i] - capsule[3 + i]) ** 2
+        balls[o, 3] = 0.5 * math.sqrt(length) + capsule[6] + capsule[7] + _ROUNDING_M
+    return balls
 
 
 @kernel
