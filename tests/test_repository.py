@@ -17,6 +17,7 @@ from packaging.version import Version
 
 import lemma
 from lemma.cli import main
+from lemma.core.kernels import NOTICE
 from lemma.core.plugins import GROUP as ENTRY_POINTS
 
 ROOT = Path(__file__).parents[1]
@@ -285,7 +286,7 @@ def test_the_life_of_an_episode_runs_as_printed() -> None:
         page.split("## Life of an episode")[1].split("```python\n")[1].split("```")[0]
     )
     done = run_python("-W", "error", "-c", code)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, done.stderr.replace(NOTICE, "")) == (0, "")
     assert done.stdout.startswith("True ["), done.stdout
 
 

@@ -49,7 +49,7 @@ def test_one_evaluation_is_reported_and_compared(
     assert run("evaluate", "--policy", "oracle", "--out", one, *asked) == 0
     assert run("report", one, "--out", tmp_path / "report") == 0
     text = (tmp_path / "report" / "results.md").read_text()
-    assert "| the expert | – | – | 100.0 (21–100) |" in text
+    assert "| the expert | 100.0 (21–100) | 100.0 (21–100) † |" in text
     assert run("compare", one, one) == 0
     assert "1.0000" in capsys.readouterr().out
 

@@ -239,7 +239,7 @@ def test_what_is_no_pose_is_named(pose: object) -> None:
 @pytest.mark.parametrize(
     "answer",
     [
-        *(5, None, object(), np.zeros(3), [5], ["move"], [object()]),
+        *(5, None, {5}, np.zeros(3), [5], ["move"], [{5}]),
         [Decision("move", None)],  # type: ignore[arg-type]
         [Decision(MOVE, (0, 0, 0))],  # type: ignore[arg-type]
         [Decision(MOVE, MOVE)],  # type: ignore[arg-type]

@@ -30,6 +30,12 @@ SOURCES = ("core", "robots", "scene", "motion", "env/control")
 """Folders of the package that kernels may take kernels and constants from, beside the
 file that they are in."""
 
+NOTICE = (
+    "Compiling the numerical kernels for this machine, about half a minute. This "
+    "happens once after each installation or update.\n"
+)
+"""Goes to the error stream before the first compilation."""
+
 _PACKAGE = Path(__file__).resolve().parents[1]
 _PATIENCE_S = 120.0
 """How long to wait for another process that compiles; all kernels take a quarter."""
@@ -158,7 +164,4 @@ def _announce() -> None:
             return
     with contextlib.suppress(OSError):
         said.touch()
-    sys.stderr.write(
-        "Compiling the numerical kernels for this machine, about half a minute. This "
-        "happens once after each installation or update.\n"
-    )
+    sys.stderr.write(NOTICE)
