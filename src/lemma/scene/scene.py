@@ -13,7 +13,7 @@ from lemma.core.poses import FloatArray, Pose, Pose2
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec
 from lemma.scene.build import compile_model
-from lemma.scene.spec import RobotPlacement, SceneSpec
+from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -63,6 +63,11 @@ class Scene:
             placed.name: int(self.model.joint(placed.name).qposadr[0])
             for placed in spec.objects
             if not placed.entity.kind.fixed
+        }
+        self._fixed_poses = {
+            placed.name: _lying(placed)
+            for placed in spec.objects
+            if placed.entity.kind.fixed
         }
         self._entity_by_body = {
             self.model.body(placed.name).id: placed.name for placed in spec.objects
@@ -124,12 +129,11 @@ class Scene:
         """Return the pose of an object's body frame in the world."""
         address = self._free_qpos.get(name)
         if address is None:
-            placed = self.spec.placement(name)
-            half = placed.pose.yaw / 2
-            return Pose(
-                (placed.pose.x, placed.pose.y, placed.entity.kind.origin_m),
-                (math.cos(half), 0.0, 0.0, math.sin(half)),
-            )
+            try:
+                return self._fixed_poses[name]
+            except KeyError:
+                known = self.spec.object_names
+                raise UnknownNameError("object in this scene", name, known) from None
         q = self.data.qpos[address : address + 7].tolist()
         return Pose((q[0], q[1], q[2]), (q[3], q[4], q[5], q[6]))
 
@@ -226,6 +230,15 @@ class Scene:
     def state_hash(self) -> str:
         """Return the SHA-256 of the full integration state."""
         return hashlib.sha256(self.snapshot().tobytes()).hexdigest()
+
+
+def _lying(placed: ObjectPlacement) -> Pose:
+    """Return the pose of an object's body frame where it is placed."""
+    half = placed.pose.yaw / 2
+    return Pose(
+        (placed.pose.x, placed.pose.y, placed.entity.kind.origin_m),
+        (math.cos(half), 0.0, 0.0, math.sin(half)),
+    )
 
 
 def _derive(model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -73,12 +73,7 @@ def entity_named(name: str) -> Entity:
     Raises:
         UnknownNameError: No registered color and kind make it.
     """
-    color, separator, kind = name.rpartition("_")
-    if kind in OBJECT_KINDS:
-        record = OBJECT_KINDS[kind]
-        if color in OBJECT_COLORS if record.colored else not separator:
-            return Entity(color, record)
-    raise UnknownNameError("entity", name, known_entities())
+    return Entity(*_color_and_kind(name))
 
 
 def kind_of(name: str) -> ObjectKind:
@@ -87,7 +82,16 @@ def kind_of(name: str) -> ObjectKind:
     Raises:
         UnknownNameError: No registered color and kind make it.
     """
-    return entity_named(name).kind
+    return _color_and_kind(name)[1]
+
+
+def _color_and_kind(name: str) -> tuple[str, ObjectKind]:
+    color, separator, kind = name.rpartition("_")
+    if kind in OBJECT_KINDS:
+        record = OBJECT_KINDS[kind]
+        if color in OBJECT_COLORS if record.colored else not separator:
+            return color, record
+    raise UnknownNameError("entity", name, known_entities())
 
 
 def known_entities() -> tuple[str, ...]:
