@@ -28,7 +28,7 @@ NUMBERS: tuple[Any, ...] = (
     -math.inf,
     1e300,
     10**400,
-    7.0,
+    12.0,
     "0",
     None,
     True,
