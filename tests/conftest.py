@@ -4,7 +4,7 @@ import os
 from functools import cache
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from lemma.core.errors import RenderingError
 
@@ -12,8 +12,18 @@ IN_CI = os.environ.get("CI", "").lower() == "true"
 
 # Fixed examples in CI: a failure there is always the change's own. No deadline: the
 # first call of a Numba function compiles it.
-settings.register_profile("local", deadline=None, max_examples=50)
-settings.register_profile("ci", deadline=None, max_examples=50, derandomize=True)
+# Neither does it matter how slowly examples are made beside other work.
+SLOW = [HealthCheck.too_slow]
+settings.register_profile(
+    "local", deadline=None, max_examples=50, suppress_health_check=SLOW
+)
+settings.register_profile(
+    "ci",
+    deadline=None,
+    max_examples=50,
+    suppress_health_check=SLOW,
+    derandomize=True,
+)
 settings.load_profile("ci" if IN_CI else "local")
 
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import ctrl_c
 import pytest
 from recipes import small_recipe
 
@@ -40,6 +41,7 @@ def start(words: str, out: Path) -> subprocess.Popen[str]:
         text=True,
         # A group of its own, as a terminal gives it.
         start_new_session=True,
+        preexec_fn=ctrl_c.hear,
     )
 
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import ctrl_c
 import in_process
 import pytest
 from in_process import Serial
@@ -241,7 +242,10 @@ def parent() -> Iterator[subprocess.Popen[bytes]]:
         "    list(ProcessPool(2).run(wait_long, [(0,), (1,)]))\n"
     )
     process = subprocess.Popen(
-        [sys.executable, "-c", code], stderr=subprocess.PIPE, start_new_session=True
+        [sys.executable, "-c", code],
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        preexec_fn=ctrl_c.hear,
     )
     yield process
     process.kill()
