@@ -1,14 +1,20 @@
 import json
+from dataclasses import replace
 
 import pytest
 
+from lemma.bench.expert_loop import record_loop, time_loop
 from lemma.bench.speed import Trial, expert_figures, run_trials
 from lemma.cli.main import main
+from lemma.core.errors import PhysicsError
+from lemma.scene.build import TIME_STEP_S
+from lemma.tasks.suite import load_instance
 
 SPEED = {
     *("realtime_factor", "camera_fps", "map_ms"),
     *("reset_state_ms", "reset_images_ms", "peak_mb"),
 }
+LOOP = {"expert_realtime", "bare_realtime", "ratio", "lowest_ratio"}
 CONTROL = {
     *("bare_physics_hz", "joint_position_hz", "joint_position_ratio"),
     *("ee_pose_hz", "ee_pose_ratio", "rgbd_hz"),
@@ -27,7 +33,9 @@ def test_bench_as_json(capsys: pytest.CaptureFixture[str]) -> None:
         main(words.split())
     assert end.value.code == 0
     report = json.loads(capsys.readouterr().out)
-    assert set(report) == {"machine", "speed", "control", "expert"}
+    assert set(report) == {"machine", "speed", "loop", "control", "expert"}
+    assert set(report["loop"]) == LOOP
+    assert 0.0 < report["loop"]["lowest_ratio"] <= report["loop"]["ratio"]
     assert set(report["control"]) == CONTROL
     assert 0.0 < report["control"]["ee_pose_ratio"] < 1.0
     assert 0.0 < report["control"]["joint_position_ratio"] < 1.0
@@ -55,6 +63,21 @@ def test_figures_keep_frozen_and_fresh_apart() -> None:
     assert figures.max_sim_s == 20.0
     # Five tables were set for two fresh instances, and three were refused.
     assert figures.rejection_rate == pytest.approx(3 / 5)
+
+
+@pytest.mark.slow
+def test_bare_physics_must_do_the_work_of_the_expert() -> None:
+    instance = load_instance("pass", "test", 0)
+    recorded = record_loop(instance)
+    assert len(recorded.commands) == round(recorded.simulated_s / TIME_STEP_S)
+    times = time_loop(instance, recorded)
+    # Two sub-tasks, and the look that finds the goal reached.
+    assert len(times) >= 3
+    assert all(loop > 0.0 for loop, _ in times)
+    changed = recorded.commands.copy()
+    changed[len(changed) // 2, 0] += 1e-6
+    with pytest.raises(PhysicsError, match="another state"):
+        time_loop(instance, replace(recorded, commands=changed))
 
 
 @pytest.mark.slow

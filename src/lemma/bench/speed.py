@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 
 from lemma.bench.control import ControlFigures
+from lemma.bench.expert_loop import ExpertLoopFigures
 from lemma.core.workers.pool import ProcessPool, peak_memory_mb, run_in_order
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
@@ -218,6 +219,8 @@ def _median_ms(work: Callable[[], object], repeats: int) -> float:
     return 1000.0 * statistics.median(times)
 
 
-def rounded(figures: Speed | ControlFigures | ExpertFigures) -> dict[str, float]:
+def rounded(
+    figures: Speed | ExpertLoopFigures | ControlFigures | ExpertFigures,
+) -> dict[str, float]:
     """Return figures as plain data with three decimals, ready for JSON."""
     return {name: round(value, 3) for name, value in asdict(figures).items()}

@@ -7,6 +7,7 @@ from rich.progress import track
 from rich.table import Table
 
 from lemma.bench.control import HZ, ControlFigures, measure_control
+from lemma.bench.expert_loop import ExpertLoopFigures, measure_expert_loop
 from lemma.bench.machine import describe_machine
 from lemma.bench.policy import PolicyFigures, measure_policy
 from lemma.bench.speed import (
@@ -42,6 +43,12 @@ _TARGETS = {
     "peak_mb": ("memory of one environment, with cameras", "{:.0f} MB", "< 400 MB"),
 }
 """Of every figure: what it is, how to print it, and what it should be."""
+_LOOP_TARGETS = {
+    "expert_realtime": ("simulated seconds per second, the expert", "{:.0f}", ""),
+    "bare_realtime": ("mj_step with the same motor commands", "{:.0f}", ""),
+    "ratio": ("the expert over bare physics", "{:.2f}", "≥ 0.7"),
+    "lowest_ratio": ("in the task in which it is lowest", "{:.2f}", ""),
+}
 _CONTROL_TARGETS = {
     "bare_physics_hz": ("bare physics, ten mj_step", "{:.0f} steps/s", ""),
     "joint_position_hz": ("joint_position", "{:.0f} steps/s", ""),
@@ -97,6 +104,7 @@ def bench(
         return 0
     with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
         speed = measure_speed(instances)
+        loop = measure_expert_loop(instances[::each])
         control = measure_control(instances[0])
     figures: dict[str, ExpertFigures] = {}
     if expert:
@@ -108,13 +116,10 @@ def bench(
         )
         figures = expert_figures(trials)
     if as_json:
-        print_json(report(machine, speed, control, figures))
+        print_json(report(machine, speed, loop, control, figures))
     else:
         _print_machine(machine)
-        title = f"Speed (first {each} of split {_SPLIT!r} per task)"
-        output().print(_figures(title, speed, _TARGETS))
-        title = f"Control level, {HZ:g} steps per simulated second, random actions"
-        output().print(_figures(title, control, _CONTROL_TARGETS))
+        _print_speed(f"first {each} of split {_SPLIT!r} per task", speed, loop, control)
         if figures:
             _print_expert(figures)
     return 0
@@ -134,6 +139,7 @@ def _bench_policy(
 def report(
     machine: dict[str, Any],
     speed: Speed,
+    loop: ExpertLoopFigures,
     control: ControlFigures,
     figures: dict[str, ExpertFigures],
 ) -> dict[str, Any]:
@@ -141,9 +147,20 @@ def report(
     return {
         "machine": machine,
         "speed": rounded(speed),
+        "loop": rounded(loop),
         "control": rounded(control),
         "expert": {task: rounded(found) for task, found in figures.items()},
     }
+
+
+def _print_speed(
+    instances: str, speed: Speed, loop: ExpertLoopFigures, control: ControlFigures
+) -> None:
+    output().print(_figures(f"Speed ({instances})", speed, _TARGETS))
+    title = "The expert's loop beside bare physics, one instance per task"
+    output().print(_figures(title, loop, _LOOP_TARGETS))
+    title = f"Control level, {HZ:g} steps per simulated second, random actions"
+    output().print(_figures(title, control, _CONTROL_TARGETS))
 
 
 def _print_expert(figures: dict[str, ExpertFigures]) -> None:
