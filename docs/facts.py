@@ -1,7 +1,8 @@
 """Directives that fill the pages with what the code says, so that they cannot drift.
 
 ``task-facts`` shows one instance of a task: who reaches what, the plan and the
-instructions. ``arms`` lists the arms and their reach. ``constants`` makes a table of
+instructions. ``arms`` lists the arms and their reach, ``attacks`` those of the audit.
+``constants`` makes a table of
 lines ``what | constant | unit | why``, ``engine-options`` one of ``name | why``.
 """
 
@@ -19,6 +20,8 @@ from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+from lemma.audit.attack import ATTACKS, LEVELS
+from lemma.audit.run import names_at
 from lemma.cli.tasks import describe
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
@@ -147,6 +150,22 @@ class Arms(Generated):
             )
 
 
+class Attacks(Generated):
+    """A table of every attack in the registry."""
+
+    def lines(self) -> Iterator[str]:
+        """Return the table."""
+        yield "| attack | level | attempts | cheap | what it does |"
+        yield "|---|---|---|---|---|"
+        for level in LEVELS:
+            for attack in map(ATTACKS.__getitem__, names_at(level)):
+                cheap = "yes" if attack.cheap else ""
+                yield (
+                    f"| `{attack.name}` | {level} | {attack.attempts} | {cheap} "
+                    f"| {attack.summary} |"
+                )
+
+
 class EngineOptions(Generated):
     """A table of MuJoCo's options: ``name | why`` on each line."""
 
@@ -188,6 +207,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directives."""
     app.add_directive("task-facts", TaskFacts)
     app.add_directive("arms", Arms)
+    app.add_directive("attacks", Attacks)
     app.add_directive("constants", Constants)
     app.add_directive("engine-options", EngineOptions)
     return {"parallel_read_safe": True}

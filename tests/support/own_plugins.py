@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from lemma.audit.attack import ATTACKS
 from lemma.core import plugins
 from lemma.core.registry import Registry
 from lemma.expert.primitives import PRIMITIVES
@@ -21,7 +22,7 @@ from lemma.tasks.suite import TASKS
 EXAMPLES = Path(__file__).parents[2] / "examples"
 _REGISTRIES: tuple[Registry[Any], ...] = (
     *(TASKS, ARMS, PRIMITIVES, SKILLS),
-    *(OBJECT_KINDS, OBJECT_COLORS),
+    *(OBJECT_KINDS, OBJECT_COLORS, ATTACKS),
 )
 
 

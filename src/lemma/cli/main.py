@@ -20,6 +20,7 @@ VERBS = {
     "in one PNG.",
     "doctor": "Check versions, rendering, physics and the expert; say what is missing.",
     "bench": "Measure speed, memory and, if asked to, the expert's success.",
+    "audit": "Attack instances with one robot alone, in physics; none may be solved.",
     "generate": "Let the expert solve the frozen instances, and write what it did.",
     "replay": "Execute a recipe again, and say where its states cannot be reproduced.",
     "inspect": "Say what is in a recipe; with --task and --index, draw one episode.",

@@ -1,0 +1,1 @@
+"""Adversaries: attempts to do with one robot what shall take two."""

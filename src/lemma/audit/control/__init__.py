@@ -1,0 +1,1 @@
+"""Attacks by motor commands, one family in a file."""

@@ -1,0 +1,137 @@
+"""Where a hand must be to move a thing with the stick: every part of it, every way.
+
+Pure geometry of the plane. Unlike :mod:`lemma.tasks.drags`, which the expert uses, it
+knows all sides of the stick, all grasps, and any length.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from lemma.core.poses import Pose2
+from lemma.scene.objects.cube import CUBE_EDGE_M
+from lemma.scene.objects.stick import (
+    GRASP_FROM_END_M,
+    HANDLE_LENGTH_M,
+    HOOK_LENGTH_M,
+    STICK_SECTION_M,
+)
+from lemma.tasks.drags import Disc, stick_gap
+
+GAP_M = 0.02
+"""Between the stick and what it pushes before it does."""
+
+_HALF_M = STICK_SECTION_M / 2
+_CUBE_M = CUBE_EDGE_M / 2
+_BAR_M = HANDLE_LENGTH_M - _HALF_M
+"""Where the middle of the hook's bar is along the handle."""
+_BESIDE_M = _HALF_M + _CUBE_M
+_INSIDE_M = HANDLE_LENGTH_M - STICK_SECTION_M - _CUBE_M
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A side of the stick, and the way it pushes."""
+
+    at: tuple[float, float]
+    """The middle of a cube that touches it, in the stick's frame [m]."""
+    heading: float
+    """Of the push, in the stick's frame [rad]."""
+
+
+HOOK = Contact((_INSIDE_M, HOOK_LENGTH_M / 2), math.pi)
+HEAD = Contact((HANDLE_LENGTH_M + _CUBE_M, HOOK_LENGTH_M / 2 - _HALF_M), 0.0)
+CORNER = Contact((_INSIDE_M - 0.003, _BESIDE_M), math.pi / 2)
+OUTSIDE = Contact((HANDLE_LENGTH_M - 0.08, -_BESIDE_M), -math.pi / 2)
+TIP = Contact((_BAR_M, HOOK_LENGTH_M - _HALF_M + _CUBE_M), math.pi / 2)
+CONTACTS = (HOOK, HEAD, CORNER, OUTSIDE, TIP)
+
+END_GRASP = Pose2(GRASP_FROM_END_M, 0.0)
+"""Where the expert holds the stick, in its frame: it reaches farthest then."""
+HANDLE_GRASPS = (
+    Pose2(0.02, 0.0),
+    *(
+        Pose2(round(GRASP_FROM_END_M + 0.05 * i, 3), 0.0)
+        for i in range(int((HANDLE_LENGTH_M - 0.12) / 0.05))
+    ),
+)
+BAR_GRASPS = tuple(
+    Pose2(_BAR_M, v, math.pi / 2) for v in (0.04, 0.08, HOOK_LENGTH_M - 0.035)
+)
+GRASPS = HANDLE_GRASPS + BAR_GRASPS
+"""Ways to hold the stick, as poses of the gripper in its frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """One way to move a thing with the stick."""
+
+    grasp: Pose2
+    """Gripper in the stick's frame."""
+    stick: Pose2
+    """Where the stick is put down first."""
+    start: Pose2
+    """Gripper there."""
+    end: Pose2
+    """Gripper where the push ends."""
+    moved: Pose2
+    """Where the thing will be."""
+
+    @property
+    def length_m(self) -> float:
+        """How far the hand moves [m]."""
+        return self.start.distance(self.end)
+
+
+def push(
+    contact: Contact, grasp: Pose2, thing: Pose2, heading: float, length_m: float
+) -> Push:
+    """Return the push of a thing along a heading.
+
+    Args:
+        contact: Which side of the stick.
+        grasp: Gripper in the stick's frame.
+        thing: Where the thing is; a cube, or as wide as one.
+        heading: Which way it shall go [rad].
+        length_m: How far [m].
+    """
+    cos, sin = math.cos(heading), math.sin(heading)
+    yaw = heading - contact.heading
+    u, v = contact.at
+    touching = Pose2(thing.x, thing.y, yaw) @ Pose2(-u, -v)
+    stick = Pose2(touching.x - GAP_M * cos, touching.y - GAP_M * sin, touching.yaw)
+    reached = Pose2(
+        touching.x + length_m * cos, touching.y + length_m * sin, touching.yaw
+    )
+    moved = Pose2(thing.x + length_m * cos, thing.y + length_m * sin, heading)
+    return Push(grasp, stick, stick @ grasp, reached @ grasp, moved)
+
+
+def pushes(
+    contacts: Sequence[Contact],
+    grasps: Sequence[Pose2],
+    thing: Pose2,
+    headings: Sequence[float],
+    lengths_m: Sequence[float],
+) -> Iterator[Push]:
+    """Yield all combinations."""
+    for contact in contacts:
+        for grasp in grasps:
+            for heading in headings:
+                for length_m in lengths_m:
+                    yield push(contact, grasp, thing, heading, length_m)
+
+
+def overlap_m(wanted: Push, obstacles: Sequence[Disc]) -> float:
+    """Return how deep stick and thing would go into obstacles, summed up [m]."""
+    deep = 0.0
+    for part in (0.0, 0.5, 1.0):
+        x = wanted.start.x + part * (wanted.end.x - wanted.start.x)
+        y = wanted.start.y + part * (wanted.end.y - wanted.start.y)
+        stick = Pose2(x, y, wanted.start.yaw) @ wanted.grasp.inverse()
+        for ox, oy, radius in obstacles:
+            deep += max(0.0, radius + _HALF_M - stick_gap(stick, ox, oy))
+    for ox, oy, radius in obstacles:
+        gap = math.hypot(ox - wanted.moved.x, oy - wanted.moved.y)
+        deep += max(0.0, radius + _BESIDE_M - gap)
+    return deep

@@ -1,0 +1,1 @@
+"""Attacks by grounded sub-tasks, one family in a file."""

@@ -1,0 +1,168 @@
+"""`lemma audit`: what one robot alone can do to the instances, tried in physics."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from lemma.cli.options import File, JsonFlag, Number, messages, output, print_json
+from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+
+if TYPE_CHECKING:
+    from lemma.audit.run import Found
+    from lemma.audit.table import Tally
+    from lemma.viz.video import VideoStyle
+
+_ALL = "all"
+_AT_INTERRUPT = "{done} of {total} instances were done; nothing is kept."
+
+
+@dataclass(frozen=True, slots=True)
+class AuditOptions:
+    """Which instances, and which attacks."""
+
+    tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
+    """Names of tasks, separated by commas."""
+    split: str = "test"
+    """Frozen list of instances; or free, which samples them. Split free needs
+    --episodes."""
+    episodes: Number = None
+    """Only so many instances of every task; the whole list by default."""
+    start: int = 0
+    """Number of the first one."""
+    level: Literal["skill", "control", "both"] = "both"
+    """What the attacks act by: grounded sub-tasks, motor commands, or both in turn."""
+    attacks: Annotated[str, tyro.conf.arg(metavar="ATTACK,...")] = _ALL
+    """Names of attacks, separated by commas."""
+
+
+_EVERYTHING = AuditOptions()
+
+
+def audit(
+    wanted: Annotated[AuditOptions, tyro.conf.arg(name="")] = _EVERYTHING,
+    working: WorkerOptions = DEFAULT,
+    videos: File = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Attack instances with one robot alone, in physics; none may be solved.
+
+    Leaves with 1 if one was.
+
+    Args:
+        wanted: Which instances, and which attacks.
+        working: Where to work.
+        videos: Folder for a video of every success.
+        as_json: Print one JSON object instead of a table.
+    """
+    # Imported here, so that help does not wait for it.
+    from lemma.audit.run import audit as run
+    from lemma.audit.table import tally, to_dict
+
+    names = _attacks(wanted)
+    keys = _keys(wanted)
+    with progress_bar("audit", len(keys), _AT_INTERRUPT) as advance:
+        found = run(keys, names, working.make_engine(), advance)
+    won = [one for one in found if one.succeeded]
+    if as_json:
+        print_json(to_dict(tally(found)))
+    else:
+        output().print(table(tally(found)))
+    for one in won:
+        messages().print(
+            f"{one.task}/{one.split}/{one.index}: {one.attack} by {one.robot}, "
+            f"attempt {one.attempt + 1}"
+        )
+    if videos is not None:
+        write_videos(won, videos)
+    return 1 if won else 0
+
+
+def _attacks(wanted: AuditOptions) -> tuple[str, ...]:
+    from lemma.audit.attack import ATTACKS
+    from lemma.audit.run import names_at
+    from lemma.core.errors import InvalidConfigError
+
+    at_level = names_at(wanted.level)
+    if wanted.attacks == _ALL:
+        return at_level
+    names = tuple(wanted.attacks.split(","))
+    for name in names:
+        if ATTACKS[name].name not in at_level:
+            raise InvalidConfigError(
+                f"The attack {name} is at {ATTACKS[name].level} level. Leave out "
+                f"--level {wanted.level}, or name others."
+            )
+    return names
+
+
+def _keys(wanted: AuditOptions) -> list[tuple[str, str, int]]:
+    """Return the instances that are asked for.
+
+    Raises:
+        UnknownNameError: No such task or split.
+        InvalidConfigError: There are not so many.
+    """
+    from lemma.core.errors import InvalidConfigError
+    from lemma.tasks.instance import SPLITS
+    from lemma.tasks.suite import SUITE, check_split
+
+    tasks = SUITE if wanted.tasks == _ALL else tuple(wanted.tasks.split(","))
+    for task in tasks:
+        check_split(task, wanted.split)
+    size, first = SPLITS.get(wanted.split), wanted.start
+    count = wanted.episodes
+    if count is None and size is not None:
+        count = size - first
+    end = first + (count or 0)
+    if count is None or count < 1 or first < 0 or end > (end if size is None else size):
+        raise InvalidConfigError(
+            f"Split {wanted.split!r} has {size or 'any number of'} instances, but "
+            f"--start {first} and --episodes {count} ask for others. Give both, in "
+            "that range; split free needs --episodes."
+        )
+    return [
+        (task, wanted.split, index) for task in tasks for index in range(first, end)
+    ]
+
+
+def table(tallies: "dict[str, dict[str, Tally]]") -> Table:
+    """Return sums as a table: task, attack, tried, succeeded, best progress."""
+    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for heading in ("task", "attack", "level"):
+        shown.add_column(heading, no_wrap=True)
+    for heading in ("tried", "succeeded", "best progress"):
+        shown.add_column(heading, justify="right")
+    tasks = dict.fromkeys(task for of_tasks in tallies.values() for task in of_tasks)
+    for task in tasks:
+        for attack, of_tasks in tallies.items():
+            sums = of_tasks[task]
+            style = "bold red" if sums.succeeded else None
+            shown.add_row(
+                *(task, attack, sums.level, str(sums.tried), str(sums.succeeded)),
+                f"{sums.best_progress:.0%}",
+                style=style,
+            )
+        shown.add_section()
+    return shown
+
+
+def write_videos(
+    won: "list[Found]", folder: Path, style: "VideoStyle | None" = None
+) -> None:
+    """Write a video of every success, ``TASK-SPLIT-INDEX-ATTACK.mp4``."""
+    from lemma.tasks.suite import load_instance
+    from lemma.viz.attack_video import replay_attack
+    from lemma.viz.video import VideoStyle, write_video
+
+    folder.mkdir(parents=True, exist_ok=True)
+    style = style or VideoStyle()
+    for one in won:
+        instance = load_instance(one.task, one.split, one.index)
+        recording = replay_attack(one, instance, style.frame_s)
+        path = folder / f"{one.task}-{one.split}-{one.index}-{one.attack}.mp4"
+        write_video(recording, path, style)
+        messages().print(f"wrote {path}")

@@ -1,0 +1,41 @@
+"""Attacks have teeth: where one robot can do it they do, and nowhere else."""
+
+import pytest
+from soft_tables import SOFT, stack_out_of_reach
+
+from lemma.audit.attack import ATTACKS
+from lemma.audit.hand import TOUCH_BEYOND_M
+from lemma.audit.run import Found, audit_instance, cheap_attacks_succeed, names_at
+from lemma.tasks.instance import Instance
+
+
+def played(name: str, instance: Instance) -> Found:
+    (found,) = audit_instance(instance, (name,))
+    return found
+
+
+@pytest.mark.parametrize("name", SOFT)
+def test_succeeds_where_one_robot_can(name: str) -> None:
+    found = played(name, SOFT[name])
+    assert (found.succeeded, found.progress, found.robot) == (True, 1.0, "robot_0")
+
+
+@pytest.mark.slow
+def test_none_succeeds_where_one_robot_cannot() -> None:
+    hard = stack_out_of_reach(TOUCH_BEYOND_M + 0.25)
+    found = list(audit_instance(hard, names_at("both")))
+    assert [one.attack for one in found] == [*ATTACKS]
+    assert [one.attack for one in found if one.succeeded] == []
+    assert max(one.progress for one in found) == 0.0
+
+
+def test_cheap_attacks_say_which_of_them_succeeds() -> None:
+    assert cheap_attacks_succeed(SOFT["drag_home"]) == "drag_home"
+    assert cheap_attacks_succeed(stack_out_of_reach(TOUCH_BEYOND_M + 0.25)) is None
+
+
+def test_every_attack_says_what_it_does() -> None:
+    for name, record in ATTACKS._records.items():
+        assert record.name == name
+        assert record.summary.endswith(".")
+    assert {*names_at("skill"), *names_at("control")} == {*ATTACKS}

@@ -1,0 +1,105 @@
+"""`lemma audit`: what it prints, how it ends, and that it repeats."""
+
+import json
+from pathlib import Path
+
+import pytest
+from own_plugins import EXAMPLES, loaded
+from soft_tables import SOFT, two_cubes_to_drag
+
+from lemma.audit.run import audit, audit_instance
+from lemma.audit.table import tally, to_dict
+from lemma.cli import audit as verb
+from lemma.cli.main import main
+from lemma.core.workers.pool import ProcessPool
+from lemma.tasks import suite
+from lemma.viz.attack_video import replay_attack
+from lemma.viz.video import VideoStyle
+
+EPISODES = ("--episodes", "1", "--workers", "1")
+
+
+def run(*words: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["audit", *words])
+    return int(ended.value.code or 0)
+
+
+def test_prints_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("--tasks", "pass,hook", "--attacks", "drag_home,tilted_move")
+    run(*words, *EPISODES, "--json")
+    found = json.loads(capsys.readouterr().out)
+    assert list(found) == ["attacks"]
+    assert list(found["attacks"]) == ["drag_home", "tilted_move"]
+    for of_tasks in found["attacks"].values():
+        assert list(of_tasks) == ["pass", "hook"]
+        for sums in of_tasks.values():
+            keys = {"level", "tried", "succeeded", "best_progress"}
+            assert (set(sums), sums["tried"]) == (keys, 1)
+
+
+def test_leaves_with_1_if_an_attack_succeeded(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = list(audit_instance(two_cubes_to_drag(), ["drag_home"]))
+    monkeypatch.setattr("lemma.audit.run.audit", lambda *args: found)
+    assert run("--tasks", "poke_stack", *EPISODES) == 1
+    told = capsys.readouterr()
+    assert "poke_stack" in told.out
+    assert "poke_stack/free/0: drag_home by robot_0" in told.err
+    monkeypatch.setattr("lemma.audit.run.audit", lambda *args: [])
+    assert run("--tasks", "poke_stack", *EPISODES) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--split", "free"), "split free needs --episodes"),
+        (("--episodes", "61"), "60 instances"),
+        (("--attacks", "drag_hom"), "drag_home"),
+        (("--attacks", "drag_home", "--level", "control"), "at skill level"),
+    ],
+)
+def test_says_what_it_cannot_do(
+    words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*words) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_repeats_whoever_works() -> None:
+    keys = [("hook_stack", "test", index) for index in range(2)]
+    names = ("drag_home", "tilted_move")
+    one, two = (audit(keys, names, ProcessPool(n)) for n in (1, 2))
+    assert [(f.attack, f.succeeded, f.subtasks) for f in one] == [
+        (f.attack, f.succeeded, f.subtasks) for f in two
+    ]
+    assert to_dict(tally(one)) == to_dict(tally(two))
+
+
+@pytest.mark.parametrize("name", ["drag_home", "tilted_move"])
+def test_what_succeeded_is_replayed_from_what_it_did(name: str) -> None:
+    (found,) = audit_instance(SOFT[name], [name])
+    recording = replay_attack(found, SOFT[name], frame_s=0.5)
+    assert recording.success
+    assert len(recording.frames) == pytest.approx(2 * recording.elapsed_s, abs=2)
+
+
+@pytest.mark.render
+def test_a_video_is_written_of_a_success(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    soft = two_cubes_to_drag()
+    monkeypatch.setattr(suite, "load_instance", lambda *key: soft)
+    found = list(audit_instance(soft, ["drag_home"]))
+    style = VideoStyle(width_px=96, height_px=64, caption_px=16, speed=20)
+    verb.write_videos(found, tmp_path, style)
+    video = tmp_path / "poke_stack-free-0-drag_home.mp4"
+    assert video.stat().st_size > 1_000
+
+
+def test_an_attack_of_a_plugin_is_played(capsys: pytest.CaptureFixture[str]) -> None:
+    with loaded(EXAMPLES / "08_write_an_attack.py"):
+        run("--tasks", "pass", "--attacks", "set_down_near", *EPISODES, "--json")
+    found = json.loads(capsys.readouterr().out)["attacks"]
+    assert found["set_down_near"]["pass"]["tried"] == 1

@@ -1,0 +1,85 @@
+"""Instances that one robot alone can solve: an audit that finds nothing there is none.
+
+They are laid out by what an arm reaches, so that they stay soft when the benchmark's
+own tables change.
+"""
+
+import math
+
+from lemma.core.poses import Pose2
+from lemma.robots.reach import Reach, reach_of
+from lemma.scene.objects.stick import GRASP_FROM_END_M
+from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
+from lemma.tasks.goal import Goal
+from lemma.tasks.instance import Instance
+
+ARM = "ur5"
+BASE = Pose2(-1.1, 0.0, 0.0)
+OTHER = Pose2(1.2, 0.0, math.pi)
+
+
+def reach() -> Reach:
+    return reach_of(ARM)
+
+
+def at(radius_m: float, bearing_deg: float, yaw: float = 0.0) -> Pose2:
+    """A position by distance and direction from the first robot."""
+    bearing = math.radians(bearing_deg)
+    return Pose2(
+        BASE.x + radius_m * math.cos(bearing),
+        BASE.y + radius_m * math.sin(bearing),
+        yaw,
+    )
+
+
+def instance(task: str, goal: tuple[str, str], *objects: ObjectPlacement) -> Instance:
+    """An instance with two robots of one kind, far apart."""
+    robots = tuple(RobotPlacement(ARM, "red", base) for base in (BASE, OTHER))
+    return Instance(
+        task=task,
+        split="free",
+        index=0,
+        scene=SceneSpec(robots, objects),
+        goal=Goal.from_pairs((goal,)),
+        instructions=dict.fromkeys(("high_level", "human", "unseen"), "Do it."),
+        distractors=(),
+    )
+
+
+def stick_of_first() -> ObjectPlacement:
+    """The stick in the first robot's reach, pointing outwards."""
+    turn = math.radians(-45.0)
+    end = at(0.55 * reach().travel_m, -45.0)
+    back = GRASP_FROM_END_M
+    pose = Pose2(end.x - back * math.cos(turn), end.y - back * math.sin(turn), turn)
+    return ObjectPlacement("stick", "yellow", pose)
+
+
+def two_cubes_to_drag() -> Instance:
+    """Both cubes lie out of reach, where the stick drags them home."""
+    far_m = reach().grasp_m + 0.10
+    return instance(
+        "poke_stack",
+        ("red_cube", "blue_cube"),
+        ObjectPlacement("cube", "red", at(far_m, 25.0)),
+        ObjectPlacement("cube", "blue", at(far_m, 2.0)),
+        stick_of_first(),
+    )
+
+
+def stack_out_of_reach(beyond_m: float) -> Instance:
+    """A cube lies well in reach, the one to put it on so far out of grasp."""
+    return instance(
+        "stack",
+        ("red_cube", "blue_cube"),
+        ObjectPlacement("cube", "red", at(0.7 * reach().travel_m, 30.0)),
+        ObjectPlacement("cube", "blue", at(reach().grasp_m + beyond_m, -10.0)),
+    )
+
+
+SOFT = {
+    "drag_home": two_cubes_to_drag(),
+    "drag_any_part": two_cubes_to_drag(),
+    "tilted_move": stack_out_of_reach(0.05),
+}
+"""Attacks, and an instance that each of them solves."""
