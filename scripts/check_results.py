@@ -35,7 +35,7 @@ from lemma.evaluation.records import (
 )
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.spec import PolicySpec
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
 BOARD = Path(__file__).parents[1] / "leaderboard"
@@ -135,7 +135,9 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(names))
     parser.add_argument("--episodes", type=int, default=5, help="of every task")
     parser.add_argument("--tasks", nargs="+", default=SUITE, choices=SUITE)
-    parser.add_argument("--kinds", nargs="+", default=KINDS[:1], choices=KINDS)
+    parser.add_argument(
+        "--kinds", nargs="+", default=EVALUATION_KINDS[:1], choices=EVALUATION_KINDS
+    )
     parser.add_argument("--lines", type=Path, help="folder of NAME/episodes.jsonl")
     parser.add_argument("--workers", type=int, default=usable_cores())
     asked = parser.parse_args()

@@ -47,7 +47,8 @@ from lemma.evaluation.report.tables import ResultTable, markdown, words
 from lemma.evaluation.run.language_controls import FULL
 from lemma.evaluation.run.protocol import NAME, frozen, sha256_of_protocol
 from lemma.tasks.instance import SPLITS
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.blind import instruction
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE, load_instance
 
 ROOT = Path(__file__).parents[1]
@@ -182,7 +183,7 @@ def _check_lines(path: Path, rows: list[Row]) -> None:
     for row in rows:
         own = load_instance(row["task"], BOARD_SPLIT, row["index"])
         plain = row["split"] == BOARD_SPLIT and not row["perturb_start"]
-        sentence = own.instructions[row["instruction_kind"]]
+        sentence = instruction(own, row["instruction_kind"])
         if not plain or row["instruction"] != sentence:
             raise DatasetError(
                 f"{path} has a line that is no episode of the board: "
@@ -210,7 +211,7 @@ def leaders(board: dict[str, Submission], kind: str) -> ResultTable:
 def board_page(board: dict[str, Submission]) -> str:
     """Return the page of a leaderboard."""
     text = _INTRODUCTION.format(name=NAME, protocol=sha256_of_protocol(frozen())[:12])
-    for kind in KINDS:
+    for kind in EVALUATION_KINDS:
         table = leaders(board, kind)
         body = markdown(table) if table.rows else "There are no entries yet.\n"
         text += f"\n## {words(kind, '-').capitalize()} instructions\n\n{body}"
@@ -273,7 +274,7 @@ def _check(result: Result) -> None:
 
 def _success(result: Result) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
-    for kind in KINDS:
+    for kind in EVALUATION_KINDS:
         cells = [cell for cell in result.cells if cell.kind == kind]
         if cells:
             rates = rates_by(cells, "task")

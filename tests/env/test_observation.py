@@ -12,6 +12,8 @@ from lemma.env.observation import OBSERVATIONS, read_text, write_text
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import RASTER
+from lemma.tasks.language.blind import instruction
+from lemma.tasks.language.template import EVALUATION_KINDS
 
 
 def observe(observation: str, **options: Any) -> tuple[dict[str, Any], Any]:
@@ -50,10 +52,10 @@ def test_tool_pose_is_that_of_the_site() -> None:
         assert pose[3] >= 0.0
 
 
-@pytest.mark.parametrize("kind", ["high_level", "human", "unseen"])
+@pytest.mark.parametrize("kind", EVALUATION_KINDS)
 def test_instruction_can_be_read(kind: str) -> None:
     found, env = observe("state", instruction=kind)
-    assert read_text(found["instruction"]) == env.instance.instructions[kind]
+    assert read_text(found["instruction"]) == instruction(env.instance, kind)
 
 
 def test_text_survives() -> None:

@@ -31,7 +31,8 @@ class EvaluateOptions:
     """What is asked of the policy."""
 
     instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
-    """Kinds of instructions: high-level, human, unseen; or all."""
+    """Kinds of instructions: high-level, human, unseen, blind; or all that the tasks
+    have."""
     tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
     """Names of tasks, separated by commas."""
     split: Word = None
@@ -88,17 +89,18 @@ def evaluate(
     from lemma.evaluation.run.evaluate import evaluate as run
     from lemma.evaluation.run.protocol import NAME, departures
     from lemma.policies.spec import PolicySpec
-    from lemma.tasks.language.template import KINDS
+    from lemma.tasks.language.blind import kinds_of
     from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
     tasks = _names(ask.tasks, SUITE)
     split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
+    split = ask.split or split
     config = EvaluationConfig(
         out=out,
         policy=PolicySpec(policy, ask.planning, ask.gta, ask.timeout_s),
         tasks=tasks,
-        split=ask.split or split,
-        kinds=_names(ask.instructions.replace("-", "_"), KINDS),
+        split=split,
+        kinds=_names(ask.instructions.replace("-", "_"), kinds_of(tasks, split)),
         episodes=ask.episodes,
         language=ask.language,
         perturb_start=ask.perturb_start,
@@ -157,12 +159,12 @@ def _rates(
 def table(cells: "tuple[Cell, ...]") -> Table:
     """Return success rates [%] with Wilson intervals: tasks down, kinds across."""
     from lemma.evaluation.analysis.intervals import mean_over_tasks, rates_by
-    from lemma.tasks.language.template import KINDS
+    from lemma.tasks.language.template import EVALUATION_KINDS
     from lemma.tasks.names import in_order
     from lemma.tasks.suite import SUITE
 
     rates = rates_by(cells, "kind", "task")
-    kinds = [kind for kind in KINDS if any(k == kind for k, _ in rates)]
+    kinds = [kind for kind in EVALUATION_KINDS if any(k == kind for k, _ in rates)]
     shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     shown.add_column("success [%]", style="bold", no_wrap=True)
     for kind in kinds:

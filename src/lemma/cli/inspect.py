@@ -13,6 +13,7 @@ from lemma.dataset.recipe.files import open_table
 from lemma.dataset.recipe.reader import Recipe, load
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.recipe.summary import ALL, GroupSummary, RecipeSummary, summarize
+from lemma.tasks.language.template import KINDS
 from lemma.viz.keyframe_sheet import keyframe_strip
 
 _SPLIT = "test"
@@ -78,7 +79,7 @@ def _print_episode(record: EpisodeRecord) -> None:
     ending = "solved" if record.success else f"not solved: {record.failure}"
     for name, text in (
         ("episode", record.key),
-        *((kind, getattr(record, kind)) for kind in ("high_level", "human", "unseen")),
+        *((kind, getattr(record, kind)) for kind in KINDS),
         ("team", f"{record.team}, {record.distractors} distractors"),
         ("outcome", f"{ending} after {record.elapsed_s:.1f} simulated s"),
     ):

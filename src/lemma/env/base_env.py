@@ -27,6 +27,7 @@ from lemma.scene.cameras import Camera, FreeCamera, RgbImage
 from lemma.scene.model_cameras import camera_from_model
 from lemma.scene.rendering.renderer import Renderer
 from lemma.tasks.instance import Instance
+from lemma.tasks.language.blind import instruction
 from lemma.tasks.suite import task_named
 
 OVERVIEW = FreeCamera(
@@ -106,7 +107,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         """The instruction of this episode; before the first, what the task is about."""
         if self._episode is None:
             return task_named(self.task).summary
-        return self._episode.instance.instructions[self.config.instruction]
+        return instruction(self._episode.instance, self.config.instruction)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

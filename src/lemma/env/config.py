@@ -9,7 +9,8 @@ from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.robots.ur.build import ARMS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.tasks.instance import SPLITS
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.blind import check_blind
+from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
 from lemma.tasks.suite import FREE_SPLIT, check_split, default_split, task_named
 
 LEAST_HZ = 0.1
@@ -45,8 +46,8 @@ class EnvConfig:
     Frozen instances have them in either order; free ones from left to right, of any
     registered arms."""
     instruction: str = "high_level"
-    """Which of the three instructions is given: ``"high_level"``, ``"human"`` or
-    ``"unseen"``."""
+    """Which instruction is given: ``"high_level"``, ``"human"``, ``"unseen"`` or, for
+    evaluation and not of split ``"train"``, ``"blind"``."""
     horizon_s: float = HORIZON_S
     """T_max: simulated time after which the episode is truncated, at least a servo tick
     of 0.01 s [s]."""
@@ -57,7 +58,9 @@ class EnvConfig:
         if isinstance(self.split, str) and not self.split:
             object.__setattr__(self, "split", default_split(self.task))
         check_split(self.task, self.split)
-        known("kind of instruction", self.instruction, KINDS)
+        known("kind of instruction", self.instruction, EVALUATION_KINDS)
+        if self.instruction == BLIND:
+            check_blind(self.task, self.split)
         checked: dict[str, object] = {
             "width": whole("width", self.width, 1),
             "height": whole("height", self.height, 1),

@@ -13,6 +13,7 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.env.config import EnvConfig
 from lemma.env.observation import MAX_INSTRUCTION_LENGTH
 from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.language.blind import instruction
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, check_split, load_instance, task_named
 
@@ -113,12 +114,7 @@ class InstanceSource:
                 "index, or make the environment with robots=None."
             )
         kind = self._config.instruction
-        text = instance.instructions.get(kind)
-        if text is None:
-            raise InvalidConfigError(
-                f"Instance {instance.key} has no instruction of the kind {kind!r}, "
-                f"only {', '.join(instance.instructions) or 'none at all'}."
-            )
+        text = instruction(instance, kind)
         if len(text) > MAX_INSTRUCTION_LENGTH or not text.isascii():
             raise InvalidConfigError(
                 f"The instruction {shown(text)} cannot be observed. It must be ASCII "

@@ -20,6 +20,7 @@ from lemma.scene.objects.entity import known_entities
 from lemma.scene.proprioception import Proprioception
 from lemma.scene.raster import CEILING_M, RASTER
 from lemma.scene.scene import Scene
+from lemma.tasks.language.blind import instruction
 
 Observation = dict[str, Any]
 
@@ -169,7 +170,7 @@ class Observer:
             "agent_pos": joints,
             "agent_vel": rates,
             "tcp_pose": poses,
-            "instruction": write_text(episode.instance.instructions[kind]),
+            "instruction": write_text(instruction(episode.instance, kind)),
         }
         if self.contents.renders:
             found.update(self._see(self.view(scene)))

@@ -17,7 +17,7 @@ import msgspec
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_text
 from lemma.tasks.instance import SPLITS
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import task_rank
 from lemma.tasks.suite import FREE_SPLIT
 
@@ -163,7 +163,7 @@ def key_of(row: Row) -> EpisodeKey:
 def place_of(row: Row) -> tuple[Any, ...]:
     """Return what lines are ordered by: kind, task, number."""
     kind, task, index = key_of(row)
-    return KINDS.index(kind), task_rank(task), index
+    return EVALUATION_KINDS.index(kind), task_rank(task), index
 
 
 def training_seed(weights: Mapping[str, Mapping[str, Any]]) -> int:
@@ -275,7 +275,7 @@ def check_about(about: object, path: Path) -> None:
 
 def _check(line: _Line) -> None:
     """Check what no type says."""
-    if line.instruction_kind not in KINDS:
+    if line.instruction_kind not in EVALUATION_KINDS:
         raise ValueError(f"no kind of instruction: {line.instruction_kind!r}")
     if not 0.0 <= line.progress <= 1.0:
         raise ValueError(f"progress {line.progress} is not from 0 to 1")

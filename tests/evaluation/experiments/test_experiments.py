@@ -29,7 +29,7 @@ from lemma.evaluation.experiments.reproduction import (
 from lemma.evaluation.run.loading import learned_parts
 from lemma.policies.training.config import TrainingConfig, model_options
 from lemma.policies.weights import published_weights
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
 
@@ -103,7 +103,7 @@ def test_suites_share_out_the_experiments() -> None:
 def test_figures_of_the_paper_are_of_the_suite() -> None:
     for one in selected("paper"):
         for kind, figures in one.paper.items():
-            assert kind in KINDS
+            assert kind in EVALUATION_KINDS
             assert set(figures.tasks) in (set(), set(SUITE))
             if figures.tasks and figures.mean is not None:
                 mean = sum(figures.tasks.values()) / len(SUITE)

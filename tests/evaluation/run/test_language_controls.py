@@ -10,20 +10,21 @@ from lemma.evaluation.run.language_controls import (
 )
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.goal import Goal
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.blind import instruction
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE, load_instance
 
 INSTANCES = [(task, index) for task in SUITE for index in range(6)]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EVALUATION_KINDS)
 def test_swapped_colors_ask_for_another_goal(kind: str) -> None:
     there = 0
     for task, index in INSTANCES:
         instance = load_instance(task, "test", index)
         control = control_of("swapped", instance, kind)
         assert control.sentence is not None
-        assert control.sentence != instance.instructions[kind]
+        assert control.sentence != instruction(instance, kind)
         if control.asks is None:
             continue
         there += 1
@@ -52,7 +53,7 @@ def test_the_words_stay_and_the_colors_change() -> None:
 
 def test_every_kind_asks_for_the_same() -> None:
     instance = load_instance("pass2", "test", 3)
-    asked = {control_of("swapped", instance, kind).asks for kind in KINDS}
+    asked = {control_of("swapped", instance, kind).asks for kind in EVALUATION_KINDS}
     assert len(asked) == 1
     assert asked == {control_of("swapped", instance, "human").asks}
 

@@ -17,7 +17,7 @@ from lemma.evaluation.records import (
     read_rows,
 )
 from lemma.evaluation.run.protocol import check_protocol
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import in_order
 
 _SAME = ("split", "lemma")
@@ -96,7 +96,7 @@ def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
     _check_same_episodes(first, second, successes)
     pairs = {name: (won, successes[1][name]) for name, won in successes[0].items()}
     found: dict[str, dict[str, Comparison]] = {}
-    for kind in KINDS:
+    for kind in EVALUATION_KINDS:
         of_kind = {name: pair for name, pair in pairs.items() if name[0] == kind}
         if of_kind:
             found[kind] = {"all": _count(of_kind.values())}

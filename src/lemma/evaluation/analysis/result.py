@@ -28,7 +28,7 @@ from lemma.evaluation.records import (
     place_of,
     training_seed,
 )
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import task_rank
 
 
@@ -155,7 +155,7 @@ def _check_counts(path: Path, result: Result) -> None:
     failed: Counter[tuple[str, str]] = Counter()
     for cell in result.cells:
         name = cell.kind, cell.task
-        within = cell.kind in KINDS and 0 <= cell.successes <= cell.episodes
+        within = cell.kind in EVALUATION_KINDS and 0 <= cell.successes <= cell.episodes
         if not (within and cell.episodes >= 1 and 0 <= cell.progress <= cell.episodes):
             raise DatasetError(f"{path} counts what cannot be: {cell}. Evaluate again.")
         failed[name] += cell.episodes - cell.successes
@@ -297,7 +297,7 @@ def _asked(rows: Iterable[Row]) -> Iterable[Asked]:
 
 def _order(name: Sequence[Any]) -> tuple[Any, ...]:
     kind, task, *rest = name
-    return KINDS.index(kind), task_rank(task), *rest
+    return EVALUATION_KINDS.index(kind), task_rank(task), *rest
 
 
 def _digest(rows: Iterable[Row]) -> str:

@@ -10,7 +10,7 @@ from lemma.evaluation.experiments import paper_figures as paper
 from lemma.evaluation.experiments.paper_figures import Figures
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.policies.training.config import DEFAULTS
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.template import EVALUATION_KINDS
 
 SUITES = ("paper", "ours", "controls", "ablations")
 ALL = "all"
@@ -40,7 +40,7 @@ class Experiment:
     """One of :data:`SUITES`."""
     policy: PolicySpec
     """Its parts are names of trainings."""
-    kinds: tuple[str, ...] = KINDS
+    kinds: tuple[str, ...] = EVALUATION_KINDS
     """Of instructions."""
     language: str = "full"
     """What is said, one of :data:`lemma.evaluation.run.language_controls.LANGUAGES`."""

@@ -13,7 +13,7 @@ from lemma.evaluation.report import tables
 from lemma.evaluation.report.policy_results import PARTIAL, PolicyResults, tasks_of
 from lemma.evaluation.report.tables import ResultTable, markdown
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
 REPORT = "results.md"
@@ -133,6 +133,12 @@ def _own_sections(
         tables.by_task(entries, "unseen"),
     )
     yield (
+        "Blind templates",
+        "Sentences of somebody who had read none of this project's templates, rules or "
+        "results, and which no part of a policy was made with; not in the paper.",
+        tables.by_task(entries, "blind"),
+    )
+    yield (
         "Other sentences",
         "How much a policy needs the sentence: success at the goal of the instance "
         "when something else is said, or nothing. Last: how often the goal holds that "
@@ -234,7 +240,11 @@ def _part_words(tasks: Sequence[str], counts: Sequence[int], split: str) -> str:
 
 def _kind_words(results: Iterable[Result]) -> str:
     found = {cell.kind for result in results for cell in result.cells}
-    kinds = [tables.words(kind, "-") for kind in KINDS if kind in found or not found]
+    kinds = [
+        tables.words(kind, "-")
+        for kind in EVALUATION_KINDS
+        if kind in found or not found
+    ]
     return " and ".join([", ".join(kinds[:-1]), kinds[-1]] if kinds[1:] else kinds)
 
 

@@ -21,7 +21,7 @@ from lemma.evaluation.report.policy_results import (
     tasks_of,
 )
 from lemma.evaluation.run.language_controls import FULL, LANGUAGES
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
 NOT_RUN = "not run"
@@ -76,16 +76,19 @@ def by_team(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
 
 def ablations(entries: Sequence[PolicyResults]) -> ResultTable:
     """Return the success of ReachNet with one thing of its training changed each."""
+    chosen = [entry for entry in entries if _is_ablation(entry)]
+    kinds = [
+        kind for kind in EVALUATION_KINDS if any(entry.has(kind) for entry in chosen)
+    ]
     rows = [
         (
             entry.title,
-            *(_mean(entry, kind) for kind in KINDS),
-            str(sum(_episodes(entry, kind) for kind in KINDS) or NOTHING),
+            *(_mean(entry, kind) for kind in kinds),
+            str(sum(_episodes(entry, kind) for kind in kinds) or NOTHING),
         )
-        for entry in entries
-        if _is_ablation(entry)
+        for entry in chosen
     ]
-    header = ("mean over the tasks [%]", *(words(k, "-") for k in KINDS), "episodes")
+    header = ("mean over the tasks [%]", *(words(k, "-") for k in kinds), "episodes")
     return ResultTable(header, tuple(rows))
 
 
@@ -93,7 +96,7 @@ def losses(entries: Iterable[PolicyResults]) -> ResultTable:
     """Return why episodes failed, by policy and kind of instructions."""
     rows = []
     for entry in entries:
-        for kind in KINDS:
+        for kind in EVALUATION_KINDS:
             if entry.has(kind):
                 counted = _causes(entry, kind)
                 episodes = _episodes(entry, kind)
@@ -106,7 +109,7 @@ def losses(entries: Iterable[PolicyResults]) -> ResultTable:
 def losses_by_task(entry: PolicyResults) -> ResultTable:
     """Return why episodes of one policy failed, by kind and task; where any did."""
     rows = []
-    for kind in KINDS:
+    for kind in EVALUATION_KINDS:
         for task in tasks_of([entry], kind):
             counted = _causes(entry, kind, task)
             if counted:
@@ -167,7 +170,7 @@ def language(entries: Iterable[PolicyResults]) -> ResultTable:
     rows = []
     for title, results in families.items():
         by_control = {told: _by_language(results, told) for told in LANGUAGES}
-        for kind in KINDS:
+        for kind in EVALUATION_KINDS:
             each = [_mean_of(by_control[told], kind) for told in LANGUAGES]
             if any(cell != NOTHING for cell in each[1:]):
                 held = _asked(by_control["swapped"], kind)
@@ -183,7 +186,7 @@ def starts(entries: Iterable[PolicyResults]) -> ResultTable:
     for title, results in families.items():
         own = [one for one in results if not starts_perturbed(one)]
         moved = [one for one in results if starts_perturbed(one)]
-        for kind in KINDS:
+        for kind in EVALUATION_KINDS:
             both = _mean_of(own, kind), _mean_of(moved, kind)
             if both[1] != NOTHING:
                 rows.append((title, words(kind, "-"), *both))

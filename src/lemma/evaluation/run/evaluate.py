@@ -40,7 +40,8 @@ from lemma.evaluation.run.protocol import GROUP, check_protocol, quote
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out, subtasks_of
 from lemma.policies.spec import PLANNINGS, PolicySpec
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.blind import check_blind
+from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
 
 _PARTS = ".parts"
@@ -73,8 +74,11 @@ class EvaluationConfig:
         for task in self.tasks:
             check_split(task, self.split)
         for kind in self.kinds:
-            if kind not in KINDS:
-                raise UnknownNameError("kind of instruction", kind, KINDS)
+            if kind not in EVALUATION_KINDS:
+                raise UnknownNameError("kind of instruction", kind, EVALUATION_KINDS)
+            if kind == BLIND:
+                for task in self.tasks:
+                    check_blind(task, self.split)
         if self.language not in LANGUAGES:
             raise UnknownNameError("control of language", self.language, LANGUAGES)
         if self.perturb_start and self.split not in TIMED_SPLITS:

@@ -14,7 +14,8 @@ from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.language.template import GoalPairs
+from lemma.tasks.language.blind import blind_templates, instruction
+from lemma.tasks.language.template import BLIND, GoalPairs
 from lemma.tasks.suite import load_instance, task_named
 
 LANGUAGES = {
@@ -61,7 +62,7 @@ def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:
         there = set(other.goal.entities) <= set(instance.scene.object_names)
         same = set(other.goal.pairs) == set(instance.goal.pairs)
         asks = other.goal.pairs if there and not same else None
-        return LanguageControl(other.instructions[kind], asks)
+        return LanguageControl(instruction(other, kind), asks)
     if language == "swapped":
         asks, is_there = _swapped(instance)
         return LanguageControl(
@@ -72,12 +73,15 @@ def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:
 
 def _reworded(instance: Instance, kind: str, asks: GoalPairs) -> str:
     """Return the sentence of an instance in the same words, for another goal."""
-    for template in task_named(instance.task).language.templates(kind):
-        if template.render(instance.goal.pairs) == instance.instructions[kind]:
+    said = instruction(instance, kind)
+    bank = task_named(instance.task).language
+    blind = kind == BLIND
+    for template in blind_templates(instance.task) if blind else bank.templates(kind):
+        if template.render(instance.goal.pairs) == said:
             return template.render(asks)
     raise InvalidConfigError(
-        f"No {kind} template of task {instance.task!r} says "
-        f"{instance.instructions[kind]!r}. Freeze the instances anew."
+        f"No {kind} template of task {instance.task!r} says {said!r}. Freeze the "
+        "instances anew."
     )
 
 

@@ -31,7 +31,8 @@ from lemma.scene.objects.pad import PAD
 from lemma.scene.raster import RASTER
 from lemma.tasks.goal import HEIGHT_TOLERANCE_M, REST_M_S
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.blind import author_sha256
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
 PROTOCOL = "protocol.json"
@@ -52,8 +53,10 @@ def in_force() -> dict[str, Any]:
         "episodes_per_task": dict(SPLITS),
         "lists_sha256": {name: lists[name]["sha256"] for name in sorted(lists)},
         "instructions": {
-            "kinds": list(KINDS),
-            "source": "the frozen lists: one sentence of each kind per instance",
+            "kinds": list(EVALUATION_KINDS),
+            "source": "the frozen lists: one sentence of each kind per instance; blind "
+            "ones are drawn by the key of the instance",
+            "blind_sha256": author_sha256(),
             "language": dict(LANGUAGES),
         },
         "episode": {

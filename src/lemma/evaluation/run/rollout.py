@@ -24,6 +24,7 @@ from lemma.policies.spec import PolicySpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
+from lemma.tasks.language.blind import instruction
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 _BLIND = View(
@@ -73,7 +74,7 @@ class Rollout:
     @property
     def instruction(self) -> str:
         """What the policy is told."""
-        own = self.instance.instructions[self.kind]
+        own = instruction(self.instance, self.kind)
         return own if self.control.sentence is None else self.control.sentence
 
     @property

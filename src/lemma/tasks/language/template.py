@@ -24,7 +24,14 @@ KindPairs = tuple[tuple[str, str], ...]
 """The entity kinds of ``(top, bottom)``, for each ``On`` of a goal."""
 
 KINDS = ("high_level", "human", "unseen")
-"""Kinds of instructions; ``unseen`` ones are held out of training."""
+"""Kinds of instructions that every instance carries and every recipe records;
+``unseen`` ones are held out of training."""
+
+BLIND = "blind"
+"""The kind that is for evaluation alone, see :mod:`lemma.tasks.language.blind`."""
+
+EVALUATION_KINDS = (*KINDS, BLIND)
+"""Kinds of instructions that a policy may be given."""
 
 MAX_CHARACTERS = 200
 """Longest sentence that a template may render to."""
@@ -219,7 +226,7 @@ class Template:
 
 @dataclass(frozen=True, slots=True)
 class LanguageBank:
-    """All templates of one task; validated when made."""
+    """The templates of one task, but for blind ones; validated when made."""
 
     high_level: tuple[Template, ...]
     """Say only what shall become true."""

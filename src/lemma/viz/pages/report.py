@@ -26,7 +26,7 @@ from lemma.evaluation.report.tables import NOT_RUN, ResultTable, markdown, words
 from lemma.evaluation.run.language_controls import FULL
 from lemma.policies.spec import PLANNINGS
 from lemma.serve.client.websocket import is_address
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.viz.pages.report_figures import figures_of
 from lemma.viz.pages.report_pictures import Pictures
 from lemma.viz.pages.templates import data_uri, fill, inline
@@ -84,7 +84,9 @@ def write_report_page(
 
 def glance(entries: Sequence[PolicyResults]) -> Section:
     """Return the mean success of every policy with every kind of instructions."""
-    kinds = [kind for kind in KINDS if any(entry.has(kind) for entry in entries)]
+    kinds = [
+        kind for kind in EVALUATION_KINDS if any(entry.has(kind) for entry in entries)
+    ]
     rows = [
         (
             entry.title,
@@ -105,7 +107,7 @@ def failures_data(found: Findings) -> dict[str, Any]:
     return {
         "policies": policies,
         "causes": {str(cause): words(cause) for cause in Cause},
-        "kinds": {kind: words(kind, "-") for kind in KINDS},
+        "kinds": {kind: words(kind, "-") for kind in EVALUATION_KINDS},
         "cases": [
             _case_data(case, policies.index(case.policy), found.pictures.get(i))
             for i, case in enumerate(found.cases)
@@ -120,7 +122,7 @@ def demo_command(case: Case) -> str:
     same = (
         # Weights of other training seeds are found by their path alone.
         (seeds <= {0} or "/" in policy["name"])
-        and row["instruction_kind"] == KINDS[0]
+        and row["instruction_kind"] == EVALUATION_KINDS[0]
         and case.about["language"] == FULL
         and not row.get("perturb_start", False)
         and policy["planning"] == PLANNINGS[0]

@@ -12,7 +12,7 @@ from lemma.evaluation.analysis.result import Cell
 from lemma.evaluation.experiments.catalog import ABLATIONS
 from lemma.evaluation.report.policy_results import PolicyResults, tasks_of
 from lemma.evaluation.report.tables import values_of, words
-from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 from lemma.viz.plots import Bar, Figure, Mark, Series, dots, lines, stacks, standalone
 
@@ -37,7 +37,7 @@ def figures_of(entries: Sequence[PolicyResults]) -> list[Figure]:
             for entry, suite in zip(entries, suites, strict=True)
             if entry.results and suite not in left_out
         ]
-    return [figure for kind in KINDS for figure in _of_kind(shown, kind)]
+    return [figure for kind in EVALUATION_KINDS for figure in _of_kind(shown, kind)]
 
 
 def write_figures(folder: Path, figures: Iterable[Figure]) -> None:
