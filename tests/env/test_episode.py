@@ -9,11 +9,12 @@ from small_tables import cube, facing, pad
 
 from lemma.core.errors import InvalidConfigError, ResetNeededError, UnknownNameError
 from lemma.core.poses import Pose, Pose2
-from lemma.env.episode import Episode
-from lemma.env.simulation import HORIZON_S
+from lemma.env.episode import STILL_S, Episode
+from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.expert.expert import Expert, solve
 from lemma.motion.outcome import Outcome
 from lemma.motion.skills import SkillRunner
+from lemma.scene.objects.pad import PAD_THICKNESS_M
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive
@@ -82,7 +83,7 @@ def test_what_is_held_is_no_success() -> None:
     goal = Goal.from_pairs((("red_cube", "white_pad"),))
     episode = Episode(replace(INSTANCE, goal=goal))
     simulation = episode.simulation
-    scene, on_pad = simulation.scene, 0.004 + 0.025
+    scene, on_pad = simulation.scene, PAD_THICKNESS_M + 0.025
     skill = SkillRunner(simulation.arms).run(FIRST)
     lifted = False
     while not lifted or scene.pose("red_cube").position[2] > on_pad + 0.004:
@@ -92,7 +93,7 @@ def test_what_is_held_is_no_success() -> None:
         assert not episode.is_success
     simulation.rest(0.2)
     assert simulation.held() == {"robot_0": "red_cube"}
-    assert episode.progress == 1.0
+    assert episode.progress == 0.0
     assert not episode.is_success
     assert not episode.info()["is_success"]
     for _ in skill:
@@ -193,6 +194,74 @@ def test_info_says_it_all(episode: Episode) -> None:
     assert info["failure"] is None
     assert info["instruction"] == "Put them away."
     assert info["instance"] == "v1/pass/free/0"
+
+
+# --- The judge's second ------------------------------------------------------------
+
+
+def test_the_end_is_judged_after_a_second_that_nobody_is_charged(
+    episode: Episode,
+) -> None:
+    episode.execute(FIRST)
+    episode.execute(SECOND)
+    before = episode.elapsed_s
+    episode.stop()
+    assert episode.simulation.time_s == pytest.approx(before + STILL_S)
+    assert episode.elapsed_s == before
+    assert not episode.out_of_time
+    assert episode.info()["idle_s"]["robot_1"] == pytest.approx(before)
+
+
+def test_what_slides_off_in_that_second_was_no_success(episode: Episode) -> None:
+    episode.execute(FIRST)
+    episode.execute(SECOND)
+    scene = episode.simulation.scene
+    height = scene.pose("red_cube").position[2]
+    for name in ("red_cube", "white_pad"):
+        scene.model.geom(name).friction[:] = 0.0
+    # Too slow to be seen moving, and half a millimetre from where it is too far.
+    scene.set_pose("red_cube", Pose((PAD.x + 0.0495, PAD.y, height)))
+    scene.data.qvel[int(scene.model.joint("red_cube").dofadr[0])] = 0.009
+    assert episode.is_success
+    episode.stop()
+    assert not episode.is_success
+    assert episode.failure == "goal_not_reached"
+
+
+def test_a_verdict_is_final(episode: Episode) -> None:
+    episode.execute(FIRST)
+    episode.execute(SECOND)
+    episode.stop()
+    assert episode.is_success
+    episode.simulation.scene.set_pose("red_cube", Pose((0.0, 0.0, 0.025)))
+    assert episode.is_success
+    after = episode.simulation.time_s
+    episode.conclude()
+    assert episode.simulation.time_s == after
+
+
+def test_the_horizon_is_judged_alike() -> None:
+    goal = Goal.from_pairs((("red_cube", "white_pad"),))
+    episode = Episode(replace(INSTANCE, goal=goal), horizon_s=9.5)
+    assert episode.execute(FIRST).ok
+    episode.linger(8.9)
+    assert episode.is_over
+    assert not episode.stopped
+    assert episode.elapsed_s == pytest.approx(9.5, abs=2 * TICK_S)
+    assert episode.simulation.time_s == pytest.approx(episode.elapsed_s + STILL_S)
+    assert episode.is_success
+
+
+def test_robots_stand_still_while_it_is_judged() -> None:
+    """Cut off in the middle of a motion, whatever drives the arms."""
+    for actuation in ("position", "velocity", "torque"):
+        simulation = Episode(INSTANCE, actuation=actuation).simulation
+        data, arm = simulation.scene.data, simulation.arms["robot_0"].robot
+        data.qvel[arm.dof] = 0.5
+        if actuation == "velocity":
+            data.ctrl[arm.ctrl] = 0.5
+        simulation.stand_still(STILL_S)
+        assert abs(data.qvel[arm.dof]).max() < 0.02
 
 
 # --- Snapshots ---------------------------------------------------------------------

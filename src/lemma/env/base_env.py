@@ -154,14 +154,11 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         Raises:
             ResetNeededError: It is.
         """
-        if self._is_done():
+        if self.episode.is_over:
             raise ResetNeededError(
                 f"The episode {self.instance.key} is over. Call reset() before step()."
             )
         return self.episode
-
-    def _is_done(self) -> bool:
-        return self.episode.is_over
 
     @abstractmethod
     def step(self, action: Any) -> StepResult:

@@ -12,7 +12,7 @@ from lemma.env.episode import Episode
 from lemma.env.simulation import TICK_S
 
 SETTLE_S = 0.5
-"""Success ends the episode when it has lasted so long."""
+"""The episode ends when its goal has held for so long [s]."""
 
 
 class ControlEnv(LemmaEnv):
@@ -22,7 +22,8 @@ class ControlEnv(LemmaEnv):
     that only a stronger arm could follow are not, the arm then does what it can.
 
     The episode is terminated when the goal has held for half a second with nothing in
-    any gripper, and truncated at T_max. A robot is busy, for ``info["idle_s"]``, while
+    any gripper, and truncated at T_max; then the robots stand still for a second, and
+    success is judged. A robot is busy, for ``info["idle_s"]``, while
     a joint turns faster than 0.02 rad/s or a finger moves faster than 2 mm/s.
     """
 
@@ -63,13 +64,6 @@ class ControlEnv(LemmaEnv):
             raise ResetNeededError("There is no episode yet. Call reset() first.")
         return self._controller
 
-    def _is_done(self) -> bool:
-        return self.episode.is_over or self._has_settled
-
-    @property
-    def _has_settled(self) -> bool:
-        return self._settled_s >= SETTLE_S - 0.5 * TICK_S
-
     def step(self, action: ArrayLike) -> StepResult:
         """Command the motors for one control step.
 
@@ -94,13 +88,13 @@ class ControlEnv(LemmaEnv):
         self.controller.command(rows)
         for _ in range(self.config.ticks_per_step):
             self._tick()
-        success = episode.is_success
-        self._settled_s = (
-            self._settled_s + 1.0 / self.config.control_hz if success else 0.0
-        )
-        terminated = self._has_settled
-        truncated = episode.out_of_time and not terminated
-        return float(success and (terminated or truncated)), terminated, truncated
+        step_s = 1.0 / self.config.control_hz
+        self._settled_s = self._settled_s + step_s if episode.is_success else 0.0
+        if self._settled_s >= SETTLE_S - 0.5 * TICK_S:
+            episode.stop()
+        episode.conclude()
+        reward = float(episode.is_over and episode.is_success)
+        return reward, episode.stopped, episode.out_of_time and not episode.stopped
 
     def _tick(self) -> None:
         simulation = self.episode.simulation

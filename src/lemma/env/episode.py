@@ -12,7 +12,9 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask
 
 LEAST_STEP_S = 1.0
-"""Simulated time that a step takes at least, so that every episode ends."""
+"""Simulated time that a step takes at least, so that every episode ends [s]."""
+STILL_S = 1.0
+"""How long an ended episode goes on, with its robots still, before it is judged [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +35,19 @@ class EpisodeSnapshot:
     simulation: SimulationSnapshot
     executed: tuple[ExecutedSubTask, ...]
     stopped: bool
+    ended_s: float | None
+    """Simulated time at which it ended [s]; None while it goes on."""
+    verdict: bool | None
+    """Whether it succeeded; None before that was judged."""
 
 
 class Episode:
     """An executed instance, whoever decides what to do.
 
-    Success is judged when the episode ends (``stop``, or the horizon), but can be asked
-    for at any time: every ``On`` of the goal holds, at rest, and nothing is held.
+    When it ends, by ``stop`` or at the horizon, its robots stand still for
+    :data:`STILL_S`; then it succeeds if the whole goal holds and nothing is held. That
+    time is the judge's: ``elapsed_s`` does not count it. Before the end the same
+    question is answered for the present moment.
     """
 
     def __init__(
@@ -66,11 +74,13 @@ class Episode:
         self.simulation = Simulation(instance.scene, actuation)
         self.executed: list[ExecutedSubTask] = []
         self.stopped = False
+        self._ended_s: float | None = None
+        self._verdict: bool | None = None
 
     @property
     def elapsed_s(self) -> float:
-        """Simulated time since the first state [s]."""
-        return self.simulation.time_s
+        """Simulated time from the first state to the end, or until now [s]."""
+        return self.simulation.time_s if self._ended_s is None else self._ended_s
 
     @property
     def out_of_time(self) -> bool:
@@ -88,11 +98,18 @@ class Episode:
         return self.instance.goal.progress(self.simulation.scene)
 
     @property
+    def fallen(self) -> tuple[str, ...]:
+        """Names of the objects that have fallen off the table: they are lost."""
+        return self.simulation.scene.fallen
+
+    @property
     def is_success(self) -> bool:
-        """Whether the goal holds now, and nothing is held."""
+        """Whether it succeeded; before its end, whether it would if nothing changed."""
         return self._succeeds(self.progress)
 
     def _succeeds(self, progress: float) -> bool:
+        if self._verdict is not None:
+            return self._verdict
         return progress == 1.0 and not self.simulation.held()
 
     @property
@@ -122,6 +139,7 @@ class Episode:
         start = self.elapsed_s
         result = self.simulation.execute(grounded, until_s=self.horizon_s)
         self.executed.append(ExecutedSubTask(grounded, result, start))
+        self.conclude()
         return result
 
     def linger(self, start_s: float) -> None:
@@ -133,10 +151,23 @@ class Episode:
         if not self.is_over:
             end_s = min(start_s + LEAST_STEP_S, self.horizon_s)
             self.simulation.rest(end_s - self.elapsed_s)
+            self.conclude()
+
+    def conclude(self) -> None:
+        """Judge the episode if it has just ended: whoever lets time pass asks for it.
+
+        The robots stand still for :data:`STILL_S` before.
+        """
+        if not self.is_over or self._verdict is not None:
+            return
+        self._ended_s = self.simulation.time_s
+        self.simulation.stand_still(STILL_S)
+        self._verdict = self._succeeds(self.progress)
 
     def stop(self) -> SkillResult:
-        """End the episode."""
+        """End the episode and judge it."""
         self.stopped = True
+        self.conclude()
         return SkillResult(Outcome.STOPPED, "The policy said stop.", 0.0)
 
     def snapshot(self) -> EpisodeSnapshot:
@@ -146,6 +177,8 @@ class Episode:
             self.simulation.snapshot(),
             tuple(self.executed),
             self.stopped,
+            self._ended_s,
+            self._verdict,
         )
 
     def restore(self, snapshot: EpisodeSnapshot) -> None:
@@ -162,6 +195,7 @@ class Episode:
         self.simulation.restore(snapshot.simulation)
         self.executed = list(snapshot.executed)
         self.stopped = snapshot.stopped
+        self._ended_s, self._verdict = snapshot.ended_s, snapshot.verdict
 
     def info(self) -> dict[str, Any]:
         """Return the figures that every step and reset reports."""
@@ -178,6 +212,7 @@ class Episode:
                 for name, clock in self.simulation.clocks.items()
             },
             "failure": self.failure,
+            "fallen": list(self.fallen),
             "instruction": self.instance.instructions["high_level"],
             "instance": self.instance.key,
         }

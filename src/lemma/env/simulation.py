@@ -4,6 +4,7 @@ This is the only place that steps the physics. The expert, the environments, dat
 generation and viewers all drive it; whoever wants to watch registers an observer.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -152,10 +153,19 @@ class Simulation:
         """
         if subtask.robot not in self.arms:
             raise UnknownNameError("robot in this scene", subtask.robot, self.arms)
-        start = self.time_s
+        start, before = self.time_s, self.scene.fallen
         result = self._drive(self._skills.run(subtask), subtask.robot, until_s)
         self.clocks[subtask.robot].busy_s += self.time_s - start
-        return result
+        return self._with_losses(result, before)
+
+    def _with_losses(self, result: SkillResult, before: tuple[str, ...]) -> SkillResult:
+        """Return a result that tells what fell off the table, if something did."""
+        fell = [name for name in self.scene.fallen if name not in before]
+        if not fell or result.outcome is Outcome.OUT_OF_TIME:
+            return result
+        told = "" if result.ok else f"{result.explanation} "
+        told += f"The {' and the '.join(fell)} fell off the table."
+        return SkillResult(Outcome.DROPPED, told, result.duration_s)
 
     def _drive(self, skill: Skill, robot: str, until_s: float) -> SkillResult:
         start = self.time_s
@@ -179,6 +189,24 @@ class Simulation:
         """Let time pass without moving any arm."""
         for _ in range(max(0, int(np.ceil(seconds / TICK_S)))):
             self.tick()
+
+    def stand_still(self, seconds: float) -> None:
+        """Let time pass while every arm brakes and then stays where it is."""
+        data, drive = self.scene.data, None
+        if self.scene.actuation == "velocity":
+            for arm in self.arms.values():
+                data.ctrl[arm.robot.ctrl] = 0.0
+        elif self.scene.actuation == "torque":
+            drive = self._brake
+        for _ in range(math.ceil(seconds / TICK_S)):
+            self.tick(drive=drive)
+
+    def _brake(self) -> None:
+        """Command torques against the joints' speeds; motors limit them."""
+        data = self.scene.data
+        for arm in self.arms.values():
+            damping = np.array(arm.robot.arm.damping)
+            data.ctrl[arm.robot.ctrl] = -damping * data.qvel[arm.robot.dof]
 
     def snapshot(self) -> SimulationSnapshot:
         """Return all that the future depends on; not while a sub-task is executed."""

@@ -119,7 +119,9 @@ def solve(episode: Episode, expert: Expert) -> Iterator[ExpertStep]:
 
 def _agree(now: SymbolicState, expected: SymbolicState) -> bool:
     """Whether cubes and supports are as predicted; the stick is looked at again."""
-    return now.supports == expected.supports and all(
+    if now.fallen != expected.fallen or now.supports != expected.supports:
+        return False
+    return all(
         now.poses[name].distance(pose) < _AS_PREDICTED_M
         for name, pose in expected.poses.items()
         if name != STICK

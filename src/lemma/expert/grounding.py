@@ -10,7 +10,7 @@ from lemma.core.errors import UnknownNameError
 from lemma.expert.geometry import GroundedOption, SceneGeometry
 from lemma.expert.primitives import PRIMITIVES
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.motion.outcome import Outcome, SkillResult
+from lemma.motion.outcome import Outcome, SkillResult, has_fallen
 from lemma.scene.objects.entity import SHARED, STICK
 from lemma.tasks.subtask import Primitive, SubTask
 
@@ -30,7 +30,7 @@ class GeometricGrounder(SceneGeometry):
             return None
         if subtask.robot not in self.robots:
             raise UnknownNameError("robot", subtask.robot, self.robots)
-        if subtask.pick not in now.poses:
+        if subtask.pick not in now.poses or subtask.place in now.fallen:
             return None
         spec = PRIMITIVES[subtask.primitive]
         if spec.tool and (subtask.pick != STICK or subtask.place not in now.supports):
@@ -49,12 +49,16 @@ def ground_or_refuse(
         grounder: Of the same scene.
 
     Returns:
-        The grounded sub-task; or a result that took no time: ``invalid`` where nobody
-        could do it, ``unreachable`` where this robot cannot.
+        The grounded sub-task; or a result that took no time: ``fallen`` where what it
+        needs is lost, ``invalid`` where nobody could do it, ``unreachable`` where this
+        robot cannot.
 
     Raises:
         UnknownNameError: There is no such robot in this scene.
     """
+    for name in (subtask.pick, subtask.place):
+        if name in now.fallen:
+            return SkillResult(Outcome.FALLEN, has_fallen(name), 0.0)
     senseless = _why_senseless(subtask, now)
     if senseless is not None:
         return SkillResult(Outcome.INVALID, senseless, 0.0)

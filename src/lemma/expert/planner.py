@@ -95,8 +95,11 @@ def find_plan(
         team: Robots that may act; all if None.
 
     Returns:
-        The plan; empty where the goal holds already, None where there is none.
+        The plan; empty where the goal holds already, None where there is none, such as
+        where something that the goal speaks of has fallen off the table.
     """
+    if any(name in now.fallen for name in goal.entities):
+        return None
     robots = team if team is not None else tuple(grounder.robots)
     queue: list[
         tuple[float, int, float, SymbolicState, tuple[GroundedOption, ...]]

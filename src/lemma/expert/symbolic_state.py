@@ -23,26 +23,30 @@ class SymbolicState:
 
     spec: SceneSpec
     poses: dict[str, Pose2]
-    """Every object."""
+    """Every object that is on the table."""
     supports: dict[str, str]
     """What each thing lies on that is no tool and not fixed: an entity or the table."""
     labels: dict[str, str]
     """How each movable object got where it is: two ways to one place are one state."""
+    fallen: tuple[str, ...] = ()
+    """What has fallen off the table: it is lost, and nothing else here speaks of it."""
 
     @classmethod
     def observe(cls, scene: Scene) -> "SymbolicState":
         """Read the situation off a scene."""
-        names = scene.spec.object_names
+        fallen = scene.fallen
+        names = [name for name in scene.spec.object_names if name not in fallen]
         poses = {name: scene.pose2(name) for name in names}
         heights = {name: scene.pose(name).position[2] for name in names}
         supports = {
             name: _support(name, poses, heights)
             for name in scene.movable_names
-            if kind_of(name).cargo
+            if kind_of(name).cargo and name not in fallen
         }
-        labels = dict.fromkeys(scene.movable_names, "start")
+        movable = (name for name in scene.movable_names if name not in fallen)
+        labels = dict.fromkeys(movable, "start")
         labels.update({n: f"on {s}" for n, s in supports.items() if s != TABLE})
-        return cls(scene.spec, poses, supports, labels)
+        return cls(scene.spec, poses, supports, labels, fallen)
 
     @property
     def key(self) -> tuple[tuple[str, str], ...]:

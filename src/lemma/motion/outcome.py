@@ -21,7 +21,9 @@ class Outcome(StrEnum):
     MISSED_GRASP = "missed_grasp"
     """The fingers closed on nothing."""
     DROPPED = "dropped"
-    """What was held is no longer held."""
+    """What was held is no longer held, or something fell off the table."""
+    FALLEN = "fallen"
+    """What it needs has fallen off the table before."""
     COLLISION = "collision"
     """Something was in the way."""
     TIMEOUT = "timeout"
@@ -44,6 +46,11 @@ class SkillResult:
     def ok(self) -> bool:
         """Whether the motion was carried out."""
         return self.outcome in (Outcome.SUCCESS, Outcome.STOPPED)
+
+
+def has_fallen(entity: str) -> str:
+    """Return why nothing can be done with an object that is on the floor."""
+    return f"The {entity} has fallen off the table, where nobody reaches it."
 
 
 class SkillFailure(Exception):

@@ -64,6 +64,9 @@ class Scene:
             for placed in spec.objects
             if not placed.entity.kind.fixed
         }
+        self._mass_at = {
+            name: tuple(self.model.body(name).ipos.tolist()) for name in self._free_qpos
+        }
         self._fixed_poses = {
             placed.name: _lying(placed)
             for placed in spec.objects
@@ -170,6 +173,30 @@ class Scene:
         dof = int(self.model.joint(name).dofadr[0])
         vx, vy, vz = self.data.qvel[dof : dof + 3].tolist()
         return math.sqrt(vx * vx + vy * vy + vz * vz)
+
+    def turn_rate(self, name: str) -> float:
+        """Return how fast an object turns [rad/s]; what is fixed does not."""
+        if name not in self._free_qpos:
+            return 0.0
+        dof = int(self.model.joint(name).dofadr[0]) + 3
+        wx, wy, wz = self.data.qvel[dof : dof + 3].tolist()
+        return math.sqrt(wx * wx + wy * wy + wz * wz)
+
+    @property
+    def fallen(self) -> tuple[str, ...]:
+        """Names of the objects that have fallen off the table.
+
+        Their center of mass is below its top, where no skill goes.
+        """
+        return tuple(n for n, at in self._free_qpos.items() if self._is_below(n, at))
+
+    def _is_below(self, name: str, address: int) -> bool:
+        """Whether the center of mass of a movable object is below the table's top."""
+        z, qw, qx, qy, qz = self.data.qpos[address + 2 : address + 7].tolist()
+        cx, cy, cz = self._mass_at[name]
+        z += 2.0 * (qx * qz - qw * qy) * cx + 2.0 * (qy * qz + qw * qx) * cy
+        z += (1.0 - 2.0 * (qx * qx + qy * qy)) * cz
+        return bool(z < 0.0)
 
     def set_joints(self, robot: RobotIndex, q: FloatArray, opening_m: float) -> None:
         """Put one arm at joint angles ``q`` (6,) [rad], at rest, servos there too."""

@@ -6,11 +6,7 @@ from typing import Self
 from lemma.core.errors import InvalidConfigError
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene
-
-REST_M_S = 0.02
-"""Slower than this a thing is at rest."""
-HEIGHT_TOLERANCE_M = 0.006
-"""How far the height of a thing may be from where its support would have it."""
+from lemma.tasks.support import carries_alone, is_at_rest, stands_on_a_face
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,23 +36,30 @@ class On:
             )
 
     def holds(self, scene: Scene) -> bool:
-        """Whether it is true now, with the top at rest.
+        """Whether it is true now.
 
-        The top's middle is no farther from the bottom's than the bottom's kind allows:
-        on a pad at least 1 cm inside its edge, on a cube above its top face. Its height
-        must say that nothing else carries it.
+        The bottom alone carries the top: they touch, and nothing else touches the top
+        but what lies on it. Both are at rest and level, on the table and not below it,
+        and no robot touches either. The top's middle is no farther from the bottom's
+        than the bottom's kind allows: on a pad at least 1 cm inside its edge, on a cube
+        above its top face.
         """
-        upper, lower = kind_of(self.top), kind_of(self.bottom)
-        limit = lower.support_m
+        # From cheap to dear: this is asked at every step.
+        return (
+            self._is_above(scene)
+            and all(is_at_rest(scene, name) for name in (self.top, self.bottom))
+            and all(stands_on_a_face(scene, name) for name in (self.top, self.bottom))
+            and not {self.top, self.bottom} & set(scene.fallen)
+            and carries_alone(scene, self.bottom, self.top)
+        )
+
+    def _is_above(self, scene: Scene) -> bool:
+        """Whether the top's middle is over the part of the bottom that may carry it."""
+        limit = kind_of(self.bottom).support_m
         assert limit is not None
         top, bottom = scene.pose(self.top).position, scene.pose(self.bottom).position
-        rise = lower.top_m + upper.origin_m
         dx, dy = top[0] - bottom[0], top[1] - bottom[1]
-        return (
-            dx * dx + dy * dy <= limit * limit
-            and abs(top[2] - bottom[2] - rise) <= HEIGHT_TOLERANCE_M
-            and scene.speed(self.top) < REST_M_S
-        )
+        return dx * dx + dy * dy <= limit * limit and top[2] > bottom[2]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any
 
 from lemma.core.errors import DatasetError
-from lemma.env.episode import LEAST_STEP_S
+from lemma.env.episode import LEAST_STEP_S, STILL_S
 from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.evaluation.records import POSE_TOLERANCE_MM, RESULT_VERSION
 from lemma.evaluation.run.expert_times import times_sha256
@@ -29,11 +29,11 @@ from lemma.scene.build import TIME_STEP_S
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.pad import PAD
 from lemma.scene.raster import RASTER
-from lemma.tasks.goal import HEIGHT_TOLERANCE_M, REST_M_S
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.language.blind import author_sha256
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
+from lemma.tasks.support import REST_M_S, REST_RAD_S, TILT_RAD
 
 PROTOCOL = "protocol.json"
 """File in the package."""
@@ -66,12 +66,15 @@ def in_force() -> dict[str, Any]:
             "group": GROUP,
         },
         "success": {
-            "judged": "at the end of the episode",
+            "judged": "when the robots have stood still after the end of the episode",
+            "still_s": STILL_S,
             "holds": "every On of the goal, and no gripper holds anything",
+            "on": "the bottom alone carries the top, by contact; both level, at rest",
             "on_pad_m": round(PAD.support_m or 0.0, 6),
             "on_cube_m": CUBE.support_m,
-            "height_tolerance_m": HEIGHT_TOLERANCE_M,
             "rest_m_s": REST_M_S,
+            "rest_rad_s": REST_RAD_S,
+            "tilt_rad": round(TILT_RAD, 6),
         },
         "view": {
             "rows": RASTER.rows,

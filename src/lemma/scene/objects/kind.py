@@ -34,6 +34,7 @@ _RESERVED = ("shared", "table", "start")
 _FINGERS_BETWEEN_M = 0.055
 """Between the discs of two objects that lie beside each other: fingers fit between."""
 _CLEAR_OF_PALM_M = 0.004
+_UP = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +145,9 @@ class ObjectKind:
     room for fingers."""
     grasp: Grasp | None = None
     """How it is held; None where it cannot be."""
+    tops: tuple[Point, ...] = (_UP,)
+    """Unit vectors in its frame of which one points up when it stands on a face: of a
+    box six, of a cylinder two."""
     support_m: float | None = None
     """How far from its middle the middle of what lies on it may be; None where nothing
     can."""
@@ -263,6 +267,11 @@ def box(name: str, size_m: Point, mass_kg: float, **details: Any) -> ObjectKind:
                 math.pi / 2 if square else math.pi,
                 Pose2(0.0, 0.0, across),
             ),
+            "tops": tuple(
+                (i * sign, j * sign, k * sign)
+                for i, j, k in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), _UP)
+                for sign in (1.0, -1.0)
+            ),
             "support_m": min(half[:2]),
             **details,
         },
@@ -290,6 +299,7 @@ def cylinder(
         _upright(name, height_m, parts, radius_m, radius_m),
         **{
             "grasp": Grasp(2 * radius_m, _grasp_height_m(height_m), 0.0),
+            "tops": (_UP, (0.0, 0.0, -1.0)),
             "support_m": radius_m,
             **details,
         },
