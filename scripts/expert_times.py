@@ -12,23 +12,24 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
-from lemma.core.seeding import stream
 from lemma.core.workers.pool import Engine, ProcessPool
 from lemma.evaluation.run.expert_times import TIMED_SPLITS, TIMES
 from lemma.evaluation.run.perturbed_starts import APART_M, FROM_STICK_M, perturbed
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.spec import ORACLE, PolicySpec
-from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
-from lemma.scene.camera_mounts import camera_sees
+from lemma.scene.camera_mounts import CameraFootprint
 from lemma.scene.objects.entity import STICK
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M
 from lemma.scene.spec import ObjectPlacement, SceneSpec
+from lemma.scene.table import Gap, lies_on_table
 from lemma.tasks.drags import stick_gap
 from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.placement import Board
 from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.tasks.zones import Territory
 
 TABLE = Path(__file__).parents[1] / "src" / "lemma" / "evaluation" / "run" / TIMES
 _PLACES = 3
@@ -111,35 +112,48 @@ def _solved_s(instance: Instance) -> float | None:
 
 def is_alike(scene: SceneSpec, original: SceneSpec) -> bool:
     """Whether a scene poses the same problem as the one that it was made of."""
-    board = Board(scene.robots, stream("unused"))
+    territory = Territory(scene.robots, scene.gap_m)
+    views = [CameraFootprint(robot) for robot in scene.robots]
+
+    def seen(pose: Pose2) -> bool:
+        at = (np.array([pose.x]), np.array([pose.y]))
+        return any(bool(view.sees(*at)[0]) for view in views)
+
     pairs = zip(scene.objects, original.objects, strict=True)
     return all(
-        _is_reached(board, now) == _is_reached(board, before)
-        and any(camera_sees(robot, now.pose.x, now.pose.y) for robot in scene.robots)
-        and _is_on_table(now)
+        _is_reached(territory, now) == _is_reached(territory, before)
+        and seen(now.pose)
+        and _is_on_table(now, scene.gap_m)
         for now, before in pairs
     ) and all(
         _are_apart(one, another) for one, another in combinations(scene.objects, 2)
     )
 
 
-def _is_reached(board: Board, placed: ObjectPlacement) -> list[tuple[bool, bool]]:
-    """Return for each robot whether it surely reaches, and surely does not."""
-    robots = range(len(board.robots))
+def _is_reached(
+    territory: Territory, placed: ObjectPlacement
+) -> list[tuple[bool, bool]]:
+    """Return for each robot whether it surely reaches, and could do nothing."""
+    x, y, kind = (
+        np.array([placed.pose.x]),
+        np.array([placed.pose.y]),
+        placed.entity.kind,
+    )
     return [
-        (board.reaches(r, placed.pose), board.cannot(r, placed.pose)) for r in robots
+        (
+            bool(territory.works(robot, x, y)[0]),
+            bool(territory.cannot(robot, kind, x, y)[0]),
+        )
+        for robot in range(len(territory.robots))
     ]
 
 
-def _is_on_table(placed: ObjectPlacement) -> bool:
+def _is_on_table(placed: ObjectPlacement, gap_m: Gap | None) -> bool:
     ends = [placed.pose]
     if placed.name == STICK:
         ends.append(placed.pose @ Pose2(HANDLE_LENGTH_M, 0.0))
         ends.append(placed.pose @ Pose2(HANDLE_LENGTH_M, HOOK_LENGTH_M))
-    return all(
-        abs(end.x) < TABLE_HALF_X_M - _EDGE_M and abs(end.y) < TABLE_HALF_Y_M - _EDGE_M
-        for end in ends
-    )
+    return all(lies_on_table(gap_m, end, _EDGE_M) for end in ends)
 
 
 def _are_apart(one: ObjectPlacement, another: ObjectPlacement) -> bool:

@@ -5,9 +5,9 @@ from functools import lru_cache
 
 from lemma.core.poses import Pose2
 from lemma.robots.reach import reach_of
-from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
 from lemma.scene.spec import RobotPlacement
+from lemma.scene.table import TABLE_HALF_Y_M, Gap, lies_on_table
 from lemma.tasks.drags import (
     LARGEST_HEADING_RAD,
     Disc,
@@ -34,9 +34,17 @@ Spot = tuple[float, float, float]
 class FreeSpots:
     """Chooses where to put things down so that everyone can pick them up again."""
 
-    def __init__(self, robots: tuple[RobotPlacement, ...]) -> None:
-        """Find the shared region of a team."""
-        self._spots = _shared_spots(robots)
+    def __init__(
+        self, robots: tuple[RobotPlacement, ...], gap_m: Gap | None = None
+    ) -> None:
+        """Find the shared region of a team.
+
+        Args:
+            robots: The team.
+            gap_m: Where the table is missing.
+        """
+        self._gap_m = gap_m
+        self._spots = _shared_spots(robots, gap_m)
         self._bases = tuple(robot.base for robot in robots)
         self._stick_places: dict[tuple[Disc, ...], Pose2 | None] = {}
 
@@ -73,7 +81,7 @@ class FreeSpots:
                     grip
                     for x, y, _ in self._spots[::_STICK_GRID]
                     for grip in self._stick_poses(x, y)
-                    if _stick_is_free(grip, obstacles)
+                    if _stick_is_free(grip, obstacles, self._gap_m)
                 ),
                 None,
             )
@@ -91,16 +99,14 @@ class FreeSpots:
         return sorted(able, key=worst)
 
 
-def _stick_is_free(grip: Pose2, obstacles: tuple[Disc, ...]) -> bool:
+def _stick_is_free(grip: Pose2, obstacles: tuple[Disc, ...], gap_m: Gap | None) -> bool:
     stick = stick_in_grasp(grip)
     for corner in (
         stick,
         stick @ Pose2(HANDLE_LENGTH_M, 0.0),
         stick @ Pose2(HANDLE_LENGTH_M, HOOK_LENGTH_M),
     ):
-        if abs(corner.x) > TABLE_HALF_X_M - _EDGE_M:
-            return False
-        if abs(corner.y) > TABLE_HALF_Y_M - _EDGE_M:
+        if not lies_on_table(gap_m, corner, _EDGE_M):
             return False
     return all(
         stick_gap(stick, x, y) > radius + _STICK_CLEARANCE_M
@@ -109,7 +115,9 @@ def _stick_is_free(grip: Pose2, obstacles: tuple[Disc, ...]) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _shared_spots(robots: tuple[RobotPlacement, ...]) -> tuple[Spot, ...]:
+def _shared_spots(
+    robots: tuple[RobotPlacement, ...], gap_m: Gap | None
+) -> tuple[Spot, ...]:
     spots = []
     reaches = [(reach_of(r.arm), r.base) for r in robots]
     left = max(base.x - reach.travel_m for reach, base in reaches)
@@ -118,6 +126,8 @@ def _shared_spots(robots: tuple[RobotPlacement, ...]) -> tuple[Spot, ...]:
     for i in range(math.ceil(left / _GRID_M), math.floor(right / _GRID_M) + 1):
         for j in range(-half, half + 1):
             x, y = i * _GRID_M, j * _GRID_M
+            if not lies_on_table(gap_m, Pose2(x, y), _EDGE_M):
+                continue
             margin = math.inf
             for reach, base in reaches:
                 margin = min(margin, reach.margin(base, x, y))

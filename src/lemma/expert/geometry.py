@@ -5,7 +5,6 @@ A ground function of :class:`lemma.expert.primitives.PrimitiveSpec` is given one
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
 from lemma.core.poses import Pose2
 from lemma.expert.free_spots import FreeSpots
@@ -56,8 +55,9 @@ class SceneGeometry:
             spec: The scene; robots do not move their bases.
         """
         self._robots = dict(zip(spec.robot_names, spec.robots, strict=True))
-        self.places = FreeSpots(spec.robots)
+        self.places = FreeSpots(spec.robots, spec.gap_m)
         """Where things can be put down so that everyone reaches them."""
+        self._gap_m = spec.gap_m
         self._drags: dict[_DragKey, Drag | None] = {}
 
     @property
@@ -81,17 +81,16 @@ class SceneGeometry:
             else [name for name in self._robots if name != subtask.robot]
         )
         for name in receivers:
-            placed = self._robots[name]
-            reach = reach_of(placed.arm)
             key = (subtask.robot, name, hooking, now.poses[cube], obstacles)
             if key not in self._drags:
                 self._drags[key] = find_drag(
                     Primitive.HOOK if hooking else Primitive.POKE,
                     self._robots[subtask.robot],
+                    self._robots[name],
                     now.poses[cube],
-                    partial(reach.margin, placed.base),
                     obstacles,
                     kind_of(cube),
+                    self._gap_m,
                 )
             if self._drags[key] is not None:
                 return self._drags[key]

@@ -16,7 +16,12 @@ from lemma.expert.symbolic_state import TABLE, SymbolicState
 from lemma.motion.skills import SKILLS, SkillMotion
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import SHARED, STICK, kind_of
-from lemma.tasks.drags import grasp_on_stick, stick_discs, stick_in_grasp
+from lemma.tasks.drags import (
+    grasp_on_stick,
+    stick_discs,
+    stick_in_grasp,
+    withdrawn,
+)
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask, add_primitive
 
 _DRAG_M_S = 0.2
@@ -197,9 +202,10 @@ def ground_drag(
     length = drag.prepared.distance(drag.end)
     sign = 1.0 if subtask.primitive is Primitive.POKE else -1.0
     end = pick @ Pose2(sign * length, 0.0)
+    left = withdrawn(subtask.primitive, geometry.robots[subtask.robot], end)
     after = now.moved(
         subtask.place, drag.cube, TABLE, f"{subtask.primitive} {subtask.robot}"
-    ).moved(STICK, stick_in_grasp(end), TABLE, f"used {subtask.place}")
+    ).moved(STICK, stick_in_grasp(left), TABLE, f"used {subtask.place}")
     return GroundedOption(
         subtask,
         GroundedSubTask(subtask.robot, subtask.primitive, pick, end),

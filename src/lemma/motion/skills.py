@@ -23,6 +23,8 @@ from lemma.robots.ur.kinematics import top_down
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.objects.kind import Grasp
 from lemma.scene.objects.stick import STICK_GRASP_HEIGHT_M
+from lemma.scene.spec import RobotPlacement
+from lemma.tasks.drags import withdrawn
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 Skill = Generator[None, None, SkillResult]
@@ -34,7 +36,7 @@ DRAG_SPEED_M_S = 0.2
 _MEETING_M = 0.05
 _MEETING_M_S = 0.1
 """The stick meets the cube slowly: a knock would send it ahead."""
-_WITHDRAW_M = 0.03
+_ASIDE_M = 0.03
 _PRESS_M = 0.0005
 """What is put down is lowered until it surely touches: nothing is dropped."""
 
@@ -131,7 +133,7 @@ class SkillRunner:
         yield from moves.to(end, contact=True)
         moves.check_held()
         last = end
-        for stand in _withdrawal(subtask.primitive, start, end):
+        for stand in _withdrawal(subtask.primitive, arm.robot.placement, start, end):
             if arm.solve_posture(top_down(*stand)) is not None:
                 yield from moves.to(stand, contact=True)
                 last = stand
@@ -223,24 +225,24 @@ def stand_at(pose: Pose2, z: float) -> Stand:
 
 
 def _withdrawal(
-    primitive: Primitive,
-    start: Stand,
-    end: Stand,
+    primitive: Primitive, robot: RobotPlacement, start: Stand, end: Stand
 ) -> list[Stand]:
     """Return waypoints that take the stick off the cube: fingers must fit around it.
 
     A hook is pushed out beyond the cube and then to the side of its opening's far end;
     a head is drawn back.
     """
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    length = max(math.hypot(dx, dy), 1e-9)
-    ux, uy = dx / length, dy / length
-    back = (end[0] - _WITHDRAW_M * ux, end[1] - _WITHDRAW_M * uy, end[2], end[3])
-    if primitive is Primitive.POKE:
+    poking = primitive is Primitive.POKE
+    # The direction of the stick, from the hand to the hook.
+    sign = 1.0 if poking else -1.0
+    bearing = math.atan2(sign * (end[1] - start[1]), sign * (end[0] - start[0]))
+    left = withdrawn(primitive, robot, Pose2(end[0], end[1], bearing))
+    back = (left.x, left.y, end[2], end[3])
+    if poking:
         return [back]
-    # The drag points from the hook to the hand; the handle is to its left of the cube.
-    side = (back[0] - _WITHDRAW_M * uy, back[1] + _WITHDRAW_M * ux, back[2], back[3])
-    return [back, side]
+    # The bar of the hook lies to the left of the handle: free it to the right.
+    aside = left @ Pose2(0.0, -_ASIDE_M)
+    return [back, (aside.x, aside.y, end[2], end[3])]
 
 
 def _as_it_turns(subtask: GroundedSubTask, arm: ArmMotion) -> GroundedSubTask:

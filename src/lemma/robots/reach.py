@@ -47,18 +47,21 @@ class Reach:
     travel_m: float
     """Up to here the arm grasps and carries: the radius of reach."""
     grasp_m: float
-    """Beyond this it cannot even touch the table. Between the two it is ambiguous who
-    can reach what, so nothing is ever placed there."""
+    """Beyond this it cannot grasp anything with its hand pointing down. A tilted hand
+    gets farther: see :mod:`lemma.robots.could`."""
 
     def margin(self, base: Pose2, x: float, y: float) -> float:
         """Return how far inside the ring a position is [m]; negative outside."""
         r = math.hypot(x - base.x, y - base.y)
         return min(r - self.inner_m, self.travel_m - r)
 
-    def excess(self, base: Pose2, x: float, y: float) -> float:
-        """Return how far out of any grasp a position is [m]; negative inside."""
+    def hold_margin(self, base: Pose2, x: float, y: float) -> float:
+        """Return how far inside the ring in which it holds things low [m].
+
+        What was lifted elsewhere may be held, pushed and let go there.
+        """
         r = math.hypot(x - base.x, y - base.y)
-        return max(r - self.grasp_m, 0.5 * self.inner_m - r)
+        return min(r - self.inner_m, self.grasp_m - r)
 
 
 def gripper_ik(

@@ -10,19 +10,23 @@ from lemma.scene.model_cameras import add_camera
 from lemma.scene.objects.bodies import (
     CONTACT_SOLIMP,
     CONTACT_SOLREF,
+    FALLEN,
     OBJECT_FRICTION,
     add_object,
 )
 from lemma.scene.palette import FLOOR, HORIZON, SKY, TABLE, TABLE_EDGE
 from lemma.scene.spec import SceneSpec
+from lemma.scene.table import (
+    FLOOR_Z_M,
+    TABLE_HALF_Y_M,
+    TABLE_THICKNESS_M,
+    Gap,
+    tops,
+)
 
 TIME_STEP_S = 0.005
 """Physics step: 20 Hz control and 10 Hz recording are whole numbers of steps."""
 
-TABLE_HALF_X_M = 1.55
-TABLE_HALF_Y_M = 1.10
-_TABLE_THICKNESS_M = 0.04
-_FLOOR_Z_M = -0.75
 _SKY_PX = 64
 
 ACTUATIONS = ("position", "velocity", "torque")
@@ -44,6 +48,7 @@ def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjMode
     world = mujoco.MjSpec()
     _set_options(world)
     _add_room(world)
+    _add_table(world, spec.gap_m)
     for name, robot in zip(spec.robot_names, spec.robots, strict=True):
         add_arm(world, ARMS[robot.arm], name, robot.base, robot.color)
         pose, fovy = camera_mount(robot)
@@ -75,9 +80,9 @@ def _set_options(world: mujoco.MjSpec) -> None:
     option.impratio = 300
     visual = world.visual
     visual.map.znear = 0.05
-    visual.map.zfar = 4.0
+    visual.map.zfar = 5.0
     # Half the width of the region with shadows: the table, sharper than by default.
-    visual.map.shadowclip = 0.8
+    visual.map.shadowclip = 0.9
     # No light moves with the eye, so that all cameras see the same colors.
     visual.headlight.ambient = [0.40, 0.40, 0.41]
     visual.headlight.diffuse = [0.0, 0.0, 0.0]
@@ -103,39 +108,49 @@ def _add_room(world: mujoco.MjSpec) -> None:
     body.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        pos=[0, 0, _FLOOR_Z_M],
+        pos=[0, 0, FLOOR_Z_M],
         size=[0, 0, 0.1],
         rgba=FLOOR,
         material="floor",
-        contype=0,
-        conaffinity=0,
-    )
-    body.add_geom(
-        name="table",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=[0, 0, -_TABLE_THICKNESS_M / 2],
-        size=[TABLE_HALF_X_M, TABLE_HALF_Y_M, _TABLE_THICKNESS_M / 2],
-        rgba=TABLE,
-        material="table",
+        contype=FALLEN,
+        conaffinity=FALLEN,
         friction=OBJECT_FRICTION,
         solref=CONTACT_SOLREF,
         solimp=CONTACT_SOLIMP,
         condim=4,
     )
-    for i, (x, y) in enumerate(((-1, -1), (-1, 1), (1, -1), (1, 1))):
+
+
+def _add_table(world: mujoco.MjSpec, gap_m: Gap | None) -> None:
+    """Add the table's tops, each on four legs."""
+    body = world.worldbody
+    low, inset = FLOOR_Z_M + TABLE_THICKNESS_M, 0.1
+    sides = ("",) if gap_m is None else ("_left", "_right")
+    for side, (left, right) in zip(sides, tops(gap_m), strict=True):
         body.add_geom(
-            name=f"leg_{i}",
+            name=f"table{side}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[
-                x * (TABLE_HALF_X_M - 0.1),
-                y * (TABLE_HALF_Y_M - 0.1),
-                (_FLOOR_Z_M - _TABLE_THICKNESS_M) / 2,
-            ],
-            size=[0.04, 0.04, -(_FLOOR_Z_M + _TABLE_THICKNESS_M) / 2],
-            rgba=TABLE_EDGE,
-            contype=0,
-            conaffinity=0,
+            pos=[0.5 * (left + right), 0, -TABLE_THICKNESS_M / 2],
+            size=[0.5 * (right - left), TABLE_HALF_Y_M, TABLE_THICKNESS_M / 2],
+            rgba=TABLE,
+            material="table",
+            friction=OBJECT_FRICTION,
+            solref=CONTACT_SOLREF,
+            solimp=CONTACT_SOLIMP,
+            condim=4,
         )
+        for i, (x, y) in enumerate(
+            (x, y) for x in (left + inset, right - inset) for y in (-1, 1)
+        ):
+            body.add_geom(
+                name=f"leg{side}_{i}",
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[x, y * (TABLE_HALF_Y_M - inset), low / 2 - TABLE_THICKNESS_M],
+                size=[0.04, 0.04, -low / 2],
+                rgba=TABLE_EDGE,
+                contype=0,
+                conaffinity=0,
+            )
 
 
 def _add_light(

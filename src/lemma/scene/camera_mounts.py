@@ -3,9 +3,10 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lemma.core.poses import Pose, Pose2, matrix_from_quaternion
-from lemma.robots.reach import reach_of
+from lemma.core.poses import FloatArray, Pose, Pose2, matrix_from_quaternion
+from lemma.robots.could import could_of
 from lemma.scene.spec import RobotPlacement
 
 CAMERA_FOVY_RAD = math.radians(56.0)
@@ -18,17 +19,17 @@ _IMAGE_MARGIN = 0.94
 def camera_mount(robot: RobotPlacement) -> tuple[Pose, float]:
     """Return where a robot's camera hangs: above it, looking at its half of the table.
 
-    The camera sees the robot's own half and the shared region, not the far half. Its
-    height grows with the arm's reach.
+    The camera sees what the robot reaches, and what it touches with the stick in its
+    hand. Its height grows with the arm's reach.
 
     Returns:
         World from camera (x right, y down, z forward) and the vertical field of view
         [rad].
     """
-    reach = reach_of(robot.arm).travel_m
-    height = 0.45 + 1.10 * reach
-    eye = robot.base @ Pose2(0.05 * reach, 0.0, 0.0)
-    target = robot.base @ Pose2(0.33 * reach, 0.0, 0.0)
+    reach = could_of(robot.arm).touch_m
+    height = 1.72 * reach
+    eye = robot.base @ Pose2(0.18 * reach, 0.0, 0.0)
+    target = robot.base @ Pose2(0.34 * reach, 0.0, 0.0)
     forward = np.array([target.x - eye.x, target.y - eye.y, -height])
     forward /= np.sqrt((forward**2).sum())
     right = np.array([forward[1], -forward[0], 0.0])
@@ -41,16 +42,30 @@ def camera_mount(robot: RobotPlacement) -> tuple[Pose, float]:
     return Pose.from_matrix(matrix), CAMERA_FOVY_RAD
 
 
-def camera_sees(robot: RobotPlacement, x: float, y: float) -> bool:
-    """Whether a position on the table lies well inside a robot's camera image."""
-    pose, fovy = camera_mount(robot)
-    rotation = matrix_from_quaternion(pose.quaternion)
-    offset = (x - pose.position[0], y - pose.position[1], -pose.position[2])
-    right, down, forward = (
-        sum(float(rotation[i, j]) * offset[i] for i in range(3)) for j in range(3)
-    )
-    if forward <= 0.0:
-        return False
-    half = math.tan(fovy / 2) * _IMAGE_MARGIN
-    aspect = CAMERA_WIDTH_PX / CAMERA_HEIGHT_PX
-    return abs(down) <= half * forward and abs(right) <= half * aspect * forward
+class CameraFootprint:
+    """What a robot's camera sees of the table."""
+
+    def __init__(self, robot: RobotPlacement) -> None:
+        """Look from where the robot's camera hangs."""
+        pose, fovy = camera_mount(robot)
+        self._eye = pose.position
+        self._rotation = matrix_from_quaternion(pose.quaternion)
+        half = math.tan(fovy / 2) * _IMAGE_MARGIN
+        self._half = (half * CAMERA_WIDTH_PX / CAMERA_HEIGHT_PX, half)
+
+    def sees(self, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
+        """Return which positions on the table lie well inside the image.
+
+        Args:
+            x: World positions, (n,) [m].
+            y: World positions, (n,) [m].
+        """
+        offset = (x - self._eye[0], y - self._eye[1], -self._eye[2])
+        right, down, forward = (
+            sum(float(self._rotation[i, j]) * offset[i] for i in range(3))
+            for j in range(3)
+        )
+        seen: NDArray[np.bool_] = np.asarray(forward) > 0.0
+        seen &= np.abs(right) <= self._half[0] * forward
+        seen &= np.abs(down) <= self._half[1] * forward
+        return seen

@@ -4,10 +4,12 @@ import numpy as np
 
 from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import Pose2
 from lemma.scene.scene import Scene
+from lemma.scene.table import TABLE_HALF_Y_M, lies_on_table, tops
 
 TOLERANCE_M = 0.005
-"""What contacts push apart gently: a cube may begin on a pad, which is 4 mm thick."""
+"""What contacts push apart gently."""
 
 
 def check_layout(scene: Scene) -> None:
@@ -20,13 +22,14 @@ def check_layout(scene: Scene) -> None:
         InvalidConfigError: Two of them overlap, or an object's origin is not on the
             table.
     """
-    half_x, half_y, _ = scene.model.geom("table").size
+    gap = scene.spec.gap_m
     for name in scene.spec.object_names:
         x, y, _ = scene.pose(name).position
-        if abs(x) > half_x or abs(y) > half_y:
+        if not lies_on_table(gap, Pose2(x, y)):
+            wide = " or ".join(f"from {a:g} to {b:g}" for a, b in tops(gap))
             raise InvalidConfigError(
                 f"The {name} at ({x:g}, {y:g}) m does not lie on the table. Valid: x "
-                f"from {-half_x:g} to {half_x:g}, y from {-half_y:g} to {half_y:g}."
+                f"{wide}, y from {-TABLE_HALF_Y_M:g} to {TABLE_HALF_Y_M:g}."
             )
     for first, second, depth_m in _overlaps(scene):
         if depth_m > TOLERANCE_M:

@@ -33,7 +33,7 @@ LARGEST = 65535
 class Raster:
     """Where the cells of a top-down map are, centered on the origin of the world."""
 
-    rows: int = 288
+    rows: int = 416
     """Cells along y; row 0 lies at +y."""
     columns: int = 416
     """Cells along x; column 0 lies at -x."""

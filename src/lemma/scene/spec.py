@@ -1,5 +1,6 @@
 """What a scene consists of: frozen data, no physics."""
 
+import math
 from dataclasses import dataclass
 
 from lemma.core.arguments import known, real
@@ -10,8 +11,11 @@ from lemma.robots.ur.arms import ARMS
 from lemma.scene.objects.entity import Entity
 from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.table import TABLE_HALF_X_M, Gap
 
 ROBOT_COLORS = ("red", "white")
+_LEAST_TOP_M = 0.3
+"""A table top is at least so wide."""
 ROOM_M = 10.0
 """Nothing is placed farther from the middle of the table, along x or y [m]."""
 
@@ -80,13 +84,18 @@ class SceneSpec:
 
     robots: tuple[RobotPlacement, ...]
     objects: tuple[ObjectPlacement, ...]
+    gap_m: Gap | None = None
+    """Where the table is missing, x from and to [m]; None where it is of one piece."""
 
     def __post_init__(self) -> None:
         """Check that every entity can be named without doubt.
 
         Raises:
-            InvalidConfigError: It cannot, or these are no robots and objects.
+            InvalidConfigError: It cannot, or these are no robots and objects, or the
+                gap leaves no table beside it.
         """
+        if self.gap_m is not None:
+            _check_gap(self.gap_m)
         for placed, wanted in (
             (self.robots, RobotPlacement),
             (self.objects, ObjectPlacement),
@@ -126,6 +135,21 @@ class SceneSpec:
             if placed.name == name:
                 return placed
         raise UnknownNameError("object in this scene", name, self.object_names)
+
+
+def _check_gap(gap: object) -> None:
+    """Check that a gap leaves table on either side.
+
+    Raises:
+        InvalidConfigError: It does not.
+    """
+    bounds = gap if isinstance(gap, tuple) and len(gap) == 2 else (math.nan, math.nan)
+    most = TABLE_HALF_X_M - _LEAST_TOP_M
+    left, right = (real("end of the gap", bound, -most, most) for bound in bounds)
+    if not left < right:
+        raise InvalidConfigError(
+            f"gap_m={shown(gap)} ends where it begins. Valid: x from and to [m]."
+        )
 
 
 def _check_pose(what: str, pose: object) -> None:

@@ -5,7 +5,7 @@ here, so that what is sampled as solvable is what the expert then does.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from lemma.core.poses import Pose2, wrap
@@ -19,6 +19,7 @@ from lemma.scene.objects.stick import (
     STICK_SECTION_M,
 )
 from lemma.scene.spec import RobotPlacement
+from lemma.scene.table import Gap, lies_on_table
 from lemma.tasks.subtask import Primitive
 
 LARGEST_HEADING_RAD = math.radians(100.0)
@@ -35,10 +36,15 @@ _GOOD_MARGIN_M = 0.10
 _BEARINGS_RAD = tuple(
     math.radians(d) for d in (0, 8, -8, 16, -16, 24, -24, 32, -32, 42, -42, 54, -54)
 )
-MAX_DRAG_M = 0.26
-"""A longer drag may lose the cube. It also keeps the tasks apart: what is pushed over
-to the other robot is too far away to be dragged back."""
-_LENGTHS_M = tuple(round(0.10 + 0.02 * i, 2) for i in range(9))
+_LENGTHS_M = tuple(round(0.10 + 0.02 * i, 2) for i in range(20))
+MIN_DRAG_M, MAX_DRAG_M = _LENGTHS_M[0], _LENGTHS_M[-1]
+"""The shortest and the longest drag that is planned: what nobody could reach lies 0.35
+to 0.42 m outside of the region in which robots work."""
+_HOLD_MARGIN_M = 0.02
+_LEAST_WITHDRAWAL_M = 0.03
+_MOST_WITHDRAWAL_M = 0.15
+_EDGE_M = 0.03
+"""A dragged cube's middle keeps so far from the table's edges."""
 
 Disc = tuple[float, float, float]
 """Something to keep clear of: x, y, radius [m]."""
@@ -54,6 +60,8 @@ class Drag:
     """Gripper where the stick is put down next to the cube."""
     end: Pose2
     """Gripper where the drag ends."""
+    left: Pose2
+    """Gripper where the stick is left lying, withdrawn from the cube."""
     cube: Pose2
     """Where the cube will be."""
     score: float
@@ -82,53 +90,100 @@ def stick_in_grasp(gripper: Pose2) -> Pose2:
 def find_drag(
     primitive: Primitive,
     robot: RobotPlacement,
+    receiver: RobotPlacement,
     cube: Pose2,
-    margin_at: Callable[[float, float], float],
     obstacles: Sequence[Disc],
     kind: ObjectKind = CUBE,
+    gap_m: Gap | None = None,
 ) -> Drag | None:
-    """Find the best way for a robot to bring a cube where it is wanted.
+    """Find the best way for a robot to bring a cube into a robot's reach.
 
     Args:
         primitive: ``HOOK`` (towards the robot) or ``POKE`` (away from it).
         robot: Who drags.
+        receiver: Who shall reach the cube then.
         cube: Where the cube is.
-        margin_at: How far inside the wanted region a position is [m].
         obstacles: What the stick and the cube keep clear of.
         kind: What is dragged, if it is no cube.
+        gap_m: Where the table is missing; a cube that is dragged there falls.
 
     Returns:
-        The drag with the best margin, among equals the shortest and straightest; None
-        if there is no way, or the kind cannot be dragged.
+        The drag that ends deepest in the receiver's reach, among equals the shortest
+        and straightest; None if there is no way, or the kind cannot be dragged.
     """
     if kind.drag_m is None:
         return None
-    reach = reach_of(robot.arm)
-    base = robot.base
-    outward = math.atan2(cube.y - base.y, cube.x - base.x)
-    found: list[Drag] = []
-    for turn in _BEARINGS_RAD:
-        bearing = outward + turn
-        prepared = _gripper(primitive, cube, bearing, PREPARE_GAP_M, kind.drag_m)
-        if reach.margin(base, prepared.x, prepared.y) < _GRIP_MARGIN_M:
-            continue
-        sign = _DIRECTION[primitive]
-        cos, sin = sign * math.cos(bearing), sign * math.sin(bearing)
-        for length in _LENGTHS_M:
-            moved = Pose2(cube.x + length * cos, cube.y + length * sin, bearing)
-            margin = margin_at(moved.x, moved.y)
-            if margin < _END_MARGIN_M:
-                continue
-            end = _gripper(primitive, moved, bearing, 0.0, kind.drag_m)
-            if reach.margin(base, end.x, end.y) < _GRIP_MARGIN_M:
-                continue
-            score = min(margin, _GOOD_MARGIN_M) - 0.15 * length - 0.03 * abs(turn)
-            found.append(Drag(primitive, prepared, end, moved, score))
+    found = [
+        drag
+        for turn in _BEARINGS_RAD
+        for drag in _drags_along(primitive, robot, receiver, cube, turn, kind.drag_m)
+    ]
     found.sort(key=lambda drag: -drag.score)
     for drag in found:
-        if _is_free(drag, cube, obstacles, kind.disc_m):
+        if _is_free(drag, cube, obstacles, kind.disc_m, gap_m):
             return drag
     return None
+
+
+def _drags_along(
+    primitive: Primitive,
+    robot: RobotPlacement,
+    receiver: RobotPlacement,
+    cube: Pose2,
+    turn: float,
+    half_m: float,
+) -> Iterator[Drag]:
+    """Yield the drags of one bearing that both robots' reach allows."""
+    hooking = primitive is Primitive.HOOK
+    reach, base = reach_of(robot.arm), robot.base
+    wanted, there = reach_of(receiver.arm), receiver.base
+    # A hook is pulled towards one's own base, a cube is poked towards the other's.
+    straight = (
+        math.atan2(cube.y - base.y, cube.x - base.x)
+        if hooking
+        else math.atan2(there.y - cube.y, there.x - cube.x)
+    )
+    bearing = straight + turn
+    prepared = _gripper(primitive, cube, bearing, PREPARE_GAP_M, half_m)
+    if reach.margin(base, prepared.x, prepared.y) < _GRIP_MARGIN_M:
+        return
+    sign = _DIRECTION[primitive]
+    cos, sin = sign * math.cos(bearing), sign * math.sin(bearing)
+    for length in _LENGTHS_M:
+        moved = Pose2(cube.x + length * cos, cube.y + length * sin, bearing)
+        margin = wanted.margin(there, moved.x, moved.y)
+        if margin < _END_MARGIN_M:
+            continue
+        end = _gripper(primitive, moved, bearing, 0.0, half_m)
+        if reach.hold_margin(base, end.x, end.y) < _HOLD_MARGIN_M:
+            continue
+        left = withdrawn(primitive, robot, end)
+        if reach.margin(base, left.x, left.y) < _GRIP_MARGIN_M:
+            continue
+        score = min(margin, _GOOD_MARGIN_M) - 0.15 * length - 0.03 * abs(turn)
+        yield Drag(primitive, prepared, end, left, moved, score)
+
+
+def withdrawn(primitive: Primitive, robot: RobotPlacement, end: Pose2) -> Pose2:
+    """Return where the gripper lets go of the stick after a drag.
+
+    A hook is pushed out a little, a head is drawn back: so far that fingers fit around
+    the cube, and that the robot can pick the stick up again.
+
+    Args:
+        primitive: ``HOOK`` or ``POKE``.
+        robot: Who drags.
+        end: Gripper where the drag ends, turned as the stick is.
+    """
+    back = _LEAST_WITHDRAWAL_M
+    sign = -_DIRECTION[primitive]
+    reach = reach_of(robot.arm)
+    while True:
+        left = end @ Pose2(sign * back, 0.0)
+        inside = reach.margin(robot.base, left.x, left.y) >= _GRIP_MARGIN_M
+        if inside or primitive is Primitive.HOOK or back >= _MOST_WITHDRAWAL_M:
+            return left
+        back += 0.01
 
 
 def _contact(primitive: Primitive, half_m: float) -> tuple[float, float]:
@@ -152,8 +207,14 @@ def _gripper(
     return grasp_on_stick(stick)
 
 
-def _is_free(drag: Drag, cube: Pose2, obstacles: Sequence[Disc], disc_m: float) -> bool:
-    """Whether stick and cube meet nothing, where the stick is put and all along."""
+def _is_free(
+    drag: Drag,
+    cube: Pose2,
+    obstacles: Sequence[Disc],
+    disc_m: float,
+    gap_m: Gap | None,
+) -> bool:
+    """Whether stick and cube meet nothing and the cube stays on the table."""
     for i in range(6):
         t = i / 5
         grip = Pose2(
@@ -163,6 +224,8 @@ def _is_free(drag: Drag, cube: Pose2, obstacles: Sequence[Disc], disc_m: float) 
         )
         x = cube.x + t * (drag.cube.x - cube.x)
         y = cube.y + t * (drag.cube.y - cube.y)
+        if not lies_on_table(gap_m, Pose2(x, y), _EDGE_M):
+            return False
         stick = stick_in_grasp(grip)
         for ox, oy, radius in obstacles:
             if math.hypot(ox - x, oy - y) < radius + disc_m + 0.01:

@@ -14,7 +14,7 @@ from lemma.core.poses import Pose2
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 
-BENCHMARK_VERSION = "v1"
+BENCHMARK_VERSION = "v2"
 """Part of every instance's key: a change of the sampler is a new version."""
 
 SPLITS = {"train": 700, "val": 40, "test": 60}
@@ -40,6 +40,7 @@ class _Data(TypedDict):
     index: int
     robots: list[_Placed]
     objects: list[_Placed]
+    gap_m: tuple[float, float] | None
     goal: list[tuple[str, str]]
     instructions: dict[str, str]
     distractors: list[str]
@@ -87,7 +88,7 @@ class Instance:
 
     @property
     def key(self) -> str:
-        """Unique readable name: ``"v1/stack/test/3"``."""
+        """Unique readable name: ``"v2/stack/test/3"``."""
         return f"{BENCHMARK_VERSION}/{self.task}/{self.split}/{self.index}"
 
     @property
@@ -110,6 +111,7 @@ class Instance:
                 [o.kind, o.color, o.pose.x, o.pose.y, o.pose.yaw]
                 for o in self.scene.objects
             ],
+            "gap_m": list(gap) if (gap := self.scene.gap_m) else None,
             "goal": [list(pair) for pair in self.goal.pairs],
             "instructions": dict(self.instructions),
             "distractors": list(self.distractors),
@@ -139,11 +141,12 @@ class Instance:
             ObjectPlacement(kind, color, Pose2(x, y, yaw))
             for kind, color, x, y, yaw in data["objects"]
         )
+        gap = data["gap_m"]
         return cls(
             task=data["task"],
             split=data["split"],
             index=data["index"],
-            scene=SceneSpec(robots, objects),
+            scene=SceneSpec(robots, objects, tuple(gap) if gap else None),
             goal=Goal.from_pairs(tuple((top, bottom) for top, bottom in data["goal"])),
             instructions=dict(data["instructions"]),
             distractors=tuple(data["distractors"]),

@@ -1,32 +1,35 @@
-"""A table being set: where things may go, by who shall reach them.
+"""A table being set: where things may go, by who could reach them.
 
 A task says what it needs ("a cube that only this robot reaches"); the board finds a
 place by rejection sampling, as in the paper, and remembers what is there. When no place
 is found, the whole attempt is given up and a new one begins.
+
+Robots are kept apart by what they *could* do (:mod:`lemma.robots.could`), not by what
+they are told to do: what is exclusive to one robot works for it and is out of every
+other's possibilities, whatever the others do with their hands.
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from lemma.core.errors import InvalidConfigError, SamplingError
-from lemma.core.poses import Pose2
+from lemma.core.poses import FloatArray, Pose2
 from lemma.robots.collision_model import sweep_radius_m
-from lemma.robots.reach import Reach, reach_of
-from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
-from lemma.scene.camera_mounts import camera_sees
-from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.stick import (
     HANDLE_LENGTH_M,
     HOOK_LENGTH_M,
     STICK_KIND,
+    STICK_SECTION_M,
 )
 from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
+from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M, Gap
 from lemma.tasks.drags import (
     LARGEST_HEADING_RAD,
+    MAX_DRAG_M,
+    MIN_DRAG_M,
     Disc,
     find_drag,
     grasp_on_stick,
@@ -34,23 +37,28 @@ from lemma.tasks.drags import (
     stick_gap,
 )
 from lemma.tasks.subtask import Primitive
+from lemma.tasks.zones import FROM_EDGE_M, OUTSIDE_M, Mask, Territory, Zone, ZoneLike
 
-INSIDE_M = 0.03
-"""How far inside its reach a robot's objects are, at least."""
-OUTSIDE_M = 0.025
-"""How far out of its grasp the others' objects are, at least."""
-
-_TRIES = 400
-_EDGE_M = 0.10
-_FACING_RAD = math.radians(65.0)
-"""Objects lie in front of their robot: at its sides the waiting arm hides them."""
+_DRAWS = 2048
+"""Positions that are drawn at once."""
+_ROUNDS = 4
+_CHECKS = 40
+"""Positions of a round, at most, that are looked at one by one."""
+_STICK_EDGE_M = 0.05
 _BESIDE_BASE_M = 0.06
+_STICK_DIAGONAL_M = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M)
 
 _KINDS = ("cube", "pad")
 """Kinds whose colors are shuffled first of all, in the benchmark's order."""
 
-Zone = Callable[[Pose2], bool]
-"""Whether something may lie at a pose."""
+_OUTLINE = tuple(
+    (u, v)
+    for u, v in (
+        *((HANDLE_LENGTH_M * i / 5, 0.0) for i in range(6)),
+        (HANDLE_LENGTH_M - STICK_SECTION_M / 2, HOOK_LENGTH_M - STICK_SECTION_M / 2),
+    )
+)
+"""Points along the stick's axes, in its frame [m]."""
 
 
 class PlacementError(Exception):
@@ -61,36 +69,43 @@ class Board:
     """The table while an instance is being sampled."""
 
     def __init__(
-        self, robots: tuple[RobotPlacement, ...], rng: np.random.Generator
+        self,
+        robots: tuple[RobotPlacement, ...],
+        rng: np.random.Generator,
+        order: tuple[int, ...] | None = None,
+        gap_m: Gap | None = None,
     ) -> None:
         """Begin with the robots and nothing else.
 
         Args:
             robots: The team.
             rng: Where every draw comes from.
+            order: The robots by role; drawn if None.
+            gap_m: Where the table is missing.
         """
         self.robots = robots
         self.rng = rng
+        self.gap_m = gap_m
         self.objects: list[ObjectPlacement] = []
+        self.territory = Territory(robots, gap_m)
+        self.only = self.territory.only
+        self.nobody = self.territory.nobody
+        self.anywhere = self.territory.anywhere
         self._free = {kind: self._shuffled() for kind in _KINDS}
         self._drags: list[tuple[Primitive, int, int, int]] = []
-        order = rng.permutation(len(robots))
-        self.order: tuple[int, ...] = tuple(int(i) for i in order)
+        drawn = order if order is not None else rng.permutation(len(robots))
+        self.order: tuple[int, ...] = tuple(int(i) for i in drawn)
         """The robots in random order: who plays which role."""
 
-    def reach(self, robot: int) -> Reach:
-        """Return the reach of a robot."""
-        return reach_of(self.robots[robot].arm)
-
-    def cube(self, zone: Zone, color: str | None = None) -> str:
+    def cube(self, zone: ZoneLike, color: str | None = None) -> str:
         """Put a cube into a zone; see :meth:`put`."""
         return self.put("cube", zone, color)
 
-    def pad(self, zone: Zone, color: str | None = None) -> str:
+    def pad(self, zone: ZoneLike, color: str | None = None) -> str:
         """Put a pad into a zone; see :meth:`put`."""
         return self.put("pad", zone, color)
 
-    def put(self, kind: str, zone: Zone, color: str | None = None) -> str:
+    def put(self, kind: str, zone: ZoneLike, color: str | None = None) -> str:
         """Put an object into a zone.
 
         Args:
@@ -120,16 +135,14 @@ class Board:
             )
         if any((o.kind, o.color) == (kind, color) for o in self.objects):
             raise SamplingError(f"A task asks for a second {color} {kind}.")
-        for _ in range(_TRIES):
-            pose = self._draw()
-            if self._faces(pose) and self._fits(record, pose) and zone(pose):
-                chosen = color or free[0]
-                if chosen in free:
-                    free.remove(chosen)
-                placed = ObjectPlacement(kind, chosen, pose)
-                self.objects.append(placed)
-                return placed.name
-        raise PlacementError(kind)
+        wanted = zone if isinstance(zone, Zone) else Zone.where(zone)
+        pose = self._find(record, wanted)
+        chosen = color or free[0]
+        if chosen in free:
+            free.remove(chosen)
+        placed = ObjectPlacement(kind, chosen, pose)
+        self.objects.append(placed)
+        return placed.name
 
     def has_colors(self, kind: str) -> bool:
         """Whether another cube or pad of a new color can be put."""
@@ -139,47 +152,46 @@ class Board:
         return [str(color) for color in self.rng.permutation(list(BENCHMARK_COLORS))]
 
     def stick(self, robot: int) -> str:
-        """Put the stick where one robot alone can pick it up and swing it out."""
-        only = self.only(robot)
-        base = self.robots[robot].base
-        for _ in range(_TRIES):
-            pose = self._draw()
-            if heading_from(base, pose) > LARGEST_HEADING_RAD:
-                continue
-            grasp = grasp_on_stick(pose)
-            if only(grasp) and self._faces(grasp) and self._stick_fits(pose):
-                placed = ObjectPlacement("stick", "yellow", pose)
-                self.objects.append(placed)
-                return placed.name
+        """Put the stick where one robot alone can touch it, pick it up and swing it."""
+        others = [r for r in range(len(self.robots)) if r != robot]
+        base, only = self.robots[robot].base, self.only(robot)
+
+        def possible(x: FloatArray, y: FloatArray, yaw: FloatArray) -> Mask:
+            # Of the C library, and not NumPy's: the same bits on every machine.
+            cos = np.array([math.cos(angle) for angle in yaw.tolist()])
+            sin = np.array([math.sin(angle) for angle in yaw.tolist()])
+            at = [(x + u * cos - v * sin, y + u * sin + v * cos) for u, v in _OUTLINE]
+            grasp = grasp_on_stick(Pose2(0.0, 0.0)).x
+            fits = only.sift(STICK_KIND, x + grasp * cos, y + grasp * sin)
+            for u, v in at:
+                fits &= self.territory.on_table(u, v, _STICK_EDGE_M)
+                fits &= self.territory.in_view(u, v)
+                for other in others:
+                    fits &= self.territory.cannot(other, STICK_KIND, u, v)
+            return fits
+
+        for _ in range(_ROUNDS):
+            x, y, yaw = self._draw()
+            for i in np.flatnonzero(possible(x, y, yaw))[:_CHECKS]:
+                pose = Pose2(float(x[i]), float(y[i]), float(yaw[i])).rounded()
+                if heading_from(base, pose) > LARGEST_HEADING_RAD:
+                    continue
+                if self._stick_fits(pose):
+                    placed = ObjectPlacement("stick", "yellow", pose)
+                    self.objects.append(placed)
+                    return placed.name
         raise PlacementError("stick")
 
-    def only(self, robot: int) -> Zone:
-        """Where one robot reaches and no other can."""
-
-        def zone(pose: Pose2) -> bool:
-            return self.reaches(robot, pose) and all(
-                self.cannot(other, pose)
-                for other in range(len(self.robots))
-                if other != robot
-            )
-
-        return zone
-
-    def nobody(self) -> Zone:
-        """Where no robot can grasp anything."""
-        return lambda pose: all(self.cannot(r, pose) for r in range(len(self.robots)))
-
-    def anywhere(self) -> Zone:
-        """Where each robot either surely reaches or surely does not."""
-        return lambda pose: all(
-            self.reaches(r, pose) or self.cannot(r, pose)
-            for r in range(len(self.robots))
-        )
-
     def tool_only(
-        self, primitive: Primitive, robot: int, partner: int, kind: str = "cube"
+        self,
+        primitive: Primitive,
+        robot: int,
+        partner: int,
+        kind: str = "cube",
+        *,
+        alone: bool = False,
     ) -> Zone:
-        """Where nobody reaches, and the stick helps in exactly one way.
+        """Where nobody could touch it, and the stick helps in exactly one way.
 
         Args:
             primitive: ``HOOK``: ``robot`` can drag the cube into its own reach, and
@@ -188,29 +200,41 @@ class Board:
             robot: Who uses the stick.
             partner: The other robot.
             kind: What will be put there.
+            alone: Whether the partner could not even touch it with the stick in its
+                hand.
         """
         nobody, dragged = self.nobody(), OBJECT_KINDS[kind]
         receiver = robot if primitive is Primitive.HOOK else partner
         ways = [(Primitive.HOOK, robot, robot), (Primitive.POKE, robot, partner)]
-        if primitive is Primitive.HOOK:
+        if primitive is Primitive.HOOK and not alone:
             ways += [(Primitive.HOOK, partner, partner)]
             ways += [(Primitive.POKE, partner, robot)]
         ways.remove((primitive, robot, receiver))
 
-        def zone(pose: Pose2) -> bool:
+        def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
+            found = nobody.sift(kind, x, y)
+            # No drag is longer, and none ends outside of the receiver's reach, nor is
+            # the stick that much longer than the arm.
+            far = self.territory.reach(receiver).travel_m + MAX_DRAG_M
+            found &= self.territory.nearer(receiver, far, x, y)
+            far = self.territory.reach(robot).grasp_m + HANDLE_LENGTH_M - MIN_DRAG_M
+            found &= self.territory.nearer(robot, far, x, y)
+            if alone:
+                far = self.territory.could(partner).place_m + _STICK_DIAGONAL_M
+                found &= ~self.territory.nearer(
+                    partner, far + kind.disc_m + OUTSIDE_M, x, y
+                )
+            return found
+
+        def check(pose: Pose2) -> bool:
             # Other ways must be closed by distance, not by what happens to be around.
-            return (
-                nobody(pose)
-                and self.can_drag(
-                    primitive, robot, receiver, pose, self.discs(), dragged
-                )
-                and not any(
-                    self.can_drag(*way, pose, self._bases(), dragged) for way in ways
-                )
+            drag = (primitive, robot, receiver, pose)
+            return self.can_drag(*drag, self.discs(), dragged) and not any(
+                self.can_drag(*way, pose, self._bases(), dragged) for way in ways
             )
 
         self._drags.append((primitive, robot, receiver, len(self.objects)))
-        return zone
+        return Zone(sift, check)
 
     def can_drag(
         self,
@@ -219,19 +243,13 @@ class Board:
         receiver: int,
         pose: Pose2,
         obstacles: list[Disc],
-        kind: ObjectKind = CUBE,
+        kind: ObjectKind,
     ) -> bool:
-        """Whether a robot with the stick brings a cube into a robot's own reach."""
-        base, reach = self.robots[receiver].base, self.reach(receiver)
-        drag = find_drag(
-            primitive,
-            self.robots[robot],
-            pose,
-            lambda x, y: reach.margin(base, x, y),
-            obstacles,
-            kind,
+        """Whether a robot with the stick brings a thing into a robot's reach."""
+        by, to = self.robots[robot], self.robots[receiver]
+        return (
+            find_drag(primitive, by, to, pose, obstacles, kind, self.gap_m) is not None
         )
-        return drag is not None
 
     def check(self) -> None:
         """Check that what was put later left every needed drag possible.
@@ -242,7 +260,8 @@ class Board:
         for primitive, robot, receiver, which in self._drags:
             cube = self.objects[which]
             others, kind = self.discs(but=cube.name), cube.entity.kind
-            if not self.can_drag(primitive, robot, receiver, cube.pose, others, kind):
+            drag = (primitive, robot, receiver)
+            if not self.can_drag(*drag, cube.pose, others, kind):
                 raise PlacementError(f"{primitive} {cube.name}")
 
     def discs(self, but: str = "") -> list[Disc]:
@@ -257,29 +276,29 @@ class Board:
     def _bases(self) -> list[Disc]:
         return [(r.base.x, r.base.y, sweep_radius_m(r.arm)) for r in self.robots]
 
-    def reaches(self, robot: int, pose: Pose2) -> bool:
-        """Whether a position is surely in a robot's reach."""
-        base = self.robots[robot].base
-        return self.reach(robot).margin(base, pose.x, pose.y) >= INSIDE_M
+    def _find(self, kind: ObjectKind, zone: Zone) -> Pose2:
+        """Find a place for an object.
 
-    def cannot(self, robot: int, pose: Pose2) -> bool:
-        """Whether a position is surely out of a robot's grasp."""
-        base = self.robots[robot].base
-        return self.reach(robot).excess(base, pose.x, pose.y) >= OUTSIDE_M
+        Raises:
+            PlacementError: There is none.
+        """
+        for _ in range(_ROUNDS):
+            x, y, yaw = self._draw()
+            fits = self.territory.on_table(
+                x, y, kind.disc_m + FROM_EDGE_M
+            ) & self.territory.in_view(x, y)
+            fits &= zone.sift(kind, x, y)
+            for i in np.flatnonzero(fits)[:_CHECKS]:
+                pose = Pose2(float(x[i]), float(y[i]), float(yaw[i])).rounded()
+                if self._fits(kind, pose) and (zone.check is None or zone.check(pose)):
+                    return pose
+        raise PlacementError(kind.name)
 
-    def _draw(self) -> Pose2:
-        x = self.rng.uniform(_EDGE_M - TABLE_HALF_X_M, TABLE_HALF_X_M - _EDGE_M)
-        y = self.rng.uniform(_EDGE_M - TABLE_HALF_Y_M, TABLE_HALF_Y_M - _EDGE_M)
-        return Pose2(x, y, self.rng.uniform(-math.pi, math.pi)).rounded()
-
-    def _faces(self, pose: Pose2) -> bool:
-        """Whether some robot has the position in front of it and its camera sees it."""
-        for robot in self.robots:
-            local = robot.base.inverse() @ pose
-            bearing = math.atan2(local.y, local.x)
-            if abs(bearing) <= _FACING_RAD and camera_sees(robot, pose.x, pose.y):
-                return True
-        return False
+    def _draw(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Draw positions all over the table, and directions."""
+        half = (TABLE_HALF_X_M, TABLE_HALF_Y_M, math.pi)
+        x, y, yaw = (self.rng.uniform(-h, h, _DRAWS) for h in half)
+        return x, y, yaw
 
     def _fits(self, kind: ObjectKind, pose: Pose2) -> bool:
         for robot in self.robots:
@@ -297,13 +316,7 @@ class Board:
         return True
 
     def _stick_fits(self, pose: Pose2) -> bool:
-        """Whether the whole stick lies on the table, clear of everything."""
-        corner = pose @ Pose2(HANDLE_LENGTH_M, HOOK_LENGTH_M)
-        tip = pose @ Pose2(HANDLE_LENGTH_M, 0.0)
-        for end in (corner, tip, pose):
-            inside_x = abs(end.x) < TABLE_HALF_X_M - 0.05
-            if not (inside_x and abs(end.y) < TABLE_HALF_Y_M - 0.05):
-                return False
+        """Whether the stick is clear of everything."""
         for robot in self.robots:
             gap = stick_gap(pose, robot.base.x, robot.base.y)
             if gap < sweep_radius_m(robot.arm) + _BESIDE_BASE_M:

@@ -8,16 +8,24 @@ import numpy as np
 from lemma.core.errors import InvalidConfigError, SamplingError
 from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
+from lemma.robots.could import could_of
 from lemma.robots.reach import reach_of
+from lemma.scene.objects.cube import CUBE
 from lemma.scene.spec import ROBOT_COLORS, RobotPlacement, SceneSpec
+from lemma.scene.table import Gap
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.placement import Board, PlacementError
 from lemma.tasks.task import Task
+from lemma.tasks.zones import FROM_EDGE_M, OUTSIDE_M
 
-_SHARED_WIDTH_M = (0.22, 0.38)
-_GAP_WIDTH_M = (0.06, 0.14)
+_SHARED_WIDTH_M = (0.16, 0.30)
+_APART_M = (-0.02, 0.05)
+"""How much farther apart robots stand than a cube between them needs that neither could
+touch; the stick bridges little more."""
+_GAP_WIDTH_M = 0.20
+"""Of the gap in the table: what is dragged into it falls."""
 _LATERAL_M = 0.05
 _YAW_RAD = 0.10
 _ATTEMPTS = 400
@@ -66,9 +74,10 @@ def sample(
             task.distractors[0], task.distractors[1] + 1
         )
     )
+    order = tuple(int(i) for i in stream(*key, "order").permutation(len(chosen)))
     for rejected in range(_ATTEMPTS):
-        robots = _place_team(task, chosen, rng)
-        board = Board(robots, rng)
+        robots, gap_m = _place_team(task, chosen, order, rng)
+        board = Board(robots, rng, order, gap_m)
         try:
             goal = task.arrange(board)
             extra = tuple(_distract(board) for _ in range(distractors))
@@ -80,7 +89,7 @@ def sample(
             task=task.name,
             split=split,
             index=index,
-            scene=SceneSpec(robots, tuple(shuffled)),
+            scene=SceneSpec(robots, tuple(shuffled), gap_m),
             goal=goal,
             instructions=_instruct(task, goal, key),
             distractors=extra,
@@ -98,13 +107,19 @@ def _draw_team(task: Task, rng: np.random.Generator) -> tuple[str, ...]:
 
 
 def _place_team(
-    task: Task, team: tuple[str, ...], rng: np.random.Generator
-) -> tuple[RobotPlacement, ...]:
-    """Stand two robots face to face, so far apart as the task wants."""
+    task: Task,
+    team: tuple[str, ...],
+    order: tuple[int, ...],
+    rng: np.random.Generator,
+) -> tuple[tuple[RobotPlacement, ...], Gap | None]:
+    """Stand two robots face to face, so far apart as the task wants.
+
+    Returns:
+        The robots, and where the table is missing between them.
+    """
     first, second = (reach_of(arm) for arm in team)
     if task.apart:
-        # Apart even at grasp height: a gap that only the stick bridges.
-        distance = first.grasp_m + second.grasp_m + rng.uniform(*_GAP_WIDTH_M)
+        distance = _apart_m(team, order) + rng.uniform(*_APART_M)
     else:
         distance = first.travel_m + second.travel_m - rng.uniform(*_SHARED_WIDTH_M)
     # The middle of the region between them is the middle of the table.
@@ -120,7 +135,31 @@ def _place_team(
         ).rounded()
         color = ROBOT_COLORS[int(rng.integers(len(ROBOT_COLORS)))]
         robots.append(RobotPlacement(team[i], color, base))
-    return tuple(robots)
+    return tuple(robots), _gap_m(tuple(robots), order[0]) if task.apart else None
+
+
+def _apart_m(team: tuple[str, ...], order: tuple[int, ...]) -> float:
+    """Return how far apart robots stand so that a cube fits between them.
+
+    Neither could touch it. It lies on the table top of the second, beyond the gap,
+    where the first brings nothing and pulls nothing home.
+    """
+    user, receiver = (could_of(team[i]) for i in order[:2])
+    edge = user.place_m + OUTSIDE_M
+    cube = CUBE.disc_m + FROM_EDGE_M
+    beyond: float = receiver.radius_m(CUBE.disc_m) + OUTSIDE_M
+    return edge + cube + beyond
+
+
+def _gap_m(robots: tuple[RobotPlacement, ...], user: int) -> Gap:
+    """Return a gap beyond which a robot could put nothing."""
+    robot = robots[user]
+    beyond = could_of(robot.arm).place_m + OUTSIDE_M
+    if user == 0:
+        far = robot.base.x + beyond
+        return round(far - _GAP_WIDTH_M, 4), round(far, 4)
+    far = robot.base.x - beyond
+    return round(far, 4), round(far + _GAP_WIDTH_M, 4)
 
 
 def _distract(board: Board) -> str:

@@ -33,7 +33,7 @@ from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS
-from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
+from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 
 CEILING_M = 1.5
 """Highest position of the tool centre point that can be asked for."""

@@ -1,10 +1,12 @@
 """The arms of the UR family: one record of numbers each.
 
-Lengths are the maker's. Masses and limits of the arms below are those of an old ROS
-description (``ur_description`` of ROS-Industrial), from which the maker's own tables
-differ; benchmark version v1 keeps them, and :mod:`lemma.robots.ur.published` has the
-maker's. Inertias are those of solid cylinders of these masses. Radii are measured off
-pictures; servo gains are ours.
+Lengths are the maker's, and so are masses and limits, from Universal Robots' own
+description for ROS 2, https://github.com/UniversalRobots/Universal_Robots_ROS2_Description,
+in the folder ``config`` of each arm: ``physical_parameters.yaml`` (commit 3426d67) for
+masses, ``joint_limits.yaml`` (commit 8ef39b3) for the rest. The latter quotes the user
+manuals of UR5 and UR10 (CB3, version 3.13) for speeds, and the maker's article "Max.
+joint torques" of June 2020. Inertias are those of solid cylinders of these masses.
+Radii are measured off pictures; servo gains are ours.
 """
 
 import math
@@ -16,6 +18,9 @@ import numpy as np
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray
 from lemma.core.registry import Registry
+
+_HALF_TURN = math.pi
+_THIRD_OF_A_TURN = 2.0 * math.pi / 3.0
 
 Six = tuple[float, float, float, float, float, float]
 
@@ -130,9 +135,9 @@ ARMS.add(
         d6=0.0823,
         shoulder_offset=0.13585,
         elbow_offset=-0.1197,
-        link_masses=(3.7, 8.393, 2.275, 1.219, 1.219, 0.1879),
+        link_masses=(3.7, 8.393, 2.33, 1.219, 1.219, 0.1879),
         effort_limits=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0),
-        velocity_limits=(3.15, 3.15, 3.15, 3.2, 3.2, 3.2),
+        velocity_limits=(_HALF_TURN,) * 6,
         payload_kg=5.0,
         shoulder_radius=0.060,
         elbow_radius=0.057,
@@ -156,9 +161,9 @@ ARMS.add(
         d6=0.0922,
         shoulder_offset=0.220941,
         elbow_offset=-0.1719,
-        link_masses=(7.778, 12.93, 3.87, 1.96, 1.96, 0.202),
-        effort_limits=(330.0, 330.0, 150.0, 54.0, 54.0, 54.0),
-        velocity_limits=(2.16, 2.16, 3.15, 3.2, 3.2, 3.2),
+        link_masses=(7.1, 12.7, 4.27, 2.0, 2.0, 0.365),
+        effort_limits=(330.0, 330.0, 150.0, 56.0, 56.0, 56.0),
+        velocity_limits=(*(_THIRD_OF_A_TURN,) * 2, *(_HALF_TURN,) * 4),
         payload_kg=10.0,
         shoulder_radius=0.078,
         elbow_radius=0.065,

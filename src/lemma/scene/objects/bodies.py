@@ -14,6 +14,9 @@ OBJECT_FRICTION = (0.25, 0.01, 0.0002)
 """Sliding, torsional [m] and rolling [m] friction: waxed wood. With more, a cube that
 is pushed along stutters and hops."""
 
+FALLEN = 2
+"""Contact bit of the floor, and of what can fall on it: arms never come so low."""
+
 _GEOMS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -66,6 +69,7 @@ def _add_part(body: mujoco.MjsBody, entity: Entity, part: Part) -> None:
         solref=CONTACT_SOLREF,
         solimp=CONTACT_SOLIMP,
         condim=4,
+        conaffinity=1 if entity.kind.fixed else 1 | FALLEN,
     )
     if part.mass_kg is not None:
         geom.mass = part.mass_kg

@@ -1,9 +1,13 @@
-"""The pad: a flat disc on the table, on which things are put."""
+"""The pad: a round plate on the table, on which things are put.
+
+It is too high to be climbed by what is pushed along the table: whoever puts a cube on
+it must lift the cube, and so must reach the pad.
+"""
 
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind, Part, Shell
 
 PAD_RADIUS_M = 0.06
-PAD_THICKNESS_M = 0.004
+PAD_THICKNESS_M = 0.035
 
 _HALF_M = PAD_THICKNESS_M / 2
 

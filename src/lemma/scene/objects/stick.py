@@ -17,11 +17,11 @@ from lemma.scene.objects.kind import (
 )
 from lemma.scene.palette import STICK as STICK_COLOR
 
-HANDLE_LENGTH_M = 0.50
+HANDLE_LENGTH_M = 0.75
 HOOK_LENGTH_M = 0.15
 """Of the hook, counted from the handle's far side."""
 STICK_SECTION_M = 0.03
-STICK_DENSITY = 180.0
+STICK_DENSITY = 120.0
 """[kg/m3], a foam-filled tube: light enough to be held at one end by friction."""
 GRASP_FROM_END_M = 0.05
 """Where the handle is grasped, from its free end: the stick then reaches farthest."""

@@ -10,8 +10,8 @@ from lemma.tasks.task import TASKS, Task
 def arrange(board: Board) -> Goal:
     """Set the table."""
     first, second = board.order[:2]
-    top = board.cube(board.tool_only(Primitive.HOOK, first, second))
-    bottom = board.cube(board.tool_only(Primitive.HOOK, second, first))
+    top = board.cube(board.tool_only(Primitive.HOOK, first, second, alone=True))
+    bottom = board.cube(board.tool_only(Primitive.HOOK, second, first, alone=True))
     board.stick(first)
     return Goal((On(top, bottom),))
 

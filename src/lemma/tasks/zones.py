@@ -1,0 +1,167 @@
+"""Parts of the table, by who could do what there.
+
+Robots are kept apart by what they *could* do (:mod:`lemma.robots.could`), not by what
+they are told to do: what is exclusive to one robot works for it and is out of every
+other's possibilities, whatever the others do with their hands.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.poses import FloatArray, Pose2
+from lemma.robots.could import Could, could_of
+from lemma.robots.reach import Reach, reach_of
+from lemma.scene.camera_mounts import CameraFootprint
+from lemma.scene.objects.kind import ObjectKind
+from lemma.scene.raster import RASTER
+from lemma.scene.spec import RobotPlacement
+from lemma.scene.table import TABLE_HALF_Y_M, Gap, tops
+
+INSIDE_M = 0.03
+"""How far inside its reach a robot's objects are, at least."""
+OUTSIDE_M = 0.03
+"""How far outside of its possibilities the others' objects are, at least."""
+
+FROM_EDGE_M = 0.01
+"""Between the disc around an object and the table's edge, at least."""
+_MAP_EDGE_M = 0.06
+"""Things lie on the top-down map as a whole."""
+_FACING_RAD = math.radians(112.0)
+"""Objects lie in front of their robot, or at its sides."""
+_HIDDEN_RAD = math.radians(65.0)
+"""Farther to the side the waiting arm hides what is near."""
+_HIDDEN_REACH = 0.8
+
+Mask = NDArray[np.bool_]
+Sift = Callable[[ObjectKind, FloatArray, FloatArray], Mask]
+"""Which of many positions (n,), (n,) [m] suit a kind of object."""
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Where something may lie."""
+
+    sift: Sift
+    """Looks at many positions at once."""
+    check: Callable[[Pose2], bool] | None = None
+    """Looks at one that was not sifted out; None if nothing is left to check."""
+
+    @classmethod
+    def where(cls, check: Callable[[Pose2], bool]) -> "Zone":
+        """Return the poses for which a function is true; for zones of one's own."""
+        return cls(lambda kind, x, y: np.ones(len(x), np.bool_), check)
+
+
+ZoneLike = Zone | Callable[[Pose2], bool]
+"""A zone, or a function that is true where something may lie."""
+
+
+class Territory:
+    """Who could do what where, for many positions of the table at once."""
+
+    def __init__(
+        self, robots: tuple[RobotPlacement, ...], gap_m: Gap | None = None
+    ) -> None:
+        """Prepare for a team.
+
+        Args:
+            robots: The team.
+            gap_m: Where the table is missing.
+        """
+        self.robots = robots
+        self.gap_m = gap_m
+        self._views = tuple(CameraFootprint(robot) for robot in robots)
+
+    def reach(self, robot: int) -> Reach:
+        """Return where a robot surely works."""
+        return reach_of(self.robots[robot].arm)
+
+    def could(self, robot: int) -> Could:
+        """Return where a robot could possibly do anything."""
+        return could_of(self.robots[robot].arm)
+
+    def only(self, robot: int) -> Zone:
+        """Where one robot works, and no other could do anything."""
+
+        def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
+            found = self.works(robot, x, y)
+            for other in range(len(self.robots)):
+                if other != robot:
+                    found &= self.cannot(other, kind, x, y)
+            return found
+
+        return Zone(sift)
+
+    def nobody(self) -> Zone:
+        """Where no robot could do anything."""
+
+        def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
+            found = np.ones(len(x), np.bool_)
+            for robot in range(len(self.robots)):
+                found &= self.cannot(robot, kind, x, y)
+            return found
+
+        return Zone(sift)
+
+    def anywhere(self) -> Zone:
+        """Where each robot either surely works or could do nothing."""
+
+        def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
+            found = np.ones(len(x), np.bool_)
+            for robot in range(len(self.robots)):
+                found &= self.works(robot, x, y) | self.cannot(robot, kind, x, y)
+            return found
+
+        return Zone(sift)
+
+    def distance(self, robot: int, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return how far positions are from a robot's base, (n,) [m]."""
+        base = self.robots[robot].base
+        distance: FloatArray = np.sqrt((x - base.x) ** 2 + (y - base.y) ** 2)
+        return distance
+
+    def nearer(self, robot: int, r: float, x: FloatArray, y: FloatArray) -> Mask:
+        """Return which positions are nearer than ``r`` [m] to a robot's base."""
+        return self.distance(robot, x, y) < r
+
+    def works(self, robot: int, x: FloatArray, y: FloatArray) -> Mask:
+        """Return which positions are surely in a robot's reach."""
+        reach, r = self.reach(robot), self.distance(robot, x, y)
+        inside: Mask = np.minimum(r - reach.inner_m, reach.travel_m - r) >= INSIDE_M
+        return inside
+
+    def cannot(
+        self, robot: int, kind: ObjectKind, x: FloatArray, y: FloatArray
+    ) -> Mask:
+        """Return at which positions a robot could do nothing to a kind of thing."""
+        least = self.could(robot).radius_m(kind.disc_m, kind.support_m or 0.0)
+        outside: Mask = self.distance(robot, x, y) >= least + OUTSIDE_M
+        return outside
+
+    def on_table(self, x: FloatArray, y: FloatArray, edge_m: float) -> Mask:
+        """Return which positions are on a table top, so far from its edges [m]."""
+        inside = np.zeros(len(x), np.bool_)
+        for left, right in tops(self.gap_m):
+            inside |= (x >= left + edge_m) & (x <= right - edge_m)
+        inside &= np.abs(y) <= TABLE_HALF_Y_M - edge_m
+        return inside
+
+    def in_view(self, x: FloatArray, y: FloatArray) -> Mask:
+        """Return which positions lie before some robot, in its camera's view."""
+        along_x, along_y = (0.5 * size - _MAP_EDGE_M for size in RASTER.size_m)
+        on_map = (np.abs(x) <= along_x) & (np.abs(y) <= along_y)
+        seen = np.zeros(len(x), np.bool_)
+        for robot, view in enumerate(self._views):
+            base = self.robots[robot].base
+            cos, sin = math.cos(base.yaw), math.sin(base.yaw)
+            ahead = cos * (x - base.x) + sin * (y - base.y)
+            r = self.distance(robot, x, y)
+            facing = ahead >= r * math.cos(_FACING_RAD)
+            near = r < _HIDDEN_REACH * self.reach(robot).travel_m
+            facing &= ~near | (ahead >= r * math.cos(_HIDDEN_RAD))
+            seen |= on_map & facing & view.sees(x, y)
+        return seen
