@@ -4,6 +4,7 @@
 instructions. ``arms`` lists the arms and their reach, ``attacks`` those of the audit.
 ``constants`` makes a table of
 lines ``what | constant | unit | why``, ``engine-options`` one of ``name | why``.
+``inserted-words`` lists what paraphrases have in common with the unseen templates.
 """
 
 import math
@@ -36,6 +37,7 @@ from lemma.tasks.suite import load_instance
 from lemma.viz.recording import record, robot_titles
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+from inserted_words import inserted_words, unseen_words
 from make_pictures import MOMENTS
 
 
@@ -166,6 +168,16 @@ class Attacks(Generated):
                 )
 
 
+class InsertedWords(Generated):
+    """The words of unseen templates that the training paraphrases insert."""
+
+    def lines(self) -> Iterator[str]:
+        """Return them, and of how many."""
+        found = inserted_words()
+        named = ", ".join(f"*{word}*" for word in found)
+        yield f"{len(found)} of the {len(unseen_words())} such words: {named}."
+
+
 class EngineOptions(Generated):
     """A table of MuJoCo's options: ``name | why`` on each line."""
 
@@ -210,4 +222,5 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("attacks", Attacks)
     app.add_directive("constants", Constants)
     app.add_directive("engine-options", EngineOptions)
+    app.add_directive("inserted-words", InsertedWords)
     return {"parallel_read_safe": True}
