@@ -1,4 +1,4 @@
-"""Write the frozen instance lists anew: sampled, and solved by the expert.
+"""Write the frozen instance lists anew: sampled, solved by the expert, and attacked.
 
     python scripts/freeze_instances.py src/lemma/tasks/frozen train,val,test 8
 
@@ -8,7 +8,7 @@ The third word is the number of processes. The same version writes the same byte
 import sys
 from pathlib import Path
 
-from lemma.expert.freeze import freeze
+from lemma.audit.freeze import freeze
 
 if __name__ == "__main__":
     folder, splits, workers = sys.argv[1:]

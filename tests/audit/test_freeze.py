@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from lemma.audit import freeze as freezer
+from lemma.audit.freeze import MANIFEST, accept, accept_all, freeze, write_list
 from lemma.core.errors import SamplingError
 from lemma.env.episode import Episode
-from lemma.expert import freeze as freezer
 from lemma.expert.expert import Expert, ExpertStep, solve
-from lemma.expert.freeze import MANIFEST, accept, accept_all, freeze, write_list
+from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE, load_instance
 
 
@@ -23,14 +24,14 @@ def test_the_expert_accepts_what_is_frozen(task: str) -> None:
     assert accepted.instance == frozen
     assert accepted.elapsed_s < 100.0
     assert accepted.rejected >= 0
-    assert accepted.refused >= 0
+    assert accepted.unsolved >= 0
 
 
 def test_a_refused_draw_is_counted_and_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     first = accept("stack", "free", 4)
-    assert first.refused == 0
+    assert first.unsolved == 0
     calls: list[Episode] = []
 
     def refuse_once(episode: Episode, expert: Expert) -> Iterator[ExpertStep]:
@@ -39,10 +40,26 @@ def test_a_refused_draw_is_counted_and_replaced(
 
     monkeypatch.setattr(freezer, "solve", refuse_once)
     second = accept("stack", "free", 4)
-    assert second.refused == 1
+    assert second.unsolved == 1
     assert second.instance.key == first.instance.key
     assert second.instance.scene != first.instance.scene
     assert second.instance.team == first.instance.team
+
+
+def test_an_instance_that_one_robot_solves_is_counted_and_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first = accept("stack", "free", 4)
+    asked: list[Instance] = []
+
+    def broken_once(instance: Instance) -> str | None:
+        asked.append(instance)
+        return "by_magic" if len(asked) == 1 else None
+
+    monkeypatch.setattr(freezer, "cheap_attacks_succeed", broken_once)
+    second = accept("stack", "free", 4)
+    assert asked == [first.instance, second.instance]
+    assert (second.unsolved, second.broken) == (0, ("by_magic",))
 
 
 def test_a_task_that_the_expert_never_solves_is_given_up(
@@ -50,7 +67,7 @@ def test_a_task_that_the_expert_never_solves_is_given_up(
 ) -> None:
     monkeypatch.setattr(freezer, "solve", lambda *args: iter(()))
     with pytest.raises(
-        SamplingError, match="solved none of 20 instances of pass/free/3"
+        SamplingError, match="Of 20 instances of pass/free/3 the expert solved none"
     ):
         accept("pass", "free", 3)
 
@@ -75,7 +92,10 @@ def test_a_folder_of_lists_has_a_manifest(
     monkeypatch.setattr(freezer, "SUITE", ("pass", "stack"))
     lines = list(freeze(tmp_path / "frozen", ("val",), workers=1))
     assert [line.split(":")[0] for line in lines] == ["pass-val", "stack-val"]
-    assert "2 instances, 0 tables rejected, 0 refused" in lines[0]
+    assert (
+        "2 instances, 0 tables rejected, 0 not solved by the expert, none broken"
+        in lines[0]
+    )
     manifest = json.loads((tmp_path / "frozen" / MANIFEST).read_text())
     assert set(manifest) == {"pass-val", "stack-val"}
     for name, entry in manifest.items():

@@ -1,17 +1,19 @@
-"""Frozen instance lists: sampled, planned, solved, written down.
+"""Frozen instance lists: sampled, solved, attacked, written down.
 
 An instance enters a list only if the expert has solved it, by a plan of the length that
-its task promises. What was refused is counted: it is the honest measure of the sampler
-and of the expert.
+its task promises, and if no cheap attack has. What was refused is counted: it is the
+honest measure of the sampler and of the expert.
 """
 
 import gzip
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from lemma.audit.run import cheap_attacks_succeed
 from lemma.core.errors import SamplingError
 from lemma.core.workers.pool import ProcessPool, run_in_order
 from lemma.env.episode import Episode
@@ -31,33 +33,48 @@ class Accepted:
     instance: Instance
     rejected: int
     """Tables that violated the task's zones."""
-    refused: int
+    unsolved: int
     """Sampled instances that the expert did not solve."""
+    broken: tuple[str, ...]
+    """Attacks that succeeded on sampled instances."""
     elapsed_s: float
     """Simulated time of the expert [s]."""
 
 
 def accept(task: str, split: str, index: int) -> Accepted:
-    """Sample an instance until the expert solves it.
+    """Sample an instance until the expert solves it and no cheap attack does.
 
     Raises:
-        SamplingError: The expert refused too many.
+        SamplingError: Too many were refused.
     """
     record = task_named(task)
     rejected = 0
+    broken: list[str] = []
     for attempt in range(_ATTEMPTS):
         drawn = sample(record, split, index, attempt=attempt)
         rejected += drawn.rejected
-        episode = Episode(drawn.instance)
-        expert = Expert(episode.simulation.scene, drawn.instance.goal)
-        steps = list(solve(episode, expert))
-        as_promised = len(steps) == record.subtasks and all(s.result.ok for s in steps)
-        if as_promised and episode.is_success:
-            return Accepted(drawn.instance, rejected, attempt, episode.elapsed_s)
+        elapsed_s = _solved_s(drawn.instance, record.subtasks)
+        if elapsed_s is None:
+            continue
+        attack = cheap_attacks_succeed(drawn.instance)
+        if attack is not None:
+            broken.append(attack)
+            continue
+        unsolved = attempt - len(broken)
+        return Accepted(drawn.instance, rejected, unsolved, tuple(broken), elapsed_s)
     raise SamplingError(
-        f"The expert solved none of {_ATTEMPTS} instances of {task}/{split}/{index}. "
-        "Loosen the task's zones, or look at why it fails: lemma bench --expert."
+        f"Of {_ATTEMPTS} instances of {task}/{split}/{index} the expert solved none "
+        f"that withstood {', '.join(broken) or 'the attacks'}. Change the task's "
+        "zones, or look at why it fails: lemma bench --expert."
     )
+
+
+def _solved_s(instance: Instance, promised: int) -> float | None:
+    """Return the time of the expert [s]; None if its plan fails or is longer."""
+    episode = Episode(instance)
+    steps = list(solve(episode, Expert(episode.simulation.scene, instance.goal)))
+    as_promised = len(steps) == promised and all(s.result.ok for s in steps)
+    return episode.elapsed_s if as_promised and episode.is_success else None
 
 
 def accept_all(task: str, split: str, workers: int) -> Iterator[Accepted]:
@@ -103,16 +120,20 @@ def freeze(folder: Path, splits: tuple[str, ...], workers: int) -> Iterator[str]
                 [a.instance for a in found], folder / f"{name}.jsonl.gz"
             )
             rejected = sum(a.rejected for a in found)
-            refused = sum(a.refused for a in found)
+            unsolved = sum(a.unsolved for a in found)
+            broken = Counter(attack for a in found for attack in a.broken)
             manifest[name] = {
                 "sha256": digest,
                 "instances": len(found),
                 "rejected_by_sampler": rejected,
-                "refused_by_expert": refused,
+                "refused_by_expert": unsolved,
+                "refused_by_attack": dict(sorted(broken.items())),
             }
             manifest_path.write_text(json.dumps(manifest, indent=1, sort_keys=True))
-            mean = sum(a.elapsed_s for a in found) / len(found)
+            times = [a.elapsed_s for a in found]
+            attacked = ", ".join(f"{n} by {a}" for a, n in sorted(broken.items()))
             yield (
                 f"{name}: {len(found)} instances, {rejected} tables rejected, "
-                f"{refused} refused by the expert, mean {mean:.1f} s"
+                f"{unsolved} not solved by the expert, {attacked or 'none'} broken, "
+                f"mean {sum(times) / len(times):.1f} s, at most {max(times):.1f} s"
             )
