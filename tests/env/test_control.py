@@ -212,12 +212,11 @@ def test_arms_are_aimed_with_the_posture_that_they_would_choose() -> None:
             posture = arm.solve_posture(pose)
             found += posture is not None
             wanted = arm.state[0] if posture is None else posture
-            assert np.allclose(arm.goal.posture, wanted, atol=1e-9)
-            assert np.allclose(arm.goal.rotation, pose[:3, :3], atol=1e-12)
-            # What RMPflow works on says the same.
-            goal = arm.load().record[0]["goal"]
-            for name in arm.goal._fields:
-                assert np.array_equal(goal[name], getattr(arm.goal, name))
+            goal = arm.workspace.goal
+            assert np.allclose(goal.posture, wanted, atol=1e-9)
+            assert np.allclose(goal.rotation, pose[:3, :3], atol=1e-12)
+            assert np.allclose(goal.position, pose[:3, 3], atol=1e-12)
+            assert goal.target_weight == 1.0
     assert 10 < found < 80
 
 

@@ -69,9 +69,9 @@ def link_frames(name: str, q: FloatArray) -> FloatArray:
 
 def run(arm: ArmMotion, seconds: float) -> FloatArray:
     """Advance the reference without physics; return the joints it passed, (n, 6)."""
-    passed = []
+    passed, commands = [], np.zeros((1, arm.scene.model.nu))
     for _ in range(round(seconds / TIME_STEP_S)):
-        arm.step()
+        arm.lead(commands)
         passed.append(arm.state[0].copy())
     return np.array(passed)
 
@@ -152,7 +152,7 @@ def test_solve_posture_knows_what_is_out_of_reach(arm: ArmMotion) -> None:
     assert arm.solve_posture(in_front(arm, 0.5, 0.0, -0.5)) is None
 
 
-def test_step_moves_the_reference_and_leads_the_servos(arm: ArmMotion) -> None:
+def test_lead_moves_the_reference_and_leads_the_servos(arm: ArmMotion) -> None:
     before = arm.state[0].copy()
     pose = in_front(arm, 0.7, 0.5, 0.25)
     posture = arm.solve_posture(pose)
@@ -160,9 +160,13 @@ def test_step_moves_the_reference_and_leads_the_servos(arm: ArmMotion) -> None:
     arm.follow_posture(posture)
     run(arm, 0.3)
     assert np.abs(arm.state[0] - before).max() > 0.05
-    commanded = arm.scene.data.ctrl[arm.robot.ctrl]
+    commands = np.full((2, arm.scene.model.nu), -1.0)
+    arm.lead(commands)
     expected = arm.state[0] + arm.robot.arm.lag_s * arm.state[1]
-    assert commanded == pytest.approx(expected, abs=1e-12)
+    assert commands[1, arm.robot.ctrl] == pytest.approx(expected, abs=1e-12)
+    assert (commands[:, arm.robot.gripper_ctrl] == arm.opening_m).all()
+    # What the other arm's servos are told is not touched.
+    assert (commands == -1.0).sum() == 2 * 7
     run(arm, 4.0)
     arm.aim(pose, posture)
     run(arm, 3.0)
@@ -190,26 +194,6 @@ def test_capsules_and_tcp_are_those_of_the_measured_arm(arm: ArmMotion) -> None:
     assert arm.tcp_pose()[:3, :3].ravel() == pytest.approx(site.xmat, abs=1e-9)
     assert np.array_equal(arm.capsules(), arm.capsules(q))
     assert not np.array_equal(arm.capsules(), arm.capsules(arm.park))
-
-
-def test_attached_spheres_keep_clear_until_they_are_detached(arm: ArmMotion) -> None:
-    """What sticks out of the gripper is pushed away from a ball that the arm is not."""
-    pose = in_front(arm, 0.6, 0.0, 0.3)
-    posture = arm.solve_posture(pose)
-    assert posture is not None
-    x, y, z = pose[:3, 3]
-    ball = np.array([[*(x, y, z - 0.25) * 2, 0.03, 0.05]])
-    held = np.array([[0.0, 0.0, 0.12 + 0.20, 0.03]])
-    pushed = []
-    for spheres in (np.zeros((0, 4)), held, np.zeros((0, 4))):
-        arm.attach(spheres)
-        arm.state[0], arm.state[1] = posture, 0.0
-        arm.set_obstacles(ball)
-        arm.aim(pose, posture)
-        run(arm, 0.5)
-        pushed.append(float(np.abs(arm.state[0] - posture).max()))
-    assert pushed[0] == pushed[2] < 1e-3
-    assert pushed[1] > 0.005
 
 
 def check_path(

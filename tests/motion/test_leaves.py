@@ -25,7 +25,8 @@ from lemma.motion.rmpflow.leaves import (
     TargetLeaf,
     VelocityCapLeaf,
 )
-from lemma.motion.rmpflow.policy import ArmTarget, accelerate, make_root
+from lemma.motion.rmpflow.policy import accelerate
+from lemma.motion.rmpflow.workspace import ArmTarget, Workspace
 
 
 def evaluate_target(
@@ -143,7 +144,7 @@ def test_posture_pulls_to_its_goal_and_is_capped() -> None:
         goal = posture_goal(np.array(ELBOW_UP) + offset * np.eye(6)[0])
         out = np.empty(6)
         accelerate(
-            make_root(),
+            Workspace(),
             arm_model("ur5"),
             goal,
             parameters,
@@ -165,7 +166,7 @@ def test_posture_damps_velocity() -> None:
     posture, qd = parameters.posture, np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.1])
     out = np.empty(6)
     accelerate(
-        make_root(),
+        Workspace(),
         arm_model("ur5"),
         posture_goal(np.array(ELBOW_UP)),
         parameters,
@@ -260,7 +261,7 @@ def test_damping_takes_energy_out_and_more_so_when_fast() -> None:
         out = np.empty(6)
         goal = ArmTarget(np.zeros(3), np.eye(3), np.zeros(6), 0.0, 0.0)
         accelerate(
-            make_root(),
+            Workspace(),
             arm_model("ur5"),
             goal,
             parameters,

@@ -22,13 +22,8 @@ from rmpflow_scenes import (
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow import policy as rmpflow
 from lemma.motion.rmpflow.leaves import Leaves
-from lemma.motion.rmpflow.policy import (
-    ArmModel,
-    ArmTarget,
-    accelerate,
-    integrate,
-    make_root,
-)
+from lemma.motion.rmpflow.policy import accelerate, integrate
+from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget, Workspace
 from lemma.robots.ur.kinematics import top_down
 
 
@@ -45,7 +40,7 @@ def test_curvature_is_the_acceleration_at_constant_joint_speed(arm: str) -> None
     model, step = arm_model(arm), 1e-4
     local = np.array([0.02, -0.05, 0.12, 1.0])
     for q, qd in some_states(30):
-        root = make_root()
+        root = Workspace()
         root.load(model, posture_goal(q), Leaves())
         rmpflow.update_motion(root.record[0], q, qd)
         before, now, after = (links(model, q + s * qd) for s in (-step, 0.0, step))
@@ -149,7 +144,7 @@ def test_acceleration_is_the_textbook_sum(arm: str) -> None:
         x, y, z = rng.uniform(-0.6, 0.6, 3)
         pose = top_down(x, y, z, rng.uniform(-3, 3))
         goal = pose_goal(pose, rng.uniform(-2, 2, 6))
-        accelerate(make_root(), model, goal, parameters, state, NO_OBSTACLES, out)
+        accelerate(Workspace(), model, goal, parameters, state, NO_OBSTACLES, out)
         expected = textbook_tool_acceleration(model, state, goal, parameters)
         scale = float(np.abs(expected).max())
         assert out == pytest.approx(expected, abs=1e-4 * scale)
@@ -162,8 +157,8 @@ def test_acceleration_is_capped_in_its_own_direction() -> None:
     unbounded = Leaves(max_acceleration=1e9)
     for state in some_states(100, seed=3):
         goal = pose_goal(top_down(0.5, 0.1, 0.2, 1.0), state[0] + 1.0)
-        accelerate(make_root(), model, goal, unbounded, state, obstacles, free)
-        accelerate(make_root(), model, goal, Leaves(), state, obstacles, capped)
+        accelerate(Workspace(), model, goal, unbounded, state, obstacles, free)
+        accelerate(Workspace(), model, goal, Leaves(), state, obstacles, capped)
         norm, limit = float(np.linalg.norm(free)), Leaves().max_acceleration
         largest = max(largest, norm)
         assert capped == pytest.approx(free * min(1.0, limit / norm), rel=1e-9)
@@ -179,7 +174,7 @@ def test_obstacle_pushes_harder_the_nearer_it_is() -> None:
         ball = np.array([[*(x + away_m, y, z) * 2, 0.03, 0.15]])
         out, unbounded = np.empty(6), Leaves(max_acceleration=1e9)
         goal = posture_goal(q)
-        accelerate(make_root(), model, goal, unbounded, state_at(q), ball, out)
+        accelerate(Workspace(), model, goal, unbounded, state_at(q), ball, out)
         moved = tcp(model, q + step * out) - tcp(model, q)
         return -float(moved[0, 3]) / step
 
@@ -209,32 +204,33 @@ def test_same_inputs_give_the_same_bits() -> None:
 
 def test_result_does_not_depend_on_what_the_root_did_before() -> None:
     model, state, goal, obstacles = scenario()
-    fresh, used = make_root(), make_root()
+    fresh, used = Workspace(), Workspace()
     for before in some_states(3, seed=4):
         other = pose_goal(top_down(0.3, -0.3, 0.2, 2.0), before[0])
-        integrate(
-            used, arm_model("ur10"), other, Leaves(), before, obstacles, SUBSTEP_S, 5
-        )
+        used.load(arm_model("ur10"), other, Leaves())
+        integrate(used.record, used.spheres, before, obstacles, SUBSTEP_S, 5)
     states = []
     for root in (fresh, used):
         moved = state.copy()
-        integrate(root, model, goal, Leaves(), moved, obstacles, SUBSTEP_S, 50)
+        root.load(model, goal, Leaves())
+        integrate(root.record, root.spheres, moved, obstacles, SUBSTEP_S, 50)
         states.append(moved.tobytes())
     assert states[0] == states[1]
 
 
 def test_substeps_are_calls() -> None:
     model, state, goal, obstacles = scenario()
-    root, at_once, one_by_one = make_root(), state.copy(), state.copy()
-    integrate(root, model, goal, Leaves(), at_once, obstacles, SUBSTEP_S, 20)
+    root, at_once, one_by_one = Workspace(), state.copy(), state.copy()
+    root.load(model, goal, Leaves())
+    integrate(root.record, root.spheres, at_once, obstacles, SUBSTEP_S, 20)
     for _ in range(20):
-        integrate(root, model, goal, Leaves(), one_by_one, obstacles, SUBSTEP_S, 1)
+        integrate(root.record, root.spheres, one_by_one, obstacles, SUBSTEP_S, 1)
     assert at_once.tobytes() == one_by_one.tobytes()
 
 
 def test_root_notices_what_was_replaced() -> None:
     model, state, goal, _ = scenario()
-    root, out = make_root(), np.empty(6)
+    root, out = Workspace(), np.empty(6)
 
     def now(model: ArmModel, goal: ArmTarget, parameters: Leaves) -> FloatArray:
         accelerate(root, model, goal, parameters, state, NO_OBSTACLES, out)

@@ -7,8 +7,8 @@ import numpy as np
 
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow.leaves import Leaves
-from lemma.motion.rmpflow.policy import integrate, make_root
-from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget
+from lemma.motion.rmpflow.policy import integrate
+from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget, Workspace
 from lemma.robots.collision_model import envelope_of, segment_distance
 from lemma.robots.gripper import TCP_OFFSET_M
 from lemma.robots.reach import gripper_ik
@@ -95,10 +95,11 @@ def move(
     parameters: Leaves | None = None,
 ) -> FloatArray:
     """Advance ``state`` and return it as it was after every substep, (n, 2, 6)."""
-    root, parameters = make_root(), parameters or Leaves()
+    root = Workspace()
+    root.load(model, goal, parameters or Leaves())
     history = []
     for _ in range(round(seconds / SUBSTEP_S)):
-        integrate(root, model, goal, parameters, state, obstacles, SUBSTEP_S, 1)
+        integrate(root.record, root.spheres, state, obstacles, SUBSTEP_S, 1)
         history.append(state.copy())
     return np.array(history)
 

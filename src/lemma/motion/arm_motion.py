@@ -9,13 +9,8 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow.leaves import Leaves
-from lemma.motion.rmpflow.policy import (
-    ArmModel,
-    ArmTarget,
-    Workspace,
-    integrate,
-    make_root,
-)
+from lemma.motion.rmpflow.policy import integrate
+from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget, Workspace
 from lemma.robots.collision_model import envelope_of, place_capsules
 from lemma.robots.gripper import FINGER_OPENING_M, TCP_OFFSET_M
 from lemma.robots.reach import gripper_ik, ik_constants, reach_of, usable_postures
@@ -32,6 +27,10 @@ _PARK_BEARING_RAD = math.radians(115.0)
 _PARK_HEIGHTS_M = (0.42, 0.36, 0.30, 0.24)
 """The first that an arm can do: a small arm folds lower."""
 _BRANCH_COST = 100.0
+_TRACKING_LIMIT_RAD = 0.12
+_POSTURE_ALONE = 20.0
+"""Weight of a posture that is all there is to follow."""
+_NOWHERE = np.eye(4)
 
 
 @lru_cache
@@ -152,6 +151,83 @@ def choose_posture(  # noqa: PLR0913 - all that the choice depends on
     return best >= 0
 
 
+@kernel
+def _lead_servos(
+    record: np.ndarray,
+    spheres: FloatArray,
+    state: FloatArray,
+    obstacles: FloatArray,
+    lag_s: float,
+    out: FloatArray,
+) -> None:
+    """Advance a reference by as many physics steps as ``out``, (n, 6), has rows.
+
+    Each row is written: the reference after that step, led by the servos' lag.
+    """
+    for step in range(out.shape[0]):
+        integrate(record, spheres, state, obstacles, SUBSTEP_S, SUBSTEPS)
+        for i in range(6):
+            out[step, i] = state[0, i] + lag_s * state[1, i]
+
+
+@kernel
+def _set_goal(
+    record: np.ndarray, pose: FloatArray, posture: FloatArray, weight: float
+) -> None:
+    """Write a pose of the tool centre point, (4, 4), and a posture, (6,), as goal."""
+    goal = record[0].goal
+    for i in range(3):
+        goal.position[i] = pose[i, 3]
+        for j in range(3):
+            goal.rotation[i, j] = pose[i, j]
+    goal.posture[:] = posture
+    goal.target_weight = weight
+    goal.posture_weight = 1.0 if weight > 0.0 else _POSTURE_ALONE
+
+
+@kernel
+def _tcp(dh: FloatArray, base: FloatArray, q: FloatArray) -> FloatArray:
+    """Return world from gripper at the tool centre point, (4, 4)."""
+    placed = np.empty((7, 4, 4))
+    frames(dh, base, q, placed)
+    pose: FloatArray = placed[6]
+    for i in range(3):
+        pose[i, 3] += TCP_OFFSET_M * pose[i, 2]
+    return pose
+
+
+@kernel
+def _pose_error(
+    dh: FloatArray, base: FloatArray, q: FloatArray, goal: FloatArray
+) -> tuple[float, float]:
+    """Return distance [m] and largest angle between axes [rad] from a goal, (4, 4)."""
+    pose = _tcp(dh, base, q)
+    squares, trace = 0.0, 0.0
+    for i in range(3):
+        squares += (pose[i, 3] - goal[i, 3]) ** 2
+        for j in range(3):
+            trace += pose[i, j] * goal[i, j]
+    return math.sqrt(squares), math.acos(min(1.0, max(-1.0, 0.5 * (trace - 1.0))))
+
+
+@kernel
+def _is_held_up(q: FloatArray, state: FloatArray, lag_s: float) -> bool:
+    """Whether a joint is not where a servo that follows within its lag has it."""
+    for i in range(6):
+        if abs(q[i] - state[0, i]) > _TRACKING_LIMIT_RAD + lag_s * abs(state[1, i]):
+            return True
+    return False
+
+
+@kernel
+def largest_turn(a: FloatArray, b: FloatArray) -> float:
+    """Return the largest difference of two postures, (6,) [rad]."""
+    largest = 0.0
+    for i in range(6):
+        largest = max(largest, abs(a[i] - b[i]))
+    return largest
+
+
 class ArmMotion:
     """The reference of one arm, advanced in time with the physics."""
 
@@ -165,11 +241,14 @@ class ArmMotion:
         self.scene = scene
         self.robot = robot
         self._dh = robot.arm.dh
-        self.leaves = Leaves()
+        self._base = robot.world_from_base
+        self._lag_s = robot.arm.lag_s
+        self.measured: FloatArray = scene.data.qpos[robot.qpos]
+        """Joint angles in the physics, (6,) [rad]: a view."""
         envelope = envelope_of(robot.arm.name)
         limits = np.array(robot.arm.joint_range)
         self.joint_range = limits
-        self._model = ArmModel(
+        model = ArmModel(
             dh=self._dh,
             world_from_base=robot.world_from_base,
             tcp_offset_m=TCP_OFFSET_M,
@@ -181,45 +260,29 @@ class ArmMotion:
             sphere_meets_table=envelope.sphere_meets_table,
             base_radius_m=robot.arm.shoulder_radius,
         )
-        self._root: Workspace = make_root()
         self.state: FloatArray = np.zeros((2, 6))
         self.opening_m = FINGER_OPENING_M
         self.park = np.array(park_joints(robot.arm.name))
-        self.goal = self._resting_goal()
+        goal = ArmTarget(np.zeros(3), np.eye(3), self.park, 0.0, 1.0)
+        self.workspace = Workspace()
+        """The memory of RMPflow."""
+        self.workspace.load(model, goal, Leaves())
         self.obstacles = np.zeros((0, 8))
         self.sync()
 
-    def _resting_goal(self) -> ArmTarget:
-        return ArmTarget(np.zeros(3), np.eye(3), self.park.copy(), 0.0, 1.0)
-
     def sync(self) -> None:
         """Take the measured joint angles as the reference, at rest."""
-        self.state[0] = self.scene.data.qpos[self.robot.qpos]
+        self.state[0] = self.measured
         self.state[1] = 0.0
 
     def hold(self) -> None:
         """Stay where the reference is."""
-        self.goal = self.goal._replace(posture=self.state[0].copy(), target_weight=0.0)
+        goal = self.workspace.record[0]["goal"]
+        goal["posture"], goal["target_weight"] = self.state[0], 0.0
 
     def set_obstacles(self, obstacles: FloatArray) -> None:
         """Set what to keep clear of: capsules and range, (n, 8) [m]."""
         self.obstacles = np.ascontiguousarray(obstacles)
-
-    def attach(self, spheres: FloatArray) -> None:
-        """Move as if spheres were fixed to the flange: what the gripper holds.
-
-        Args:
-            spheres: Centre in the flange frame and radius, (n, 4) [m]; empty to detach.
-        """
-        envelope = envelope_of(self.robot.arm.name)
-        count = len(spheres)
-        self._model = self._model._replace(
-            sphere_links=np.concatenate([envelope.sphere_links, np.full(count, 6.0)]),
-            spheres=np.concatenate([envelope.spheres, spheres.reshape(count, 4)]),
-            sphere_meets_table=np.concatenate(
-                [envelope.sphere_meets_table, np.zeros(count)]
-            ),
-        )
 
     def solve_posture(self, pose: FloatArray) -> FloatArray | None:
         """Return the joint angles nearest to the reference that reach a gripper pose.
@@ -243,71 +306,54 @@ class ArmMotion:
 
     def aim(self, pose: FloatArray, posture: FloatArray | None = None) -> None:
         """Set the pose, (4, 4), that the tool centre point shall go to."""
-        self.goal = ArmTarget(
-            position=np.ascontiguousarray(pose[:3, 3]),
-            rotation=np.ascontiguousarray(pose[:3, :3]),
-            posture=self.state[0].copy() if posture is None else posture,
-            target_weight=1.0,
-            posture_weight=1.0,
-        )
-
-    def take(self, goal: ArmTarget) -> None:
-        """Take a goal that is in the memory of RMPflow already."""
-        self.goal = goal
-        self._root.take(goal)
+        if posture is None:
+            posture = self.state[0]
+        _set_goal(self.workspace.record, pose, posture, 1.0)
 
     def follow_posture(self, posture: FloatArray) -> None:
         """Go to joint angles, (6,) [rad]."""
-        self.goal = ArmTarget(
-            np.zeros(3), np.eye(3), np.ascontiguousarray(posture), 0.0, 20.0
+        _set_goal(self.workspace.record, _NOWHERE, posture, 0.0)
+
+    def lead(self, commands: FloatArray) -> None:
+        """Advance the reference by some physics steps.
+
+        Args:
+            commands: What all servos of the scene are told before each step, (n, nu);
+                this arm's are written.
+        """
+        space, robot = self.workspace, self.robot
+        _lead_servos(
+            *(space.record, space.spheres, self.state, self.obstacles, self._lag_s),
+            commands[:, robot.ctrl],
         )
-
-    def load(self) -> Workspace:
-        """Return the memory of RMPflow with all that is new since the last step."""
-        self._root.load(self._model, self.goal, self.leaves)
-        return self._root
-
-    def step(self) -> None:
-        """Advance the reference by one physics step and command the servos."""
-        integrate(
-            self._root,
-            self._model,
-            self.goal,
-            self.leaves,
-            self.state,
-            self.obstacles,
-            SUBSTEP_S,
-            SUBSTEPS,
-        )
-        self.command()
-
-    def command(self) -> None:
-        """Send the reference to the servos, led by their lag."""
-        control = self.scene.data.ctrl
-        control[self.robot.ctrl] = self.state[0] + self.robot.arm.lag_s * self.state[1]
-        control[self.robot.gripper_ctrl] = self.opening_m
+        commands[:, robot.gripper_ctrl] = self.opening_m
 
     def tcp_pose(self) -> FloatArray:
         """Return the measured world from gripper at the tool centre point, (4, 4)."""
-        return self._tcp(np.asarray(self.scene.data.qpos[self.robot.qpos]))
+        return _tcp(self._dh, self._base, self.measured)
 
     def reference_pose(self) -> FloatArray:
         """Return where the reference puts the tool centre point, (4, 4)."""
-        return self._tcp(self.state[0])
+        return _tcp(self._dh, self._base, self.state[0])
 
-    def _tcp(self, q: FloatArray) -> FloatArray:
-        placed = np.empty((7, 4, 4))
-        frames(self._dh, self.robot.world_from_base, q, placed)
-        pose: FloatArray = placed[6]
-        pose[:3, 3] += TCP_OFFSET_M * pose[:3, 2]
-        return pose
+    def error(self, pose: FloatArray) -> tuple[float, float]:
+        """Return how far the measured tool centre point is from a pose, (4, 4).
+
+        Returns:
+            Distance [m] and largest angle between the axes [rad].
+        """
+        return _pose_error(self._dh, self._base, self.measured, pose)
+
+    def is_held_up(self) -> bool:
+        """Whether the arm is not where its servos should have it."""
+        return _is_held_up(self.measured, self.state, self._lag_s)
 
     def capsules(self, q: FloatArray | None = None) -> FloatArray:
         """Return the space that the arm fills at ``q`` or now: capsules (n, 7) [m]."""
         envelope = envelope_of(self.robot.arm.name)
         placed = np.empty((7, 4, 4))
         if q is None:
-            q = np.asarray(self.scene.data.qpos[self.robot.qpos])
+            q = self.measured
         frames(self._dh, self.robot.world_from_base, q, placed)
         out = np.empty((len(envelope.capsules), 7))
         place_capsules(placed, envelope.capsule_links, envelope.capsules, out)

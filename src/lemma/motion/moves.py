@@ -7,10 +7,8 @@ Each is a generator that hands control back once a servo tick, and raises
 import math
 from collections.abc import Generator
 
-import numpy as np
-
 from lemma.core.poses import FloatArray, wrap
-from lemma.motion.arm_motion import ArmMotion
+from lemma.motion.arm_motion import ArmMotion, largest_turn
 from lemma.motion.joint_path import joint_path
 from lemma.motion.outcome import Outcome, SkillFailure
 from lemma.robots.gripper import FINGER_OPENING_M
@@ -41,7 +39,6 @@ _SWUNG_RAD = 0.25
 _TIMEOUT_S = 7.0
 _STALL_S = 1.0
 _STALL_PROGRESS_M = 0.001
-_TRACKING_LIMIT_RAD = 0.12
 _GRASP_LEAST_M = 0.015
 """Narrower than this the fingers hold nothing that exists here."""
 _FINGERS_STILL_M = 2e-5
@@ -132,7 +129,7 @@ class Moves:
             limit = (_LAID_M, _ARRIVED_RAD)
         best, since = math.inf, 0.0
         for _ in range(_TICKS):
-            distance, angle = _error(self.arm.tcp_pose(), pose)
+            distance, angle = self.arm.error(pose)
             if distance < limit[0] and angle < limit[1]:
                 return
             self.check_tracking()
@@ -157,7 +154,7 @@ class Moves:
         """
         self.arm.follow_posture(posture)
         for _ in range(_TICKS):
-            if float(np.abs(posture - self.arm.state[0]).max()) < _SWUNG_RAD:
+            if largest_turn(posture, self.arm.state[0]) < _SWUNG_RAD:
                 return
             self.check_tracking()
             yield
@@ -173,12 +170,13 @@ class Moves:
         """
         length = math.dist(start[:3], end[:3])
         ticks = max(1, round(length / speed_m_s / _TICK_S))
-        turn = wrap(end[3] - start[3])
+        x, y, z, yaw = start
+        dx, dy, dz, turn = end[0] - x, end[1] - y, end[2] - z, wrap(end[3] - yaw)
         posture = self.arm.solve_posture(top_down(*end))
         for i in range(1, ticks + 1):
             t = i / ticks
-            x, y, z = (a + t * (b - a) for a, b in zip(start[:3], end[:3], strict=True))
-            self.arm.aim(top_down(x, y, z, start[3] + t * turn), posture)
+            pose = top_down(x + t * dx, y + t * dy, z + t * dz, yaw + t * turn)
+            self.arm.aim(pose, posture)
             self.check_tracking()
             yield
 
@@ -224,10 +222,7 @@ class Moves:
 
     def check_tracking(self) -> None:
         """Fail where the arm is not where its servos should have it."""
-        lag = self.scene.data.qpos[self.arm.robot.qpos] - self.arm.state[0]
-        # A servo follows within its lag; more means that something holds the arm.
-        expected = self.arm.robot.arm.lag_s * np.abs(self.arm.state[1])
-        if bool((np.abs(lag) > _TRACKING_LIMIT_RAD + expected).any()):
+        if self.arm.is_held_up():
             raise SkillFailure(
                 Outcome.COLLISION, f"{self._name} was stopped by something."
             )
@@ -252,8 +247,7 @@ class Moves:
         park = self.arm.park
         self.arm.follow_posture(park)
         for _ in range(_TICKS):
-            q = self.scene.data.qpos[self.arm.robot.qpos]
-            if float(np.abs(q - park).max()) < _PARKED_RAD:
+            if largest_turn(self.arm.measured, park) < _PARKED_RAD:
                 break
             yield
         self.arm.follow_posture(park)
@@ -261,11 +255,3 @@ class Moves:
 
 def _at_height(stand: Stand, z: float) -> Stand:
     return (stand[0], stand[1], z, stand[3])
-
-
-def _error(pose: FloatArray, goal: FloatArray) -> tuple[float, float]:
-    """Return distance [m] and largest angle between axes [rad] of two poses."""
-    dx, dy, dz = (float(pose[i, 3] - goal[i, 3]) for i in range(3))
-    trace = sum(float(pose[i, j] * goal[i, j]) for i in range(3) for j in range(3))
-    cosine = min(1.0, max(-1.0, 0.5 * (trace - 1.0)))
-    return math.sqrt(dx * dx + dy * dy + dz * dz), math.acos(cosine)

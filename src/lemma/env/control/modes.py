@@ -30,7 +30,6 @@ from lemma.env.control.motor_commands import (
 from lemma.env.control.pose_targets import aim_arms
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.motion.arm_motion import ArmMotion
-from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
@@ -103,7 +102,7 @@ class PoseController(Controller):
     def __init__(self, arms: Sequence[ArmMotion]) -> None:
         """Take over the arms where they are."""
         super().__init__(arms)
-        spaces = [arm.load() for arm in arms]
+        spaces = [arm.workspace for arm in arms]
         self._workspaces = np.concatenate([space.record for space in spaces])
         self._spheres = np.stack([space.spheres for space in spaces])
         self._parks = np.stack([arm.park for arm in arms])
@@ -127,15 +126,10 @@ class PoseController(Controller):
         """Aim at positions [m] and quaternions wxyz in the world."""
         super().command(rows)
         self._rows[:] = rows
-        goals = np.empty((len(self.arms), 18))
         aim_arms(
             *(self.guard.records, self.states, self._parks),
-            *(self._rows, self._workspaces, goals),
+            *(self._rows, self._workspaces),
         )
-        for arm, goal in zip(self.arms, goals, strict=True):
-            # The same numbers, for whoever asks the arm.
-            turn = goal[3:12].reshape(3, 3)
-            arm.take(ArmTarget(goal[:3], turn, goal[12:], 1.0, 1.0))
 
     def drive(self) -> None:
         """Advance the references."""

@@ -23,7 +23,7 @@ from lemma.env.control.joint_limits import (
 )
 from lemma.env.control.safety_filter import keep_clear
 from lemma.motion.arm_motion import SUBSTEP_S, SUBSTEPS
-from lemma.motion.rmpflow.policy import integrate_record
+from lemma.motion.rmpflow.policy import integrate
 from lemma.scene.build import TIME_STEP_S
 
 _MOVING_RAD_S = 0.02
@@ -89,9 +89,7 @@ def drive_poses(  # noqa: PLR0913
         arm, state = records[k], states[k]
         before[:] = state[0]
         workspace = workspaces[k : k + 1]
-        integrate_record(
-            workspace, spheres[k], state, obstacles[k], SUBSTEP_S, SUBSTEPS
-        )
+        integrate(workspace, spheres[k], state, obstacles[k], SUBSTEP_S, SUBSTEPS)
         for i in range(6):
             rates[i] = (state[0, i] - before[i]) / TIME_STEP_S
         if keep_clear(arm, obstacles[k], objects[k], before, rates):

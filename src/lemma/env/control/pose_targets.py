@@ -18,7 +18,6 @@ def aim_arms(
     parks: FloatArray,
     rows: FloatArray,
     workspaces: np.ndarray,
-    goals: FloatArray,
 ) -> None:
     """Choose postures for poses, and give both to RMPflow.
 
@@ -29,11 +28,10 @@ def aim_arms(
         rows: Positions and quaternions wxyz of any length but 0 that the tool centre
             points shall have in the world, (n, 8) [m]; the last number does not matter.
         workspaces: The records of RMPflow, (n,); their goals are written.
-        goals: Written: position, rotation and posture, (n, 18) [m, rad].
     """
     pose, unit = np.eye(4), np.empty(7)
     for k in range(records.shape[0]):
-        arm, row, out = records[k], rows[k], goals[k]
+        arm, row, goal = records[k], rows[k], workspaces[k].goal
         norm = 0.0
         for i in range(3, 7):
             norm += row[i] * row[i]
@@ -42,10 +40,12 @@ def aim_arms(
             unit[i] = row[i] if i < 3 else row[i] / norm
         transform(unit, pose)
         for i in range(3):
-            out[i] = row[i]
+            goal.position[i] = pose[i, 3]
             for j in range(3):
-                out[3 + 3 * i + j] = pose[i, j]
-        out[12:18] = states[k, 0]
+                goal.rotation[i, j] = pose[i, j]
+        goal.posture[:] = states[k, 0]
+        goal.target_weight = 1.0
+        goal.posture_weight = 1.0
         links, capsules = arm.parts[:CAPSULES, 7], arm.parts[:CAPSULES, :7]
         choose_posture(
             arm.dh,
@@ -56,14 +56,5 @@ def aim_arms(
             parks[k],
             states[k, 0],
             pose,
-            out[12:18],
+            goal.posture,
         )
-        goal = workspaces[k].goal
-        for i in range(3):
-            goal.position[i] = out[i]
-            for j in range(3):
-                goal.rotation[i, j] = pose[i, j]
-        for i in range(6):
-            goal.posture[i] = out[12 + i]
-        goal.target_weight = 1.0
-        goal.posture_weight = 1.0

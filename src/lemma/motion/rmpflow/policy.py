@@ -17,18 +17,8 @@ from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow import leaves
 from lemma.motion.rmpflow.collision import add_collision_leaves
 from lemma.motion.rmpflow.leaves import Leaves
-from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget, Workspace, make_root
+from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget, Workspace
 from lemma.robots.ur.kinematics import frames, point_jacobian
-
-__all__ = [
-    "ArmModel",
-    "ArmTarget",
-    "Workspace",
-    "accelerate",
-    "integrate",
-    "integrate_record",
-    "make_root",
-]
 
 Triple = tuple[float, float, float]
 
@@ -58,11 +48,10 @@ def accelerate(
     _accelerate_array(root.record, root.spheres, state, obstacles, out)
 
 
-def integrate(  # noqa: PLR0913 - all that the motion depends on
-    root: Workspace,
-    arm: ArmModel,
-    goal: ArmTarget,
-    parameters: Leaves,
+@kernel
+def integrate(
+    record: np.ndarray,
+    spheres: FloatArray,
     state: FloatArray,
     obstacles: FloatArray,
     step_s: float,
@@ -71,23 +60,10 @@ def integrate(  # noqa: PLR0913 - all that the motion depends on
     """Advance the joint reference ``state``, (2, 6), by ``substeps`` of ``step_s``.
 
     Semi-implicit Euler. Where the leaves have not already seen to it, velocities are
-    clipped to the motors' limits, and to what can be braked before a joint's end. The
-    other arguments are those of :func:`accelerate`.
+    clipped to the motors' limits, and to what can be braked before a joint's end.
+    Record and spheres are those of a loaded workspace; the other arguments are those of
+    :func:`accelerate`.
     """
-    root.load(arm, goal, parameters)
-    integrate_record(root.record, root.spheres, state, obstacles, step_s, substeps)
-
-
-@kernel
-def integrate_record(
-    record: np.ndarray,
-    spheres: FloatArray,
-    state: FloatArray,
-    obstacles: FloatArray,
-    step_s: float,
-    substeps: int,
-) -> None:
-    """Do what :func:`integrate` does, with a loaded workspace's record and spheres."""
     root = record[0]
     acceleration = root.acceleration
     for _ in range(substeps):

@@ -108,40 +108,28 @@ class Workspace:
         self.record: NDArray[np.void] = np.zeros(1, _RECORD)
         self.spheres: FloatArray = np.zeros((0, 6))
         """Centre [m], radius [m], link frame, 1 if it meets the table: (n, 6)."""
-        self._arm: ArmModel | None = None
-        self._goal: ArmTarget | None = None
-        self._leaves: Leaves | None = None
 
     def load(self, arm: ArmModel, goal: ArmTarget, leaves: Leaves) -> None:
-        """Copy what is new since the last call.
+        """Copy an arm, a goal and the parameters of the leaves."""
+        row = self.record[0]
+        row["leaves"] = leaves
+        for name in ("dh", "world_from_base", "lower", "upper", "velocity_limits"):
+            row[name] = getattr(arm, name)
+        row["tcp_offset_m"] = arm.tcp_offset_m
+        row["base_radius_m"] = arm.base_radius_m
+        self.spheres = np.column_stack(
+            [arm.spheres, arm.sphere_links, arm.sphere_meets_table]
+        )
+        self.goal = goal
 
-        Named tuples are values: what changes is replaced, never written to, so the same
-        object means the same numbers.
-        """
-        if leaves is not self._leaves:
-            self.record["leaves"] = leaves
-            self._leaves = leaves
-        if goal is not self._goal:
-            row = self.record[0]["goal"]
-            for name, value in zip(goal._fields, goal, strict=True):
-                row[name] = value
-            self._goal = goal
-        if arm is not self._arm:
-            row = self.record[0]
-            for name in ("dh", "world_from_base", "lower", "upper", "velocity_limits"):
-                row[name] = getattr(arm, name)
-            row["tcp_offset_m"] = arm.tcp_offset_m
-            row["base_radius_m"] = arm.base_radius_m
-            self.spheres = np.column_stack(
-                [arm.spheres, arm.sphere_links, arm.sphere_meets_table]
-            )
-            self._arm = arm
+    @property
+    def goal(self) -> ArmTarget:
+        """What the record says of the goal, copied."""
+        row = self.record[0]["goal"]
+        return ArmTarget(*(row[name].copy() for name in ArmTarget._fields))
 
-    def take(self, goal: ArmTarget) -> None:
-        """Know a goal as loaded that a kernel has written to the record."""
-        self._goal = goal
-
-
-def make_root() -> Workspace:
-    """Return the memory of one arm."""
-    return Workspace()
+    @goal.setter
+    def goal(self, goal: ArmTarget) -> None:
+        row = self.record[0]["goal"]
+        for name, value in zip(goal._fields, goal, strict=True):
+            row[name] = value
