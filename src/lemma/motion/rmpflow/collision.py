@@ -19,7 +19,11 @@ _ROUNDING_M = 1e-9
 
 @kernel
 def add_collision_leaves(
-    root: np.record, spheres: FloatArray, qd: FloatArray, obstacles: FloatArray
+    root: np.record,
+    spheres: FloatArray,
+    qd: FloatArray,
+    obstacles: FloatArray,
+    balls: FloatArray,
 ) -> None:
     """Add to the root what every sphere wants that is near something.
 
@@ -29,8 +33,12 @@ def add_collision_leaves(
         spheres: Centre, radius, link, whether it meets the table: (n, 6) [m].
         qd: Joint velocities, (6,) [rad/s].
         obstacles: Capsules and the range in which they are felt, (m, 8) [m].
+        balls: What :func:`enclosing_balls` returned for them, (m, 4) [m].
     """
-    balls = _balls(obstacles)
+    column = root.column
+    for i in range(3):
+        column[i], column[3 + i] = root.frames[0, i, 3], root.frames[1, i, 3]
+    column[6] = root.base_radius_m
     for s in range(spheres.shape[0]):
         sx, sy, sz, radius = spheres[s, 0], spheres[s, 1], spheres[s, 2], spheres[s, 3]
         link = int(spheres[s, 4])
@@ -43,7 +51,7 @@ def add_collision_leaves(
             up = (0.0, 0.0, 1.0)
             _add_one(root, qd, link, centre, up, z - radius, TABLE_RANGE_M)
         if link >= _FIRST_WRIST_LINK and root.base_radius_m > 0.0:
-            gap, away = _base_distance(root, centre)
+            gap, away = capsule_distance(column, centre)
             if gap - radius < OWN_BASE_RANGE_M:
                 _add_one(root, qd, link, centre, away, gap - radius, OWN_BASE_RANGE_M)
         for o in range(obstacles.shape[0]):
@@ -57,7 +65,7 @@ def add_collision_leaves(
 
 
 @kernel
-def _balls(obstacles: FloatArray) -> FloatArray:
+def enclosing_balls(obstacles: FloatArray) -> FloatArray:
     """Return balls outside of which obstacles are not felt: middle, radius, (m, 4)."""
     balls = np.empty((obstacles.shape[0], 4))
     for o in range(obstacles.shape[0]):
@@ -67,19 +75,6 @@ def _balls(obstacles: FloatArray) -> FloatArray:
             length += (capsule[i] - capsule[3 + i]) ** 2
         balls[o, 3] = 0.5 * math.sqrt(length) + capsule[6] + capsule[7] + _ROUNDING_M
     return balls
-
-
-@kernel
-def _base_distance(
-    root: np.record, point: tuple[float, float, float]
-) -> tuple[float, tuple[float, float, float]]:
-    """Return how far a point is from the arm's own base [m], and the way from it."""
-    column = np.empty(7)
-    for i in range(3):
-        column[i] = root.frames[0, i, 3]
-        column[3 + i] = root.frames[1, i, 3]
-    column[6] = root.base_radius_m
-    return capsule_distance(column, point)
 
 
 @kernel

@@ -116,10 +116,8 @@ class Leaves(NamedTuple):
 @kernel
 def sigmoid(x: float) -> float:
     """Return the logistic function, without overflow."""
-    if x >= 0:
-        return 1.0 / (1.0 + math.exp(-x))
-    e = math.exp(x)
-    return e / (1.0 + e)
+    e = math.exp(-abs(x))
+    return (1.0 if x >= 0 else e) / (1.0 + e)
 
 
 @kernel

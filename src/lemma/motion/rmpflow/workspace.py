@@ -76,6 +76,7 @@ _RECORD = np.dtype(
         # Scratch memory of one leaf.
         ("jacobian", np.float64, (3, 6)),
         ("row", np.float64, 6),
+        ("column", np.float64, 7),
         ("point", np.float64, 3),
         ("error", np.float64, 3),
         ("velocity", np.float64, 3),

@@ -79,11 +79,28 @@ def frames(dh: FloatArray, base: FloatArray, q: FloatArray, out: FloatArray) -> 
         q: Joint angles, (6,) [rad].
         out: World from link frames 0 to 6, (7, 4, 4).
     """
-    link = np.empty((4, 4))
     out[0] = base
     for i in range(6):
-        link_transform(dh, i, q[i], link)
-        multiply(out[i], link, out[i + 1])
+        _place_link(dh, i, q[i], out[i], out[i + 1])
+
+
+@kernel
+def _place_link(
+    dh: FloatArray, index: int, angle: float, before: FloatArray, out: FloatArray
+) -> None:
+    """Write the product of ``before`` and a link transform, without its zeros."""
+    ct, st = math.cos(angle), math.sin(angle)
+    ca, sa = _COS_ALPHA[index], _SIN_ALPHA[index]
+    bends = index == 1 or index == 2
+    a, d = (-dh[index], 0.0) if bends else (0.0, dh[index])
+    for i in range(3):
+        x, y, z = before[i, 0], before[i, 1], before[i, 2]
+        out[i, 0] = x * ct + y * st
+        out[i, 1] = x * (-st * ca) + y * (ct * ca) + z * sa
+        out[i, 2] = x * (st * sa) + y * (-ct * sa) + z * ca
+        out[i, 3] = x * (a * ct) + y * (a * st) + z * d + before[i, 3]
+    out[3, 0] = out[3, 1] = out[3, 2] = 0.0
+    out[3, 3] = 1.0
 
 
 @kernel
