@@ -23,6 +23,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from lemma.core.workers.pool import ProcessPool, usable_cores
 from lemma.evaluation.records import (
@@ -60,7 +61,11 @@ def differences(line: Row, now: Row) -> Iterator[str]:
     for name in ("instruction", "team", "success", "failure", "progress"):
         if line[name] != now[name]:
             yield f"{name} was {line[name]!r}, is {now[name]!r}"
-    before, after = line["subtasks"], now["subtasks"]
+    for name in ("success", "failure", "progress"):
+        old, new = line["lenient"][name], now["lenient"][name]
+        if old != new:
+            yield f"leniently, {name} was {old!r}, is {new!r}"
+    before, after = subtasks_of(line), subtasks_of(now)
     if len(before) != len(after):
         yield f"{len(before)} sub-tasks, now {len(after)}"
     for number, (old, new) in enumerate(zip(before, after, strict=False), 1):
@@ -80,6 +85,11 @@ def differences(line: Row, now: Row) -> Iterator[str]:
                     )
 
 
+def subtasks_of(line: Row) -> list[dict[str, Any]]:
+    """Return all sub-tasks of an episode, also those after a protective stop."""
+    return [*line["subtasks"], *line["lenient"]["subtasks"]]
+
+
 def shift_of(old: Sequence[float], new: Sequence[float]) -> tuple[float, float]:
     """Return by how far a pose (x, y, yaw) moved [m], and turned [rad]."""
     turn = math.remainder(new[2] - old[2], 2 * math.pi)
@@ -90,7 +100,7 @@ def largest_shift(line: Row, now: Row) -> float:
     """Return by how far any pose of an episode moved [m]."""
     shifts = [
         shift_of(old["grounded"][end], new["grounded"][end])[0]
-        for old, new in zip(line["subtasks"], now["subtasks"], strict=False)
+        for old, new in zip(subtasks_of(line), subtasks_of(now), strict=False)
         if old["grounded"] and new["grounded"]
         for end in ("pick", "place")
     ]

@@ -20,6 +20,7 @@ from typing import Any
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import read_json, write_json, write_whole
 from lemma.evaluation.analysis.intervals import (
+    leniently,
     mean_over_tasks,
     rate_of,
     rates_by,
@@ -33,6 +34,7 @@ from lemma.evaluation.analysis.result import (
 from lemma.evaluation.records import (
     BOARD_SPLIT,
     PACKED,
+    PROTOCOL_VERSION,
     SUMMARY,
     WALL_CLOCK,
     Row,
@@ -44,9 +46,11 @@ from lemma.evaluation.records import (
 )
 from lemma.evaluation.report.policy_results import starts_perturbed
 from lemma.evaluation.report.tables import ResultTable, markdown, words
+from lemma.evaluation.run.evaluate import VERDICTS
 from lemma.evaluation.run.language_controls import FULL
 from lemma.evaluation.run.protocol import NAME, frozen, sha256_of_protocol
-from lemma.tasks.instance import SPLITS
+from lemma.policies.spec import ORACLE
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.language.blind import instruction
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE, load_instance
@@ -71,6 +75,10 @@ class Submission:
     """A paper or code, if any."""
     protocol: str
     """Hash of the protocol that it follows."""
+    protocol_version: int
+    """Of its rules."""
+    benchmark: str
+    """Version of the instances."""
     command: str
     """The command line that gives it."""
     about: dict[str, Any]
@@ -79,15 +87,21 @@ class Submission:
     """Of the lines of the episodes without wall-clock fields."""
     success: dict[str, dict[str, Any]]
     """By kind of instructions: episodes, successes, mean over the tasks [%] and
-    successes by task."""
+    successes by task, strictly; and successes and mean leniently."""
+
+    @property
+    def knows_truth(self) -> bool:
+        """Whether an oracle has a part in it, so that it is a bound and no entry."""
+        policy = self.about["policy"]
+        return ORACLE in policy["name"].split("+") or bool(policy["gta"])
 
 
 def submission_of(result: Result, title: str, who: str, link: str = "") -> Submission:
     """Return the entry of a result.
 
     Raises:
-        InvalidConfigError: It does not follow the protocol that ships, or is a control,
-            or is not of all episodes of the test split.
+        InvalidConfigError: It does not follow the protocol that ships, or not to both
+            verdicts, or is a control, or is not of all episodes of the test split.
     """
     _check(result)
     return Submission(
@@ -95,6 +109,8 @@ def submission_of(result: Result, title: str, who: str, link: str = "") -> Submi
         who=who,
         link=link,
         protocol=result.about["protocol"],
+        protocol_version=result.about["protocol_version"],
+        benchmark=result.about["benchmark"],
         command=result.command,
         about={name: result.about.get(name) for name in _FREE},
         episodes_sha256=result.episodes_sha256,
@@ -162,6 +178,9 @@ def check_submission(board: Path, name: str) -> None:
     about = {
         **said.about,
         "protocol": said.protocol,
+        "protocol_version": said.protocol_version,
+        "benchmark": said.benchmark,
+        "verdicts": VERDICTS[0],
         "language": FULL,
         "perturb_start": False,
         "split": BOARD_SPLIT,
@@ -183,6 +202,7 @@ def _check_lines(path: Path, rows: list[Row]) -> None:
     for row in rows:
         own = load_instance(row["task"], BOARD_SPLIT, row["index"])
         plain = row["split"] == BOARD_SPLIT and not row["perturb_start"]
+        plain = plain and row["benchmark"] == BENCHMARK_VERSION and row["lenient"]
         sentence = instruction(own, row["instruction_kind"])
         if not plain or row["instruction"] != sentence:
             raise DatasetError(
@@ -191,9 +211,16 @@ def _check_lines(path: Path, rows: list[Row]) -> None:
             )
 
 
-def leaders(board: dict[str, Submission], kind: str) -> ResultTable:
-    """Return the entries with a kind of instructions, the best first."""
+def leaders(board: dict[str, Submission], kind: str, *, truth: bool) -> ResultTable:
+    """Return the entries with a kind of instructions, the best first.
+
+    Args:
+        board: All entries.
+        kind: Of instructions.
+        truth: Whether those that know the truth, or the others.
+    """
     entries = [one for one in board.values() if kind in one.success]
+    entries = [one for one in entries if one.knows_truth == truth]
     entries.sort(key=lambda one: (-one.success[kind]["mean"], one.title))
     rows = []
     for one in entries:
@@ -203,29 +230,41 @@ def leaders(board: dict[str, Submission], kind: str) -> ResultTable:
         won = (told["tasks"][task] for task in SUITE)
         each = (f"{100 * count / _PER_TASK:.1f}" for count in won)
         title = f"[{one.title}]({one.link})" if one.link else one.title
-        rows.append((title, one.who, *each, mean, f"`{one.episodes_sha256[:12]}`"))
-    header = ("success [%]", "who", *SUITE, "mean", "episodes")
+        lenient = f"{told['lenient_mean']:.1f}"
+        digest = f"`{one.episodes_sha256[:12]}`"
+        rows.append((title, one.who, *each, mean, lenient, digest))
+    header = ("success [%]", "who", *SUITE, "mean", "lenient", "episodes")
     return ResultTable(header, tuple(rows), labels=2)
 
 
 def board_page(board: dict[str, Submission]) -> str:
     """Return the page of a leaderboard."""
-    text = _INTRODUCTION.format(name=NAME, protocol=sha256_of_protocol(frozen())[:12])
+    text = _INTRODUCTION.format(
+        name=NAME,
+        protocol=sha256_of_protocol(frozen())[:12],
+        version=PROTOCOL_VERSION,
+        benchmark=BENCHMARK_VERSION,
+    )
     for kind in EVALUATION_KINDS:
-        table = leaders(board, kind)
+        table = leaders(board, kind, truth=False)
         body = markdown(table) if table.rows else "There are no entries yet.\n"
         text += f"\n## {words(kind, '-').capitalize()} instructions\n\n{body}"
+        bounds = leaders(board, kind, truth=True)
+        if bounds.rows:
+            text += f"\nBounds: these know the true state.\n\n{markdown(bounds)}"
     return text
 
 
 _INTRODUCTION = """\
 # Leaderboard
 
-Results that were handed in: all 60 test episodes of each task, under protocol
-`{name}` (`{protocol}`, [](protocol.md)). The mean is over the tasks, with the 95 %
-Wilson interval of all episodes. The last column begins the SHA-256 of the episodes'
-lines, which lie beside each entry; a test makes every figure from them again. This page
-is written by `python scripts/leaderboard.py page`.
+Results that were handed in: all 60 test episodes of each task of benchmark
+`{benchmark}`, under protocol {version} (`{name}`, `{protocol}`, [](protocol.md)).
+Success is strict: the first sub-task that the chosen robot cannot do ends the episode.
+The mean is over the tasks, with the 95 % Wilson interval of all episodes; *lenient* is
+the mean where the policy is told, and goes on. The last column begins the SHA-256 of
+the lines of the episodes, which lie beside each entry; a test makes every figure from
+them again. This page is written by `python scripts/leaderboard.py page`.
 
 To hand in a result, evaluate a policy and open a pull request with the two files that
 the second command writes into `leaderboard`:
@@ -235,12 +274,25 @@ lemma evaluate --policy mypackage.mymodule:MyPolicy --instructions all --out out
 python scripts/leaderboard.py add out/mine mine --title "My policy" --who "Me"
 ```
 
-The expert knows the true state, and is here as the bound of what can be reached.
+Lines of another protocol or benchmark are refused. What knows the true state, such as
+the expert or the right robot, stands apart from what has learned, as a bound of what
+can be reached.
 """
 
 
 def _check(result: Result) -> None:
     about = result.about
+    said = about.get("protocol_version"), about.get("benchmark")
+    if said != (PROTOCOL_VERSION, BENCHMARK_VERSION):
+        raise InvalidConfigError(
+            f"The result is of protocol {said[0]} and benchmark {said[1]}, and the "
+            f"leaderboard is of protocol {PROTOCOL_VERSION} and benchmark "
+            f"{BENCHMARK_VERSION}. Evaluate again with this version."
+        )
+    if about["verdicts"] != VERDICTS[0]:
+        raise InvalidConfigError(
+            "The result has no lenient verdicts. Evaluate again without --protocol."
+        )
     ships = sha256_of_protocol(frozen())
     if about.get("protocol") != ships:
         raise InvalidConfigError(
@@ -281,7 +333,9 @@ def _success(result: Result) -> dict[str, dict[str, Any]]:
             found[kind] = {
                 "episodes": rate_of(cells).episodes,
                 "successes": rate_of(cells).successes,
+                "lenient_successes": rate_of(leniently(cells)).successes,
                 "mean": round(100.0 * mean_over_tasks(cells), 4),
+                "lenient_mean": round(100.0 * mean_over_tasks(leniently(cells)), 4),
                 "tasks": {task: rates[task,].successes for task in SUITE},
             }
     return found

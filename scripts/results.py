@@ -1,25 +1,67 @@
-"""Write docs/results.md from the results that are committed.
+"""Write docs/results.md, and the table in README.md, from the results in results/.
 
-Run from the repository: ``python scripts/results.py``. Without results, the page says
-that nothing was run.
+Run from the repository: ``python scripts/results.py``. Without results, the page and
+the README say that nothing was run.
 """
 
 from pathlib import Path
 
-from lemma.evaluation.report.policy_results import entries_of, read_results
-from lemma.evaluation.report.sections import page
+from lemma.evaluation.experiments.catalog import SUITES
+from lemma.evaluation.report.policy_results import (
+    PolicyResults,
+    entries_of,
+    read_results,
+)
+from lemma.evaluation.report.sections import page, protocol_words, sample_words
+from lemma.evaluation.report.success_tables import at_a_glance
+from lemma.evaluation.report.tables import markdown
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
 PAGE = ROOT / "docs" / "results.md"
+README = ROOT / "README.md"
+BEGIN, END = "<!-- results -->\n", "<!-- /results -->\n"
+NOTHING = (
+    "There are no results of this version yet. `lemma reproduce all` makes them from "
+    "weights\nthat ship, `lemma reproduce all --print` says how those are trained.\n"
+)
 
 
-def text() -> str:
+def entries(results: Path = RESULTS) -> list[PolicyResults]:
+    """Return what a folder of results holds, with the rows that are missing."""
+    found = read_results([results]) if results.exists() else []
+    return entries_of(found, complete=True)
+
+
+def text(results: Path = RESULTS) -> str:
     """Return the page."""
-    results = read_results([RESULTS]) if RESULTS.exists() else []
-    entries = entries_of(results, complete=True)
-    return page(entries, source="the files in `results/`", guide="[](evaluation.md)")
+    told = "the files in `results/`"
+    return page(entries(results), source=told, guide="[](evaluation.md)")
+
+
+def headline(results: Path = RESULTS) -> str:
+    """Return what the README says of results: all that were played, but ablations."""
+    played = [
+        entry
+        for entry in entries(results)
+        if entry.results
+        and (entry.experiment is None or entry.experiment.suite in SUITES[:3])
+    ]
+    if not played:
+        return NOTHING
+    told = f"{protocol_words(played)} {sample_words(played)}".strip()
+    return f"{told}\n\n{markdown(at_a_glance(played))}"
+
+
+def readme(results: Path = RESULTS) -> str:
+    """Return the README with its table made anew."""
+    before, found, rest = README.read_text(encoding="utf-8").partition(BEGIN)
+    _, ended, after = rest.partition(END)
+    if not (found and ended):
+        raise SystemExit(f"{README} has no lines {BEGIN.strip()} and {END.strip()}.")
+    return f"{before}{BEGIN}{headline(results)}{END}{after}"
 
 
 if __name__ == "__main__":
     PAGE.write_text(text(), encoding="utf-8")
+    README.write_text(readme(), encoding="utf-8")

@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from lemma.evaluation.analysis.result import Result, summarise
+from lemma.evaluation.records import PROTOCOL_VERSION
 from lemma.evaluation.run.expert_feedback import count_steps
+from lemma.tasks.instance import BENCHMARK_VERSION
 
 STEP = {
     "robot": "robot_0",
@@ -20,7 +22,9 @@ ABOUT = {
     "split": "test",
     "protocol": "5" * 64,
     "horizon_s": 100.0,
-    "benchmark": "v1",
+    "protocol_version": PROTOCOL_VERSION,
+    "verdicts": "both",
+    "benchmark": BENCHMARK_VERSION,
     "format": "1",
     "lemma": "0.1.0",
     "mujoco": "3.17.0",
@@ -52,6 +56,7 @@ def step(
         "explanation": "",
         "start_s": 0.0,
         "duration_s": 1.0,
+        "fell": [],
         "expert": feedback,
     }
 
@@ -66,8 +71,18 @@ def row(
     failure: str | None = "goal_not_reached",
     **more: Any,
 ) -> dict[str, Any]:
-    """Return the line of an episode."""
+    """Return the line of an episode; without more, it went on after no stop."""
+    judged = {
+        "success": success,
+        "progress": float(success),
+        "failure": None if success else failure,
+        "policy_error": None,
+        "asked_holds": None,
+        "elapsed_s": 30.0,
+    }
     return {
+        "protocol": PROTOCOL_VERSION,
+        "benchmark": BENCHMARK_VERSION,
         "task": task,
         "split": "test",
         "index": index,
@@ -77,12 +92,7 @@ def row(
         "instruction_kind": "high_level",
         "instruction": "Stack the red cube on the blue cube",
         "asked": None,
-        "asked_holds": None,
-        "success": success,
-        "progress": float(success),
-        "failure": None if success else failure,
-        "policy_error": None,
-        "elapsed_s": 30.0,
+        **judged,
         "idle_s": {"robot_0": 5.0, "robot_1": 25.0},
         "coordination": {
             "expert_s": 20.0,
@@ -91,6 +101,7 @@ def row(
         },
         "subtasks": list(steps),
         "left": left,
+        "lenient": {**judged, "subtasks": []},
         "wall_s": 0.1,
         **more,
     }

@@ -20,9 +20,10 @@ def compare(
 ) -> int:
     """Compare two policies on the same episodes, one by one.
 
-    Prints the difference of their success rates with its 95 % interval (Newcombe's, for
-    paired rates), on how many episodes only one of them succeeded, and the p-value of
-    McNemar's exact test. Results of other episodes or versions are refused.
+    Prints the difference of their strict success rates with its 95 % interval
+    (Newcombe's, for paired rates), on how many episodes only one of them succeeded, and
+    the p-value of McNemar's exact test; last of each kind, the same leniently. Results
+    of other episodes or versions are refused.
 
     Args:
         first: Folder of a result, or lines of the leaderboard (NAME.jsonl.gz).
@@ -44,6 +45,7 @@ def compare(
         shown.add_column(heading, justify="right", no_wrap=True)
     for kind, by_task in found.items():
         for task, one in by_task.items():
+            # Last of a kind, all of its tasks once more, leniently.
             name = kind.replace("_", "-") if task == "all" else f"  {task}"
             shown.add_row(name, *_cells(one), style="" if task == "all" else "dim")
     output().print(shown)

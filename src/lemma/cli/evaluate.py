@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.box import SIMPLE_HEAD
@@ -53,6 +53,9 @@ class EvaluateOptions:
     swapped: other colors, which ask for another goal on the same table."""
     perturb_start: Flag = False
     """Objects begin up to 3 cm and 15 degrees from where the instances say."""
+    protocol: Literal["both", "strict"] = "both"
+    """Two verdicts, or one. strict: the first sub-task that its robot cannot do ends an
+    episode. both: it then goes on, for the lenient verdict; one play gives the two."""
 
 
 EVERYTHING = EvaluateOptions()
@@ -104,6 +107,7 @@ def evaluate(
         episodes=ask.episodes,
         language=ask.language,
         perturb_start=ask.perturb_start,
+        verdicts=ask.protocol,
     )
     for departure in departures():
         complain(f"This is not protocol {NAME}, and its result says so: {departure}.")
@@ -141,43 +145,51 @@ def _names(text: str, every: tuple[str, ...]) -> tuple[str, ...]:
 
 def _rates(
     cells: "tuple[Cell, ...]", kinds: tuple[str, ...]
-) -> dict[str, dict[str, dict[str, float]]]:
+) -> dict[str, dict[str, dict[str, Any]]]:
     """Return rates of success by kind of instruction and task, ready for JSON."""
-    from lemma.evaluation.analysis.intervals import rates_by
+    from lemma.evaluation.analysis.intervals import leniently, rates_by
 
-    rates = rates_by(cells, "kind", "task")
-    return {
-        kind: {
-            task: asdict(rate) | {"success_rate": rate.success_rate}
-            for (k, task), rate in rates.items()
-            if k == kind
+    strict = rates_by(cells, "kind", "task")
+    lenient = rates_by(leniently(cells), "kind", "task")
+    found: dict[str, dict[str, dict[str, Any]]] = {kind: {} for kind in kinds}
+    for (kind, task), rate in strict.items():
+        later = lenient.get((kind, task))
+        found[kind][task] = asdict(rate) | {
+            "success_rate": rate.success_rate,
+            "lenient_success_rate": later.success_rate if later else None,
         }
-        for kind in kinds
-    }
+    return found
 
 
 def table(cells: "tuple[Cell, ...]") -> Table:
     """Return success rates [%] with Wilson intervals: tasks down, kinds across."""
-    from lemma.evaluation.analysis.intervals import mean_over_tasks, rates_by
+    from lemma.evaluation.analysis.intervals import leniently, mean_over_tasks, rates_by
     from lemma.tasks.language.template import EVALUATION_KINDS
     from lemma.tasks.names import in_order
     from lemma.tasks.suite import SUITE
 
-    rates = rates_by(cells, "kind", "task")
-    kinds = [kind for kind in EVALUATION_KINDS if any(k == kind for k, _ in rates)]
+    later = leniently(cells)
+    columns = {
+        (kind, name): [cell for cell in among if cell.kind == kind]
+        for kind in EVALUATION_KINDS
+        for name, among in (("", cells), ("lenient", later))
+        if any(cell.kind == kind for cell in among)
+    }
     shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     shown.add_column("success [%]", style="bold", no_wrap=True)
-    for kind in kinds:
-        shown.add_column(kind.replace("_", "-"), justify="right", no_wrap=True)
+    for kind, name in columns:
+        title = name or kind.replace("_", "-")
+        style = "dim" if name else ""
+        shown.add_column(title, justify="right", no_wrap=True, style=style)
     tasks = in_order(cell.task for cell in cells)
+    rates = [rates_by(column, "task") for column in columns.values()]
     for task in tasks:
-        row = (rates.get((kind, task)) for kind in kinds)
-        shown.add_row(task, *(_cell(rate) for rate in row))
+        shown.add_row(task, *(_cell(by_task.get((task,))) for by_task in rates))
     shown.add_section()
-    means = (mean_over_tasks(c for c in cells if c.kind == kind) for kind in kinds)
     whole = set(tasks) == set(SUITE)
     over = "the tasks" if whole else f"{len(tasks)} of the tasks"
-    shown.add_row(f"mean over {over}", *(f"{100 * mean:.1f}" for mean in means))
+    means = (f"{100 * mean_over_tasks(column):.1f}" for column in columns.values())
+    shown.add_row(f"mean over {over}", *means)
     return shown
 
 

@@ -142,14 +142,15 @@ class Episode:
         self.conclude()
         return result
 
-    def linger(self, start_s: float) -> None:
-        """Let time pass until a step has taken :data:`LEAST_STEP_S`.
+    def linger(self, start_s: float, least_s: float = LEAST_STEP_S) -> None:
+        """Let time pass until a step has taken as long as it must.
 
         Args:
             start_s: Simulated time at which the step began [s].
+            least_s: Simulated time that it takes at least [s].
         """
         if not self.is_over:
-            end_s = min(start_s + LEAST_STEP_S, self.horizon_s)
+            end_s = min(start_s + least_s, self.horizon_s)
             self.simulation.rest(end_s - self.elapsed_s)
             self.conclude()
 

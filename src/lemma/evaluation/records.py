@@ -28,12 +28,17 @@ PACKED = ".jsonl.gz"
 """End of the name of the lines of an entry of the leaderboard."""
 BOARD_SPLIT = "test"
 """Split that the leaderboard is about."""
-RESULT_VERSION = "1"
+PROTOCOL_VERSION = 2
+"""Of the rules by which episodes are played and judged: since 2 there are a strict and
+a lenient verdict."""
+RESULT_VERSION = "2"
 """Of the summaries."""
 WALL_CLOCK = ("wall_s",)
 """Fields of an episode's line that depend on the machine."""
 POLICY_ERROR = "policy_error"
 """Why an episode failed whose policy did."""
+PROTECTIVE_STOP = "protective_stop"
+"""Why an episode failed strictly whose policy sent a robot to what it cannot do."""
 POSE_TOLERANCE_MM = 20.0
 """A pose further off than this is missed: a cube that is held, or laid on another, so
 far off its middle may fall."""
@@ -89,6 +94,7 @@ class _Step(_SubTask, kw_only=True):
     explanation: str
     start_s: float
     duration_s: float
+    fell: list[str]
     expert: _Feedback
 
 
@@ -107,9 +113,23 @@ class _Fault(msgspec.Struct):
     explanation: str
 
 
-class _Line(msgspec.Struct):
-    """The fields of an episode's line."""
+class _Lenient(msgspec.Struct):
+    """What became of an episode that went on after its strict end."""
 
+    success: bool
+    progress: float
+    failure: str | None
+    policy_error: _Fault | None
+    asked_holds: bool | None
+    elapsed_s: float
+    subtasks: list[_Step]
+
+
+class _Line(msgspec.Struct):
+    """The fields of an episode's line: the strict verdict, with the lenient in it."""
+
+    protocol: int
+    benchmark: str
     task: str
     split: str
     index: int
@@ -129,6 +149,8 @@ class _Line(msgspec.Struct):
     coordination: _Coordination
     subtasks: list[_Step]
     left: int | None
+    lenient: _Lenient | None
+    """None if it was played strictly alone."""
 
 
 class _Policy(msgspec.Struct):
@@ -149,6 +171,8 @@ class _About(msgspec.Struct):
     language: str
     split: str
     protocol: str
+    protocol_version: int
+    verdicts: str
     horizon_s: float
     benchmark: str
     mujoco: str
@@ -277,8 +301,15 @@ def _check(line: _Line) -> None:
     """Check what no type says."""
     if line.instruction_kind not in EVALUATION_KINDS:
         raise ValueError(f"no kind of instruction: {line.instruction_kind!r}")
-    if not 0.0 <= line.progress <= 1.0:
-        raise ValueError(f"progress {line.progress} is not from 0 to 1")
+    if line.protocol != PROTOCOL_VERSION:
+        raise ValueError(
+            f"it follows protocol {line.protocol}, and this is {PROTOCOL_VERSION}"
+        )
+    if line.success and line.lenient is not None and not line.lenient.success:
+        raise ValueError("it succeeded strictly, but not leniently")
+    for verdict in (line, line.lenient):
+        if verdict is not None and not 0.0 <= verdict.progress <= 1.0:
+            raise ValueError(f"progress {verdict.progress} is not from 0 to 1")
 
 
 def _refuse(constant: str) -> float:

@@ -32,6 +32,12 @@ class Outcome(StrEnum):
     """The episode's time was over."""
 
 
+REFUSED = frozenset(
+    {Outcome.INVALID, Outcome.UNREACHABLE, Outcome.NOTHING_TO_PICK, Outcome.FALLEN}
+)
+"""Ends of what a robot cannot do: a real arm would stop for its protection."""
+
+
 @dataclass(frozen=True, slots=True)
 class SkillResult:
     """How one grounded sub-task went."""
@@ -46,6 +52,11 @@ class SkillResult:
     def ok(self) -> bool:
         """Whether the motion was carried out."""
         return self.outcome in (Outcome.SUCCESS, Outcome.STOPPED)
+
+    @property
+    def refused(self) -> bool:
+        """Whether the robot could not do it at all."""
+        return self.outcome in REFUSED
 
 
 def has_fallen(entity: str) -> str:

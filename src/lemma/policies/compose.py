@@ -1,13 +1,20 @@
-"""Policies from parts: any planner with any grounder, closed or open loop."""
+"""Policies from parts: any planner with any grounder, closed or open loop.
+
+Here is also the one rule of what becomes of a refused sub-task where a model does not
+read outcomes itself: another robot of the team tries the same.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from lemma.core.robot_names import robot_names
+from lemma.motion.outcome import REFUSED
 from lemma.policies.interfaces import (
     Decision,
     Grounder,
     PastStep,
     Planner,
+    Policy,
     PolicyInput,
 )
 from lemma.tasks.subtask import Primitive, SubTask
@@ -54,3 +61,79 @@ def _as_at_first(given: PolicyInput) -> PolicyInput:
     first = given.past[0].view if given.past else given.view
     past = tuple(PastStep(first, step.subtask) for step in given.past)
     return replace(given, view=first, past=past)
+
+
+@dataclass(frozen=True)
+class RetryingPlanner:
+    """A planner that reads no outcomes, with the rule for refused sub-tasks.
+
+    A refused sub-task changed nothing, so the planner is asked again as if it had not
+    been tried, and what it decides on is given to the next robot of the team that was
+    not refused the same. When all were, it is told of everything and goes on.
+    """
+
+    planner: Planner
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        """Return the planner's sub-tasks, each for a robot that was not refused it."""
+        decided = self.planner.plan([_as_untried(given) for given in inputs])
+        return [
+            _for_another(given, subtask)
+            for given, subtask in zip(inputs, decided, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class RetryingPolicy:
+    """The same for a policy that plans and grounds at once: its poses remain."""
+
+    policy: Policy
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the policy's decisions, each for a robot that was not refused it."""
+        decided = self.policy.act([_as_untried(given) for given in inputs])
+        found = []
+        for given, decision in zip(inputs, decided, strict=True):
+            subtask = _for_another(given, decision.subtask)
+            grounded = decision.grounded
+            if grounded is not None:
+                grounded = replace(grounded, robot=subtask.robot)
+            found.append(replace(decision, subtask=subtask, grounded=grounded))
+        return found
+
+
+def _refused(given: PolicyInput) -> list[SubTask]:
+    """Return what was refused since anything was carried out, the last one first."""
+    found = []
+    for step in reversed(given.past):
+        if step.outcome not in REFUSED:
+            break
+        found.append(step.subtask)
+    return found
+
+
+def _as_untried(given: PolicyInput) -> PolicyInput:
+    """Return an input without the last refused sub-task, while robots are left."""
+    refused = _refused(given)
+    same = 0
+    while same < len(refused) and _is_alike(refused[same], refused[0]):
+        same += 1
+    left = 0 < same < len(given.robots)
+    return given.with_past(given.past[:-same]) if left else given
+
+
+def _for_another(given: PolicyInput, subtask: SubTask) -> SubTask:
+    """Return a sub-task for the next robot that was not refused it, if there is one."""
+    tried = {one.robot for one in _refused(given) if _is_alike(one, subtask)}
+    if subtask.robot not in tried:
+        return subtask
+    team = robot_names(len(given.robots))
+    first = team.index(subtask.robot)
+    others = (*team[first + 1 :], *team[:first])
+    return next(
+        (replace(subtask, robot=name) for name in others if name not in tried), subtask
+    )
+
+
+def _is_alike(one: SubTask, other: SubTask) -> bool:
+    return replace(one, robot=other.robot) == other

@@ -21,6 +21,9 @@ class Model(nn.Module, ABC):
     then follow one another in the batch."""
     selection: ClassVar[str]
     """Name of the score by which the best weights are chosen, in validation."""
+    reads_outcomes: ClassVar[bool] = False
+    """Whether it looks at how its sub-tasks ended; else another robot tries what one
+    was refused (:class:`lemma.policies.compose.RetryingPlanner`)."""
     config: Any
     """The options; a frozen dataclass whose fields are plain data."""
 

@@ -7,7 +7,12 @@ from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.policies.class_path import instance_of
-from lemma.policies.compose import MultiStep, PlannerWithGrounder
+from lemma.policies.compose import (
+    MultiStep,
+    PlannerWithGrounder,
+    RetryingPlanner,
+    RetryingPolicy,
+)
 from lemma.policies.interfaces import TIMEOUT_S, Grounder, Planner, Policy
 from lemma.policies.oracle import (
     GroundTruthAllocation,
@@ -92,7 +97,7 @@ class PolicySpec:
                 )
             if _can(whole, Policy):
                 found: Policy = whole
-                return found
+                return found if _reads_outcomes(whole) else RetryingPolicy(found)
             raise InvalidConfigError(
                 f"{self.name} is no whole policy: it has no act(inputs). Combine a "
                 "planner with a grounder, as in episodic-transformer+cliport."
@@ -108,11 +113,22 @@ class PolicySpec:
         return self._compose(planner, grounder)
 
     def _compose(self, planner: Planner, grounder: Grounder) -> Policy:
+        reads = _reads_outcomes(planner)
         if self.planning != PLANNINGS[0]:
-            planner = MultiStep(planner)
+            planner, reads = MultiStep(planner), False
+        if not reads:
+            planner = RetryingPlanner(planner)
         if self.gta:
             planner = GroundTruthAllocation(planner)
         return PlannerWithGrounder(planner, grounder)
+
+
+def _reads_outcomes(part: object) -> bool:
+    """Whether a planner or policy makes something of how its sub-tasks ended.
+
+    Who says nothing does: what other people make is left as it is.
+    """
+    return bool(getattr(part, "reads_outcomes", True))
 
 
 _VERBS = {Planner: ("plan", 1), Grounder: ("ground", 2), Policy: ("act", 1)}

@@ -1,5 +1,6 @@
 """Comparisons: right figures, and only of what can be compared."""
 
+import gzip
 import json
 from pathlib import Path
 from typing import Any
@@ -101,13 +102,27 @@ def test_the_verb_prints_both(
     assert told["high_level"]["stack"]["only_first"] == 1
 
 
-def test_lines_of_the_leaderboard_are_compared(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    board = Path(__file__).parents[3] / "leaderboard"
-    first, second = board / "reachnet.jsonl.gz", board / "et-cliport.jsonl.gz"
-    found = compare(first, second)
-    assert found["high_level"]["all"].episodes == 480
-    assert found["unseen"]["all"].rates == (419 / 480, 233 / 480)
-    assert verb(first, second) == 0
-    assert "hook_stack" in capsys.readouterr().out
+def test_the_lenient_verdicts_are_compared_too(tmp_path: Path) -> None:
+    first, second = written(tmp_path / "a", {1, 2}), written(tmp_path / "b", {1})
+    found = compare(first, second)["high_level"]
+    assert found["lenient"] == found["all"]
+    path = second / "episodes.jsonl"
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    rows[5]["lenient"] |= {"success": True, "progress": 1.0, "failure": None}
+    path.write_text("".join(json.dumps(one) + "\n" for one in rows))
+    found = compare(first, second)["high_level"]
+    assert found["lenient"].rates == (0.2, 0.2)
+    assert found["all"].rates == (0.2, 0.1)
+    path.write_text("".join(json.dumps({**r, "lenient": None}) + "\n" for r in rows))
+    assert list(compare(first, second)["high_level"]) == ["all", "stack"]
+
+
+def test_lines_of_the_leaderboard_are_compared(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        folder = written(tmp_path / name, {1, 2})
+        lines = (folder / "episodes.jsonl").read_bytes()
+        (tmp_path / f"{name}.jsonl.gz").write_bytes(gzip.compress(lines))
+        entry = {"about": ABOUT, "protocol": ABOUT["protocol"]}
+        (tmp_path / f"{name}.json").write_text(json.dumps(entry))
+    found = compare(tmp_path / "a.jsonl.gz", tmp_path / "b.jsonl.gz")
+    assert found["high_level"]["all"].episodes == 10

@@ -50,6 +50,24 @@ def test_one_cause(steps: list[dict[str, Any]], left: int, cause: Cause) -> None
     assert cause_of(row(steps=steps, left=left)) is cause
 
 
+def test_what_falls_is_a_cause_unless_somebody_else_should_have_done_it() -> None:
+    fatal = {**step(2, "", "dropped", 3.0, 35.0), "fell": ["red_cube"]}
+    assert cause_of(row(steps=[fatal], left=None)) is Cause.FELL
+    wrong = {**step(2, "robot", "dropped"), "fell": ["red_cube"]}
+    assert cause_of(row(steps=[wrong], left=None)) is Cause.WRONG_ROBOT
+
+
+def test_a_protective_stop_is_a_mistake_with_a_cause_of_its_own() -> None:
+    def stopped(*steps: dict[str, Any]) -> dict[str, Any]:
+        return row(steps=steps, left=2, failure="protective_stop")
+
+    assert cause_of(stopped(step(2, "robot", "unreachable"))) is Cause.WRONG_ROBOT
+    missed = step(2, "", "nothing_to_pick", 35.0)
+    assert cause_of(stopped(step(3), missed)) is Cause.MISSED_PICK
+    # What was lost before it is the mistake.
+    assert cause_of(stopped(step(2, "object"), missed)) is Cause.WRONG_OBJECT
+
+
 def test_what_helps_is_no_mistake_whatever_the_expert_would_do() -> None:
     steps = [step(4, "object"), step(3, "", "missed_grasp", 30.0)]
     assert cause_of(row(steps=steps, left=3)) is Cause.MISSED_PICK

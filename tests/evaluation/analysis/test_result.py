@@ -10,7 +10,13 @@ from made_up import ABOUT, result, row, step
 
 from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.result import read_result, summarise
-from lemma.evaluation.records import EPISODES, SUMMARY, training_seed, write_rows
+from lemma.evaluation.records import (
+    EPISODES,
+    SUMMARY,
+    read_lines,
+    training_seed,
+    write_rows,
+)
 from lemma.evaluation.report.policy_results import read_results
 from lemma.evaluation.run.loading import learned_parts, weights_of
 from lemma.policies.spec import PolicySpec
@@ -61,7 +67,7 @@ def test_a_result_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [('"version": "1"', '"version": "0"'), ('"task"', '"tusk"')]
+    ("old", "new"), [('"version": "2"', '"version": "1"'), ('"task"', '"tusk"')]
 )
 def test_other_files_are_named(tmp_path: Path, old: str, new: str) -> None:
     path = tmp_path / "summary.json"
@@ -144,14 +150,54 @@ def test_lines_beside_a_file_of_a_seed_are_counted_too(tmp_path: Path) -> None:
 def test_a_summary_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
     folder = kept(tmp_path / "a", ROWS)
     data = json.loads((folder / SUMMARY).read_text())
-    data["cells"][1]["successes"] = 2
+    data["cells"][1] |= {"successes": 2, "lenient_successes": 2}
     (folder / SUMMARY).write_text(json.dumps(data))
     with pytest.raises(DatasetError, match=r"0 failed .* of stack, and"):
         read_result(folder / SUMMARY)
-    data["cells"][1]["successes"] = 3
-    (folder / SUMMARY).write_text(json.dumps(data))
-    with pytest.raises(DatasetError, match="cannot be"):
-        read_result(folder / SUMMARY)
+    # More than there are; fewer leniently than strictly.
+    for counts in ((3, 3), (2, 1)):
+        wrong = dict(zip(("successes", "lenient_successes"), counts, strict=True))
+        data["cells"][1] |= wrong
+        (folder / SUMMARY).write_text(json.dumps(data))
+        with pytest.raises(DatasetError, match="cannot be"):
+            read_result(folder / SUMMARY)
+
+
+def later(index: int, **lenient: object) -> dict[str, Any]:
+    """Return the line of an episode that ended by a protective stop, and went on."""
+    stopped = [step(2, "robot", "unreachable", able=False)]
+    line = row("stack", index, steps=stopped, left=2, failure="protective_stop")
+    told = {"success": True, "progress": 1.0, "failure": None, "elapsed_s": 40.0}
+    return {**line, "lenient": {**line["lenient"], **told, **lenient}}
+
+
+def test_both_verdicts_are_counted() -> None:
+    made = summarise([row("stack", 0, success=True), later(1), later(2)], ABOUT)
+    (cell,) = made.cells
+    assert (cell.episodes, cell.successes, cell.lenient_successes) == (3, 1, 3)
+    (lost,) = made.losses
+    assert (lost.cause, lost.episodes) == ("wrong_robot", 2)
+    (found,) = made.coordination
+    assert (found.stops, found.refusals) == (2, 2)
+    assert (found.timed_s, found.lenient_timed_s) == (30.0, 110.0)
+    assert (found.expert_s, found.lenient_expert_s) == (20.0, 60.0)
+
+
+def test_what_was_played_strictly_has_no_lenient_verdict() -> None:
+    (cell,) = summarise([later(1), {**later(2), "lenient": None}], ABOUT).cells
+    assert (cell.successes, cell.lenient_successes) == (0, None)
+
+
+def test_a_line_says_which_protocol_it_follows(tmp_path: Path) -> None:
+    path = tmp_path / EPISODES
+    write_rows(path, [later(0)])
+    assert read_lines(path) == [later(0)]
+    write_rows(path, [{**later(0), "protocol": 1}])
+    with pytest.raises(DatasetError, match="follows protocol 1"):
+        read_lines(path)
+    write_rows(path, [{**later(0, success=False), "success": True}])
+    with pytest.raises(DatasetError, match="strictly, but not leniently"):
+        read_lines(path)
 
 
 DEEP = "[" * 100_000

@@ -11,6 +11,7 @@ from lemma.evaluation.records import (
     EPISODES,
     PACKED,
     EpisodeKey,
+    Row,
     key_of,
     read_about,
     read_lines,
@@ -86,15 +87,16 @@ def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
         second: The other.
 
     Returns:
-        By kind of instructions, and then for ``"all"`` and by task.
+        By kind of instructions, and then for ``"all"`` and by task, all strictly; and
+        for ``"lenient"``, all episodes once more, where both were played so.
 
     Raises:
         DatasetError: One is missing, or they are of other episodes or versions.
     """
-    successes = [_successes(path) for path in (first, second)]
+    mine, others = _rows(first), _rows(second)
     _check_same_world(first, second)
-    _check_same_episodes(first, second, successes)
-    pairs = {name: (won, successes[1][name]) for name, won in successes[0].items()}
+    _check_same_episodes(first, second, (mine, others))
+    pairs = {name: (row, others[name]) for name, row in mine.items()}
     found: dict[str, dict[str, Comparison]] = {}
     for kind in EVALUATION_KINDS:
         of_kind = {name: pair for name, pair in pairs.items() if name[0] == kind}
@@ -103,11 +105,14 @@ def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
             for task in in_order(name[1] for name in of_kind):
                 of_task = [pair for name, pair in of_kind.items() if name[1] == task]
                 found[kind][task] = _count(of_task)
+            later = [(one["lenient"], two["lenient"]) for one, two in of_kind.values()]
+            if all(one and two for one, two in later):
+                found[kind]["lenient"] = _count(later)
     return found
 
 
-def _count(pairs: Iterable[tuple[bool, bool]]) -> Comparison:
-    listed = list(pairs)
+def _count(pairs: Iterable[tuple[Row, Row]]) -> Comparison:
+    listed = [(bool(one["success"]), bool(two["success"])) for one, two in pairs]
     return Comparison(
         both=listed.count((True, True)),
         only_first=listed.count((True, False)),
@@ -116,7 +121,7 @@ def _count(pairs: Iterable[tuple[bool, bool]]) -> Comparison:
     )
 
 
-def _successes(path: Path) -> dict[EpisodeKey, bool]:
+def _rows(path: Path) -> dict[EpisodeKey, Row]:
     rows = read_lines(path) if path.name.endswith(PACKED) else read_rows(path)
     if not rows:
         raise DatasetError(
@@ -125,7 +130,7 @@ def _successes(path: Path) -> dict[EpisodeKey, bool]:
             "for each training seed. Or name lines of the leaderboard, such as "
             f"leaderboard/reachnet{PACKED}."
         )
-    return {key_of(row): row["success"] for row in rows}
+    return {key_of(row): row for row in rows}
 
 
 def _check_same_world(first: Path, second: Path) -> None:
@@ -142,11 +147,11 @@ def _check_same_world(first: Path, second: Path) -> None:
 
 
 def _check_same_episodes(
-    first: Path, second: Path, successes: Sequence[dict[EpisodeKey, bool]]
+    first: Path, second: Path, rows: Sequence[dict[EpisodeKey, Row]]
 ) -> None:
     for here, there, mine, others in (
-        (first, second, successes[0], successes[1]),
-        (second, first, successes[1], successes[0]),
+        (first, second, rows[0], rows[1]),
+        (second, first, rows[1], rows[0]),
     ):
         missing = sorted(mine.keys() - others.keys())
         if missing:

@@ -1,5 +1,7 @@
 """How well the robots of a team work together, counted from the lines of episodes.
 
+All of it is of the strict episodes, unless it says *lenient*.
+
 ==================  ==================================================================
 makespan            simulated time until the episode ends, ``elapsed_s``. It is compared
                     with the expert's on the same instance, over successful episodes
@@ -8,8 +10,9 @@ idle time           of one robot: makespan less the time in which it carries out
                     sub-tasks. Robots take turns, so somebody always waits.
 allocation          share of sub-tasks whose robot could do them, as the expert judges
                     by the true state before each; of those that any robot could do.
-                    ``stop`` is none. Besides: share whose robot is the expert's, of
-                    the sub-tasks that are in its plan, now or later, with any robot.
+                    ``stop`` is none. A protective stop ends the episode, so all of
+                    these are first tries. Besides: share whose robot is the expert's,
+                    of the sub-tasks that are in its plan, now or later, with any robot.
 order violation     a sub-task that is in the expert's plan, but further on, which could
                     not be done yet, or was done and left as many sub-tasks to do as
                     before. What may come in any order is none.
@@ -23,7 +26,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from lemma.evaluation.records import Row
+from lemma.evaluation.records import PROTECTIVE_STOP, Row
+from lemma.motion.outcome import REFUSED
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,16 +60,23 @@ class Coordination:
     """Smallest clearance in any episode; None where no scene has two arms."""
     touching: int
     """Episodes in which it was 0 or less."""
+    stops: int
+    """Episodes that a protective stop ended."""
+    refusals: int | None
+    """Sub-tasks in lenient play that their robots could not do; None if that was not
+    played."""
+    lenient_timed_s: float
+    """As ``timed_s``, of the episodes that succeeded leniently."""
+    lenient_expert_s: float
+    """As ``expert_s``, of those."""
 
 
 def coordination_of(rows: Sequence[Row], kind: str, task: str) -> Coordination:
     """Sum the figures of episodes of one kind and task; at least one."""
     figures = [row["coordination"] for row in rows]
-    timed = [
-        row
-        for row in rows
-        if row["success"] and row["coordination"]["expert_s"] is not None
-    ]
+    known = [row for row in rows if row["coordination"]["expert_s"] is not None]
+    timed = [row for row in known if row["success"]]
+    later = [row for row in known if row["lenient"] and row["lenient"]["success"]]
     clearances = [
         each["clearance_mm"] for each in figures if each["clearance_mm"] is not None
     ]
@@ -86,7 +97,21 @@ def coordination_of(rows: Sequence[Row], kind: str, task: str) -> Coordination:
         order_violations=sum(each["order_violations"] for each in figures),
         nearest_mm=min(clearances, default=None),
         touching=sum(each <= 0.0 for each in clearances),
+        stops=sum(row["failure"] == PROTECTIVE_STOP for row in rows),
+        refusals=_refusals(rows),
+        lenient_timed_s=_sum(row["lenient"]["elapsed_s"] for row in later),
+        lenient_expert_s=_sum(row["coordination"]["expert_s"] for row in later),
     )
+
+
+def _refusals(rows: Iterable[Row]) -> int | None:
+    count = 0
+    for row in rows:
+        if row["lenient"] is None:
+            return None
+        steps = (*row["subtasks"], *row["lenient"]["subtasks"])
+        count += sum(step["outcome"] in REFUSED for step in steps)
+    return count
 
 
 def _sum(values: Iterable[float]) -> float:

@@ -5,7 +5,8 @@ The expert was asked before every sub-task
 sub-tasks it would need from there. A sub-task is a *mistake* if that number never falls
 below what it was before it, in all the rest of the episode. So whatever serves the goal
 is none, though the expert would have done something else, and neither is what was made
-good later. The first mistake is the cause.
+good later. The first mistake is the cause. A refused sub-task leaves as many as there
+were, so a protective stop is a mistake, whose cause says what was wrong with it.
 """
 
 import math
@@ -39,6 +40,8 @@ class Cause(StrEnum):
     """The mistake is the expert's sub-task. The place is more than 20 mm off the middle
     of the pad or cube, or, in the shared region and with tools, where no single pose is
     right, it is out of reach, or the motion was carried out and did not help."""
+    FELL = "fell"
+    """The mistake is the expert's sub-task, and in it something fell off the table."""
     EXECUTION = "execution"
     """The mistake is the expert's sub-task with good poses, and the motion failed:
     dropped, collided, did not end. Also where nothing was left to do, and the goal does
@@ -102,6 +105,8 @@ def _of_mistake(step: Mapping[str, Any]) -> Cause:
     outcome = Outcome(step["outcome"])
     if outcome is Outcome.OUT_OF_TIME:
         return Cause.OUT_OF_TIME
+    if step["fell"]:
+        return Cause.FELL
     pick_mm = step["expert"]["pick_error_mm"]
     place_mm = step["expert"]["place_error_mm"]
     if _pick_is_missed(pick_mm, outcome):

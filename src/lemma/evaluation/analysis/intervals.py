@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from statistics import fmean
 
@@ -136,6 +136,16 @@ def rates_by(cells: Iterable[Cell], *columns: str) -> dict[tuple[str, ...], Rate
         name = tuple(str(getattr(cell, column)) for column in columns)
         groups.setdefault(name, []).append(cell)
     return {name: rate_of(listed) for name, listed in groups.items()}
+
+
+def leniently(cells: Iterable[Cell]) -> list[Cell]:
+    """Return cells whose successes are the lenient ones; none where one has none."""
+    found = []
+    for cell in cells:
+        if cell.lenient_successes is None:
+            return []
+        found.append(replace(cell, successes=cell.lenient_successes))
+    return found
 
 
 def mean_over_tasks(cells: Iterable[Cell]) -> float:

@@ -10,6 +10,7 @@ from lemma.evaluation.experiments import paper_figures as paper
 from lemma.evaluation.experiments.paper_figures import Figures
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.policies.training.config import DEFAULTS
+from lemma.tasks.instance import BENCHMARK_VERSION
 from lemma.tasks.language.template import EVALUATION_KINDS
 
 SUITES = ("paper", "ours", "controls", "ablations")
@@ -17,13 +18,17 @@ ALL = "all"
 SEEDS = (0, 1, 2)
 """Of training; the weights of the first ship."""
 ABLATIONS = "ablations"
-DATA = "data/lemma-v1-keyframes"
-RECOVERY = "data/lemma-v1-recovery-keyframes"
+ABLATION_EPISODES = 100
+"""Demonstrations of each task that ablations are trained on: with all 700 of them, what
+is left out is hardly missed."""
+_RECIPE = f"data/lemma-{BENCHMARK_VERSION}"
+DATA = f"{_RECIPE}-keyframes"
+RECOVERY = f"{_RECIPE}-recovery-keyframes"
 DATA_COMMANDS = (
-    "lemma generate --out data/lemma-v1",
-    f"lemma render data/lemma-v1 --form keyframes --out {DATA}",
-    "lemma generate --perturb 0.3 --episodes 150 --out data/lemma-v1-recovery",
-    f"lemma render data/lemma-v1-recovery --form keyframes --out {RECOVERY}",
+    f"lemma generate --out {_RECIPE}",
+    f"lemma render {_RECIPE} --form keyframes --out {DATA}",
+    f"lemma generate --perturb 0.3 --episodes 150 --out {_RECIPE}-recovery",
+    f"lemma render {_RECIPE}-recovery --form keyframes --out {RECOVERY}",
 )
 """Make what all trainings need."""
 
@@ -240,7 +245,10 @@ def _add_ablation(
     language: str = "full",
 ) -> None:
     weights = f"{_ABLATED}-{name}"
-    training = Training(weights, _ABLATED, arguments, recovery, _ABLATION_SAMPLES)
+    few = f"--episodes-per-task {ABLATION_EPISODES}"
+    training = Training(
+        weights, _ABLATED, f"{few} {arguments}".strip(), recovery, _ABLATION_SAMPLES
+    )
     TRAININGS.add(weights, training)
     _add(
         Experiment(

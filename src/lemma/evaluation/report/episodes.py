@@ -9,10 +9,16 @@ from typing import Any
 
 from lemma.evaluation.analysis.failure_causes import Cause, cause_of, mistake_of
 from lemma.evaluation.analysis.result import Result, lines_of, summarise
-from lemma.evaluation.records import EPISODES, Departure, Row, read_rows
+from lemma.evaluation.records import (
+    EPISODES,
+    PROTECTIVE_STOP,
+    Departure,
+    Row,
+    read_rows,
+)
 from lemma.evaluation.report.policy_results import PolicyResults, lines_beside
 from lemma.evaluation.run.evaluate import start_of
-from lemma.motion.outcome import Outcome
+from lemma.motion.outcome import REFUSED, Outcome
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.bank import robot_phrases, sub_instruction
 from lemma.tasks.subtask import Primitive
@@ -150,6 +156,20 @@ def explanation(case: Case) -> str:
         return _without_mistake(cause, row)
     step = row["subtasks"][case.mistake]
     number = case.mistake + 1
+    return f"{_of_mistake(case, cause, step, number)} {_of_stop(row)}".strip()
+
+
+def _of_stop(row: Row) -> str:
+    """Return how a protective stop ended an episode, if one did, and what came then."""
+    if row["failure"] != PROTECTIVE_STOP:
+        return ""
+    last, later = row["subtasks"][-1], row["lenient"]
+    solved = later is not None and later["success"]
+    told = " Told of it, the policy solved it all the same." if solved else ""
+    return f"Protective stop: {last['explanation']}{told}"
+
+
+def _of_mistake(case: Case, cause: Cause, step: Mapping[str, Any], number: int) -> str:
     wanted = f"The expert would go on with “{subtask_words(case, _expected(step))}”."
     if cause is Cause.WRONG_ROBOT:
         return f"Sub-task {number} is given to the wrong robot. {wanted}"
@@ -190,9 +210,11 @@ def _of_poses(cause: Cause, step: Mapping[str, Any]) -> Iterator[str]:
                 yield f"Its {end} is not good enough."
     if cause is Cause.OUT_OF_TIME:
         yield "The time was over during it."
+    if cause is Cause.FELL:
+        yield f"In it the {' and the '.join(step['fell'])} fell off the table."
     if cause is Cause.EXECUTION:
         yield "Its poses are good, but the motion failed."
-    if step["outcome"] != Outcome.SUCCESS:
+    if step["outcome"] not in (Outcome.SUCCESS, *REFUSED):
         yield step["explanation"]
 
 

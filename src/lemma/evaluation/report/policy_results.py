@@ -1,5 +1,6 @@
 """The results of one policy over its training seeds: what a row of a table is."""
 
+import json
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from itertools import groupby
@@ -7,7 +8,7 @@ from pathlib import Path
 from statistics import fmean, stdev
 
 from lemma.core.errors import DatasetError
-from lemma.evaluation.analysis.intervals import mean_over_tasks, rate_of
+from lemma.evaluation.analysis.intervals import leniently, mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Cell, Result, check_lines, read_result
 from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS, Experiment
 from lemma.evaluation.records import EPISODES, SUMMARY, read_rows
@@ -16,6 +17,7 @@ from lemma.evaluation.run.protocol import check_protocol
 from lemma.tasks.names import SUITE, in_order
 
 NOTHING = "–"
+NOT_RUN = "not run"
 PARTIAL = "†"
 """Marks a mean over other tasks than all of the suite."""
 
@@ -46,6 +48,11 @@ class PolicyResults:
             ]
             for result in self.results
         ]
+
+    def select_leniently(self, kind: str, **where: object) -> list[list[Cell]]:
+        """Return the same with lenient successes; without seeds that have none."""
+        seeds = (leniently(cells) for cells in self.select(kind, **where))
+        return [cells for cells in seeds if cells]
 
     def has(self, kind: str) -> bool:
         """Whether there are episodes of a kind of instructions."""
@@ -205,6 +212,26 @@ def title_of(result: Result) -> str:
 def starts_perturbed(result: Result) -> bool:
     """Whether objects began a little elsewhere than the instances say."""
     return bool(result.about.get("perturb_start", False))
+
+
+def policy_of(result: Result) -> str:
+    """Return which policy a result is of, whatever was said and wherever it began."""
+    return json.dumps(result.about["policy"], sort_keys=True)
+
+
+def is_plain(result: Result) -> bool:
+    """Whether everything was said and done as the instances have it."""
+    return result.about["language"] == FULL and not starts_perturbed(result)
+
+
+def is_ablation(entry: PolicyResults) -> bool:
+    """Whether a policy stands in the table of the ablations."""
+    return entry.experiment is not None and entry.experiment.suite == ABLATIONS
+
+
+def mean_cell(entry: PolicyResults, kind: str) -> str:
+    """Return the mean over the tasks [%] as a table shows it, or that nobody played."""
+    return shown_mean(entry.select(kind)) if entry.results else NOT_RUN
 
 
 def _row_of(result: Result) -> str:

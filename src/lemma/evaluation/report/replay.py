@@ -5,7 +5,7 @@ from typing import Any
 
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
-from lemma.evaluation.records import POLICY_ERROR, Row
+from lemma.evaluation.records import POLICY_ERROR, PROTECTIVE_STOP, Row
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 
@@ -16,7 +16,7 @@ def retrace(
     horizon_s: float,
     before: Callable[[Episode, int], None] = lambda episode, number: None,
 ) -> str:
-    """Execute what a line says was executed, and compare.
+    """Execute what a line says was executed until its strict end, and compare.
 
     Physics repeats to the bit, so the episode is the same on the same kind of machine
     with the same versions.
@@ -43,14 +43,15 @@ def retrace(
             result = episode.execute(grounded_of(step["grounded"]))
             found["outcome"] = str(result.outcome)
             found["duration_s"] = round(result.duration_s, 3)
-        episode.linger(start)
+        if not (row["failure"] == PROTECTIVE_STOP and step is row["subtasks"][-1]):
+            episode.linger(start)
         differs = differs or _difference(f"sub-task {number + 1}", found, step)
-    if not episode.is_over:
+    if not episode.is_over and row["failure"] != PROTECTIVE_STOP:
         episode.stop()
     before(episode, len(row["subtasks"]))
     info = episode.info()
     found = {"progress": info["progress"], "elapsed_s": round(info["elapsed_s"], 3)}
-    if row["failure"] != POLICY_ERROR:
+    if row["failure"] not in (POLICY_ERROR, PROTECTIVE_STOP):
         found |= {"success": info["success"], "failure": info["failure"]}
     return differs or _difference("the end", found, row)
 

@@ -8,9 +8,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from lemma.evaluation.analysis.result import Result
-from lemma.evaluation.experiments.catalog import SEEDS, SUITES
-from lemma.evaluation.report import tables
-from lemma.evaluation.report.policy_results import PARTIAL, PolicyResults, tasks_of
+from lemma.evaluation.experiments.catalog import ABLATION_EPISODES, SEEDS, SUITES
+from lemma.evaluation.report import success_tables, tables
+from lemma.evaluation.report.policy_results import (
+    NOT_RUN,
+    PARTIAL,
+    PolicyResults,
+    tasks_of,
+)
 from lemma.evaluation.report.tables import ResultTable, markdown
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.language.template import EVALUATION_KINDS
@@ -26,14 +31,18 @@ page is written by a command, from {source} and from nothing else.
 
 - **What a number is.** {protocol}
   An episode counts if its goal holds at the end. {guide} says what else fixes a number.
+- **Strict and lenient.** The headline is strict: the first sub-task that the chosen
+  robot cannot do ends the episode, as a protective stop ends what a real arm does. The
+  row *lenient* below it is of the same episodes, played on: the policy is told, and the
+  attempt costs five simulated seconds. Diagnoses are of the strict episodes.
 - **Intervals.** With one training seed: the rate and its 95 % Wilson interval over the
   episodes. With several: mean ± standard deviation over the seeds. The simulator is
   deterministic, so a second run of the same weights gives the same episodes.
-- **The paper's figures** are from Isaac Sim, with its own scenes and sentences; ours
-  are from MuJoCo. Simulators differ: the same row is the same kind of policy, not the
-  same experiment. Means are as printed there; figures by task (≈) are worked back from
-  rates per sub-task and good to about one per cent.
-- *{not_run}* says that there is no result: the weights do not ship yet, or nobody has
+- **The paper's figures** are as printed there, mean ± standard deviation over ten runs
+  of the same weights on Isaac Sim, with its own scenes and sentences; ours are from
+  MuJoCo. Simulators differ: the same row is the same kind of policy, not the same
+  experiment.
+- *{not_run}* says that there are no results yet: the weights do not ship, or nobody has
   evaluated them.
 
 `lemma reproduce NAME` makes a row, with the names that stand at the end; with `--print`
@@ -73,7 +82,7 @@ def page(
         source=source,
         guide=guide,
         protocol=protocol_words(entries),
-        not_run=tables.NOT_RUN,
+        not_run=NOT_RUN,
     )
     return text + "".join(
         _written(section) for section in sections(entries, guide) if section.table.rows
@@ -90,7 +99,14 @@ def sections(
         guide: The page about evaluation, as notes name it.
     """
     every = (*_paper_sections(entries), *_own_sections(entries, guide))
-    return [*(Section(*one) for one in every), _provenance(entries)]
+    sample = sample_words(entries)
+    return [
+        *(
+            Section(title, f"{note} {sample}".strip(), table)
+            for title, note, table in every
+        ),
+        _provenance(entries),
+    ]
 
 
 def _paper_sections(
@@ -100,27 +116,32 @@ def _paper_sections(
     yield (
         "High-level instructions",
         "As in the paper.",
-        tables.by_task(entries, "high_level"),
+        success_tables.by_task(entries, "high_level"),
     )
     yield (
         "Human instructions",
         "As in the paper. Templates of this kind are seen in training; ours "
         "are not crowd-sourced.",
-        tables.by_task(entries, "human"),
+        success_tables.by_task(entries, "human"),
     )
     yield (
-        "Distractors",
-        "As in the paper: by number of objects that the goal does not need; here with "
-        "high-level instructions. The tasks have different ranges of it, so the "
-        "columns hold different mixtures of tasks. We do not have the paper's figures.",
-        tables.by_distractors(entries, "high_level"),
+        "Distractors, as in the paper",
+        "By number of objects that the goal does not need, in four tasks.",
+        success_tables.distractors_by_task(entries),
     )
-    yield (
-        "Robot types",
-        "As in the paper: by team; here with high-level instructions. We do not have "
-        "the paper's figures.",
-        tables.by_team(entries, "high_level"),
-    )
+    for kind in ("high_level", "human"):
+        name = tables.words(kind, "-")
+        yield (
+            f"Distractors, {name} instructions",
+            "All tasks together. They have different ranges of it, so the columns hold "
+            "different mixtures of tasks.",
+            success_tables.by_distractors(entries, kind),
+        )
+        yield (
+            f"Robot types, {name} instructions",
+            "As in the paper: by team.",
+            success_tables.by_team(entries, kind),
+        )
 
 
 def _own_sections(
@@ -130,30 +151,31 @@ def _own_sections(
     yield (
         "Unseen templates",
         "Sentences of templates that training never sees; not in the paper.",
-        tables.by_task(entries, "unseen"),
+        success_tables.by_task(entries, "unseen"),
     )
     yield (
         "Blind templates",
         "Sentences of somebody who had read none of this project's templates, rules or "
         "results, and which no part of a policy was made with; not in the paper.",
-        tables.by_task(entries, "blind"),
+        success_tables.by_task(entries, "blind"),
     )
     yield (
         "Other sentences",
         "How much a policy needs the sentence: success at the goal of the instance "
-        "when something else is said, or nothing. Last: how often the goal holds that "
-        "swapped colors ask for.",
+        "when something else is said, or nothing; strict. Last: how often the goal "
+        "holds that swapped colors ask for.",
         tables.language(entries),
     )
     yield (
         "Perturbed starts",
-        f"Objects begin a little elsewhere; {guide} says how.",
+        f"Objects begin a little elsewhere; strict. {guide} says how.",
         tables.starts(entries),
     )
     yield (
         "Ablations",
         "One thing left out of ReachNet's training each, and two controls; all are "
-        f"trained alike long, with seed 0: {guide} lists them.",
+        f"trained alike long, on {ABLATION_EPISODES} demonstrations of each task, with "
+        f"seed 0; strict. {guide} lists them.",
         tables.ablations(entries),
     )
     yield (
@@ -177,9 +199,9 @@ def _own_sections(
     yield (
         "Coordination",
         "High-level instructions. Time against the expert's where both succeed, the "
-        "part of it in which each robot is idle, sub-tasks given to a robot that is "
-        "able to do them and to the expert's, those that came too soon, and how near "
-        f"the arms came to each other; {guide} defines them.",
+        "part of it in which each robot is idle, sub-tasks given at the first try to a "
+        "robot that is able to do them, and to the expert's, those that came too soon, "
+        f"and how near the arms came to each other; {guide} defines them.",
         tables.coordination(entries, "high_level"),
     )
 
@@ -222,6 +244,17 @@ def protocol_words(entries: Sequence[PolicyResults]) -> str:
     if any({task for _, task in _extents(one)} != set(SUITE) for one in results):
         text += f". {PARTIAL} marks a mean over other tasks than the suite's eight"
     return f"{text}."
+
+
+def sample_words(entries: Sequence[PolicyResults]) -> str:
+    """Return what captions say where not all episodes were played; mostly nothing."""
+    parts = [r for entry in entries for r in entry.results if not _is_whole(r)]
+    if not parts:
+        return ""
+    counts = [count for result in parts for count in _extents(result).values()]
+    words = _part_words(tasks_of(entries), counts, parts[0].about["split"])
+    some = any(_is_whole(result) for entry in entries for result in entry.results)
+    return f"**{'Some rows are of a sample' if some else 'A sample'}:** {words}."
 
 
 def _part_words(tasks: Sequence[str], counts: Sequence[int], split: str) -> str:
@@ -283,7 +316,7 @@ def _provenance(entries: Iterable[PolicyResults]) -> Section:
     for entry in entries:
         if not entry.results and entry.experiment is not None:
             command = f"`lemma reproduce {entry.experiment.name}`"
-            rows.append((entry.title, command, tables.NOT_RUN, "", ""))
+            rows.append((entry.title, command, NOT_RUN, "", ""))
         for result in entry.results:
             hashes = ", ".join(
                 f"{name} `{told['sha256'][:12]}`{_LIMITED * bool(told.get('ended'))}"

@@ -1,32 +1,26 @@
 """The tables: rows and columns made from results, and from nothing else."""
 
-import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
-from typing import Any
 
 from lemma.evaluation.analysis.coordination import Coordination
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.analysis.result import Result
-from lemma.evaluation.experiments.catalog import ABLATIONS, SUITES
 from lemma.evaluation.report.policy_results import (
     NOTHING,
     PolicyResults,
-    pooled,
-    shown,
+    is_ablation,
+    is_plain,
+    mean_cell,
+    policy_of,
     shown_mean,
     starts_perturbed,
     tasks_of,
 )
 from lemma.evaluation.run.language_controls import FULL, LANGUAGES
 from lemma.tasks.language.template import EVALUATION_KINDS
-from lemma.tasks.suite import SUITE
-
-NOT_RUN = "not run"
-TEAMS = ("ur5+ur5", "ur5+ur10", "ur10+ur10")
-DISTRACTORS = (0, 1, 2, 3, 4)
 
 
 @dataclass(frozen=True)
@@ -52,38 +46,16 @@ def words(name: str, gap: str = " ") -> str:
     return name.replace("_", gap)
 
 
-def by_task(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
-    """Return success by task with one kind of instructions; paper's figures below."""
-    reporting = _reporting(entries, kind)
-    tasks = tasks_of(reporting, kind)
-    rows = []
-    for entry in reporting:
-        each = [shown(entry.select(kind, task=task), pooled) for task in tasks]
-        rows.append((entry.title, *each, _mean(entry, kind)))
-        rows += _paper_rows(entry, kind, tasks)
-    return ResultTable(("success [%]", *tasks, "mean"), tuple(rows))
-
-
-def by_distractors(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
-    """Return success by number of distractors, over all tasks."""
-    return _breakdown(entries, kind, "distractors")
-
-
-def by_team(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
-    """Return success by types of the robots, over all tasks."""
-    return _breakdown(entries, kind, "team")
-
-
 def ablations(entries: Sequence[PolicyResults]) -> ResultTable:
     """Return the success of ReachNet with one thing of its training changed each."""
-    chosen = [entry for entry in entries if _is_ablation(entry)]
+    chosen = [entry for entry in entries if is_ablation(entry)]
     kinds = [
         kind for kind in EVALUATION_KINDS if any(entry.has(kind) for entry in chosen)
     ]
     rows = [
         (
             entry.title,
-            *(_mean(entry, kind) for kind in kinds),
+            *(mean_cell(entry, kind) for kind in kinds),
             str(sum(_episodes(entry, kind) for kind in kinds) or NOTHING),
         )
         for entry in chosen
@@ -145,17 +117,20 @@ def coordination(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
             for found in [[one for one in result.coordination if one.kind == kind]]
             if found
         ]
-        if seeds and not _is_ablation(entry):
+        if seeds and not is_ablation(entry):
             rows.append((entry.title, *_coordination(seeds)))
     header = (
         "time / expert's",
         "idle, left [%]",
         "idle, right [%]",
-        "able robot [%]",
+        "first-try allocation [%]",
         "expert's robot [%]",
         "order violations per 100",
         "nearest arms [mm]",
         "touching",
+        "protective stops per 100",
+        "lenient: refusals per 100",
+        "lenient: time / expert's",
     )
     return ResultTable(("", *header), tuple(rows))
 
@@ -250,6 +225,7 @@ def _coordination(seeds: Sequence[Sequence[Coordination]]) -> tuple[str, ...]:
         return _spread(values, 1)
 
     every = [one for found in seeds for one in found]
+    played_strictly = any(one.refusals is None for one in every)
     gaps = [one.nearest_mm for one in every if one.nearest_mm is not None]
     return (
         ratio("timed_s", "expert_s", 1.0),
@@ -260,6 +236,9 @@ def _coordination(seeds: Sequence[Sequence[Coordination]]) -> tuple[str, ...]:
         ratio("order_violations", "episodes"),
         f"{min(gaps):.0f}" if gaps else NOTHING,
         str(sum(one.touching for one in every)),
+        ratio("stops", "episodes"),
+        NOTHING if played_strictly else ratio("refusals", "episodes"),
+        ratio("lenient_timed_s", "lenient_expert_s", 1.0),
     )
 
 
@@ -278,22 +257,13 @@ def _families(
     titles: dict[str, str] = {}
     found: dict[str, list[Result]] = {}
     for entry in entries:
-        for result in () if _is_ablation(entry) else entry.results:
-            name = _policy_of(result)
-            if _is_plain(result) or name not in titles:
+        for result in () if is_ablation(entry) else entry.results:
+            name = policy_of(result)
+            if is_plain(result) or name not in titles:
                 titles[name] = entry.title
             if wanted(result):
                 found.setdefault(name, []).append(result)
     return {titles[name]: results for name, results in found.items()}
-
-
-def _policy_of(result: Result) -> str:
-    return json.dumps(result.about["policy"], sort_keys=True)
-
-
-def _is_plain(result: Result) -> bool:
-    """Whether everything was said and done as the instances have it."""
-    return result.about["language"] == FULL and not starts_perturbed(result)
 
 
 def _by_language(results: Iterable[Result], told: str) -> list[Result]:
@@ -312,84 +282,3 @@ def _asked(results: Iterable[Result], kind: str) -> str:
     if not episodes:
         return NOTHING
     return f"{100 * sum(one.held for one in listed) / episodes:.1f} of {episodes}"
-
-
-def values_of(
-    entries: Iterable[PolicyResults], kind: str, field: str
-) -> tuple[Any, ...]:
-    """Return the values of a field of cells that occur, those of the suite first.
-
-    Args:
-        entries: Where.
-        kind: Of instructions.
-        field: ``"team"`` or ``"distractors"``.
-    """
-    order = {"team": TEAMS, "distractors": DISTRACTORS}[field]
-    seeds = (cells for entry in entries for cells in entry.select(kind))
-    found = {getattr(cell, field) for cells in seeds for cell in cells}
-    known = [value for value in order if value in found or not found]
-    return (*known, *sorted(found.difference(order)))
-
-
-def _breakdown(entries: Iterable[PolicyResults], kind: str, field: str) -> ResultTable:
-    reporting = _reporting(entries, kind)
-    values = values_of(reporting, kind, field)
-    rows = [
-        (
-            entry.title,
-            *(shown(entry.select(kind, **{field: v}), pooled) for v in values),
-            shown(entry.select(kind), pooled) if entry.results else NOT_RUN,
-        )
-        for entry in reporting
-    ]
-    return ResultTable(("success [%]", *map(str, values), "all"), tuple(rows))
-
-
-def _reporting(entries: Iterable[PolicyResults], kind: str) -> list[PolicyResults]:
-    """Return those that are rows of a table of a kind.
-
-    Not the ablations, nor a policy that was told other sentences or began elsewhere, if
-    it stands there without: :func:`language` and :func:`starts` compare the two.
-    """
-    entries = [entry for entry in entries if not _is_ablation(entry)]
-    results = [result for entry in entries for result in entry.results]
-    known = {_policy_of(result) for result in results if _is_plain(result)}
-
-    def stands_elsewhere(entry: PolicyResults) -> bool:
-        return bool(entry.results) and all(
-            not _is_plain(result) and _policy_of(result) in known
-            for result in entry.results
-        )
-
-    return [
-        entry
-        for entry in entries
-        if not stands_elsewhere(entry)
-        and (entry.has(kind) if entry.results else _is_asked(entry, kind))
-    ]
-
-
-def _is_asked(entry: PolicyResults, kind: str) -> bool:
-    """Whether a policy without results belongs into a table all the same."""
-    one = entry.experiment
-    return one is not None and one.suite in SUITES[:2] and kind in one.kinds
-
-
-def _is_ablation(entry: PolicyResults) -> bool:
-    return entry.experiment is not None and entry.experiment.suite == ABLATIONS
-
-
-def _mean(entry: PolicyResults, kind: str) -> str:
-    return shown_mean(entry.select(kind)) if entry.results else NOT_RUN
-
-
-def _paper_rows(
-    entry: PolicyResults, kind: str, tasks: Sequence[str]
-) -> list[tuple[str, ...]]:
-    figures = entry.experiment.paper.get(kind) if entry.experiment else None
-    if figures is None:
-        return []
-    each = (f"≈ {figures.tasks[t]}" if t in figures.tasks else NOTHING for t in tasks)
-    # The paper's mean is over all of them.
-    known = figures.mean is not None and set(tasks) == set(SUITE)
-    return [("*paper*", *each, f"{figures.mean:.1f}" if known else NOTHING)]

@@ -24,6 +24,7 @@ from lemma.dataset.recipe.files import check_same, versions
 from lemma.evaluation.records import (
     ABOUT,
     EPISODES,
+    PROTOCOL_VERSION,
     EpisodeKey,
     Row,
     key_of,
@@ -32,18 +33,20 @@ from lemma.evaluation.records import (
     read_rows,
     write_rows,
 )
-from lemma.evaluation.run.expert_feedback import count_steps, left_in
+from lemma.evaluation.run.expert_feedback import count_steps
 from lemma.evaluation.run.expert_times import TIMED_SPLITS, expert_s, perturbed_start
 from lemma.evaluation.run.language_controls import FULL, LANGUAGES, control_of
 from lemma.evaluation.run.loading import served_parts, weights_of
 from lemma.evaluation.run.protocol import GROUP, check_protocol, quote
-from lemma.evaluation.run.rollout import Player, Rollout, roll_out, subtasks_of
+from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
 from lemma.policies.spec import PLANNINGS, PolicySpec
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.language.blind import check_blind
 from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
 
+VERDICTS = ("both", "strict")
+"""How far episodes are played: to both verdicts, or to the strict one alone."""
 _PARTS = ".parts"
 
 
@@ -68,6 +71,9 @@ class EvaluationConfig:
     perturb_start: bool = False
     """Whether objects begin a little elsewhere, see
     :mod:`lemma.evaluation.run.perturbed_starts`."""
+    verdicts: str = VERDICTS[0]
+    """One of :data:`VERDICTS`; strictly alone, an episode ends where the other would go
+    on after a protective stop."""
 
     def __post_init__(self) -> None:
         """Check the names and the number."""
@@ -81,6 +87,8 @@ class EvaluationConfig:
                     check_blind(task, self.split)
         if self.language not in LANGUAGES:
             raise UnknownNameError("control of language", self.language, LANGUAGES)
+        if self.verdicts not in VERDICTS:
+            raise UnknownNameError("protocol", self.verdicts, VERDICTS)
         if self.perturb_start and self.split not in TIMED_SPLITS:
             raise InvalidConfigError(
                 f"Split {self.split!r} has no perturbed starts; "
@@ -117,6 +125,8 @@ class EvaluationConfig:
             "perturb_start": self.perturb_start,
             "split": self.split,
             "protocol": quote(),
+            "protocol_version": PROTOCOL_VERSION,
+            "verdicts": self.verdicts,
             "horizon_s": Rollout.horizon_s,
             **versions(BENCHMARK_VERSION),
         }
@@ -138,6 +148,8 @@ class EvaluationConfig:
             words.append(f"--language {self.language}")
         if self.perturb_start:
             words.append("--perturb-start")
+        if self.verdicts != VERDICTS[0]:
+            words.append(f"--protocol {self.verdicts}")
         return " ".join(words)
 
     def groups(self) -> Iterator[tuple[str, str, range]]:
@@ -244,7 +256,8 @@ def play_group(
         rollouts.append(Rollout(instance, kind, control=control))
     rows: list[Row] = []
     start = perf_counter()
-    for rollout in roll_out(rollouts, player, len(rollouts)):
+    lenient = config.verdicts == VERDICTS[0]
+    for rollout in roll_out(rollouts, player, len(rollouts), lenient=lenient):
         wall_s = (perf_counter() - start) / (len(rows) + 1)
         rows.append(_row(rollout, config, wall_s))
         report(rows[-1])
@@ -264,12 +277,17 @@ def _player(spec: PolicySpec) -> Player:
 
 
 def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
-    instance, episode = rollout.instance, rollout.episode
-    info = episode.info()
-    subtasks, left = subtasks_of(rollout.steps), left_in(episode)
+    instance = rollout.instance
+    end = rollout.verdict()
+    strict = rollout.stop or end
+    subtasks = subtasks_of(rollout.steps)
+    taken, further = subtasks[: strict.steps], subtasks[strict.steps :]
     asks = rollout.control.asks
-    least_m = rollout.clearance.least_m
+    least_m = strict.clearance_m
+    lenient = config.verdicts == VERDICTS[0]
     return {
+        "protocol": PROTOCOL_VERSION,
+        "benchmark": BENCHMARK_VERSION,
         "task": instance.task,
         "split": instance.split,
         "index": instance.index,
@@ -279,13 +297,8 @@ def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
         "instruction_kind": rollout.kind,
         "instruction": rollout.instruction,
         "asked": None if asks is None else [list(pair) for pair in asks],
-        "asked_holds": rollout.asked_holds,
-        "success": rollout.success,
-        "progress": info["progress"],
-        "failure": rollout.failure,
-        "policy_error": rollout.fault.to_dict() if rollout.fault else None,
-        "elapsed_s": round(info["elapsed_s"], 3),
-        "idle_s": {name: round(idle, 3) for name, idle in info["idle_s"].items()},
+        **_judged(strict),
+        "idle_s": {name: round(idle, 3) for name, idle in strict.idle_s.items()},
         "coordination": {
             "expert_s": expert_s(
                 instance.task,
@@ -293,10 +306,22 @@ def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
                 instance.index,
                 perturbed_start=config.perturb_start,
             ),
-            **count_steps(subtasks, left),
+            **count_steps(taken, strict.left),
             "clearance_mm": round(1000.0 * least_m, 1) if least_m < inf else None,
         },
-        "subtasks": subtasks,
-        "left": left,
+        "subtasks": taken,
+        "left": strict.left,
+        "lenient": {**_judged(end), "subtasks": further} if lenient else None,
         "wall_s": round(wall_s, 3),
+    }
+
+
+def _judged(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "success": verdict.success,
+        "progress": verdict.progress,
+        "failure": verdict.failure,
+        "policy_error": verdict.fault.to_dict() if verdict.fault else None,
+        "asked_holds": verdict.asked_holds,
+        "elapsed_s": round(verdict.elapsed_s, 3),
     }

@@ -22,8 +22,7 @@ LANGUAGES = {
     "full": "the sentence of the instance",
     "none": "nothing",
     "shuffled": "the sentence of the next instance of the list",
-    # As protocol lemma-v1 spells it, whose hash results quote.
-    "swapped": "the sentence with other colours: another goal on the same table",
+    "swapped": "the sentence with other colors: another goal on the same table",
 }
 """What is said; all but the first are controls."""
 FULL = "full"

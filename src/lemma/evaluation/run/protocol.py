@@ -16,7 +16,11 @@ from typing import Any
 from lemma.core.errors import DatasetError
 from lemma.env.episode import LEAST_STEP_S, STILL_S
 from lemma.env.simulation import HORIZON_S, TICK_S
-from lemma.evaluation.records import POSE_TOLERANCE_MM, RESULT_VERSION
+from lemma.evaluation.records import (
+    POSE_TOLERANCE_MM,
+    PROTOCOL_VERSION,
+    RESULT_VERSION,
+)
 from lemma.evaluation.run.expert_times import times_sha256
 from lemma.evaluation.run.language_controls import LANGUAGES
 from lemma.evaluation.run.perturbed_starts import (
@@ -25,6 +29,8 @@ from lemma.evaluation.run.perturbed_starts import (
     SHIFT_M,
     TURN_RAD,
 )
+from lemma.evaluation.run.rollout import REFUSAL_S
+from lemma.motion.outcome import REFUSED
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.pad import PAD
@@ -37,7 +43,7 @@ from lemma.tasks.support import REST_M_S, REST_RAD_S, TILT_RAD
 
 PROTOCOL = "protocol.json"
 """File in the package."""
-NAME = "lemma-v1"
+NAME = "lemma-v2"
 GROUP = 10
 """Episodes that are played together."""
 
@@ -48,6 +54,7 @@ def in_force() -> dict[str, Any]:
     lists = json.loads((files("lemma.tasks") / "frozen" / "manifest.json").read_bytes())
     return {
         "name": NAME,
+        "version": PROTOCOL_VERSION,
         "benchmark": BENCHMARK_VERSION,
         "tasks": list(SUITE),
         "episodes_per_task": dict(SPLITS),
@@ -63,6 +70,10 @@ def in_force() -> dict[str, Any]:
             "horizon_s": HORIZON_S,
             "least_step_s": LEAST_STEP_S,
             "end": "the policy says stop, fails itself, or the horizon is reached",
+            "refused": sorted(REFUSED),
+            "strict": "also the first refused sub-task ends it: protective_stop",
+            "lenient": "the policy is told what was refused, and goes on",
+            "refusal_s": REFUSAL_S,
             "group": GROUP,
         },
         "success": {

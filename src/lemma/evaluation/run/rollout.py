@@ -1,18 +1,25 @@
-"""Episodes played by a policy: many at once, so that it decides in batches."""
+"""Episodes played by a policy: many at once, so that it decides in batches.
+
+Protocol 2 has two verdicts. *Strict*: the first sub-task that its robot cannot do ends
+the episode, as a protective stop ends what a real arm does. *Lenient*: the policy is
+told and goes on, for the time that finding out takes. All episodes are played to their
+strict ends first, and only then do the stopped ones go on: so the strict verdict cannot
+depend on what follows, not even by the company that a batch is decided in.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from itertools import islice
+from dataclasses import dataclass, field, replace
+from itertools import compress, islice
 
 import numpy as np
 
 from lemma.env.camera_rig import CameraRig
-from lemma.env.episode import Episode
+from lemma.env.episode import LEAST_STEP_S, Episode
 from lemma.env.simulation import HORIZON_S
 from lemma.env.view import View
-from lemma.evaluation.records import POLICY_ERROR
+from lemma.evaluation.records import POLICY_ERROR, PROTECTIVE_STOP
 from lemma.evaluation.run.clearance import ClearanceWatch
-from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise
+from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise, left_in
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.evaluation.run.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.run.loading import load_policy
@@ -26,6 +33,11 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.language.blind import instruction
 from lemma.tasks.subtask import GroundedSubTask, SubTask
+
+REFUSAL_S = 5.0
+"""Simulated time that a sub-task takes at least which its robot cannot do [s]: as long
+as an arm needs to where its fingers would close, and back. The expert's arms close
+their fingers 2.2 s after a sub-task began (30 of them, 1.6 to 2.8 s)."""
 
 _BLIND = View(
     np.zeros((0, 0, 3), np.uint8),
@@ -48,6 +60,31 @@ class TakenStep:
     """Simulated time at which it began [s]."""
     advice: ExpertFeedback
     """What the expert said of it."""
+    fell: tuple[str, ...] = ()
+    """What fell off the table meanwhile."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """How an episode stands at one moment; at its end, what became of it."""
+
+    success: bool
+    progress: float
+    failure: str | None
+    """Why it failed; None if it succeeded or is not over."""
+    fault: Fault | None
+    """Of the policy, if that is why."""
+    asked_holds: bool | None
+    """Whether the other goal holds that was asked for; None if none was."""
+    elapsed_s: float
+    idle_s: dict[str, float]
+    """Simulated time in which each robot did nothing [s]."""
+    clearance_m: float
+    """Smallest distance of the arms so far [m]."""
+    steps: int
+    """Sub-tasks so far."""
+    left: int | None
+    """Sub-tasks that the expert needs from there; None if it has no plan."""
 
 
 @dataclass
@@ -64,6 +101,8 @@ class Rollout:
     past: list[PastStep] = field(default_factory=list)
     fault: Fault | None = None
     """Why the policy had no more decisions, if it failed."""
+    stop: Verdict | None = None
+    """Of its strict end, if that was a protective stop."""
 
     def __post_init__(self) -> None:
         """Set the table."""
@@ -79,7 +118,7 @@ class Rollout:
 
     @property
     def success(self) -> bool:
-        """Whether the goal holds, and the policy brought it to an end."""
+        """Whether the goal holds and the policy brought it to an end, leniently."""
         return self.fault is None and self.episode.is_success
 
     @property
@@ -93,8 +132,24 @@ class Rollout:
 
     @property
     def failure(self) -> str | None:
-        """Why it failed; None if it succeeded or is not over."""
+        """Why it failed, leniently; None if it succeeded or is not over."""
         return self.episode.failure if self.fault is None else POLICY_ERROR
+
+    def verdict(self) -> Verdict:
+        """Return how it stands."""
+        info = self.episode.info()
+        return Verdict(
+            success=self.success,
+            progress=info["progress"],
+            failure=self.failure,
+            fault=self.fault,
+            asked_holds=self.asked_holds,
+            elapsed_s=info["elapsed_s"],
+            idle_s=info["idle_s"],
+            clearance_m=self.clearance.least_m,
+            steps=len(self.steps),
+            left=left_in(self.episode),
+        )
 
     def given(self, rig: CameraRig | None) -> PolicyInput:
         """Return what the policy is given now; it sees nothing without cameras.
@@ -128,13 +183,19 @@ class Rollout:
             return None
         start = episode.elapsed_s
         advice = advise(episode, decision)
+        lost = episode.fallen
         if decision.grounded is None:
             result = _refuse(episode, decision)
         else:
             result = episode.execute(decision.grounded)
-        episode.linger(start)
-        step = TakenStep(decision.subtask, decision.grounded, result, start, advice)
+        fell = tuple(name for name in episode.fallen if name not in lost)
+        step = TakenStep(
+            decision.subtask, decision.grounded, result, start, advice, fell
+        )
         self.steps.append(step)
+        if result.refused and self.stop is None:
+            self.stop = replace(self.verdict(), success=False, failure=PROTECTIVE_STOP)
+        episode.linger(start, REFUSAL_S if result.refused else LEAST_STEP_S)
         self.past.append(
             PastStep(
                 given.view,
@@ -181,6 +242,8 @@ def roll_out(
     player: Player,
     at_once: int = 8,
     on_step: Callable[[Rollout, TakenStep], None] | None = None,
+    *,
+    lenient: bool = True,
 ) -> Iterator[Rollout]:
     """Play episodes to their ends, yielding each as soon as it is over.
 
@@ -192,27 +255,56 @@ def roll_out(
         player: Decides, for all running episodes together.
         at_once: Episodes that run at a time.
         on_step: Told of every sub-task as soon as it has ended.
+        lenient: Whether episodes go on after a protective stop, when all others have
+            come to an end.
 
     Raises:
         PolicyUnreachableError: The policy's server is gone.
     """
-    guard = IsolatedPolicy(player.policy)
-    waiting = iter(rollouts)
-    running = list(islice(waiting, at_once))
-    while running:
-        inputs = [rollout.given(player.rig) for rollout in running]
-        decisions = guard.decide(inputs)
+    play = _Play(IsolatedPolicy(player.policy), player.rig, at_once, on_step)
+    stopped = []
+    for rollout in play.to_the_end(rollouts, strict=True):
+        if lenient and not rollout.episode.is_over:
+            stopped.append(rollout)
+        else:
+            yield rollout
+    yield from play.to_the_end(stopped, strict=False)
+
+
+@dataclass(frozen=True)
+class _Play:
+    guard: IsolatedPolicy
+    rig: CameraRig | None
+    at_once: int
+    on_step: Callable[[Rollout, TakenStep], None] | None
+
+    def to_the_end(
+        self, rollouts: Iterable[Rollout], *, strict: bool
+    ) -> Iterator[Rollout]:
+        """Yield each rollout when it is over, or, strictly, has had to stop."""
+        waiting = iter(rollouts)
+        running = list(islice(waiting, self.at_once))
+        while running:
+            self._go_on(running)
+            over = [
+                rollout.episode.is_over or (strict and rollout.stop is not None)
+                for rollout in running
+            ]
+            yield from compress(running, over)
+            running = [r for r, ended in zip(running, over, strict=True) if not ended]
+            running += islice(waiting, self.at_once - len(running))
+
+    def _go_on(self, running: Sequence[Rollout]) -> None:
+        """Let the policy decide once for every rollout."""
+        inputs = [rollout.given(self.rig) for rollout in running]
+        decisions = self.guard.decide(inputs)
         for rollout, given, decision in zip(running, inputs, decisions, strict=True):
             if isinstance(decision, Fault):
                 rollout.fail(decision)
                 continue
             step = rollout.take(given, decision)
-            if step is not None and on_step is not None:
-                on_step(rollout, step)
-        over = [rollout for rollout in running if rollout.episode.is_over]
-        running = [rollout for rollout in running if not rollout.episode.is_over]
-        yield from over
-        running += islice(waiting, at_once - len(running))
+            if step is not None and self.on_step is not None:
+                self.on_step(rollout, step)
 
 
 def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
@@ -225,6 +317,7 @@ def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
             "explanation": step.result.explanation,
             "start_s": round(step.start_s, 3),
             "duration_s": round(step.result.duration_s, 3),
+            "fell": list(step.fell),
             "expert": step.advice.to_dict(),
         }
         for step in steps

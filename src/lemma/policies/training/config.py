@@ -141,6 +141,8 @@ class TrainingConfig:
     """Names of tasks; all if empty."""
     episodes: Count = None
     """Train on so many episodes of the split only, drawn by the seed."""
+    episodes_per_task: Count = None
+    """Train on the first so many episodes of every task only."""
     kinds: tuple[Kind, ...] = ("high_level", "human")
     """Kinds of instructions, each as likely."""
     language: Literal["full", "none", "shuffled"] = "full"
@@ -161,7 +163,10 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         """Check numbers and names."""
-        for name in ("steps", "samples", "batch_size", "val_every", "episodes"):
+        for name in (
+            *("steps", "samples", "batch_size", "val_every"),
+            *("episodes", "episodes_per_task"),
+        ):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise InvalidConfigError(f"{name} is {value}. It must be 1 or more.")
@@ -174,6 +179,11 @@ class TrainingConfig:
         if self.steps is not None and self.samples is not None:
             raise InvalidConfigError(
                 "steps and samples say the same thing twice. Leave out one of them."
+            )
+        if self.episodes is not None and self.episodes_per_task is not None:
+            raise InvalidConfigError(
+                "episodes and episodes_per_task both say what is trained on. Leave out "
+                "one of them."
             )
         if self.recovery_share is not None and not 0 < self.recovery_share <= 1:
             raise InvalidConfigError(

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -195,6 +196,8 @@ def training_units(
         InvalidConfigError: There are not so many episodes.
     """
     episodes: list[Sequence[int]] = list(frames.episodes)
+    if config.episodes_per_task is not None:
+        episodes = _first_of_each_task(frames, config.episodes_per_task)
     if config.episodes is not None:
         if config.episodes > len(episodes):
             raise InvalidConfigError(
@@ -206,6 +209,24 @@ def training_units(
     if model.unit == "episode":
         return episodes
     return [(frame,) for episode in episodes for frame in episode]
+
+
+def _first_of_each_task(frames: Frames, count: int) -> list[Sequence[int]]:
+    found: list[Sequence[int]] = []
+    counted: Counter[str] = Counter()
+    for episode in frames.episodes:
+        task, index = frames.instances[episode[0]]
+        if index < count:
+            found.append(episode)
+            counted[task] += 1
+    few = {task: counted[task] for task in frames.tasks if counted[task] != count}
+    if few:
+        told = ", ".join(f"{number} of {task}" for task, number in few.items())
+        raise InvalidConfigError(
+            f"--episodes-per-task is {count}, but of the first {count} episodes of "
+            f"each task there are {told}."
+        )
+    return found
 
 
 def first_model(config: TrainingConfig) -> Model:

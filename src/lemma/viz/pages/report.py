@@ -20,9 +20,15 @@ from lemma.evaluation.report.episodes import (
     subtask_words,
 )
 from lemma.evaluation.report.latex import latex
-from lemma.evaluation.report.policy_results import PolicyResults, shown_mean
-from lemma.evaluation.report.sections import Section, protocol_words, sections
-from lemma.evaluation.report.tables import NOT_RUN, ResultTable, markdown, words
+from lemma.evaluation.report.policy_results import PolicyResults
+from lemma.evaluation.report.sections import (
+    Section,
+    protocol_words,
+    sample_words,
+    sections,
+)
+from lemma.evaluation.report.success_tables import at_a_glance
+from lemma.evaluation.report.tables import ResultTable, markdown, words
 from lemma.evaluation.run.language_controls import FULL
 from lemma.policies.spec import PLANNINGS
 from lemma.serve.client.websocket import is_address
@@ -84,21 +90,7 @@ def write_report_page(
 
 def glance(entries: Sequence[PolicyResults]) -> Section:
     """Return the mean success of every policy with every kind of instructions."""
-    kinds = [
-        kind for kind in EVALUATION_KINDS if any(entry.has(kind) for entry in entries)
-    ]
-    rows = [
-        (
-            entry.title,
-            *(
-                shown_mean(entry.select(kind)) if entry.results else NOT_RUN
-                for kind in kinds
-            ),
-        )
-        for entry in entries
-    ]
-    header = ("mean over the tasks [%]", *(words(kind, "-") for kind in kinds))
-    return Section("At a glance", "", ResultTable(header, tuple(rows)))
+    return Section("At a glance", sample_words(entries), at_a_glance(entries))
 
 
 def failures_data(found: Findings) -> dict[str, Any]:

@@ -10,8 +10,10 @@ from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.analysis.intervals import mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Cell
 from lemma.evaluation.experiments.catalog import ABLATIONS
+from lemma.evaluation.experiments.paper_figures import Measured
 from lemma.evaluation.report.policy_results import PolicyResults, tasks_of
-from lemma.evaluation.report.tables import values_of, words
+from lemma.evaluation.report.success_tables import values_of
+from lemma.evaluation.report.tables import words
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 from lemma.viz.plots import Bar, Figure, Mark, Series, dots, lines, stacks, standalone
@@ -57,7 +59,7 @@ def _of_kind(entries: Sequence[PolicyResults], kind: str) -> Iterator[Figure]:
     yield Figure(
         f"success-by-task-{end}",
         f"Success by task, {title}",
-        f"{_INTERVALS} Strokes: what the paper reports, on another simulator.",
+        f"Strict. {_INTERVALS} Strokes: what the paper reports, on another simulator.",
         dots(
             rows,
             [_by_task(entry, kind, tasks) for entry in entries],
@@ -110,8 +112,8 @@ def _by_task(entry: PolicyResults, kind: str, tasks: Sequence[str]) -> Series:
     return Series(
         entry.title,
         tuple(
-            _beside(mark, number)
-            for mark, number in zip((*marks, mean), (*by_task, paper_mean), strict=True)
+            _beside(mark, figure)
+            for mark, figure in zip((*marks, mean), (*by_task, paper_mean), strict=True)
         ),
     )
 
@@ -148,11 +150,11 @@ def _success(seeds: list[list[Cell]], *, over_tasks: bool = False) -> Mark | Non
     return Mark(value, min(low, value), max(high, value), text)
 
 
-def _beside(mark: Mark | None, paper: float | None) -> Mark | None:
+def _beside(mark: Mark | None, paper: Measured | None) -> Mark | None:
     if mark is None or paper is None:
         return mark
-    text = f"{mark.words}; the paper: {paper:g} %"
-    return Mark(mark.value, mark.low, mark.high, text, paper / 100.0)
+    text = f"{mark.words}; the paper: {paper} %"
+    return Mark(mark.value, mark.low, mark.high, text, paper.mean / 100.0)
 
 
 def _progress(entry: PolicyResults, kind: str, tasks: Sequence[str]) -> Series:

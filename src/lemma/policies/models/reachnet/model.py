@@ -122,6 +122,7 @@ class ReachNet(Model):
     """Plans and grounds from images, joints and a sentence."""
 
     selection = "decision"
+    reads_outcomes = True
 
     def __init__(self, config: ReachNetConfig | None = None) -> None:
         """Make the weights.

@@ -1,0 +1,157 @@
+"""Protocol 2: the strict episode is a prefix of the lenient one, and hears of none."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from in_process import Serial
+
+from lemma.core.errors import DatasetError
+from lemma.core.poses import Pose2
+from lemma.evaluation.records import PROTECTIVE_STOP, Row
+from lemma.evaluation.report.replay import retrace
+from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.evaluation.run.rollout import REFUSAL_S, Player, Rollout, roll_out
+from lemma.policies.compose import PlannerWithGrounder
+from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.oracle import OracleGrounder, OraclePlanner
+from lemma.policies.spec import PolicySpec
+from lemma.tasks.subtask import STOP, SubTask
+from lemma.tasks.suite import load_instance
+
+EPISODES = 3
+
+
+class Fickle:
+    """The expert, but: its poses depend on the company of the batch, by 0.1 mm each.
+
+    It also sends the wrong robot first in all episodes but the first, and in the last
+    one again and again.
+    """
+
+    def __init__(self) -> None:
+        self._planner, self._grounder = OraclePlanner(), OracleGrounder()
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        return [self._decide(given, len(inputs)) for given in inputs]
+
+    def _decide(self, given: PolicyInput, company: int) -> Decision:
+        assert given.episode is not None
+        index = given.episode.instance.index
+        (subtask,) = self._planner.plan([given])
+        if subtask == STOP:
+            return Decision(STOP, None)
+        if index == 2 or (index == 1 and not given.past):
+            other = {"robot_0": "robot_1", "robot_1": "robot_0"}[subtask.robot]
+            return Decision(replace(subtask, robot=other), None)
+        (grounded,) = self._grounder.ground([given], [subtask])
+        assert grounded is not None
+        pick = grounded.pick
+        moved = Pose2(pick.x + 1e-4 * company, pick.y, pick.yaw)
+        return Decision(subtask, replace(grounded, pick=moved))
+
+
+def order(out: Path, verdicts: str) -> EvaluationConfig:
+    return EvaluationConfig(
+        out=out,
+        policy=PolicySpec("test_verdicts:Fickle", timeout_s=0.0),
+        tasks=("stack",),
+        split="val",
+        episodes=EPISODES,
+        verdicts=verdicts,
+    )
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+    return evaluate(order(tmp_path_factory.mktemp("both"), "both"), Serial())
+
+
+def test_strictly_alone_gives_the_same_strict_lines(
+    tmp_path: Path, played: list[Row]
+) -> None:
+    strict = evaluate(order(tmp_path, "strict"), Serial())
+    assert [row["lenient"] for row in strict] == [None] * EPISODES
+    free = ("wall_s", "lenient")
+    for one, both in zip(strict, played, strict=True):
+        assert {k: v for k, v in one.items() if k not in free} == {
+            k: v for k, v in both.items() if k not in free
+        }
+
+
+def test_the_first_refused_sub_task_ends_the_strict_episode(played: list[Row]) -> None:
+    solved, retried, lost = played
+    assert solved["success"]
+    assert solved["lenient"]["success"]
+    assert solved["lenient"]["subtasks"] == []
+    for row in (retried, lost):
+        assert (row["success"], row["failure"]) == (False, PROTECTIVE_STOP)
+        assert row["subtasks"][-1]["outcome"] == "unreachable"
+        assert all(step["outcome"] == "success" for step in row["subtasks"][:-1])
+
+
+def test_told_of_it_a_policy_may_still_succeed_for_its_price(played: list[Row]) -> None:
+    solved, retried, lost = played
+    assert retried["lenient"]["success"]
+    assert retried["lenient"]["failure"] is None
+    assert retried["lenient"]["subtasks"][0]["start_s"] == REFUSAL_S
+    assert retried["elapsed_s"] < REFUSAL_S < retried["lenient"]["elapsed_s"]
+    assert solved["elapsed_s"] == solved["lenient"]["elapsed_s"]
+    # Refused until the time is over, each time for the whole price.
+    assert lost["lenient"]["failure"] == "out_of_time"
+    assert len(lost["lenient"]["subtasks"]) == 100.0 / REFUSAL_S - 1
+    starts = [step["start_s"] for step in lost["lenient"]["subtasks"]]
+    due = [REFUSAL_S * (i + 1) for i in range(len(starts))]
+    assert starts == pytest.approx(due, abs=0.1)
+
+
+def test_what_is_counted_is_of_the_strict_episode(played: list[Row]) -> None:
+    retried = played[1]
+    assert retried["coordination"]["doable"] == len(retried["subtasks"]) == 1
+    assert retried["coordination"]["able"] == 0
+    assert retried["left"] == retried["subtasks"][0]["expert"]["left"]
+
+
+def test_strict_episodes_are_done_again(played: list[Row]) -> None:
+    for row in played:
+        instance = load_instance("stack", "val", row["index"])
+        assert retrace(row, instance, 100.0) == ""
+
+
+def test_one_folder_holds_one_sort_of_verdicts(tmp_path: Path) -> None:
+    short = replace(order(tmp_path, "strict"), episodes=1)
+    evaluate(short, Serial())
+    assert short.command().endswith("--protocol strict")
+    with pytest.raises(DatasetError, match="verdicts"):
+        evaluate(replace(short, verdicts="both"), Serial())
+
+
+class Wrong:
+    """Sends the other robot first, and does not read that it was refused."""
+
+    reads_outcomes = False
+
+    def __init__(self) -> None:
+        self._planner = OraclePlanner()
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        found = []
+        for given in inputs:
+            (subtask,) = self._planner.plan([given])
+            if subtask != STOP and not given.past:
+                other = {"robot_0": "robot_1", "robot_1": "robot_0"}[subtask.robot]
+                subtask = replace(subtask, robot=other)
+            found.append(subtask)
+        return found
+
+
+def test_the_rule_lets_another_robot_try() -> None:
+    policy = PolicySpec("mine:wrong+oracle").load(lambda _: Wrong())
+    assert isinstance(policy, PlannerWithGrounder)
+    (play,) = roll_out([Rollout(load_instance("stack", "val", 0))], Player(policy))
+    assert play.stop is not None
+    assert play.success
+    robots = [step.subtask.robot for step in play.steps[:2]]
+    assert sorted(robots) == ["robot_0", "robot_1"]
+    assert play.steps[0].subtask.pick == play.steps[1].subtask.pick
