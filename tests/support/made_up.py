@@ -90,7 +90,7 @@ def row(
         "distractors": 1,
         "perturb_start": False,
         "instruction_kind": "high_level",
-        "instruction": "Stack the red cube on the blue cube",
+        "instruction": "Place the red cube on top of the blue cube",
         "asked": None,
         **judged,
         "idle_s": {"robot_0": 5.0, "robot_1": 25.0},

@@ -64,7 +64,7 @@ def test_outline_is_around_the_arms_and_the_objects() -> None:
 
 
 def test_text_is_made_to_fit() -> None:
-    text = "Stack the red cube on top of the white cube"
+    text = "Place the red cube on top of the white cube"
     size = fitting_size(text, 40.0, 300.0)
     assert text_width(text, size) == pytest.approx(300.0, rel=0.05)
     assert fitting_size("a", 40.0, 300.0) == 40.0

@@ -111,7 +111,7 @@ def test_the_verb_shows_question_and_answer(capsys: pytest.CaptureFixture[str]) 
     with PolicyServer(Answers(), port=0) as server:
         assert verb(check=server.url) == 0
         shown = capsys.readouterr().out
-        assert "Stack the red cube on top of the blue cube" in shown
+        assert "Place the red cube on top of the blue cube" in shown
         assert str(FIRST) in shown
         assert verb(check=server.url, as_json=True) == 0
         told: dict[str, Any] = json.loads(capsys.readouterr().out)
