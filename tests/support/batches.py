@@ -13,13 +13,13 @@ from lemma.env.view import View
 from lemma.policies.batch import (
     MAX_PAST,
     NOBODY,
-    PLACES,
     PRIMITIVES,
     STOP,
     Batch,
     Labels,
     with_sub_instructions,
 )
+from lemma.policies.entities import BENCHMARK
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.model import Model
 from lemma.scene.objects.entity import ENTITIES
@@ -87,7 +87,7 @@ def drawn_batch(frames: int, seed: int = 0, stop_last: bool = True) -> Batch:
             robot,
             PRIMITIVES.index("move"),
             ENTITIES.index(pick_entity),
-            PLACES.index(place_entity),
+            BENCHMARK.places.index(place_entity),
         )
         poses[0, i] = (*pick, rng.uniform(-math.pi, math.pi))
         poses[1, i] = (*place, rng.uniform(-math.pi, math.pi))

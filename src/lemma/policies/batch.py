@@ -10,22 +10,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.errors import DatasetError
 from lemma.core.robot_names import robot_number
 from lemma.dataset.rendered.keyframes.dataset import POLICY_COLUMNS
 from lemma.dataset.rendered.keyframes.memory import MapsInMemory
 from lemma.dataset.rendered.keyframes.schema import EXECUTED
 from lemma.dataset.rendered.shards import keyframe_shards
+from lemma.policies.entities import BENCHMARK, EntitySet, poses_of
 from lemma.policies.interfaces import PolicyInput
-from lemma.scene.objects.entity import ENTITIES, SHARED
+from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import UNIT_M, Raster
 from lemma.tasks.language.bank import robot_phrases_in_order, sub_instruction
 from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.subtask import Primitive
 
 PRIMITIVES = tuple(str(primitive) for primitive in Primitive)
-PLACES = (*ENTITIES, SHARED)
-"""Where a sub-task may put something; what it may pick are ``ENTITIES``."""
 STOP = PRIMITIVES.index("stop")
 NOBODY = -1
 """Number of a robot or entity that is not there: that of ``stop``, or padding."""
@@ -58,6 +57,8 @@ class Batch:
     sub_instructions: list[str]
     """The next sub-task in words; in use, that which shall be grounded."""
     raster: Raster
+    entities: EntitySet = BENCHMARK
+    """What has a number in decisions and labels; E of them."""
     labels: "Labels | None" = None
     """What the expert did, and the truth; None when a policy is used."""
 
@@ -81,7 +82,7 @@ class Labels:
     place_pose: Tensor
     """Gripper where the motion ends, (B, 3); NaN for stop."""
     objects: Tensor
-    """True position [m] and quaternion wxyz of each entity, (B, 11, 7); NaN if none."""
+    """True position [m] and quaternion wxyz of each entity, (B, E, 7); NaN if none."""
     bases: Tensor
     """x, y [m], yaw [rad] of each robot, (B, R, 3). Never an input."""
     arms: Tensor
@@ -98,20 +99,36 @@ class Labels:
 class Frames:
     """All keyframes of a split, ready for a training loop."""
 
-    def __init__(self, maps: MapsInMemory, device: torch.device | str = "cpu") -> None:
-        """Move maps and labels to a device: 0.6 MB a frame.
+    def __init__(
+        self,
+        maps: MapsInMemory,
+        device: torch.device | str = "cpu",
+        entities: EntitySet = BENCHMARK,
+        recorded: Sequence[str] = ENTITIES,
+    ) -> None:
+        """Move maps and labels to a device: 5 bytes a cell.
 
         Args:
             maps: Read with the columns of :meth:`load`.
             device: Where batches shall be made.
+            entities: What shall have a number.
+            recorded: Entities in the order of the column ``objects``.
+
+        Raises:
+            InvalidConfigError: Something is moved that has no number.
+            DatasetError: Something is on a table that has none.
         """
-        columns = maps.columns
+        # Robots are looked up where labels are read: policies that are only used run
+        # without a simulator.
+        from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
+
+        columns, self.entities = maps.columns, entities
         self.raster = maps.raster
         self.device = torch.device(device)
         self.rgb = torch.from_numpy(maps.rgb).to(self.device)
         # 0.1 mm in 16 bits: signed, because torch knows few operations on uint16.
         self.height = torch.from_numpy(maps.height.view(np.int16)).to(self.device)
-        self.arm_names = ("ur5", "ur10")
+        self.arm_names = tuple(ARMS)
         self.tasks = [str(task) for task in columns["task"]]
         self.keys = [str(key) for key in columns["key"]]
         self.recorded = [str(text) for text in columns["instruction"]]
@@ -129,9 +146,11 @@ class Frames:
             (task, int(index))
             for task, index in zip(self.tasks, columns["index"], strict=True)
         ]
-        decisions = _decisions(columns)
+        decisions = _decisions(columns, entities)
         self.perturbed = f"{EXECUTED}robot" in columns
-        executed = _decisions(columns, EXECUTED) if self.perturbed else decisions
+        executed = (
+            _decisions(columns, entities, EXECUTED) if self.perturbed else decisions
+        )
         self._decision = self._tensor(decisions, torch.int64)
         self._past = self._tensor(_pasts(columns, executed), torch.int64)
         self._arms = self._tensor(
@@ -140,11 +159,12 @@ class Frames:
         )
         self._floats = {
             name: self._tensor(np.stack(list(columns[name])), torch.float32)
-            for name in (
-                *("joints", "opening_m", "pick_pose", "place_pose"),
-                *("objects", "bases"),
-            )
+            for name in ("joints", "opening_m", "pick_pose", "place_pose", "bases")
         }
+        objects = np.stack(list(columns["objects"]))
+        self._floats["objects"] = self._tensor(
+            poses_of(objects, recorded, entities), torch.float32
+        )
 
     @classmethod
     def load(
@@ -153,6 +173,7 @@ class Frames:
         split: str = "train",
         tasks: Sequence[str] = (),
         device: torch.device | str = "cpu",
+        entities: EntitySet = BENCHMARK,
     ) -> "Frames":
         """Read what ``lemma render --form keyframes`` wrote.
 
@@ -161,20 +182,24 @@ class Frames:
             split: Name of a split.
             tasks: Names of tasks; all if empty.
             device: Where batches shall be made.
+            entities: What shall have a number.
 
         Raises:
-            DatasetError: Files are missing, damaged or of another version, or scenes
-                do not all have the same number of robots.
+            DatasetError: Files are missing, damaged or of another version, scenes do
+                not all have the same number of robots, or something on a table has no
+                number.
+            InvalidConfigError: Something is moved that has no number.
         """
         columns: tuple[str, ...] = _COLUMNS
-        if keyframe_shards(Path(folder), split, tasks)[0].header.perturbed:
+        header = keyframe_shards(Path(folder), split, tasks)[0].header
+        if header.perturbed:
             columns += tuple(f"{EXECUTED}{name}" for name in _DECISION)
         maps = MapsInMemory.load(folder, split, tasks, columns)
         if len({np.shape(j) for j in maps.columns["joints"]}) > 1:
             raise DatasetError(
                 f"{folder} mixes teams of different sizes. Choose tasks of one size."
             )
-        return cls(maps, device)
+        return cls(maps, device, entities, header.entities)
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -213,7 +238,7 @@ class Frames:
             episode=self._episode[rows],
             keyframe=self._keyframe[rows],
             decision=self._decision[rows],
-            objects=self._floats["objects"][rows, : len(ENTITIES)],
+            objects=self._floats["objects"][rows],
             pick_pose=self._floats["pick_pose"][rows],
             place_pose=self._floats["place_pose"][rows],
             bases=self._floats["bases"][rows],
@@ -234,6 +259,7 @@ class Frames:
                 instructions=[self.recorded[i] for i in listed],
                 sub_instructions=[],
                 raster=self.raster,
+                entities=self.entities,
                 labels=labels,
             )
         )
@@ -248,6 +274,7 @@ def batch_of(
     raster: Raster,
     sub_instructions: Sequence[str] = (),
     device: torch.device | str = "cpu",
+    entities: EntitySet = BENCHMARK,
 ) -> Batch:
     """Return what policies are given as a batch, without labels.
 
@@ -256,11 +283,15 @@ def batch_of(
         raster: Of their maps.
         sub_instructions: What shall be grounded, if anything.
         device: Where the batch shall be.
+        entities: What has a number.
+
+    Raises:
+        InvalidConfigError: Something was moved that has none.
     """
     past = np.full((len(inputs), MAX_PAST, 4), NOBODY)
     for row, given in enumerate(inputs):
         for column, step in enumerate(given.past[-MAX_PAST:]):
-            past[row, column] = decision_numbers(step.subtask.to_dict())
+            past[row, column] = decision_numbers(step.subtask.to_dict(), entities)
     views = [given.view for given in inputs]
 
     def stacked(name: str, dtype: torch.dtype) -> Tensor:
@@ -277,6 +308,7 @@ def batch_of(
         instructions=[given.instruction for given in inputs],
         sub_instructions=list(sub_instructions),
         raster=raster,
+        entities=entities,
     )
 
 
@@ -301,7 +333,7 @@ def _sent(tensor: Tensor, device: torch.device) -> Tensor:
 def with_sub_instructions(batch: Batch) -> Batch:
     """Return a labelled batch whose sub-instructions say what its labels say."""
     assert batch.labels is not None
-    texts = []
+    texts, places = [], batch.entities.places
     rows = batch.labels.decision.tolist()
     for row, colors in zip(rows, batch.labels.robot_colors, strict=True):
         robot, primitive, pick, place = row
@@ -312,64 +344,37 @@ def with_sub_instructions(batch: Batch) -> Batch:
             sub_instruction(
                 robot_phrases_in_order(colors)[robot],
                 PRIMITIVES[primitive],
-                ENTITIES[pick],
-                PLACES[place],
+                places[pick],
+                places[place],
             )
         )
     return replace(batch, sub_instructions=texts)
 
 
-def decision_numbers(subtask: dict[str, str]) -> list[int]:
-    """Return a sub-task as numbers: robot, primitive, pick, place; -1 for none."""
+def decision_numbers(
+    subtask: dict[str, str], entities: EntitySet = BENCHMARK
+) -> list[int]:
+    """Return a sub-task as numbers: robot, primitive, pick, place; -1 for none.
+
+    Raises:
+        InvalidConfigError: An entity has no number.
+    """
     pick, place = subtask["pick"], subtask["place"]
     return [
         robot_number(subtask["robot"]) if subtask["robot"] else NOBODY,
         PRIMITIVES.index(subtask["primitive"]),
-        _entity_number(pick, ENTITIES) if pick else NOBODY,
-        _entity_number(place, PLACES) if place else NOBODY,
+        entities.number(pick) if pick else NOBODY,
+        entities.number(place) if place else NOBODY,
     ]
 
 
-def _entity_number(name: str, names: tuple[str, ...]) -> int:
-    if name not in names:
-        raise InvalidConfigError(
-            f"Learned policies have no number for {name!r}: they count the benchmark's "
-            f"own entities, {', '.join(names)}. Train them on data without it."
-        )
-    return names.index(name)
-
-
-def joined(first: Batch, second: Batch, episodes: int) -> Batch:
-    """Return the frames of two labelled batches, of different data, as one.
-
-    Args:
-        first: With labels, on the same device and with the same raster as the second.
-        second: With labels.
-        episodes: How many the first one's data have: those of the second are numbered
-            behind them.
-    """
-    assert first.labels is not None
-    assert second.labels is not None
-    theirs = replace(second.labels, episode=second.labels.episode + episodes)
-    labels = Labels(**_both(first.labels, theirs))
-    rest = _both(first, second)
-    return Batch(**{**rest, "raster": first.raster, "labels": labels})
-
-
-def _both(one: Any, other: Any) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for field in fields(one):
-        pair = getattr(one, field.name), getattr(other, field.name)
-        if isinstance(pair[0], Tensor):
-            found[field.name] = torch.cat(pair)
-        elif isinstance(pair[0], list):
-            found[field.name] = [*pair[0], *pair[1]]
-    return found
-
-
-def _decisions(columns: dict[str, Any], prefix: str = "") -> list[list[int]]:
+def _decisions(
+    columns: dict[str, Any], entities: EntitySet, prefix: str = ""
+) -> list[list[int]]:
     return [
-        decision_numbers({name: columns[prefix + name][i] for name in _DECISION})
+        decision_numbers(
+            {name: columns[prefix + name][i] for name in _DECISION}, entities
+        )
         for i in range(len(columns["robot"]))
     ]
 

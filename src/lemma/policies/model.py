@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from lemma.core.registry import Registry
 from lemma.policies.batch import Batch
+from lemma.policies.entities import EntitySet
 
 
 class Model(nn.Module, ABC):
@@ -26,6 +27,11 @@ class Model(nn.Module, ABC):
     was refused (:class:`lemma.policies.compose.RetryingPlanner`)."""
     config: Any
     """The options; a frozen dataclass whose fields are plain data."""
+
+    @property
+    def entities(self) -> EntitySet:
+        """What has a number in its batches: all that is known, or its own choice."""
+        return EntitySet.of(getattr(self.config, "entities", ()))
 
     @abstractmethod
     def loss(self, batch: Batch) -> dict[str, Tensor]:

@@ -18,12 +18,15 @@ from batches import (
 )
 
 from lemma.core.errors import InvalidConfigError
-from lemma.policies.batch import PLACES, PRIMITIVES
+from lemma.policies.batch import PRIMITIVES
+from lemma.policies.entities import BENCHMARK
 from lemma.policies.interfaces import Grounder
 from lemma.policies.models.cliport.model import CLIPort, CLIPortConfig
 from lemma.policies.models.cliport.poses import Poses, score_poses
 from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.subtask import STOP, Primitive, SubTask
+
+PLACES = BENCHMARK.places
 
 TINY = CLIPortConfig(**TINY_STREAMS)
 

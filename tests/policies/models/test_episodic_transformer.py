@@ -9,8 +9,9 @@ from batches import TEAM, drawn_batch
 from tiny_transformer import tiny
 
 from lemma.env.view import View
-from lemma.policies.batch import MAX_PAST, NOBODY, PLACES, STOP, Batch, Labels
+from lemma.policies.batch import MAX_PAST, NOBODY, STOP, Batch, Labels
 from lemma.policies.compose import MultiStep
+from lemma.policies.entities import BENCHMARK
 from lemma.policies.interfaces import PastStep, PolicyInput
 from lemma.policies.model import MODELS
 from lemma.policies.models.episodic_transformer.layout import SLOTS, of_batch
@@ -25,6 +26,8 @@ from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.language.bank import robot_phrases_in_order
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
+
+PLACES = BENCHMARK.places
 
 
 def rows(batch: Batch, chosen: list[int]) -> Batch:
@@ -82,7 +85,10 @@ def inputs_of(batch: Batch) -> list[PolicyInput]:
         found.append(PolicyInput(text, robot_phrases_in_order(TEAM), view, past))
         if row[1] != STOP:
             done = SubTask(
-                f"robot_{row[0]}", Primitive.MOVE, ENTITIES[row[2]], PLACES[row[3]]
+                f"robot_{row[0]}",
+                Primitive.MOVE,
+                ENTITIES[row[2]],
+                PLACES[row[3]],
             )
             past = (*past, PastStep(view, done))
     return found
@@ -94,7 +100,10 @@ def decided(batch: Batch) -> list[SubTask]:
         STOP_SUBTASK
         if row[1] == STOP
         else SubTask(
-            f"robot_{row[0]}", Primitive.MOVE, ENTITIES[row[2]], PLACES[row[3]]
+            f"robot_{row[0]}",
+            Primitive.MOVE,
+            ENTITIES[row[2]],
+            PLACES[row[3]],
         )
         for row in batch.labels.decision.tolist()
     ]

@@ -57,7 +57,7 @@ def trained(model: ReachNet, steps: int, frames: int = 3) -> float:
 @pytest.fixture(scope="module")
 def expert() -> ReachNet:
     model = tiny()
-    trained(model, 150)
+    trained(model, 200)
     return model
 
 

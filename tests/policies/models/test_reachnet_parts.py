@@ -8,6 +8,7 @@ from torch import Tensor
 
 from lemma.core.poses import Pose2
 from lemma.policies.batch import PRIMITIVES
+from lemma.policies.entities import BENCHMARK
 from lemma.policies.models.reachnet.drags import (
     SIGNS,
     TRAVELS_M,
@@ -28,9 +29,8 @@ from lemma.policies.models.reachnet.planner import (
 )
 from lemma.policies.models.reachnet.scene_table import (
     FAR_M,
-    THE_STICK,
     SceneTable,
-    quarter,
+    folded,
     turned,
     turned_numbers,
 )
@@ -43,7 +43,7 @@ CPU = torch.device("cpu")
 # Small networks: several threads would only wait for each other.
 torch.set_num_threads(1)
 
-SHARED = len(ENTITIES)
+SHARED = BENCHMARK.shared
 CUBE, OTHER, PAD = (ENTITIES.index(f"red_{kind}") for kind in ("cube", "cube", "pad"))
 OTHER += 1
 MOVE, PREHOOK, HOOK, PREPOKE, POKE, STOP = range(6)
@@ -85,9 +85,9 @@ def test_every_sub_task_has_one_number() -> None:
     [
         (0, MOVE, CUBE, PAD),
         (1, MOVE, CUBE, SHARED),
-        (1, MOVE, THE_STICK, SHARED),
-        (0, PREHOOK, THE_STICK, CUBE),
-        (1, POKE, THE_STICK, OTHER),
+        (1, MOVE, BENCHMARK.stick, SHARED),
+        (0, PREHOOK, BENCHMARK.stick, CUBE),
+        (1, POKE, BENCHMARK.stick, OTHER),
         (-1, STOP, -1, -1),
     ],
 )
@@ -101,7 +101,7 @@ def test_turning_twice_changes_nothing() -> None:
     two = turned(turned(one))
     torch.testing.assert_close(two.xy, one.xy)
     torch.testing.assert_close(two.bases, one.bases)
-    assert math.cos(float(two.yaw[0, THE_STICK]) - 1.0) == pytest.approx(1.0)
+    assert math.cos(float(two.yaw[0, BENCHMARK.stick]) - 1.0) == pytest.approx(1.0)
     decision = row(1, MOVE, CUBE, PAD)
     assert turned_numbers(decision, 2).tolist() == [[0, MOVE, CUBE, PAD]]
     assert turned_numbers(row(-1, STOP, -1, -1), 2).tolist() == [[-1, STOP, -1, -1]]
@@ -110,9 +110,9 @@ def test_turning_twice_changes_nothing() -> None:
 def test_a_square_looks_the_same_after_a_quarter_turn() -> None:
     yaws = torch.linspace(-7, 7, 50)
     torch.testing.assert_close(
-        (4 * quarter(yaws)).cos(), (4 * yaws).cos(), atol=1e-5, rtol=1e-5
+        (4 * folded(yaws, math.pi / 2)).cos(), (4 * yaws).cos(), atol=1e-5, rtol=1e-5
     )
-    assert quarter(yaws).abs().max() <= math.pi / 4 + 1e-6
+    assert folded(yaws, math.pi / 2).abs().max() <= math.pi / 4 + 1e-6
 
 
 def test_margins_are_distances_to_the_edges_of_reach() -> None:
@@ -135,7 +135,7 @@ def test_drags_keep_the_cube_where_the_stick_has_it() -> None:
     for side in range(len(SIGNS)):
         x, y = drags.prepared[0, 0, side, 0, straight].tolist()
         local = Pose2(x, y, bearing).inverse() @ Pose2(0.1, 0.2)
-        ready = utility.ready[side].tolist()
+        ready = utility.ready(scene.traits.drag_m[CUBE])[side].tolist()
         assert (local.x, local.y) == pytest.approx(tuple(ready), abs=1e-5)
 
 
@@ -179,7 +179,7 @@ def test_stacked_cubes_have_their_faces_aligned() -> None:
     scene = table(red_cube=(-0.3, 0.2, 0.4), white_cube=(0.0, -0.2, 0.1))
     _, place = ReachNetGrounder(use_reach=True)(scene, row(0, MOVE, CUBE, OTHER))
     assert place[0, :2].tolist() == pytest.approx([0.0, -0.2], abs=1e-5)
-    off = quarter(place[0, 2] - 0.1)
+    off = folded(place[0, 2] - 0.1, math.pi / 2)
     assert float(off) == pytest.approx(0.0, abs=1e-4)
 
 
@@ -187,7 +187,7 @@ def test_stacked_cubes_have_their_faces_aligned() -> None:
 def test_drags_go_along_the_stick(primitive: int, sign: float) -> None:
     scene = table(red_cube=(0.2, 0.1, 0.0), stick=(-0.3, 0.0, 0.2))
     pick, place = ReachNetGrounder(use_reach=True)(
-        scene, row(0, primitive, THE_STICK, CUBE)
+        scene, row(0, primitive, BENCHMARK.stick, CUBE)
     )
     step = place[0, :2] - pick[0, :2]
     axis = torch.tensor([math.cos(0.2), math.sin(0.2)])
@@ -203,7 +203,7 @@ def test_no_drag_ends_where_the_robot_cannot_follow(primitive: int) -> None:
     # Grasped 20 cm inside either edge of reach.
     x = -0.15 if primitive == POKE else -0.33
     scene = table(red_cube=(x + 0.5, 0.05, 0.0), stick=(x, 0.0, 0.0))
-    _, place = grounding(scene, row(0, primitive, THE_STICK, CUBE))
+    _, place = grounding(scene, row(0, primitive, BENCHMARK.stick, CUBE))
     assert scene.margins(place[None, :, :2])[0, 0, 0] > 0.0
 
 

@@ -17,17 +17,18 @@ from tiny_model import NAME, Tiny, TinyConfig
 from tiny_transformer import tiny
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.policies.batch import MAX_PAST, NOBODY, PLACES, Batch, Frames, joined
+from lemma.policies.batch import MAX_PAST, NOBODY, Batch, Frames
+from lemma.policies.entities import BENCHMARK
 from lemma.policies.models.episodic_transformer.layout import of_batch
 from lemma.policies.training.config import Augmentation, TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup
-from lemma.policies.training.loader import BatchLoader, FrameSource, Sampler
+from lemma.policies.training.loader import BatchLoader, FrameSource, Sampler, joined
 from lemma.policies.training.loop import train
 from lemma.policies.training.run import read_frames, recovery_units, training_units
 from lemma.policies.training.step import Trainer
 
 ALONE = ProcessGroup(0, 1, torch.device("cpu"))
-GREEN_PAD = PLACES.index("green_pad")
+GREEN_PAD = BENCHMARK.places.index("green_pad")
 
 tiny_model.register()
 

@@ -13,7 +13,6 @@ from torch import Tensor
 from lemma.policies.batch import NOBODY, Batch, with_sub_instructions
 from lemma.policies.training.config import Augmentation
 from lemma.policies.training.recolor import permute_colors
-from lemma.scene.palette import BENCHMARK_COLORS
 
 HOLE_CELLS = (2, 8)
 """Smallest and largest side of what a camera misses."""
@@ -38,7 +37,7 @@ def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Ba
         return torch.from_numpy(np.asarray(values)[numbers]).to(device)
 
     if options.palette:
-        colors = len(BENCHMARK_COLORS)
+        colors = len(batch.entities.colors)
         batch = permute_colors(
             batch, each(rng.permuted(np.tile(np.arange(colors), (count, 1)), axis=1))
         )

@@ -7,7 +7,7 @@ that was stopped goes on as if it had not been.
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from queue import Empty, Full, Queue
 from threading import Event, Thread
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lemma.core.seeding import stream
-from lemma.policies.batch import Batch, Frames, joined
+from lemma.policies.batch import Batch, Frames, Labels
 from lemma.policies.training.augmentation import augment
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.instructions import with_instructions, with_language
@@ -234,3 +234,32 @@ def _drain(queue: "Queue[Any]") -> None:
             queue.get_nowait()
         except Empty:
             return
+
+
+def joined(first: Batch, second: Batch, episodes: int) -> Batch:
+    """Return the frames of two labelled batches, of different data, as one.
+
+    Args:
+        first: With labels, on the same device and with the same raster as the second.
+        second: With labels.
+        episodes: How many the first one's data have: those of the second are numbered
+            behind them.
+    """
+    assert first.labels is not None
+    assert second.labels is not None
+    theirs = replace(second.labels, episode=second.labels.episode + episodes)
+    labels = Labels(**_both(first.labels, theirs))
+    rest = _both(first, second)
+    same = {"raster": first.raster, "entities": first.entities}
+    return Batch(**{**rest, **same, "labels": labels})
+
+
+def _both(one: Any, other: Any) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for field in fields(one):
+        pair = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(pair[0], Tensor):
+            found[field.name] = torch.cat(pair)
+        elif isinstance(pair[0], list):
+            found[field.name] = [*pair[0], *pair[1]]
+    return found

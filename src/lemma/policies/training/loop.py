@@ -114,7 +114,7 @@ class _Run:
     ) -> None:
         self.config, self.team, self.command = config, team, command
         self.model = first_model(config)
-        self.data: Data = read_frames(config, team)
+        self.data: Data = read_frames(config, team, self.model.entities)
         if team.first:
             open_run(config, self.model, self.data.about, command)
         self.trainer = Trainer(self.model, config, team)

@@ -19,6 +19,7 @@ from lemma.dataset.recipe.schema import executions, perturbed_as
 from lemma.dataset.rendered.keyframes.schema import FORM
 from lemma.dataset.rendered.shards import keyframe_shards, read_manifest
 from lemma.policies.batch import Frames
+from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.model import Model
 from lemma.policies.models.catalog import MODELS, make_model, options_of
 from lemma.policies.training.config import MAY_CHANGE, TrainingConfig, model_options
@@ -102,8 +103,15 @@ def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
     }
 
 
-def read_frames(config: TrainingConfig, team: ProcessGroup) -> Data:
+def read_frames(
+    config: TrainingConfig, team: ProcessGroup, entities: EntitySet = BENCHMARK
+) -> Data:
     """Read both splits, to the device if it has room for them.
+
+    Args:
+        config: Says which.
+        team: The processes that train together.
+        entities: Of the model.
 
     Raises:
         DatasetError: Files are missing, damaged or of another version.
@@ -121,13 +129,13 @@ def read_frames(config: TrainingConfig, team: ProcessGroup) -> Data:
         for folder, split in sources
         for shard in keyframe_shards(folder, split, tasks)
     )
-    place = _place(config, team.device, size)
-    train = Frames.load(config.data, config.train_split, tasks, place)
+    how = tasks, _place(config, team.device, size), entities
+    train = Frames.load(config.data, config.train_split, *how)
     same = config.val_split == config.train_split
-    val = train if same else Frames.load(config.data, config.val_split, tasks, place)
+    val = train if same else Frames.load(config.data, config.val_split, *how)
     recovery = None
     if config.recovery is not None:
-        recovery = Frames.load(config.recovery, config.train_split, tasks, place)
+        recovery = Frames.load(config.recovery, config.train_split, *how)
         _check_alike(train, recovery)
     return Data(train, val, about, recovery)
 

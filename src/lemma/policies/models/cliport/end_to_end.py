@@ -118,7 +118,7 @@ class MCLIPort(PickAndPlace):
         assert batch.labels is not None
         with self.deciding():
             found = self._decide(batch)
-            scores = score_poses(found.poses, batch.labels)
+            scores = score_poses(found.poses, batch.labels, batch.entities)
             robot, primitive = batch.labels.decision[:, :2].unbind(1)
             stops = primitive == STOP
             right_robot = (found.robot == robot).float()
@@ -140,7 +140,9 @@ class MCLIPort(PickAndPlace):
             part = inputs[start : start + AT_ONCE]
             raster = self.config.raster(part[0])
             with self.deciding():
-                answer = self._decide(batch_of(part, raster, device=self.device))
+                answer = self._decide(
+                    batch_of(part, raster, (), self.device, self.entities)
+                )
             found += _decisions(answer)
         return found
 

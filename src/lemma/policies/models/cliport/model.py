@@ -40,7 +40,7 @@ from lemma.policies.models.cliport.poses import (
 )
 from lemma.policies.models.cliport.refinement import Zoom
 from lemma.policies.text.encoder import TextConfig, TextEncoder
-from lemma.scene.raster import Raster
+from lemma.scene.raster import RASTER, Raster
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 AT_ONCE = 16
@@ -71,9 +71,9 @@ class CLIPortConfig:
     word_dropout: Share = 0.0
     """Share of words that are unknown in training; each word of a sub-instruction
     counts."""
-    cell_m: Size = 0.008
+    cell_m: Size = RASTER.cell_m
     """Side of a cell of the map [m]."""
-    floor_m: float = -0.1
+    floor_m: float = RASTER.floor_m
     """What the map shows as its lowest [m]."""
 
     def __post_init__(self) -> None:
@@ -203,7 +203,7 @@ class CLIPort(PickAndPlace):
         """Return how near the poses come; see :func:`score_poses`."""
         assert batch.labels is not None
         with self.deciding():
-            return score_poses(self.poses(batch), batch.labels)
+            return score_poses(self.poses(batch), batch.labels, batch.entities)
 
     def poses(self, batch: Batch) -> Poses:
         """Return where the gripper shall go in each frame."""
@@ -226,6 +226,7 @@ class CLIPort(PickAndPlace):
                 self.config.raster(inputs[rows[0]]),
                 [texts[i] for i in rows],
                 self.device,
+                self.entities,
             )
             with self.deciding():
                 poses = self.poses(batch)

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from lemma.policies.batch import PLACES, PRIMITIVES, STOP, Labels
+from lemma.policies.batch import PRIMITIVES, STOP, Labels
+from lemma.policies.entities import BENCHMARK, EntitySet, traits_of
 from lemma.policies.models.cliport.heads import (
     Attention,
     PickHead,
@@ -17,7 +18,6 @@ from lemma.policies.models.cliport.heads import (
 )
 from lemma.policies.models.cliport.refinement import Zoom
 from lemma.policies.models.cliport.rotations import nearest_bins, wrapped, yaw_of
-from lemma.scene.objects.entity import ENTITIES, SHARED, STICK
 from lemma.scene.raster import Raster
 
 _YAW_WEIGHT = 0.5
@@ -29,8 +29,7 @@ _NEAR_M = 0.02
 _NEAR_SHARED_M = 0.06
 _NEAR_PICK_YAW = math.radians(10.0)
 _NEAR_PLACE_YAW = math.radians(8.0)
-_STICK = ENTITIES.index(STICK)
-_SHARED = PLACES.index(SHARED)
+_LEAST_RAD = 1e-3
 _MOVE = PRIMITIVES.index("move")
 
 
@@ -178,7 +177,9 @@ def _distance(offsets: Tensor, wanted: Tensor) -> Tensor:
     return F.smooth_l1_loss(offsets, wanted, reduction="none", beta=0.5).mean((1, 2))
 
 
-def score_poses(found: Poses, labels: Labels) -> dict[str, Tensor]:
+def score_poses(
+    found: Poses, labels: Labels, entities: EntitySet = BENCHMARK
+) -> dict[str, Tensor]:
     """Return how near poses come to the expert's, (B,) each; NaN for ``stop``.
 
     ``grounded`` says whether pick and place are right, in all frames and in those of
@@ -186,19 +187,26 @@ def score_poses(found: Poses, labels: Labels) -> dict[str, Tensor]:
 
     A pick is right within 2 cm and 10 degrees, where half a turn makes no difference,
     and a quarter turn none of a cube; a place within 2 cm, with the stick also within
-    8 degrees, and within 6 cm where anything in the shared space will do.
+    8 degrees, and within 6 cm where anything in the shared space will do. What is round
+    is held from any side.
+
+    Args:
+        found: What was answered.
+        labels: The expert's.
+        entities: Whose numbers the labels have.
     """
     counts, pick, place = counted(labels)
     _, primitive, entity, goal = labels.decision.unbind(1)
-    symmetry = torch.where(entity == _STICK, math.pi, math.pi / 2)
+    turns = traits_of(entities, pick.device).turn_rad[entity.clamp(min=0)]
+    is_stick = entity == entities.stick
     pick_m = (found.pick[:, :2] - pick[:, :2]).norm(dim=1)
-    pick_yaw = _apart(found.pick[:, 2] - pick[:, 2], symmetry)
+    pick_yaw = _apart(found.pick[:, 2] - pick[:, 2], turns)
     place_m = (found.place[:, :2] - place[:, :2]).norm(dim=1)
     # What is held turns by the difference.
     turn = (found.place[:, 2] - found.pick[:, 2]) - (place[:, 2] - pick[:, 2])
-    held = torch.where(entity == _STICK, 2 * math.pi, math.pi / 2)
-    place_yaw = _apart(turn, held) + torch.where(entity == _STICK, pick_yaw, 0.0)
-    near_m = torch.where(goal == _SHARED, _NEAR_SHARED_M, _NEAR_M)
+    held = torch.where(is_stick, 2 * math.pi, turns)
+    place_yaw = _apart(turn, held) + torch.where(is_stick, pick_yaw, 0.0)
+    near_m = torch.where(goal == entities.shared, _NEAR_SHARED_M, _NEAR_M)
     right_pick = (pick_m < _NEAR_M) & (pick_yaw < _NEAR_PICK_YAW)
     right_place = (place_m < near_m) & (
         (primitive == _MOVE) | (place_yaw < _NEAR_PLACE_YAW)
@@ -222,5 +230,11 @@ def score_poses(found: Poses, labels: Labels) -> dict[str, Tensor]:
 
 
 def _apart(angle: Tensor, symmetry: Tensor) -> Tensor:
-    """Return how far an angle is from the next multiple of a symmetry [rad]."""
-    return (torch.remainder(angle + symmetry / 2, symmetry) - symmetry / 2).abs()
+    """Return how far an angle is from the next multiple of a symmetry [rad].
+
+    Args:
+        angle: [rad], (B,).
+        symmetry: [rad], (B,); 0 where any angle looks the same.
+    """
+    turn = symmetry.clamp(min=_LEAST_RAD)
+    return (torch.remainder(angle + turn / 2, turn) - turn / 2).abs()

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from lemma.env.view import View
 from lemma.policies.batch import MAX_PAST, NOBODY, Batch, decision_numbers
+from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import PolicyInput
 
 SLOTS = MAX_PAST + 1
@@ -72,13 +73,16 @@ def of_batch(batch: Batch) -> TokenLayout:
 
 
 def of_inputs(
-    inputs: Sequence[PolicyInput], device: torch.device
+    inputs: Sequence[PolicyInput],
+    device: torch.device,
+    entities: EntitySet = BENCHMARK,
 ) -> tuple[TokenLayout, list[View], Tensor]:
     """Return how policies' inputs lie, with all that they saw.
 
     Args:
         inputs: One per episode.
         device: Where the tensors shall be.
+        entities: What has a number.
 
     Returns:
         The layout; each view once; and which of them each frame of the layout shows.
@@ -89,7 +93,7 @@ def of_inputs(
     for number, given in enumerate(inputs):
         steps = given.past[-MAX_PAST:]
         for slot, step in enumerate(steps):
-            numbers = decision_numbers(step.subtask.to_dict())
+            numbers = decision_numbers(step.subtask.to_dict(), entities)
             actions[number, slot] = torch.tensor(numbers)
         seen = [*(step.view for step in steps), given.view]
         for slot, view in enumerate(seen):

@@ -6,7 +6,7 @@ is what sets it apart from planners that look at objects.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import ClassVar, Literal
 
@@ -18,13 +18,8 @@ from torch.nn import functional as F
 from lemma.core.config import Count, Depth, Share, Width, Widths
 from lemma.core.robot_names import robot_name
 from lemma.env.view import View
-from lemma.policies.batch import (
-    NOBODY,
-    PLACES,
-    PRIMITIVES,
-    STOP,
-    Batch,
-)
+from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, Batch
+from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.layers import (
     ResidualBlock,
@@ -37,8 +32,6 @@ from lemma.policies.models.episodic_transformer import layout as episodic_layout
 from lemma.policies.models.episodic_transformer.layout import SLOTS, TokenLayout
 from lemma.policies.models.episodic_transformer.view_cache import ViewCache
 from lemma.policies.text.encoder import TextConfig, TextEncoder, TextKind
-from lemma.scene.objects.cube import CUBE
-from lemma.scene.objects.entity import ENTITIES, STICK, kind_of
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
 
@@ -55,6 +48,8 @@ class EpisodicTransformerConfig:
 
     robots: Depth = 2
     """Robots of a team."""
+    entities: tuple[str, ...] = ()
+    """What it can name; all that is known when it is made, if empty."""
     text: TextKind = "words"
     """Kind of the text encoder: see ``TextConfig``."""
     width: Width = 384
@@ -137,7 +132,8 @@ class EpisodicTransformer(Model):
     def __init__(self, config: EpisodicTransformerConfig) -> None:
         """Make the weights."""
         super().__init__()
-        self.config = config
+        named = EntitySet.of(config.entities)
+        self.config = config = replace(config, entities=named.names)
         width = config.width
         self.text = TextEncoder(
             TextConfig(
@@ -154,7 +150,7 @@ class EpisodicTransformer(Model):
         self.frame_dropout = nn.Dropout(config.visual_dropout)
         self.frame_token = nn.Linear(cells, width)
         self.frame_skip = nn.Linear(cells, width)
-        sizes = (config.robots, len(PRIMITIVES), len(ENTITIES), len(PLACES))
+        sizes = (config.robots, len(PRIMITIVES), len(named), len(named.places))
         # Number 0 is nobody.
         self.decisions = nn.ModuleList(nn.Embedding(n + 1, width) for n in sizes)
         self.kinds = nn.Parameter(torch.randn(3, width) * 0.1)
@@ -201,7 +197,7 @@ class EpisodicTransformer(Model):
         """Return whether each part is right, and whether all are (``plan``)."""
         assert batch.labels is not None
         targets = batch.labels.decision
-        right = choose(self.forward(batch)) == targets
+        right = choose(self.forward(batch), batch.entities) == targets
         absent = (targets == NOBODY).to(torch.bool)
         parts = {
             part: right[:, i].float().masked_fill(absent[:, i], torch.nan)
@@ -215,14 +211,14 @@ class EpisodicTransformer(Model):
         if was_training:
             self.eval()
         with torch.inference_mode():
-            numbers = choose(self._scores_of(inputs)).tolist()
+            numbers = choose(self._scores_of(inputs), self.entities).tolist()
         if was_training:
             self.train()
-        return [_subtask(row) for row in numbers]
+        return [_subtask(row, self.entities) for row in numbers]
 
     def _scores_of(self, inputs: Sequence[PolicyInput]) -> list[Tensor]:
         device = self.kinds.device
-        layout, views, shown = episodic_layout.of_inputs(inputs, device)
+        layout, views, shown = episodic_layout.of_inputs(inputs, device, self.entities)
         cells = self._seen.features(views, self._cells_of, self._state())
         scores = self._decide(cells[shown], layout)
         # The present is the last frame of each episode.
@@ -315,7 +311,7 @@ def attention_mask(words: Tensor, frames: Tensor, decisions: Tensor) -> Tensor:
     return (allowed & there[:, None, :]) | myself.expand(groups, -1, -1)
 
 
-def choose(scores: Sequence[Tensor]) -> Tensor:
+def choose(scores: Sequence[Tensor], entities: EntitySet = BENCHMARK) -> Tensor:
     """Return the best decisions that make sense, (B, 4); -1 but the primitive for stop.
 
     ``move`` takes a cube or the stick to another place; all else acts with the stick on
@@ -323,45 +319,46 @@ def choose(scores: Sequence[Tensor]) -> Tensor:
 
     Args:
         scores: Of robots, primitives, what to pick and where to place, (B, n) each.
+        entities: What has a number.
     """
     robot, primitive, pick, place = (part.float() for part in scores)
     kind = primitive.argmax(1)
     pairs = pick.unsqueeze(2) + place.unsqueeze(1)
-    sensible = _sensible().to(pairs.device)[kind]
+    sensible = _sensible(entities).to(pairs.device)[kind]
     objects = pairs.masked_fill(~sensible, -torch.inf).flatten(1).argmax(1)
-    chosen = torch.stack(
-        [robot.argmax(1), kind, objects // len(PLACES), objects % len(PLACES)], 1
-    )
+    count = len(entities.places)
+    chosen = torch.stack([robot.argmax(1), kind, objects // count, objects % count], 1)
     nothing = torch.full_like(chosen, NOBODY)
     nothing[:, 1] = STOP
     return torch.where((kind == STOP)[:, None], nothing, chosen)
 
 
 @cache
-def _sensible() -> Tensor:
+def _sensible(entities: EntitySet) -> Tensor:
     """Return which (primitive, pick, place) can be said, bool."""
-    found = torch.zeros(len(PRIMITIVES), len(ENTITIES), len(PLACES), dtype=torch.bool)
-    cubes = [name for name in ENTITIES if kind_of(name) is CUBE]
+    names, places = entities.names, entities.places
+    found = torch.zeros(len(PRIMITIVES), len(names), len(places), dtype=torch.bool)
+    dragged = [kind.drag_m is not None for kind in entities.kinds]
     for kind, primitive in enumerate(PRIMITIVES):
-        for i, pick in enumerate(ENTITIES):
-            for j, place in enumerate(PLACES):
+        for i, pick in enumerate(entities.kinds):
+            for j in range(len(places)):
                 if primitive == Primitive.MOVE:
-                    good = not kind_of(pick).fixed and place not in (pick, STICK)
+                    good = pick.grasp is not None and j not in (i, entities.stick)
                 else:
-                    good = pick == STICK and place in cubes
+                    good = i == entities.stick and j < len(names) and dragged[j]
                 found[kind, i, j] = good
     return found
 
 
-def _subtask(numbers: list[int]) -> SubTask:
+def _subtask(numbers: list[int], entities: EntitySet) -> SubTask:
     robot, primitive, pick, place = numbers
     if primitive == STOP:
         return STOP_SUBTASK
     return SubTask(
         robot_name(robot),
         Primitive(PRIMITIVES[primitive]),
-        ENTITIES[pick],
-        PLACES[place],
+        entities.names[pick],
+        entities.places[place],
     )
 
 

@@ -15,16 +15,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK, SceneTable
-from lemma.scene.objects.cube import CUBE
-from lemma.scene.objects.pad import PAD
-from lemma.scene.objects.stick import (
-    GRASP_FROM_END_M,
-    HANDLE_LENGTH_M,
-    HOOK_LENGTH_M,
-    STICK_SECTION_M,
+from lemma.policies.models.reachnet.scene_table import SceneTable
+from lemma.policies.models.reachnet.tool_shape import (
+    BAR_M,
+    HALF_M,
+    beyond,
+    swept_distance,
 )
-from lemma.tasks.drags import PREPARE_GAP_M
+from lemma.tasks.drags import MAX_DRAG_M, PREPARE_GAP_M
 
 TOOL_PRIMITIVES = ("hook", "poke")
 SIGNS = (-1.0, 1.0)
@@ -33,23 +31,25 @@ TURNS_RAD = tuple(
     math.radians(d) for d in (-54, -42, -32, -24, -16, -8, 0, 8, 16, 24, 32, 42, 54)
 )
 """Bearings of the stick, from the direction in which the robot sees the cube."""
-TRAVELS_M = tuple(round(0.12 + 0.02 * i, 2) for i in range(9))
+_SHORTEST_M, _STEP_M = 0.12, 0.02
+TRAVELS_M = tuple(
+    round(_SHORTEST_M + _STEP_M * i, 3)
+    for i in range(1 + round((MAX_DRAG_M + PREPARE_GAP_M - _SHORTEST_M) / _STEP_M))
+)
 """How far the gripper moves."""
 
-_TAIL_M = -GRASP_FROM_END_M
-_BAR_M = HANDLE_LENGTH_M - STICK_SECTION_M / 2 - GRASP_FROM_END_M
-_ACROSS_M = HOOK_LENGTH_M - STICK_SECTION_M / 2
-"""The stick, from where it is grasped: end of the handle, hook, length of the hook."""
 _CONSTRAINTS = 6
 _SCALES_M = (0.02, 0.02, 0.02, 0.02, 0.02, 0.1)
 _SCALE_M = 0.02
 _READY_UNIT_M = 0.1
+_FIRST_GAP_M = HALF_M + PREPARE_GAP_M
+_FAR_M = 1.0
 _SPEED = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Drags:
-    """All drags of some cubes; T turns, L lengths, S primitives, R robots, C cubes."""
+    """All drags of C things: T turns, L lengths, S primitives, R robots."""
 
     constraints: Tensor
     """What must be large enough [m], (B, R, S, C, T, L, 6): margins of the gripper at
@@ -93,28 +93,44 @@ class DragUtility(nn.Module):
         """
         super().__init__()
         self.use_reach = use_reach
-        self.ready_units = Tuned([[3.5, 0.7], [4.5, 0.7]])
+        ahead, across = BAR_M
+        self.ready_units = Tuned(
+            [
+                [(ahead + sign * _FIRST_GAP_M) / _READY_UNIT_M, across / _READY_UNIT_M]
+                for sign in SIGNS
+            ]
+        )
         count = len(TOOL_PRIMITIVES)
         self.threshold = Tuned([[1.0] * _CONSTRAINTS] * count)
         self.sharpness = Tuned([[0.5] * _CONSTRAINTS] * count)
         self.enough = Tuned([4.0] * count)
         self.weights = Tuned([[0.0] * 3] * count)
 
-    @property
-    def ready(self) -> Tensor:
-        """Where a cube is, seen from the gripper, when the stick lies ready, (S, 2)."""
-        units: Tensor = self.ready_units()
-        return _READY_UNIT_M * units
+    def ready(self, drag_m: Tensor) -> Tensor:
+        """Return where things are, seen from the gripper, when the stick lies ready.
+
+        Args:
+            drag_m: From the middle of each to where the stick touches it, (...) [m].
+
+        Returns:
+            (S, ..., 2) [m].
+        """
+        learned = _READY_UNIT_M * self.ready_units()
+        signs = torch.tensor(SIGNS, device=drag_m.device)
+        extra = (1,) * drag_m.dim()
+        ahead, across = learned.view(len(SIGNS), *extra, 2).unbind(-1)
+        ahead = ahead + signs.view(-1, *extra) * drag_m
+        return torch.stack([ahead, across.expand_as(ahead)], -1)
 
     def drags(self, table: SceneTable, cubes: Tensor | None = None) -> Drags:
         """Return what there is to choose from.
 
         Args:
             table: B scenes.
-            cubes: Numbers of cubes, (B, C); all if None.
+            cubes: Numbers of what is moved, (B, C); all of it if None.
         """
         if cubes is None:
-            cubes = torch.arange(len(CUBES), device=table.xy.device)
+            cubes = torch.arange(table.cargo, device=table.xy.device)
             cubes = cubes.expand(len(table), -1)
         cube = table.xy.gather(1, cubes[..., None].expand(-1, -1, 2))
         ray = cube[:, None] - table.bases[:, :, None]
@@ -125,7 +141,7 @@ class DragUtility(nn.Module):
         bearings = bearings.expand(-1, -1, len(TOOL_PRIMITIVES), -1, -1)
         ahead = torch.stack([bearings.cos(), bearings.sin()], -1)
         left = torch.stack([-ahead[..., 1], ahead[..., 0]], -1)
-        ready = self.ready.detach()[:, None, None]
+        ready = self._ready_for(table, cubes)
         at = cube[:, None, None, :, None]
         prepared = at - ready[..., :1] * ahead - ready[..., 1:] * left
         signs = torch.tensor(SIGNS, device=cube.device)[:, None, None, None, None]
@@ -137,7 +153,7 @@ class DragUtility(nn.Module):
             _own(table.margins(prepared)).unsqueeze(-1).expand(end.shape[:-1]),
             _own(table.margins(end)),
             _receiver(table.margins(cube_end)),
-            *self._room(table, cubes, prepared, ahead, left),
+            *_room(table, cubes, (prepared, ahead, left), ready),
         ]
         return Drags(torch.stack(parts, -1), bearings, prepared)
 
@@ -183,63 +199,49 @@ class DragUtility(nn.Module):
         )
         return worth
 
-    def _room(
-        self,
-        table: SceneTable,
-        cubes: Tensor,
-        prepared: Tensor,
-        ahead: Tensor,
-        left: Tensor,
-    ) -> list[Tensor]:
-        """Return the room of stick and cube, and around bases, (B, R, S, C, T, L)."""
-        device = table.xy.device
-        things = torch.cat([table.xy[:, :THE_STICK], table.bases], 1)
-        radii = torch.full((things.shape[1],), 0.0, device=device)
-        radii[: len(CUBES)] = CUBE.disc_m
-        radii[len(CUBES) : THE_STICK] = PAD.disc_m
-        offset = things[:, None, None, None, None] - prepared.unsqueeze(-2)
-        u = (offset * ahead.unsqueeze(-2)).sum(-1)[..., None, :]
-        v = (offset * left.unsqueeze(-2)).sum(-1)[..., None, :]
-        signs = torch.tensor(SIGNS, device=device)[:, None, None, None, None]
-        travel = torch.tensor(TRAVELS_M, device=device)[:, None] * signs
-        back, forth = travel.clamp(max=0.0), travel.clamp(min=0.0)
-        handle = _beyond(u, _TAIL_M + back, _BAR_M + forth).hypot(v)
-        bar = _beyond(u, _BAR_M + back, _BAR_M + forth).hypot(
-            _beyond(v, torch.zeros_like(back), torch.full_like(back, _ACROSS_M))
-        )
-        stick = torch.minimum(handle, bar) - radii
-        ready = self.ready.detach()[:, None, None, None, None]
-        moved = travel - signs * PREPARE_GAP_M
-        start = ready[..., 0]
-        path = _beyond(u, start + moved.clamp(max=0), start + moved.clamp(min=0))
-        cube = path.hypot(v - ready[..., 1]) - radii
-        own = F.one_hot(cubes, things.shape[1]).bool()[:, None, None, :, None, None]
-        stick = torch.where(own, 1.0, stick)
-        cube = torch.where(own, 1.0, cube)
-        bases = torch.minimum(stick, cube)[..., THE_STICK:].amin(-1)
-        found = [stick[..., :THE_STICK].amin(-1), cube[..., :THE_STICK].amin(-1), bases]
-        # Room that is more than enough is all the same.
-        return [room.clamp(max=1.0) for room in found]
+    def _ready_for(self, table: SceneTable, cubes: Tensor) -> Tensor:
+        """Return :meth:`ready` for things of scenes, (B, 1, S, C, 1, 2)."""
+        ready = self.ready(table.traits.drag_m[cubes]).detach()
+        return ready.movedim(0, 1)[:, None, :, :, None]
 
 
-def stick_distance(grasp: Tensor, yaw: Tensor, points: Tensor) -> Tensor:
-    """Return the distance of points from the axes of lying sticks [m], (...).
+def _room(
+    table: SceneTable,
+    cubes: Tensor,
+    lying: tuple[Tensor, Tensor, Tensor],
+    ready: Tensor,
+) -> list[Tensor]:
+    """Return the room of stick and cube, and around bases, (B, R, S, C, T, L).
 
     Args:
-        grasp: Where the stick is grasped, (..., 2) [m].
-        yaw: Of the stick, (...) [rad].
-        points: (..., 2) [m].
+        table: B scenes.
+        cubes: Numbers of what is moved, (B, C).
+        lying: Gripper where the stick is put down, the directions ahead of it and to
+            its left, (B, R, S, C, T, 2) each.
+        ready: What is moved, seen from there, (B, 1, S, C, 1, 2).
     """
-    x, y = (points - grasp).unbind(-1)
-    u, v = x * yaw.cos() + y * yaw.sin(), y * yaw.cos() - x * yaw.sin()
-    handle = (u - u.clamp(_TAIL_M, _BAR_M)).hypot(v)
-    bar = (u - _BAR_M).hypot(v - v.clamp(0.0, _ACROSS_M))
-    return torch.minimum(handle, bar)
-
-
-def _beyond(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Return the distance of numbers from an interval."""
-    return torch.maximum(low - x, x - high).clamp(min=0.0)
+    prepared, ahead, left = lying
+    device, stick_number = table.xy.device, table.stick
+    things = torch.cat([table.xy[:, :stick_number], table.bases], 1)
+    radii = F.pad(table.traits.disc_m[:stick_number], (0, table.bases.shape[1]))
+    offset = things[:, None, None, None, None] - prepared.unsqueeze(-2)
+    u = (offset * ahead.unsqueeze(-2)).sum(-1)[..., None, :]
+    v = (offset * left.unsqueeze(-2)).sum(-1)[..., None, :]
+    signs = torch.tensor(SIGNS, device=device)[:, None, None, None, None]
+    travel = torch.tensor(TRAVELS_M, device=device)[:, None] * signs
+    back, forth = travel.clamp(max=0.0), travel.clamp(min=0.0)
+    stick = swept_distance(u, v, back, forth) - radii
+    moved = travel - signs * PREPARE_GAP_M
+    start = ready[..., 0, None, None]
+    path = beyond(u, start + moved.clamp(max=0), start + moved.clamp(min=0))
+    cube = path.hypot(v - ready[..., 1, None, None]) - radii
+    own = F.one_hot(cubes, things.shape[1]).bool()[:, None, None, :, None, None]
+    stick = torch.where(own, _FAR_M, stick)
+    cube = torch.where(own, _FAR_M, cube)
+    bases = torch.minimum(stick, cube)[..., stick_number:].amin(-1)
+    found = [stick[..., :stick_number].amin(-1), cube[..., :stick_number].amin(-1)]
+    # Room that is more than enough is all the same.
+    return [room.clamp(max=_FAR_M) for room in (*found, bases)]
 
 
 def _own(margins: Tensor) -> Tensor:

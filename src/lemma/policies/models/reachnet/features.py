@@ -9,19 +9,14 @@ from torch.nn import functional as F
 
 from lemma.policies.batch import NOBODY, PRIMITIVES
 from lemma.policies.models.reachnet.drags import SIGNS
-from lemma.policies.models.reachnet.scene_table import (
-    CONJUNCTS,
-    CUBES,
-    PADS,
-    THE_STICK,
-    SceneTable,
-)
+from lemma.policies.models.reachnet.scene_table import CONJUNCTS, SceneTable
 
-_C, _E = len(CUBES), len(CUBES) + len(PADS) + 1
 _RECENT = 2
 _DISTANCES_M = (0.0, 0.03, 0.07, 0.12, 0.25, 0.5, 1.0)
 _SUPPORTS_M = 0.035
-_FACE_M = 0.05
+_UNIT_M = 0.05
+"""Heights and radii of things are told in this."""
+_KIND = 8
 
 ROBOT_FEATURES = 8
 _SIDE_OF = (0, 0, 1, 1)
@@ -33,11 +28,12 @@ def entity_feature_count(robots: int) -> int:
     """Return how many features an entity has."""
     goal_state = 2 * CONJUNCTS * 5
     drags = robots * len(SIGNS) * 3
-    return 10 + 3 * robots + 2 * CONJUNCTS + goal_state + 8 + drags + 7 * _RECENT
+    state = 7 + 3 * robots + 2 * CONJUNCTS + goal_state + 8 + drags + 7 * _RECENT
+    return _KIND + state
 
 
 def reach_features(table: SceneTable, use_reach: bool) -> Tensor:
-    """Return how far inside each robot's reach each entity is, (B, 11, 3 R)."""
+    """Return how far inside each robot's reach each entity is, (B, E, 3 R)."""
     points = places(table)
     margins = (
         table.margins(points) if use_reach else torch.zeros_like(table.margins(points))
@@ -77,65 +73,90 @@ def robot_features(table: SceneTable, use_reach: bool) -> Tensor:
 
 
 def places(table: SceneTable) -> Tensor:
-    """Return where each entity would be grasped, (B, 11, 2) [m]."""
-    return torch.cat([table.xy[:, :THE_STICK], table.grasp[:, None]], 1)
+    """Return where each entity would be grasped, (B, E, 2) [m]."""
+    return torch.cat([table.xy[:, : table.stick], table.grasp[:, None]], 1)
 
 
 def kinds(table: SceneTable) -> Tensor:
-    """Return what each entity is and where, (B, 11, 10)."""
-    kind = torch.zeros(len(table), _E, 3, device=table.xy.device)
-    kind[:, CUBES, 0] = kind[:, PADS, 1] = kind[:, THE_STICK, 2] = 1.0
+    """Return what each entity is, by its kind's record, and where, (B, E, 15)."""
+    traits, count = table.traits, len(table.entities)
+    numbers = torch.arange(count, device=table.xy.device)
+    is_cargo, is_stick = numbers < table.cargo, numbers == table.stick
+    sizes = torch.stack([traits.height_m, traits.disc_m, traits.support_m], -1)
+    told = [is_cargo, is_stick, traits.graspable, traits.draggable, traits.faceted]
+    kind = torch.cat([torch.stack(told, -1).float(), sizes / _UNIT_M], -1)
     there = table.present[..., None].float()
-    level = (table.top - _FACE_M)[..., None] / _FACE_M
-    heading = torch.stack([table.yaw.cos(), table.yaw.sin()], -1) * kind[..., 2:]
+    level = (raised(table) / _UNIT_M)[..., None]
+    heading = torch.stack([table.yaw.cos(), table.yaw.sin()], -1)
+    heading = heading * is_stick[:, None]
     xy = torch.where(table.present[..., None], table.xy, 0.0)
     away = xy.norm(dim=-1, keepdim=True)
-    return torch.cat(
-        [kind, there, xy, level * there * kind[..., :1], heading, away], -1
-    )
+    kind = kind.expand(len(table), -1, -1)
+    return torch.cat([kind, there, xy, level, heading, away], -1)
 
 
-def roles(goal: Tensor) -> Tensor:
-    """Return each entity's roles in the goal, (B, 11, 2 * conjuncts)."""
-    hot = F.one_hot(torch.where(goal == NOBODY, _E, goal), _E + 1)[..., :_E]
+def raised(table: SceneTable) -> Tensor:
+    """Return how high above the table what is moved lies, (B, E) [m]; 0 for the rest.
+
+    The height of its top less its own is that of what it lies on.
+    """
+    numbers = torch.arange(len(table.entities), device=table.xy.device)
+    bottom = table.top - table.traits.height_m
+    return torch.where(table.present & (numbers < table.cargo), bottom, 0.0)
+
+
+def roles(goal: Tensor, count: int) -> Tensor:
+    """Return each entity's roles in the goal, (B, E, 2 * conjuncts).
+
+    Args:
+        goal: (B, conjuncts, 2); -1 for none.
+        count: E.
+    """
+    hot = F.one_hot(torch.where(goal == NOBODY, count, goal), count + 1)[..., :count]
     return hot.flatten(1, 2).transpose(1, 2).float()
 
 
 def goal_state(table: SceneTable, goal: Tensor) -> Tensor:
-    """Return where each role's partner is, (B, 11, 2 * conjuncts * 5)."""
+    """Return where each role's partner is, (B, E, 2 * conjuncts * 5)."""
     index = goal.clamp(min=0)
     named = goal != NOBODY
     rows = torch.arange(len(table), device=goal.device)[:, None, None]
-    xy, top = table.xy[rows, index], table.top[rows, index]
+    xy, rise = table.xy[rows, index], raised(table)[rows, index] / _UNIT_M
     seen = table.present[rows, index] & named
     offset = xy[:, :, 0] - xy[:, :, 1]
     apart = offset.norm(dim=-1)
     both = seen.all(-1)
-    rise = (top[:, :, 0] - _FACE_M) / _FACE_M
     facts = torch.stack(
         [
             both.float(),
             seen[..., 0].float(),
             torch.where(both, torch.exp(-apart / 0.03), 0.0),
             torch.where(both, torch.sigmoid((_SUPPORTS_M - apart) / 0.004), 0.0),
-            torch.where(seen[..., 0], rise, 0.0),
+            torch.where(seen[..., 0], rise[:, :, 0], 0.0),
         ],
         -1,
     )
-    has = roles(goal).view(len(table), _E, CONJUNCTS, 2, 1)
+    count = len(table.entities)
+    has = roles(goal, count).view(len(table), count, CONJUNCTS, 2, 1)
     return (has * facts[:, None, :, None]).flatten(2)
 
 
 def stick_state(table: SceneTable, ready: Tensor) -> Tensor:
-    """Return how the stick lies to each cube, (B, 11, 8)."""
-    yaw = table.yaw[:, THE_STICK, None]
+    """Return how the stick lies to each thing that is moved, (B, E, 8).
+
+    Args:
+        table: B scenes.
+        ready: Where each entity is, seen from the gripper, when the stick lies ready,
+            (S, E, 2) [m].
+    """
+    yaw = table.yaw[:, table.stick, None]
     x, y = (table.xy - table.grasp[:, None]).unbind(-1)
     u, v = x * yaw.cos() + y * yaw.sin(), y * yaw.cos() - x * yaw.sin()
-    both = table.present & table.present[:, THE_STICK, None]
-    is_cube = torch.arange(_E, device=yaw.device) < _C
-    both = both & is_cube
+    both = table.present & table.present[:, table.stick, None]
+    numbers = torch.arange(len(table.entities), device=yaw.device)
+    both = both & (numbers < table.cargo)
     found = []
-    for ahead, across in ready.unbind(0):
+    for ahead, across in (one.unbind(-1) for one in ready):
         du, dv = u - ahead, v - across
         off = torch.maximum(du.abs(), dv.abs())
         found += [(du / 0.1).tanh(), (dv / 0.1).tanh(), torch.exp(-off / 0.05)]
@@ -143,10 +164,15 @@ def stick_state(table: SceneTable, ready: Tensor) -> Tensor:
     return torch.where(both[..., None], torch.stack(found, -1), 0.0)
 
 
-def drag_features(values: Tensor) -> Tensor:
-    """Return what the stick can do with each cube, (B, 11, R * S * 3)."""
+def drag_features(values: Tensor, count: int) -> Tensor:
+    """Return what the stick can do with each entity, (B, E, R * S * 3).
+
+    Args:
+        values: Of what is moved, (B, R, S, C, 3).
+        count: E.
+    """
     flat = (values / 5.0).tanh().permute(0, 3, 1, 2, 4).flatten(2)
-    return F.pad(flat, (0, 0, 0, _E - _C))
+    return F.pad(flat, (0, 0, 0, count - flat.shape[1]))
 
 
 def tool_features(values: Tensor, table: SceneTable, use_reach: bool) -> Tensor:
@@ -161,7 +187,7 @@ def tool_features(values: Tensor, table: SceneTable, use_reach: bool) -> Tensor:
 
 
 def nearness(table: SceneTable) -> Tensor:
-    """Return how entities lie to one another, (B, 11, 11, RELATIONS)."""
+    """Return how entities lie to one another, (B, E, E, RELATIONS)."""
     places = table.xy.detach()
     both = table.present[:, :, None] & table.present[:, None]
     offset = places[:, :, None] - places[:, None]
@@ -170,18 +196,19 @@ def nearness(table: SceneTable) -> Tensor:
     widths = 0.5 * centres.clamp(min=0.03)
     bumps = torch.exp(-(((apart[..., None] - centres) / widths) ** 2))
     top = table.top.detach()
-    rise = (top[:, :, None] - top[:, None]) / _FACE_M
+    rise = (top[:, :, None] - top[:, None]) / _UNIT_M
     close = torch.sigmoid((_SUPPORTS_M - apart) / 0.004)
-    kinds = torch.zeros(_E, 2, device=apart.device)
-    kinds[list(CUBES), 0] = kinds[list(PADS), 1] = 1.0
+    numbers = torch.arange(len(table.entities), device=apart.device)
+    is_cargo = numbers < table.cargo
+    kinds = torch.stack([is_cargo, ~is_cargo & (numbers < table.stick)], -1).float()
     pairs = kinds[:, None, :, None] * kinds[None, :, None, :]
-    found = torch.cat([bumps, close[..., None], rise.clamp(-2, 2)[..., None]], -1)
+    found = torch.cat([bumps, close[..., None], rise.clamp(-3, 3)[..., None]], -1)
     found = torch.where(both[..., None], found, 0.0)
     return torch.cat([found, pairs.flatten(2).expand(len(table), -1, -1, -1)], -1)
 
 
-def recent(past: Tensor) -> Tensor:
-    """Return what was last done with each entity, (B, 11, 7 * _RECENT)."""
+def recent(past: Tensor, count_of_entities: int) -> Tensor:
+    """Return what was last done with each entity, (B, E, 7 * _RECENT)."""
     count = (past[..., 1] != NOBODY).sum(1)
     found = []
     for back in range(1, _RECENT + 1):
@@ -189,7 +216,7 @@ def recent(past: Tensor) -> Tensor:
         step = past[torch.arange(len(past), device=past.device), index]
         step = torch.where((count >= back)[:, None], step, NOBODY)
         _, primitive, pick, place = step.unbind(-1)
-        numbers = torch.arange(_E, device=past.device)
+        numbers = torch.arange(count_of_entities, device=past.device)
         picked = (pick[:, None] == numbers).float()[..., None]
         placed = (place[:, None] == numbers).float()[..., None]
         what = F.one_hot(primitive.clamp(min=0), len(PRIMITIVES))[:, None, :5].float()

@@ -17,20 +17,19 @@ from lemma.policies.models.reachnet.drags import (
     TRAVELS_M,
     TURNS_RAD,
     DragUtility,
-    stick_distance,
 )
-from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK, SceneTable
+from lemma.policies.models.reachnet.scene_table import SceneTable
 from lemma.policies.models.reachnet.spots import CubeSpots, StickSpots
+from lemma.policies.models.reachnet.tool_shape import HALF_M, stick_distance
 from lemma.robots.gripper import FINGER_CENTER_M, FINGER_DISC_M
-from lemma.scene.objects.cube import CUBE
-from lemma.scene.objects.stick import STICK_SECTION_M
 
 _PREPARE = (PRIMITIVES.index("prehook"), PRIMITIVES.index("prepoke"))
 _USE = (PRIMITIVES.index("hook"), PRIMITIVES.index("poke"))
 _MOVE = PRIMITIVES.index("move")
 _QUARTER_RAD = 0.5 * math.pi
-_STICK_HALF_M = STICK_SECTION_M / 2
 _ENOUGH_M = 0.008
+_FLAT_M = 0.01
+"""Fingers that grasp something come down over what is lower than this."""
 _SAFE_M = 0.008
 """So far inside its reach a robot shall be, which is seen with some error."""
 _OUTSIDE = 1e4
@@ -66,15 +65,15 @@ class ReachNetGrounder(nn.Module):
         """
         robot, primitive, pick, place = decision.clamp(min=0).unbind(-1)
         rows = torch.arange(len(table), device=robot.device)
-        picked = pick == THE_STICK
-        grasp = torch.cat([table.grasp, table.yaw[:, THE_STICK, None]], 1)
+        picked = pick == table.stick
+        grasp = torch.cat([table.grasp, table.yaw[:, table.stick, None]], 1)
         cube = self._cube_grasp(table, robot, pick)
         start = torch.where(picked[:, None], grasp, cube)
         shared = place >= table.xy.shape[1]
         support = place.clamp(max=table.xy.shape[1] - 1)
         spot = self.cube_spots.pose(self.cube_spots(table, pick).argmax(-1))
         xy = torch.where(shared[:, None], spot, table.xy[rows, support])
-        moved = self._carried(table, start, xy, robot, support, shared)
+        moved = self._carried(table, start, xy, (robot, pick, support), shared)
         laid = self.stick_spots.pose(self.stick_spots(table).argmax(-1))
         prepared, used = self._with_stick(table, start, robot, primitive, support)
         end = torch.where((picked & (primitive == _MOVE))[:, None], laid, moved)
@@ -102,9 +101,9 @@ class ReachNetGrounder(nn.Module):
         spots = self.cube_spots(table, entity).log_softmax(-1)
         number = self.cube_spots.number(place[:, :2])
         cube = _mean(
-            -spots.gather(1, number[:, None])[:, 0], to_shared & (entity != THE_STICK)
+            -spots.gather(1, number[:, None])[:, 0], to_shared & (entity != table.stick)
         )
-        hand = to_shared & (entity == THE_STICK)
+        hand = to_shared & (entity == table.stick)
         some = hand.float().topk(math.ceil(len(hand) / _STICK_SHARE)).indices
         laid = self.stick_spots(table.rows(some)).log_softmax(-1)
         number = self.stick_spots.number(place[some])
@@ -116,7 +115,7 @@ class ReachNetGrounder(nn.Module):
         self, table: SceneTable, decision: Tensor, pick: Tensor, place: Tensor
     ) -> dict[str, Tensor]:
         robot, primitive, _, target = decision.clamp(min=0).unbind(-1)
-        cube = target.clamp(max=len(CUBES) - 1)
+        cube = target.clamp(max=table.cargo - 1)
         prepares, uses = _among(primitive, _PREPARE), _among(primitive, _USE)
         utility, _, _ = self._choices(table, robot, primitive, cube)
         rows = torch.arange(len(table), device=robot.device)
@@ -133,7 +132,8 @@ class ReachNetGrounder(nn.Module):
         cos, sin = place[:, 2].cos(), place[:, 2].sin()
         x, y = offset.unbind(-1)
         seen = torch.stack([x * cos + y * sin, y * cos - x * sin], -1)
-        ready = self.drags.ready[_side(primitive)]
+        ready = self.drags.ready(table.traits.drag_m[cube])
+        ready = ready[_side(primitive), rows]
         miss = F.smooth_l1_loss(seen, ready, beta=0.01, reduction="none").sum(-1)
         near = (seen - ready.detach()).norm(dim=-1) < 0.3
         return {
@@ -162,7 +162,7 @@ class ReachNetGrounder(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Return the gripper's pose after preparing and after using the stick."""
         rows = torch.arange(len(table), device=robot.device)
-        cube = place.clamp(max=len(CUBES) - 1)
+        cube = place.clamp(max=table.cargo - 1)
         utility, bearings, poses = self._choices(table, robot, primitive, cube)
         signs = torch.tensor(SIGNS, device=start.device)[_side(primitive)]
         lengths = torch.tensor(TRAVELS_M, device=start.device)
@@ -188,13 +188,17 @@ class ReachNetGrounder(nn.Module):
         return beyond * float(self.drags.use_reach)
 
     def _cube_grasp(self, table: SceneTable, robot: Tensor, cube: Tensor) -> Tensor:
-        """Return the grasp of a cube by its faces, with room for the fingers."""
+        """Return the grasp of what is moved, with room for the fingers."""
         rows = torch.arange(len(table), device=robot.device)
-        cube = cube.clamp(max=len(CUBES) - 1)
-        at, turned = table.xy[rows, cube], table.yaw[rows, cube]
+        cube = cube.clamp(max=table.cargo - 1)
+        at, traits = table.xy[rows, cube], table.traits
+        turned = table.yaw[rows, cube] + traits.grasp_yaw[cube]
         natural = _bearing(table, at, robot)
-        first = turned + _QUARTER_RAD * torch.round((natural - turned) / _QUARTER_RAD)
-        yaws = torch.stack([first, first + _QUARTER_RAD], 1)
+        # What is held from any side is turned as the arm comes, or across.
+        turn = torch.where(traits.faceted[cube], traits.turn_rad[cube], _QUARTER_RAD)
+        faced = turned + turn * torch.round((natural - turned) / turn)
+        first = torch.where(traits.faceted[cube], faced, natural)
+        yaws = torch.stack([first, first + turn], 1)
         room = self._finger_room(table, at, yaws, cube).clamp(max=_ENOUGH_M)
         yaw = torch.where(room[:, 1] > room[:, 0], yaws[:, 1], yaws[:, 0])
         return torch.cat([at, yaw[:, None]], 1)
@@ -206,14 +210,16 @@ class ReachNetGrounder(nn.Module):
         across = torch.stack([-yaws.sin(), yaws.cos()], -1)
         sides = FINGER_CENTER_M * torch.stack([across, -across], 2)
         fingers = at[:, None, None] + sides
-        cubes = table.xy[:, None, None, : len(CUBES)]
-        apart = (fingers.unsqueeze(-2) - cubes).norm(dim=-1) - CUBE.side_m
-        own = F.one_hot(cube, len(CUBES)).bool()[:, None, None]
-        apart = torch.where(own, 1.0, apart).amin(-1)
+        traits, count = table.traits, table.stick
+        things = table.xy[:, None, None, :count]
+        apart = (fingers.unsqueeze(-2) - things).norm(dim=-1) - traits.side_m[:count]
+        own = F.one_hot(cube, count).bool()[:, None, None]
+        flat = traits.height_m[:count] < _FLAT_M
+        apart = torch.where(own | flat, 1.0, apart).amin(-1)
         stick = stick_distance(
-            table.grasp[:, None, None], table.yaw[:, THE_STICK, None, None], fingers
+            table.grasp[:, None, None], table.yaw[:, table.stick, None, None], fingers
         )
-        room = torch.minimum(apart, stick - _STICK_HALF_M) - FINGER_DISC_M
+        room = torch.minimum(apart, stick - HALF_M) - FINGER_DISC_M
         return room.amin(-1)
 
     def _carried(
@@ -221,18 +227,28 @@ class ReachNetGrounder(nn.Module):
         table: SceneTable,
         start: Tensor,
         xy: Tensor,
-        robot: Tensor,
-        support: Tensor,
+        decision: tuple[Tensor, Tensor, Tensor],
         shared: Tensor,
     ) -> Tensor:
-        """Return where a cube is put down: turned as the arm turns, or by faces."""
+        """Return where a cube is put down: turned as the arm turns, or by faces.
+
+        Args:
+            table: B scenes.
+            start: Gripper where it closes, (B, 3).
+            xy: Where it opens, (B, 2).
+            decision: Who, what, on what, (B,) each.
+            shared: Whether it is rather put where all reach, (B,).
+        """
+        robot, pick, support = decision
         rows = torch.arange(len(table), device=robot.device)
         turn = _bearing(table, xy, robot) - _bearing(table, start[:, :2], robot)
         yaw = start[:, 2] + turn
         face = table.yaw[rows, support]
         aligned = face + _QUARTER_RAD * torch.round((yaw - face) / _QUARTER_RAD)
-        on_cube = ~shared & (support < len(CUBES))
-        yaw = torch.where(on_cube, aligned, yaw)
+        # Faces over faces; what lies on a fixed thing, or is round, lies as it comes.
+        faceted = table.traits.faceted
+        square = ~shared & faceted[support] & faceted[pick]
+        yaw = torch.where(square, aligned, yaw)
         return torch.cat([xy, yaw[:, None]], 1)
 
 

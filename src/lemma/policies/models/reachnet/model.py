@@ -9,7 +9,7 @@ entities. The last three see no pixels, and so they also learn from labels with 
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import torch
@@ -26,6 +26,7 @@ from lemma.policies.batch import (
     Labels,
     batch_of,
 )
+from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.model import MODELS, Model
 from lemma.policies.models.reachnet.decisions import failures_in, numbers_of, subtask_of
@@ -56,16 +57,13 @@ from lemma.policies.models.reachnet.scene_table import (
     turned,
     turned_numbers,
 )
-from lemma.policies.models.reachnet.scores import score_decisions
+from lemma.policies.models.reachnet.scores import score_decisions, score_eye
 from lemma.policies.text.encoder import TextConfig
-from lemma.scene.objects.entity import ENTITIES
-from lemma.scene.raster import Raster
+from lemma.scene.raster import RASTER, Raster
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
-_ARMS = ("ur5", "ur10")
 _AT_ONCE = 32
 _REACH_POINTS = 128
-_EDGE_M = 0.05
 _REACH_EDGE_M = 0.006
 _TIGHT = 0.2
 _DEMONSTRATED = 0.3
@@ -81,6 +79,8 @@ class ReachNetConfig:
     demonstrations; or not at all."""
     robots: Depth = 2
     """Robots of a team."""
+    entities: tuple[str, ...] = ()
+    """What it can name; all that is known when it is made, if empty."""
     eye: PerceptionConfig = field(default_factory=PerceptionConfig)
     """What sees."""
     text: TextConfig = field(
@@ -99,9 +99,9 @@ class ReachNetConfig:
     """What a sub-task loses, in log-probability, each time it fails in a row."""
     recolor: bool = True
     """Whether the reader also learns from sentences with other colors."""
-    cell_m: Size = 0.008
+    cell_m: Size = RASTER.cell_m
     """Side of a cell of the map [m]."""
-    floor_m: float = -0.1
+    floor_m: float = RASTER.floor_m
     """Lowest height of the map [m]."""
 
     def __post_init__(self) -> None:
@@ -131,10 +131,12 @@ class ReachNet(Model):
             config: Options; the defaults if None.
         """
         super().__init__()
-        self.config = config = config or ReachNetConfig()
+        config = config or ReachNetConfig()
+        named = EntitySet.of(config.entities)
+        self.config = config = replace(config, entities=named.names)
         known = config.reach != "none"
-        self.eye = Perception(config.eye, config.robots)
-        self.reader = GoalReader(config.text)
+        self.eye = Perception(config.eye, config.robots, named)
+        self.reader = GoalReader(config.text, named)
         self.planner = ReachNetPlanner(config.planner, config.robots, known)
         self.grounding = ReachNetGrounder(known)
 
@@ -148,18 +150,20 @@ class ReachNet(Model):
         labels = batch.labels
         assert labels is not None
         marks, coarse = self.eye(batch)
-        goal = goal_numbers(labels.goals, self.device)
+        goal = goal_numbers(labels.goals, self.device, batch.entities)
         texts, goals = batch.instructions, goal
         if self.config.recolor:
-            more, other = recolored(texts, goals)
+            more, other = recolored(texts, goals, batch.entities)
             texts, goals = [*texts, *more], torch.cat([goals, other])
         reading = self.reader.loss(texts, goals)
         with torch.autocast(self.device.type, enabled=False):
             bases = labels.bases[..., :2]
             rings = self.eye.reach(coarse, batch, bases)
             known = self._true_rings(labels)
-            truth = true_table(labels, rings if known is None else known)
-            seen = true_table(labels, rings)
+            truth = true_table(
+                labels, rings if known is None else known, batch.entities
+            )
+            seen = true_table(labels, rings, batch.entities)
             terms = self.eye.losses(marks, truth, batch)
             terms["reading"] = reading
             terms |= self._reach_terms(seen, known, labels, batch)
@@ -182,8 +186,9 @@ class ReachNet(Model):
         # The simulator is needed for this alone: policies that are only used run
         # without it.
         from lemma.robots.reach import reach_of  # noqa: PLC0415
+        from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
 
-        found = [reach_of(name) for name in _ARMS]
+        found = [reach_of(name) for name in ARMS]
         radii = torch.tensor([[r.inner_m, r.travel_m] for r in found])
         return radii.to(self.device)[labels.arms]
 
@@ -209,7 +214,7 @@ class ReachNet(Model):
         labels = batch.labels
         assert labels is not None
         decision, past, config = labels.decision, batch.past, self.config
-        needed = needed_entities(decision, goal)
+        needed = needed_entities(decision, goal, len(batch.entities))
         draws = [disturbed(truth, config.noise, needed) for _ in range(config.draws)]
         pasts, wanted = [past] * config.draws, [decision] * config.draws
         for i in range(1, config.draws, 2):
@@ -223,14 +228,15 @@ class ReachNet(Model):
             draws.append(seen)
             pasts.append(past)
             wanted.append(decision)
-            counts.append((seen.present | ~_named(decision)).all(1))
+            named = _named(decision, len(batch.entities))
+            counts.append((seen.present | ~named).all(1))
         scores = self.planner(
             SceneTable.joined(draws),
             goal.repeat(len(draws), 1, 1),
             torch.cat(pasts),
             self.grounding.drags,
         )
-        number = number_of(torch.cat(wanted), config.robots)
+        number = number_of(torch.cat(wanted), config.robots, batch.entities)
         wrong = F.cross_entropy(scores, number, reduction="none").clamp(max=_LOUDEST)
         able = torch.cat(counts)
         plan = torch.where(able, wrong, 0.0).sum() / able.sum().clamp(min=1)
@@ -248,14 +254,15 @@ class ReachNet(Model):
             with torch.autocast(self.device.type, enabled=False):
                 poses = self.grounding(table, decision)
                 told = self.grounding(table, labels.decision)
-                goal = goal_numbers(labels.goals, self.device)
+                goal = goal_numbers(labels.goals, self.device, batch.entities)
                 read = (self.reader.read(batch.instructions) == goal).flatten(1).all(1)
                 known = self._true_rings(labels)
-            truth = true_table(labels, table.rings if known is None else known)
+            rings = table.rings if known is None else known
+            truth = true_table(labels, rings, batch.entities)
             return {
-                **score_decisions(decision, poses, told, labels),
+                **score_decisions(decision, poses, told, labels, batch.entities),
                 "reading": read.float(),
-                **_score_eye(table, truth),
+                **score_eye(table, truth, batch.raster),
             }
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
@@ -264,7 +271,7 @@ class ReachNet(Model):
         with self.deciding():
             for batch, failed in self._batches(inputs):
                 _, decision = self._decide(batch, failed)
-                found += [subtask_of(row) for row in decision.tolist()]
+                found += [subtask_of(row, batch.entities) for row in decision.tolist()]
         return found
 
     def ground(
@@ -272,7 +279,8 @@ class ReachNet(Model):
     ) -> list[GroundedSubTask | None]:
         """Return each sub-task with poses; None where an entity is not seen."""
         found: list[GroundedSubTask | None] = []
-        numbers = [numbers_of(subtask, self.config.robots) for subtask in subtasks]
+        robots, entities = self.config.robots, self.entities
+        numbers = [numbers_of(subtask, robots, entities) for subtask in subtasks]
         with self.deciding():
             for batch, _ in self._batches(inputs):
                 rows = numbers[len(found) : len(found) + len(batch)]
@@ -290,7 +298,7 @@ class ReachNet(Model):
                 table, decision = self._decide(batch, failed)
                 grounded = self._grounded(table, decision)
                 for row, poses in zip(decision.tolist(), grounded, strict=True):
-                    subtask = subtask_of(row)
+                    subtask = subtask_of(row, batch.entities)
                     done = poses or subtask.primitive is Primitive.STOP
                     why = "" if done else f"What it needs is not seen: {subtask}."
                     found.append(Decision(subtask, poses, why))
@@ -315,7 +323,7 @@ class ReachNet(Model):
             part = inputs[start : start + _AT_ONCE]
             raster = self.config.raster(part[0])
             failed = [failures_in(given) for given in part]
-            yield batch_of(part, raster, device=self.device), failed
+            yield batch_of(part, raster, (), self.device, self.entities), failed
 
     def _decide(
         self, batch: Batch, failed: Sequence[Sequence[SubTask]] = ()
@@ -326,12 +334,13 @@ class ReachNet(Model):
         with torch.autocast(self.device.type, enabled=False):
             table = self.eye.table(marks, coarse, batch)
             scores = self.planner(table, goal, batch.past, self.grounding.drags)
+        robots = self.config.robots
         for row, subtasks in enumerate(failed):
             for subtask in subtasks:
-                numbers = torch.tensor([numbers_of(subtask, self.config.robots)])
-                number = int(number_of(numbers, self.config.robots))
+                numbers = torch.tensor([numbers_of(subtask, robots, batch.entities)])
+                number = int(number_of(numbers, robots, batch.entities))
                 scores[row, number] -= self.config.failure_cost
-        return table, decision_of(scores.argmax(-1), self.config.robots)
+        return table, decision_of(scores.argmax(-1), robots, batch.entities)
 
     def _grounded(
         self, table: SceneTable, decision: Tensor
@@ -344,7 +353,7 @@ class ReachNet(Model):
             if row[1] == STOP or not all(map(math.isfinite, (*start, *end))):
                 found.append(None)
                 continue
-            subtask = subtask_of(row)
+            subtask = subtask_of(row, table.entities)
             found.append(
                 GroundedSubTask(
                     subtask.robot, subtask.primitive, Pose2(*start), Pose2(*end)
@@ -372,25 +381,9 @@ def _demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
     return _DEMONSTRATED * (unlikely + _TIGHT * area.log().mean())
 
 
-def _score_eye(table: SceneTable, truth: SceneTable) -> dict[str, Tensor]:
-    both = table.present & truth.present
-    off = (table.xy - truth.xy).norm(dim=-1)
-    millimetres = torch.where(both, off, torch.nan).nanmean(1)
-    x = torch.linspace(-1.2, 1.2, 25, device=off.device)
-    points = torch.cartesian_prod(x, 0.75 * x).expand(len(off), -1, -1)
-    true = truth.margins(points)
-    agree = ((table.margins(points) > 0) == (true > 0)).float()
-    clear = true.abs() > _EDGE_M
-    return {
-        "present": (table.present == truth.present).all(1).float(),
-        "near": torch.exp(-millimetres / 0.01),
-        "reach": (agree * clear).flatten(1).sum(1) / clear.flatten(1).sum(1),
-    }
-
-
-def _named(decision: Tensor) -> Tensor:
-    """Return which entities sub-tasks pick or put something on, (B, 11) bool."""
-    numbers = torch.arange(len(ENTITIES), device=decision.device)
+def _named(decision: Tensor, count: int) -> Tensor:
+    """Return which of so many entities sub-tasks pick or act on, (B, E) bool."""
+    numbers = torch.arange(count, device=decision.device)
     return (decision[:, 2:, None] == numbers).any(1)
 
 

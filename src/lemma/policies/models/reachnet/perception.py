@@ -14,29 +14,20 @@ from torch.nn import functional as F
 
 from lemma.core.config import Depth, Share, Width, Widths
 from lemma.policies.batch import Batch
+from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import ResidualBlock, norm, upsample_to
-from lemma.policies.models.reachnet.scene_table import (
-    CUBES,
-    FAR_M,
-    THE_STICK,
-    SceneTable,
-    quarter,
-)
-from lemma.scene.objects.entity import ENTITIES
-from lemma.scene.objects.stick import HANDLE_LENGTH_M, STICK_SECTION_M
+from lemma.policies.models.reachnet.scene_table import FAR_M, SceneTable
+from lemma.policies.models.reachnet.tool_shape import FAR_END_M
+from lemma.scene.raster import RASTER
 
 STRIDE = 4
 """Cells of the map along each side of a cell that is marked."""
-STICK_LENGTH_M = HANDLE_LENGTH_M - STICK_SECTION_M / 2
-"""From the free end of the handle to where its axis meets the hook's."""
 
-_E = len(ENTITIES)
-_POINTS = _E + 1
 _IMAGE, _INPUTS = 5, 5 * STRIDE**2 + 2
 _HEIGHT_M = 0.1
 _RING_M = ((0.05, 0.35), (0.4, 1.8))
 _NEAR = 1
-_CELLS = math.log(72 * 104)
+_CELLS = math.log(RASTER.rows * RASTER.columns / STRIDE**2)
 _MARKS = 3.0
 _NEAR_HEIGHT_CELLS = 1
 
@@ -65,7 +56,7 @@ class Marks:
     offsets: Tensor
     """Where in the cell, in cells, (B, N + R, 2, H * W)."""
     yaw: Tensor
-    """Cosine and sine of four times a cube's yaw, (B, 2, H * W)."""
+    """Cosines and sines of yaws times each of the folds, (B, folds, 2, H * W)."""
     features: Tensor
     """(B, channels, H * W)."""
     shape: tuple[int, int]
@@ -75,15 +66,22 @@ class Marks:
 class Perception(nn.Module):
     """Sees."""
 
-    def __init__(self, config: PerceptionConfig, robots: int) -> None:
+    def __init__(
+        self,
+        config: PerceptionConfig,
+        robots: int,
+        entities: EntitySet = BENCHMARK,
+    ) -> None:
         """Make the weights.
 
         Args:
             config: Options.
             robots: Robots of a team.
+            entities: What it marks.
         """
         super().__init__()
-        self.config, self.robots = config, robots
+        self.config, self.robots, self.entities = config, robots, entities
+        self.folds = tuple(sorted(set(_folds(entities)) - {0})) or (1,)
         first = config.widths[0]
         self.stem = nn.Sequential(
             nn.Conv2d(_INPUTS, first, 3, padding=1, bias=False), norm(first), nn.SiLU()
@@ -99,12 +97,12 @@ class Perception(nn.Module):
             self.lift.append(nn.Conv2d(wide, width, 1, bias=False))
             self.up.append(ResidualBlock(width, width))
             wide = width
-        marked = _POINTS + robots
+        marked = len(entities) + 1 + robots
         self.mark = nn.Conv2d(first, marked, 1)
         # As likely as all cells of a usual map together.
         self.nowhere = nn.Parameter(torch.full((marked,), _CELLS))
         self.offset = nn.Conv2d(first, 2 * marked, 1)
-        self.turn = nn.Conv2d(first, 2, 1)
+        self.turn = nn.Conv2d(first, 2 * len(self.folds), 1)
         joints = 12
         self.ring = nn.Sequential(
             nn.Linear(config.widths[-1] + joints + 1, config.ring_width),
@@ -138,7 +136,7 @@ class Perception(nn.Module):
         return Marks(
             torch.cat([logits, nowhere], 2).log_softmax(2),
             offsets,
-            self.turn(x).flatten(2),
+            self.turn(x).view(count, len(self.folds), 2, rows * columns),
             x.flatten(2),
             (rows, columns),
         )
@@ -171,26 +169,42 @@ class Perception(nn.Module):
     def table(self, marks: Marks, coarse: Tensor, batch: Batch) -> SceneTable:
         """Return what is on the table."""
         points, present = _read_points(marks, batch)
-        present, bases = present[:, :_E], points[:, _POINTS:]
-        xy = points[:, :_E]
-        cell = _cell_of(xy, batch, marks.shape)
-        at = marks.yaw.gather(2, cell[:, None].expand(-1, 2, -1))
-        yaw = torch.atan2(at[:, 1], at[:, 0]) / 4
-        along = points[:, _E] - xy[:, THE_STICK]
-        yaw = torch.cat(
-            [yaw[:, :THE_STICK], torch.atan2(along[:, 1], along[:, 0])[:, None]], 1
-        )
-        cubes = torch.arange(_E, device=yaw.device) < len(CUBES)
-        turned = cubes | (torch.arange(_E, device=yaw.device) == THE_STICK)
-        top = _top(batch, xy)
+        count, cargo = len(self.entities), self.entities.cargo
+        present, bases = present[:, :count], points[:, count + 1 :]
+        xy = points[:, :count]
+        cos, sin = self._turns(marks, _cell_of(xy, batch, marks.shape)).unbind(2)
+        fold = self._fold(xy.device)
+        along = points[:, count] - xy[:, self.entities.stick]
+        yaw = torch.atan2(sin, cos) / fold.clamp(min=1)
+        yaw = torch.where(fold > 0, yaw, 0.0)
+        yaw = torch.cat([yaw[:, :-1], torch.atan2(along[:, 1:], along[:, :1])], 1)
+        is_cargo = torch.arange(count, device=yaw.device) < cargo
         return SceneTable(
             present=present,
             xy=torch.where(present[..., None], xy, FAR_M),
-            yaw=torch.where(present & turned, yaw, 0.0),
-            top=torch.where(present & cubes, top, 0.0),
+            yaw=torch.where(present, yaw, 0.0),
+            top=torch.where(present & is_cargo, _top(batch, xy), 0.0),
             bases=bases,
             rings=self.reach(coarse, batch, bases),
+            entities=self.entities,
         )
+
+    def _fold(self, device: torch.device) -> Tensor:
+        """Return by how many turns each entity looks the same, (E,); 0 for any."""
+        return torch.tensor(_folds(self.entities), device=device)
+
+    def _turns(self, marks: Marks, cell: Tensor) -> Tensor:
+        """Return cosine and sine of the folded yaw of each entity, (B, E, 2).
+
+        Args:
+            marks: What was seen.
+            cell: Number of the cell of each, (B, E).
+        """
+        folds = _folds(self.entities)
+        which = [self.folds.index(fold) if fold else 0 for fold in folds]
+        chosen = marks.yaw[:, which]
+        index = cell[:, :, None, None].expand(-1, -1, 2, 1)
+        return chosen.gather(3, index).squeeze(3)
 
     def losses(
         self, marks: Marks, table: SceneTable, batch: Batch
@@ -202,14 +216,15 @@ class Perception(nn.Module):
             table: What there is.
             batch: The maps.
         """
-        yaw = table.yaw[:, THE_STICK]
+        stick = table.stick
+        yaw = table.yaw[:, stick]
         along = torch.stack([yaw.cos(), yaw.sin()], -1)
-        end = table.xy[:, THE_STICK] + STICK_LENGTH_M * along
+        end = table.xy[:, stick] + FAR_END_M * along
         xy = torch.cat([table.xy, end[:, None], table.bases], 1)
         there = torch.cat(
             [
                 table.present,
-                table.present[:, THE_STICK, None],
+                table.present[:, stick, None],
                 torch.ones_like(table.bases[..., 0], dtype=torch.bool),
             ],
             1,
@@ -218,12 +233,12 @@ class Perception(nn.Module):
         there = there & inside
         target = torch.where(there, cell, marks.points.shape[2] - 1)
         found = -marks.points.gather(2, target[..., None])
-        cubes = slice(0, len(CUBES))
-        turn = marks.yaw.gather(2, cell[:, None, cubes].expand(-1, 2, -1))
-        wanted = 4 * quarter(table.yaw[:, cubes])
-        wanted = torch.stack([wanted.cos(), wanted.sin()], 1)
-        off = (turn - wanted).square().sum(1)
-        seen = there[:, cubes]
+        fold = self._fold(xy.device)
+        turn = self._turns(marks, cell[:, : len(self.entities)])
+        wanted = fold * table.yaw
+        wanted = torch.stack([wanted.cos(), wanted.sin()], -1)
+        off = (turn - wanted).square().sum(-1)
+        seen = there[:, : len(self.entities)] & (fold > 0)
         return {
             "marks": _MARKS * found.mean(),
             "offsets": self._offset_loss(marks, xy, there, batch),
@@ -336,3 +351,13 @@ def _top(batch: Batch, xy: Tensor) -> Tensor:
             total = total + seen * batch.height_m[frames, r, c]
             known = known + seen
     return total / known.clamp(min=1.0)
+
+
+def _folds(entities: EntitySet) -> list[int]:
+    """Return in how many ways each thing that is moved looks the same; 0 for any."""
+    return [
+        round(math.tau / kind.grasp.turn_rad)
+        if kind.cargo and kind.grasp and kind.grasp.turn_rad
+        else 0
+        for kind in entities.kinds
+    ]

@@ -14,7 +14,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.core.config import Depth, Share, Width
-from lemma.policies.batch import NOBODY, PLACES, PRIMITIVES, STOP
+from lemma.policies.batch import NOBODY, PRIMITIVES, STOP
+from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import check_heads
 from lemma.policies.models.reachnet.drags import DragUtility
 from lemma.policies.models.reachnet.features import (
@@ -35,10 +36,8 @@ from lemma.policies.models.reachnet.features import (
     stick_state,
     tool_features,
 )
-from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK, SceneTable
+from lemma.policies.models.reachnet.scene_table import SceneTable
 
-SHARED_PLACE = len(PLACES) - 1
-_C, _E = len(CUBES), len(PLACES) - 1
 _TOOL_ROWS = ("prehook", "hook", "prepoke", "poke")
 _ROW_OF = {PRIMITIVES.index(name): row for row, name in enumerate(_TOOL_ROWS)}
 _ABSENT = -20.0
@@ -114,16 +113,16 @@ class ReachNetPlanner(nn.Module):
             values = drags.values(drags.drags(table))
         near = nearness(table)
         past = self._forgotten(past)
-        known = table.detached()
+        known, count = table.detached(), len(table.entities)
         features = torch.cat(
             [
                 kinds(known),
                 reach_features(known, self.use_reach),
-                roles(goal),
+                roles(goal, count),
                 goal_state(known, goal),
-                stick_state(known, drags.ready.detach()),
-                drag_features(values),
-                recent(past),
+                stick_state(known, drags.ready(table.traits.drag_m).detach()),
+                drag_features(values, count),
+                recent(past, count),
             ],
             -1,
         )
@@ -159,10 +158,11 @@ class ReachNetPlanner(nn.Module):
         self, tokens: Tensor, table: SceneTable, near: Tensor, values: Tensor
     ) -> Tensor:
         count = len(tokens)
-        cubes, robots = tokens[:, :_C], tokens[:, _E : _E + self.robots]
+        cargo, stick, entities = table.cargo, table.stick, len(table.entities)
+        cubes, robots = tokens[:, :cargo], tokens[:, entities : entities + self.robots]
         shared, whole = tokens[:, -2:-1], tokens[:, -1]
-        onto = torch.cat([tokens[:, :THE_STICK], shared], 1)
-        pair = F.pad(near[:, :_C, :THE_STICK, :PAIR], (0, 0, 0, 1))
+        onto = torch.cat([tokens[:, :stick], shared], 1)
+        pair = F.pad(near[:, :cargo, :stick, :PAIR], (0, 0, 0, 1))
         hidden = (
             self.move_pick(cubes)[:, :, None, None]
             + (self.move_place(onto)[:, None] + self.pair(pair))[:, :, :, None]
@@ -186,14 +186,20 @@ class ReachNetPlanner(nn.Module):
     def _reachable(
         self, table: SceneTable, moves: Tensor, tools: Tensor, hands: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Add what is the same for every model: nobody moves what is not there."""
+        """Add what is the same for every model: nobody moves what is not there.
+
+        Nor what no gripper holds, nor onto what bears nothing.
+        """
+        cargo, stick, traits = table.cargo, table.stick, table.traits
         there = torch.where(table.present, 0.0, _ABSENT)
-        lay = there[:, THE_STICK, None]
-        onto = F.pad(there[:, :THE_STICK], (0, 1))
-        moves = moves + there[:, :_C, None, None] + onto[:, None, :, None]
-        same = torch.eye(_C, THE_STICK + 1, device=moves.device) * _ABSENT
+        lay = there[:, stick, None]
+        pick = there[:, :cargo] + _ABSENT * (~traits.graspable[:cargo])
+        bears = there[:, :stick] + _ABSENT * (traits.support_m[:stick] < 0.0)
+        moves = moves + pick[:, :, None, None] + F.pad(bears, (0, 1))[:, None, :, None]
+        same = torch.eye(cargo, stick + 1, device=moves.device) * _ABSENT
         moves = moves + same[:, :, None]
-        tools = tools + there[:, None, :_C, None] + lay[:, None, None]
+        follows = there[:, :cargo] + _ABSENT * (~traits.draggable[:cargo])
+        tools = tools + follows[:, None, :, None] + lay[:, None, None]
         hands = hands + lay
         if not self.use_reach:
             return moves, tools, hands
@@ -201,10 +207,9 @@ class ReachNetPlanner(nn.Module):
         logs = self.reach_weight.exp() * F.logsigmoid(
             self.reach_sharpness.exp() * table.margins(points)
         ).clamp(min=-30.0).transpose(1, 2)
-        grip = logs[:, THE_STICK]
-        moves = (
-            moves + logs[:, :_C, None] + F.pad(logs[:, None, :THE_STICK], (0, 0, 0, 1))
-        )
+        grip = logs[:, stick]
+        moves = moves + logs[:, :cargo, None]
+        moves = moves + F.pad(logs[:, None, :stick], (0, 0, 0, 1))
         return moves, tools + grip[:, None, None], hands + grip
 
 
@@ -238,47 +243,47 @@ class _Layer(nn.Module):
         return out
 
 
-def number_of(decision: Tensor, robots: int) -> Tensor:
+def number_of(decision: Tensor, robots: int, entities: EntitySet = BENCHMARK) -> Tensor:
     """Return the number of sub-tasks among all, (B,).
 
     Args:
         decision: Robot, primitive, pick, place, (B, 4).
         robots: Robots of a team.
+        entities: What has a number.
     """
     robot, primitive, pick, place = decision.unbind(-1)
-    spots = THE_STICK + 1
-    spot = torch.where(place == SHARED_PLACE, THE_STICK, place)
-    moves = _C * spots * robots
+    cargo, stick, spots = entities.cargo, entities.stick, entities.stick + 1
+    spot = torch.where(place == entities.shared, stick, place)
+    moves = cargo * spots * robots
     rows = torch.zeros(len(PRIMITIVES), dtype=torch.int64, device=decision.device)
     for known, row in _ROW_OF.items():
         rows[known] = row
     move = (pick * spots + spot) * robots + robot
-    tool = moves + (rows[primitive] * _C + place) * robots + robot
-    tools = moves + len(_TOOL_ROWS) * _C * robots
+    tool = moves + (rows[primitive] * cargo + place) * robots + robot
+    tools = moves + len(_TOOL_ROWS) * cargo * robots
     hand = tools + robot
-    number = torch.where(
-        primitive == 0, torch.where(pick == THE_STICK, hand, move), tool
-    )
+    number = torch.where(primitive == 0, torch.where(pick == stick, hand, move), tool)
     return torch.where(primitive == STOP, tools + robots, number)
 
 
-def decision_of(number: Tensor, robots: int) -> Tensor:
+def decision_of(number: Tensor, robots: int, entities: EntitySet = BENCHMARK) -> Tensor:
     """Return the sub-tasks of numbers, (B, 4): the inverse of :func:`number_of`."""
-    spots, stick = THE_STICK + 1, THE_STICK
-    moves = _C * spots * robots
-    tools = moves + len(_TOOL_ROWS) * _C * robots
+    cargo, stick, spots = entities.cargo, entities.stick, entities.stick + 1
+    shared = entities.shared
+    moves = cargo * spots * robots
+    tools = moves + len(_TOOL_ROWS) * cargo * robots
     robot, rest = number % robots, number // robots
     spot = rest % spots
     zero = torch.zeros_like(number)
-    place = torch.where(spot == stick, SHARED_PLACE, spot)
+    place = torch.where(spot == stick, shared, spot)
     move = torch.stack([robot, zero, rest // spots, place], -1)
     inner = (number - moves).clamp(min=0)
-    row = (inner // robots // _C).clamp(max=len(_TOOL_ROWS) - 1)
+    row = (inner // robots // cargo).clamp(max=len(_TOOL_ROWS) - 1)
     primitives = torch.tensor(list(_ROW_OF), device=number.device)
-    tool_robot, cube = inner % robots, inner // robots % _C
+    tool_robot, cube = inner % robots, inner // robots % cargo
     tool = torch.stack([tool_robot, primitives[row], zero + stick, cube], -1)
     hand_robot = (number - tools).clamp(0, robots - 1)
-    hand = torch.stack([hand_robot, zero, zero + stick, zero + SHARED_PLACE], -1)
+    hand = torch.stack([hand_robot, zero, zero + stick, zero + shared], -1)
     none = torch.stack([zero - 1, zero + STOP, zero - 1, zero - 1], -1)
     bands = (
         number[:, None]

@@ -7,47 +7,60 @@ the price of a few vectors.
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Self
+from typing import Any, Self
 
 import torch
 from torch import Tensor
 
 from lemma.policies.batch import NOBODY, Labels
-from lemma.scene.objects.cube import CUBE
-from lemma.scene.objects.entity import ENTITIES, STICK, kind_of
-from lemma.scene.objects.pad import PAD
-from lemma.scene.objects.stick import GRASP_FROM_END_M
+from lemma.policies.entities import BENCHMARK, EntitySet, Traits, traits_of
+from lemma.policies.models.reachnet.tool_shape import GRASP_M
 
-CUBES = tuple(i for i, name in enumerate(ENTITIES) if kind_of(name) is CUBE)
-"""Numbers of the cubes; they come first."""
-PADS = tuple(i for i, name in enumerate(ENTITIES) if kind_of(name) is PAD)
-THE_STICK = ENTITIES.index(STICK)
 CONJUNCTS = 2
 """Largest number of (top, bottom) pairs of a goal."""
 FAR_M = 10.0
 """Where things are that are not there."""
 
-_COVERS_M = 0.035
-_ABOVE_M = 0.02
-_QUARTER_RAD = 0.5 * math.pi
+_ABOVE_M = 0.005
+_LEAST_RAD = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class SceneTable:
-    """What is known of B scenes with R robots; tensors on one device, float32."""
+    """What is known of B scenes with R robots; tensors on one device, float32.
+
+    Of E entities the first C are there to be moved, and the last is the stick.
+    """
 
     present: Tensor
-    """Which entities are seen, (B, 11) bool. What lies under a cube is not."""
+    """Which entities are seen, (B, E) bool. What lies under another is not."""
     xy: Tensor
-    """Positions [m], (B, 11, 2); ``FAR_M`` where nothing is seen."""
+    """Positions [m], (B, E, 2); ``FAR_M`` where nothing is seen."""
     yaw: Tensor
-    """(B, 11) [rad]: cubes within a quarter turn, the stick's, and 0 for pads."""
+    """(B, E) [rad]: of what is moved, :func:`folded`; the stick's; else 0."""
     top: Tensor
-    """Height of the upper face of each cube [m], (B, 11); 0 for the rest."""
+    """Height of the upper face of what is moved [m], (B, E); 0 for the rest."""
     bases: Tensor
     """Positions of the robots' bases [m], (B, R, 2)."""
     rings: Tensor
     """Radii between which each robot reaches [m], (B, R, 2): inner, outer."""
+    entities: EntitySet = BENCHMARK
+    """What has a number."""
+
+    @property
+    def cargo(self) -> int:
+        """C: how many entities are there to be moved; they come first."""
+        return self.entities.cargo
+
+    @property
+    def stick(self) -> int:
+        """Number of the stick."""
+        return self.entities.stick
+
+    @property
+    def traits(self) -> Traits:
+        """What is known of the entities' kinds."""
+        return traits_of(self.entities, self.xy.device)
 
     def __len__(self) -> int:
         """Return the number of scenes."""
@@ -56,9 +69,9 @@ class SceneTable:
     @property
     def grasp(self) -> Tensor:
         """Where the stick is grasped [m], (B, 2)."""
-        yaw = self.yaw[:, THE_STICK]
+        yaw = self.yaw[:, self.stick]
         along = torch.stack([yaw.cos(), yaw.sin()], -1)
-        return self.xy[:, THE_STICK] + GRASP_FROM_END_M * along
+        return self.xy[:, self.stick] + GRASP_M * along
 
     def margins(self, points: Tensor) -> Tensor:
         """Return how far inside each robot's reach points are [m], (B, R, ...).
@@ -85,12 +98,13 @@ class SceneTable:
     @classmethod
     def joined(cls, tables: "list[SceneTable]") -> "SceneTable":
         """Return all scenes of some tables."""
-        return SceneTable(
-            *(torch.cat([getattr(t, f.name) for t in tables]) for f in _FIELDS)
-        )
+        parts: dict[str, Any] = {
+            f.name: torch.cat([getattr(t, f.name) for t in tables]) for f in _FIELDS
+        }
+        return replace(tables[0], **parts)
 
 
-_FIELDS = fields(SceneTable)
+_FIELDS = tuple(f for f in fields(SceneTable) if f.name != "entities")
 
 
 def yaw_of(quaternion: Tensor) -> Tensor:
@@ -99,28 +113,40 @@ def yaw_of(quaternion: Tensor) -> Tensor:
     return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def quarter(yaw: Tensor) -> Tensor:
-    """Return angles within an eighth of a turn from zero: those of a square."""
-    return yaw - _QUARTER_RAD * torch.round(yaw / _QUARTER_RAD)
+def folded(yaw: Tensor, turn_rad: Tensor | float) -> Tensor:
+    """Return yaws as near to zero as turns that change nothing bring them.
+
+    Args:
+        yaw: [rad], (..., N).
+        turn_rad: The least such turn of each, (N,) [rad]; 0 where any is one.
+    """
+    turn = torch.as_tensor(turn_rad, device=yaw.device)
+    near = yaw - turn * torch.round(yaw / turn.clamp(min=_LEAST_RAD))
+    return torch.where(turn > 0.0, near, 0.0)
 
 
-def true_table(labels: Labels, rings: Tensor) -> SceneTable:
+def true_table(
+    labels: Labels, rings: Tensor, entities: EntitySet = BENCHMARK
+) -> SceneTable:
     """Return what a perfect eye would see.
 
     Args:
         labels: Where everything is.
         rings: Radii of reach, (B, R, 2) [m].
+        entities: Whose numbers the labels have.
     """
+    traits = traits_of(entities, labels.objects.device)
     position, there = labels.objects[..., :3], labels.objects[..., 0].isfinite()
     xyz = torch.where(there.unsqueeze(-1), position, FAR_M)
-    present = there & ~_covered(xyz, there)
+    top_m = xyz[..., 2] + traits.top_m
+    present = there & ~_covered(xyz, top_m, traits, entities.cargo)
     turned = yaw_of(labels.objects[..., 3:])
     yaw = torch.zeros_like(turned)
-    cubes, stick = slice(0, len(CUBES)), THE_STICK
-    yaw[:, cubes] = quarter(turned[:, cubes])
+    cubes, stick = slice(0, entities.cargo), entities.stick
+    yaw[:, cubes] = folded(turned[:, cubes], traits.turn_rad[cubes])
     yaw[:, stick] = turned[:, stick]
     top = torch.zeros_like(yaw)
-    top[:, cubes] = xyz[:, cubes, 2] + CUBE.origin_m
+    top[:, cubes] = top_m[:, cubes]
     return SceneTable(
         present=present,
         xy=torch.where(present.unsqueeze(-1), xyz[..., :2], FAR_M),
@@ -128,17 +154,17 @@ def true_table(labels: Labels, rings: Tensor) -> SceneTable:
         top=torch.where(present, top, 0.0),
         bases=labels.bases[..., :2],
         rings=rings,
+        entities=entities,
     )
 
 
-def _covered(xyz: Tensor, there: Tensor) -> Tensor:
-    """Return which cubes lie under another one, (B, 11)."""
-    cubes = xyz[:, : len(CUBES)]
-    apart = (xyz[:, :, None, :2] - cubes[:, None, :, :2]).norm(dim=-1)
-    above = cubes[:, None, :, 2] - xyz[:, :, None, 2]
-    is_cube = torch.arange(xyz.shape[1], device=xyz.device) < len(CUBES)
-    over = (apart < _COVERS_M) & (above > _ABOVE_M) & is_cube[None, :, None]
-    covered: Tensor = (over & there[:, None, : len(CUBES)]).any(-1)
+def _covered(xyz: Tensor, top_m: Tensor, traits: Traits, cargo: int) -> Tensor:
+    """Return which entities lie under one that can be moved, (B, E)."""
+    upper = xyz[:, :cargo]
+    apart = (xyz[:, :, None, :2] - upper[:, None, :, :2]).norm(dim=-1)
+    bottom_m = (top_m - traits.height_m)[:, :cargo]
+    over = bottom_m[:, None] > top_m[:, :, None] - _ABOVE_M
+    covered: Tensor = ((apart < traits.support_m[:, None]) & over).any(-1)
     return covered
 
 
@@ -164,7 +190,7 @@ def disturbed(table: SceneTable, noise: Noise, needed: Tensor) -> SceneTable:
     Args:
         table: The truth.
         noise: How much it errs.
-        needed: Entities that are never missed, (B, 11) bool.
+        needed: Entities that are never missed, (B, E) bool.
     """
 
     def jitter(values: Tensor, deviation: float) -> Tensor:
@@ -180,6 +206,7 @@ def disturbed(table: SceneTable, noise: Noise, needed: Tensor) -> SceneTable:
         top=torch.where(present, jitter(table.top, noise.height_m), 0.0),
         bases=jitter(table.bases, noise.base_m),
         rings=jitter(table.rings, noise.base_m),
+        entities=table.entities,
     )
 
 
@@ -189,7 +216,7 @@ def turned(table: SceneTable) -> SceneTable:
     Sub-tasks turn with :func:`turned_numbers`.
     """
     yaw = table.yaw.clone()
-    yaw[:, THE_STICK] += math.pi
+    yaw[:, table.stick] += math.pi
     return replace(
         table,
         xy=torch.where(table.present.unsqueeze(-1), -table.xy, FAR_M),
@@ -206,17 +233,17 @@ def turned_numbers(decisions: Tensor, robots: int) -> Tensor:
     return torch.cat([flipped, decisions[..., 1:]], -1)
 
 
-def needed_entities(decision: Tensor, goal: Tensor) -> Tensor:
-    """Return the entities that sub-tasks and goals name, (B, 11) bool.
+def needed_entities(decision: Tensor, goal: Tensor, count: int) -> Tensor:
+    """Return the entities that sub-tasks and goals name, and the stick, (B, E) bool.
 
     Args:
         decision: (B, 4) int64.
         goal: (B, conjuncts, 2) int64; -1 for none.
+        count: E.
     """
     named = torch.cat([decision[:, 2:], goal.flatten(1)], 1)
-    count = len(ENTITIES)
     named = torch.where((named < 0) | (named >= count), count, named)
     hot = torch.zeros(len(decision), count + 1, device=decision.device)
     hot.scatter_(1, named, 1.0)
-    hot[:, THE_STICK] = 1.0
+    hot[:, count - 1] = 1.0
     return hot[:, :count] > 0

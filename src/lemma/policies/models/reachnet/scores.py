@@ -6,13 +6,15 @@ import torch
 from torch import Tensor
 
 from lemma.policies.batch import NOBODY, PRIMITIVES, Labels
-from lemma.policies.models.reachnet.scene_table import CUBES, THE_STICK
-from lemma.scene.objects.entity import ENTITIES
+from lemma.policies.entities import BENCHMARK, EntitySet, traits_of
+from lemma.policies.models.reachnet.scene_table import SceneTable
+from lemma.scene.raster import Raster
 
 _PICK_M, _ON_M, _SHARED_M = 0.02, 0.02, 0.06
 _YAW_RAD, _BEARING_RAD = math.radians(10.0), math.radians(4.0)
 _LENGTH_M = 0.03
-_SHARED = len(ENTITIES)
+_EDGE_M = 0.05
+_LEAST_RAD = 1e-3
 _PREPARE = (PRIMITIVES.index("prehook"), PRIMITIVES.index("prepoke"))
 _USE = (PRIMITIVES.index("hook"), PRIMITIVES.index("poke"))
 
@@ -21,7 +23,11 @@ Poses = tuple[Tensor, Tensor]
 
 
 def score_decisions(
-    decision: Tensor, poses: Poses, told: Poses, labels: Labels
+    decision: Tensor,
+    poses: Poses,
+    told: Poses,
+    labels: Labels,
+    entities: EntitySet = BENCHMARK,
 ) -> dict[str, Tensor]:
     """Return scores by name, (B,); NaN where a frame does not count.
 
@@ -30,14 +36,15 @@ def score_decisions(
         poses: For that.
         told: For what the demonstration did.
         labels: The demonstration.
+        entities: What has a number.
     """
     right = labels.decision
     acts = right[:, 0] != NOBODY
     same = decision == right
     plan = same.all(1)
-    placed = _placed(told[1], labels)
-    picked = _picked(told[0], labels)
-    own = _picked(poses[0], labels) & _placed(poses[1], labels)
+    placed = _placed(told[1], labels, entities)
+    picked = _picked(told[0], labels, entities)
+    own = _picked(poses[0], labels, entities) & _placed(poses[1], labels, entities)
     prepares = (right[:, 1] == _PREPARE[0]) | (right[:, 1] == _PREPARE[1])
     bearing = _off(told[1][:, 2], labels.place_pose[:, 2], math.tau) < _BEARING_RAD
     return {
@@ -53,35 +60,66 @@ def score_decisions(
     }
 
 
+def score_eye(
+    table: SceneTable, truth: SceneTable, raster: Raster
+) -> dict[str, Tensor]:
+    """Return how good is what was seen, by name, (B,).
+
+    Args:
+        table: What was seen.
+        truth: What there is.
+        raster: Of the map.
+    """
+    both = table.present & truth.present
+    off = (table.xy - truth.xy).norm(dim=-1)
+    millimetres = torch.where(both, off, torch.nan).nanmean(1)
+    share = torch.linspace(-0.36, 0.36, 25, device=off.device)
+    width, depth = raster.size_m
+    points = torch.cartesian_prod(share * width, share * depth)
+    points = points.expand(len(off), -1, -1)
+    true = truth.margins(points)
+    agree = ((table.margins(points) > 0) == (true > 0)).float()
+    clear = true.abs() > _EDGE_M
+    return {
+        "present": (table.present == truth.present).all(1).float(),
+        "near": torch.exp(-millimetres / 0.01),
+        "reach": (agree * clear).flatten(1).sum(1) / clear.flatten(1).sum(1),
+    }
+
+
 def _only(values: Tensor, counts: Tensor) -> Tensor:
     return torch.where(counts, values.float(), torch.nan)
 
 
-def _picked(pose: Tensor, labels: Labels) -> Tensor:
+def _picked(pose: Tensor, labels: Labels, entities: EntitySet) -> Tensor:
     """Return whether a gripper would grasp what it shall."""
     apart: Tensor = (pose[:, :2] - labels.pick_pose[:, :2]).norm(dim=1)
-    # A cube is as well grasped by its other faces.
-    turn = torch.where(labels.decision[:, 2] == THE_STICK, math.pi, 0.5 * math.pi)
+    # A cube is as well grasped by its other faces, and what is round in any way.
+    turns = traits_of(entities, pose.device).turn_rad
+    turn = turns[labels.decision[:, 2].clamp(min=0)].clamp(min=_LEAST_RAD)
     off = pose[:, 2] - labels.pick_pose[:, 2]
     off = (off - turn * torch.round(off / turn)).abs()
     return (apart < _PICK_M) & (off < _YAW_RAD)
 
 
-def _placed(pose: Tensor, labels: Labels) -> Tensor:
+def _placed(pose: Tensor, labels: Labels, entities: EntitySet) -> Tensor:
     """Return whether a motion would end where it shall."""
     _, primitive, pick, place = labels.decision.unbind(1)
     distance: Tensor = (pose[:, :2] - labels.place_pose[:, :2]).norm(dim=1)
     yaw, wanted = pose[:, 2], labels.place_pose[:, 2]
     prepares = (primitive == _PREPARE[0]) | (primitive == _PREPARE[1])
     uses = (primitive == _USE[0]) | (primitive == _USE[1])
-    shared, stick = place == _SHARED, pick == THE_STICK
+    shared, faceted = place == entities.shared, traits_of(entities, yaw.device).faceted
     limit = torch.where(shared, _SHARED_M, _ON_M)
     limit = torch.where(uses, _LENGTH_M, limit)
     near = distance < limit
     square = _off(yaw, wanted, 0.5 * math.pi) < _YAW_RAD
     straight = _off(yaw, wanted, math.tau) < _BEARING_RAD
-    on_cube = ~stick & (place < len(CUBES))
-    good = torch.where(on_cube, square, torch.ones_like(square))
+    # With the stick, a place is what it acts on: its yaw is looked at below.
+    known = place.clamp(0, entities.stick)
+    by_faces = (pick != entities.stick) & faceted[pick.clamp(min=0)]
+    by_faces = by_faces & ~shared & faceted[known]
+    good = torch.where(by_faces, square, torch.ones_like(square))
     good = torch.where(prepares, straight, good)
     return near & good
 

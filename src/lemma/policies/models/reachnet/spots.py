@@ -10,18 +10,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.policies.models.reachnet.drags import Tuned, stick_distance
-from lemma.policies.models.reachnet.scene_table import (
-    CUBES,
-    FAR_M,
-    THE_STICK,
-    SceneTable,
-)
-from lemma.scene.objects.cube import CUBE
-from lemma.scene.objects.pad import PAD
-from lemma.scene.objects.stick import STICK_SECTION_M
+from lemma.policies.models.reachnet.drags import Tuned
+from lemma.policies.models.reachnet.scene_table import FAR_M, SceneTable
+from lemma.policies.models.reachnet.tool_shape import HALF_M, stick_distance
 
-_STICK_HALF_M = STICK_SECTION_M / 2
 _SCALE_M = 0.02
 _ROOM_M = 0.3
 _YAWS = 24
@@ -81,14 +73,14 @@ class CubeSpots(_Spots):
         table = _without(table, cube)
         margin = self._worst_margin(table, self.grid)
         apart = torch.cdist(
-            self.grid.expand(len(table), -1, -1), table.xy[:, :THE_STICK]
+            self.grid.expand(len(table), -1, -1), table.xy[:, : table.stick]
         )
-        room = (apart - _radii(table)).amin(-1)
+        room = (apart - table.traits.disc_m[: table.stick]).amin(-1)
         stick = stick_distance(
-            table.grasp[:, None], table.yaw[:, THE_STICK, None], self.grid
+            table.grasp[:, None], table.yaw[:, table.stick, None], self.grid
         )
         bases = torch.cdist(self.grid.expand(len(table), -1, -1), table.bases).amin(-1)
-        room = torch.minimum(room, stick - _STICK_HALF_M).clamp(max=_ROOM_M)
+        room = torch.minimum(room, stick - HALF_M).clamp(max=_ROOM_M)
         able = self._able(torch.stack([margin, room, 0.2 * bases.clamp(max=1.0)], -1))
         weights, enough = self.weights().exp(), self.enough()
         utility: Tensor = (
@@ -129,8 +121,9 @@ class StickSpots(_Spots):
         heading = torch.cos(yaws - outward[..., None]).clamp(-1, 1).acos().amax(1)
         grasps = self.grid.repeat_interleave(_YAWS, 0)[:, None]
         turned = yaws.repeat(spots)[:, None]
-        things = table.xy[:, None, :THE_STICK]
-        room = stick_distance(grasps, turned, things) - _radii(table)
+        things = table.xy[:, None, : table.stick]
+        room = stick_distance(grasps, turned, things)
+        room = room - table.traits.disc_m[: table.stick]
         bases = stick_distance(grasps, turned, table.bases[:, None]).amin(-1)
         room = room.amin(-1).clamp(max=_ROOM_M).view(count, spots, _YAWS)
         bases = bases.clamp(max=1.0).view(count, spots, _YAWS)
@@ -162,9 +155,3 @@ def _without(table: SceneTable, entity: Tensor) -> SceneTable:
     """Return the table with an entity taken away."""
     gone = F.one_hot(entity, table.xy.shape[1]).bool()
     return replace(table, xy=torch.where(gone.unsqueeze(-1), FAR_M, table.xy))
-
-
-def _radii(table: SceneTable) -> Tensor:
-    radii = torch.full((THE_STICK,), PAD.disc_m, device=table.xy.device)
-    radii[: len(CUBES)] = CUBE.disc_m
-    return radii
