@@ -103,6 +103,7 @@ def drawn_batch(frames: int, seed: int = 0, stop_last: bool = True) -> Batch:
         bases=torch.tensor([[-_BASE_X_M, 0.0, 0.0], [_BASE_X_M, 0.0, math.pi]]).repeat(
             frames, 1, 1
         ),
+        gap_m=torch.full((frames, 2), math.nan),
         arms=torch.zeros(frames, 2, dtype=torch.int64),
         tasks=["pass"] * frames,
         goals=[(("red_cube", "blue_pad"),)] * frames,

@@ -85,6 +85,8 @@ class Labels:
     """True position [m] and quaternion wxyz of each entity, (B, E, 7); NaN if none."""
     bases: Tensor
     """x, y [m], yaw [rad] of each robot, (B, R, 3). Never an input."""
+    gap_m: Tensor
+    """World x from and to which the table is missing [m], (B, 2); NaN if it is not."""
     arms: Tensor
     """Number in ``frames.arm_names`` of each robot's type, (B, R). Never an input."""
     tasks: list[str]
@@ -136,10 +138,12 @@ class Frames:
             tuple((top, bottom) for top, bottom in json.loads(goal))
             for goal in columns["goal"]
         ]
+        instances = [json.loads(text) for text in columns["instance"]]
         self.robot_colors = [
-            tuple(color for _, color, *_ in json.loads(text)["robots"])
-            for text in columns["instance"]
+            tuple(color for _, color, *_ in instance["robots"])
+            for instance in instances
         ]
+        gaps = [instance.get("gap_m") or (np.nan, np.nan) for instance in instances]
         self._keyframe = self._tensor(columns["keyframe"], torch.int64)
         self._episode = torch.cumsum((self._keyframe == 0).long(), 0) - 1
         self.instances = [
@@ -162,6 +166,7 @@ class Frames:
             for name in ("joints", "opening_m", "pick_pose", "place_pose", "bases")
         }
         objects = np.stack(list(columns["objects"]))
+        self._floats["gap_m"] = self._tensor(gaps, torch.float32)
         self._floats["objects"] = self._tensor(
             poses_of(objects, recorded, entities), torch.float32
         )
@@ -242,6 +247,7 @@ class Frames:
             pick_pose=self._floats["pick_pose"][rows],
             place_pose=self._floats["place_pose"][rows],
             bases=self._floats["bases"][rows],
+            gap_m=self._floats["gap_m"][rows],
             arms=self._arms[rows],
             tasks=[self.tasks[i] for i in listed],
             goals=[self.goals[i] for i in listed],

@@ -28,6 +28,7 @@ from lemma.policies.models.reachnet.planner import (
     number_of,
 )
 from lemma.policies.models.reachnet.scene_table import (
+    COLUMNS,
     FAR_M,
     SceneTable,
     folded,
@@ -65,7 +66,8 @@ def table(**places: tuple[float, float, float]) -> SceneTable:
         yaw=yaw,
         top=top,
         bases=torch.tensor([[[-0.7, 0.0], [0.7, 0.0]]]),
-        rings=torch.tensor([[[0.17, 0.8], [0.17, 0.8]]]),
+        rings=torch.tensor([[[0.17, 0.8, 0.85]] * 2]),
+        ground=torch.ones(1, COLUMNS),
     )
 
 
@@ -130,9 +132,10 @@ def test_drags_keep_the_cube_where_the_stick_has_it() -> None:
     assert drags.bearings.shape == shape
     assert utility(drags).shape == (*shape, len(TRAVELS_M))
     straight = len(TURNS_RAD) // 2
-    bearing = float(drags.bearings[0, 0, 0, 0, straight])
-    assert bearing == pytest.approx(math.atan2(0.2, 0.8))
-    for side in range(len(SIGNS)):
+    # A hook is pulled to the robot's own base, what is poked goes to the other's.
+    for side, along in enumerate((math.atan2(0.2, 0.8), math.atan2(-0.2, 0.6))):
+        bearing = float(drags.bearings[0, 0, side, 0, straight])
+        assert bearing == pytest.approx(along)
         x, y = drags.prepared[0, 0, side, 0, straight].tolist()
         local = Pose2(x, y, bearing).inverse() @ Pose2(0.1, 0.2)
         ready = utility.ready(scene.traits.drag_m[CUBE])[side].tolist()
@@ -151,7 +154,7 @@ def test_room_is_measured_from_the_whole_way_of_the_stick() -> None:
         along = TRAVELS_M[length] * i / 100
         grip = Pose2(x, y, bearing) @ Pose2(along, 0.0)
         nearest = min(nearest, stick_gap(grip @ Pose2(-0.05, 0.0), 0.05, 0.25))
-    room = float(drags.constraints[0, 0, side, 0, turn, length, 3])
+    room = float(drags.constraints[0, 0, side, 0, turn, length, 4])
     assert room == pytest.approx(nearest - 0.036, abs=0.003)
 
 

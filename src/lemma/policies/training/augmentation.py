@@ -94,6 +94,7 @@ def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
         place_pose=flat(labels.place_pose),
         objects=_moved_objects(labels.objects, sign, offset, turned),
         bases=_swapped(flat(labels.bases), turned),
+        gap_m=(labels.gap_m * sign[:, None] + offset[:, :1]).sort(1).values,
         arms=_swapped(labels.arms, turned),
         decision=_renumbered(labels.decision, turned, labels.bases.shape[1]),
         robot_colors=[

@@ -38,8 +38,16 @@ TRAVELS_M = tuple(
 )
 """How far the gripper moves."""
 
-_CONSTRAINTS = 6
-_SCALES_M = (0.02, 0.02, 0.02, 0.02, 0.02, 0.1)
+_SCALES_M = (0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.1, 0.05)
+_FIRST = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 10.0)
+"""Thresholds at first, in these."""
+_CONSTRAINTS = len(_FIRST)
+_OF_REACH = 4
+"""The first constraints are of reach."""
+_RECEIVER = 2
+_WITHDRAWN_M = ((0.03,), (0.03, 0.09, 0.15))
+"""How far the stick is freed from what it hooked or poked: out, and back."""
+_WAYPOINTS = 6
 _SCALE_M = 0.02
 _READY_UNIT_M = 0.1
 _FIRST_GAP_M = HALF_M + PREPARE_GAP_M
@@ -52,8 +60,9 @@ class Drags:
     """All drags of C things: T turns, L lengths, S primitives, R robots."""
 
     constraints: Tensor
-    """What must be large enough [m], (B, R, S, C, T, L, 6): margins of the gripper at
-    both ends and of the cube's end, room for stick, for cube, and around bases."""
+    """What must be large enough, (B, R, S, C, T, L, 8): margins of the gripper at both
+    ends, of the cube's end, and of the gripper when the stick is freed; room for stick,
+    for cube, and around bases [m]; and how surely a table is under the cube."""
     bearings: Tensor
     """Of the stick [rad], (B, R, S, C, T)."""
     prepared: Tensor
@@ -101,7 +110,7 @@ class DragUtility(nn.Module):
             ]
         )
         count = len(TOOL_PRIMITIVES)
-        self.threshold = Tuned([[1.0] * _CONSTRAINTS] * count)
+        self.threshold = Tuned([list(_FIRST)] * count)
         self.sharpness = Tuned([[0.5] * _CONSTRAINTS] * count)
         self.enough = Tuned([4.0] * count)
         self.weights = Tuned([[0.0] * 3] * count)
@@ -133,12 +142,9 @@ class DragUtility(nn.Module):
             cubes = torch.arange(table.cargo, device=table.xy.device)
             cubes = cubes.expand(len(table), -1)
         cube = table.xy.gather(1, cubes[..., None].expand(-1, -1, 2))
-        ray = cube[:, None] - table.bases[:, :, None]
-        outward = torch.atan2(ray[..., 1], ray[..., 0])
-        bearings = outward[:, :, None, :, None] + torch.tensor(
+        bearings = straight(table, cube).unsqueeze(-1) + torch.tensor(
             TURNS_RAD, device=cube.device
         )
-        bearings = bearings.expand(-1, -1, len(TOOL_PRIMITIVES), -1, -1)
         ahead = torch.stack([bearings.cos(), bearings.sin()], -1)
         left = torch.stack([-ahead[..., 1], ahead[..., 0]], -1)
         ready = self._ready_for(table, cubes)
@@ -148,12 +154,20 @@ class DragUtility(nn.Module):
         travel = torch.tensor(TRAVELS_M, device=cube.device)[:, None]
         moves = signs * ahead.unsqueeze(-2) * travel
         end = prepared.unsqueeze(-2) + moves
-        cube_end = at.unsqueeze(-2) + moves * (1 - PREPARE_GAP_M / travel)
+        moved = moves * (1 - PREPARE_GAP_M / travel)
+        cube_end = at.unsqueeze(-2) + moved
         parts = [
             _own(table.margins(prepared)).unsqueeze(-1).expand(end.shape[:-1]),
-            _own(table.margins(end)),
+            _own(table.margins(end, low=True)),
             _receiver(table.margins(cube_end)),
+            _freed(table, end, ahead),
             *_room(table, cubes, (prepared, ahead, left), ready),
+            torch.stack(
+                [
+                    table.table_at((at.unsqueeze(-2) + step * moved)[..., 0])
+                    for step in torch.linspace(0.0, 1.0, _WAYPOINTS).tolist()
+                ]
+            ).amin(0),
         ]
         return Drags(torch.stack(parts, -1), bearings, prepared)
 
@@ -181,14 +195,14 @@ class DragUtility(nn.Module):
         scales = torch.tensor(_SCALES_M, device=constraints.device)
         soft = F.logsigmoid(sharp * (constraints / scales - threshold))
         if not self.use_reach:
-            soft = soft[..., 3:]
+            soft = soft[..., _OF_REACH:]
         return soft.sum(-1)
 
     def _worth(self, constraints: Tensor) -> Tensor:
         device = constraints.device
         enough = self.enough()[:, None, None, None]
         weights = self.weights().exp()[:, None, None, None]
-        quality = torch.minimum(constraints[..., 2] / _SCALE_M, enough)
+        quality = torch.minimum(constraints[..., _RECEIVER] / _SCALE_M, enough)
         quality = quality * float(self.use_reach)
         length = torch.tensor(TRAVELS_M, device=device) / _SCALE_M
         turn = torch.tensor(TURNS_RAD, device=device).abs()[:, None]
@@ -242,6 +256,42 @@ def _room(
     found = [stick[..., :stick_number].amin(-1), cube[..., :stick_number].amin(-1)]
     # Room that is more than enough is all the same.
     return [room.clamp(max=_FAR_M) for room in (*found, bases)]
+
+
+def straight(table: SceneTable, points: Tensor) -> Tensor:
+    """Return bearings of a stick that takes things straight on, (B, R, S, N).
+
+    That is from a robot's own base to what it hooks, and from what it pokes to the
+    nearest other base [rad].
+
+    Args:
+        table: B scenes.
+        points: (B, N, 2) [m].
+    """
+    away = points[:, None] - table.bases[:, :, None]
+    robots = away.shape[1]
+    hooked = torch.atan2(away[..., 1], away[..., 0])
+    far = away.norm(dim=-1)[:, None].expand(-1, robots, -1, -1)
+    itself = torch.eye(robots, dtype=torch.bool, device=points.device)
+    nearest = far.masked_fill(itself[..., None], torch.inf).argmin(2)
+    to = -away.gather(1, nearest[..., None].expand_as(away))
+    return torch.stack([hooked, torch.atan2(to[..., 1], to[..., 0])], 2)
+
+
+def _freed(table: SceneTable, end: Tensor, ahead: Tensor) -> Tensor:
+    """Return each robot's margin where it lets go of the stick, (B, R, S, C, T, L).
+
+    Args:
+        table: B scenes.
+        end: Gripper at the end of a drag, (B, R, S, C, T, L, 2).
+        ahead: Along the stick, (B, R, S, C, T, 2).
+    """
+    found = []
+    for side, (sign, ways) in enumerate(zip(SIGNS, _WITHDRAWN_M, strict=True)):
+        step = -sign * ahead[:, :, side].unsqueeze(-2)
+        margins = [_own(table.margins(end[:, :, side] + way * step)) for way in ways]
+        found.append(torch.stack(margins).amax(0))
+    return torch.stack(found, 2)
 
 
 def _own(margins: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ _UNIT_M = 0.05
 """Heights and radii of things are told in this."""
 _KIND = 8
 
-ROBOT_FEATURES = 8
+ROBOT_FEATURES = 9
 _SIDE_OF = (0, 0, 1, 1)
 PAIR = len(_DISTANCES_M) + 2
 RELATIONS = PAIR + 4
@@ -56,7 +56,7 @@ def robot_features(table: SceneTable, use_reach: bool) -> Tensor:
     centre = torch.zeros(len(table), 1, 2, device=rings.device)
     shared = table.margins(centre).squeeze(-1)
     gap = (table.bases - table.bases.flip(1)).norm(dim=-1, keepdim=True)
-    overlap = rings[..., 1:] + rings.flip(1)[..., 1:] - gap
+    overlap = rings[..., 1:2] + rings.flip(1)[..., 1:2] - gap
     if not use_reach:
         shared, overlap = torch.zeros_like(shared), torch.zeros_like(overlap)
     return torch.cat(

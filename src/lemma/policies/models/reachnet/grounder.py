@@ -17,6 +17,7 @@ from lemma.policies.models.reachnet.drags import (
     TRAVELS_M,
     TURNS_RAD,
     DragUtility,
+    straight,
 )
 from lemma.policies.models.reachnet.scene_table import SceneTable
 from lemma.policies.models.reachnet.spots import CubeSpots, StickSpots
@@ -78,7 +79,7 @@ class ReachNetGrounder(nn.Module):
         prepared, used = self._with_stick(table, start, robot, primitive, support)
         end = torch.where((picked & (primitive == _MOVE))[:, None], laid, moved)
         end = torch.where(_among(primitive, _PREPARE)[:, None], prepared, end)
-        end = torch.where(_among(primitive, _USE)[:, None], used, end)
+        end = torch.where(dragged(primitive)[:, None], used, end)
         seen = table.present[rows, pick] & (shared | table.present[rows, support])
         seen = (seen & (decision[:, 0] != NOBODY))[:, None]
         return torch.where(seen, start, torch.nan), torch.where(seen, end, torch.nan)
@@ -116,13 +117,12 @@ class ReachNetGrounder(nn.Module):
     ) -> dict[str, Tensor]:
         robot, primitive, _, target = decision.clamp(min=0).unbind(-1)
         cube = target.clamp(max=table.cargo - 1)
-        prepares, uses = _among(primitive, _PREPARE), _among(primitive, _USE)
+        prepares, uses = _among(primitive, _PREPARE), dragged(primitive)
         utility, _, _ = self._choices(table, robot, primitive, cube)
         rows = torch.arange(len(table), device=robot.device)
         at = table.xy[rows, cube]
-        turn = _nearest_turn(
-            table, at, robot, torch.where(uses, pick[:, 2], place[:, 2])
-        )
+        yaw = torch.where(uses, pick[:, 2], place[:, 2])
+        turn = _nearest_turn(table, at, (robot, primitive), yaw)
         bearing = utility.flatten(1).log_softmax(-1).view_as(utility).logsumexp(-1)
         travel = (place[:, :2] - pick[:, :2]).norm(dim=-1)
         lengths = torch.tensor(TRAVELS_M, device=travel.device)
@@ -170,20 +170,24 @@ class ReachNetGrounder(nn.Module):
         ahead = torch.stack([bearings.cos(), bearings.sin()], -1)
         ends = poses[:, :, None] + steps[:, None, :, None] * ahead[:, :, None]
         apart = self._beyond(table, poses, robot)[..., None]
-        apart = apart + self._beyond(table, ends, robot)
+        apart = apart + self._beyond(table, ends, robot, low=True)
         turn = (utility - _OUTSIDE * apart).amax(-1).argmax(-1)
         prepared = torch.cat([poses[rows, turn], bearings[rows, turn, None]], 1)
-        lying = _nearest_turn(table, table.xy[rows, cube], robot, start[:, 2])
+        at = table.xy[rows, cube]
+        lying = _nearest_turn(table, at, (robot, primitive), start[:, 2])
         along = torch.stack([start[:, 2].cos(), start[:, 2].sin()], -1)
         used = start[:, None, :2] + steps[..., None] * along[:, None]
-        worth = utility[rows, lying] - _OUTSIDE * self._beyond(table, used, robot)
+        apart = self._beyond(table, used, robot, low=True)
+        worth = utility[rows, lying] - _OUTSIDE * apart
         used = used[rows, worth.argmax(-1)]
         return prepared, torch.cat([used, start[:, 2:]], 1)
 
-    def _beyond(self, table: SceneTable, points: Tensor, robot: Tensor) -> Tensor:
+    def _beyond(
+        self, table: SceneTable, points: Tensor, robot: Tensor, *, low: bool = False
+    ) -> Tensor:
         """Return how far points (B, ..., 2) are out of a robot's safe reach [m]."""
         rows = torch.arange(len(table), device=robot.device)
-        margin = table.margins(points)[rows, robot]
+        margin = table.margins(points, low=low)[rows, robot]
         beyond = (_SAFE_M - margin).clamp(min=0.0)
         return beyond * float(self.drags.use_reach)
 
@@ -260,12 +264,26 @@ def _bearing(table: SceneTable, points: Tensor, robot: Tensor) -> Tensor:
 
 
 def _nearest_turn(
-    table: SceneTable, cube: Tensor, robot: Tensor, yaw: Tensor
+    table: SceneTable, cube: Tensor, decision: tuple[Tensor, Tensor], yaw: Tensor
 ) -> Tensor:
-    """Return the number of the turn that a stick's yaw is nearest to, (B,)."""
-    turn = yaw - _bearing(table, cube, robot)
+    """Return the number of the turn that a stick's yaw is nearest to, (B,).
+
+    Args:
+        table: B scenes.
+        cube: Where is what is dragged, (B, 2) [m].
+        decision: Who drags, by which primitive, (B,) each.
+        yaw: (B,) [rad].
+    """
+    robot, primitive = decision
+    rows = torch.arange(len(table), device=robot.device)
+    turn = yaw - straight(table, cube[:, None])[rows, robot, _side(primitive), 0]
     turns = torch.tensor(TURNS_RAD, device=yaw.device)
     return (1 - torch.cos(turn[:, None] - turns)).argmin(-1)
+
+
+def dragged(primitive: Tensor) -> Tensor:
+    """Return which primitives drag something with the stick, bool."""
+    return _among(primitive, _USE)
 
 
 def _among(primitive: Tensor, numbers: tuple[int, ...]) -> Tensor:

@@ -35,7 +35,7 @@ from lemma.policies.models.reachnet.goal_reader import (
     goal_numbers,
     recolored,
 )
-from lemma.policies.models.reachnet.grounder import ReachNetGrounder
+from lemma.policies.models.reachnet.grounder import ReachNetGrounder, dragged
 from lemma.policies.models.reachnet.perception import (
     Marks,
     Perception,
@@ -160,10 +160,9 @@ class ReachNet(Model):
             bases = labels.bases[..., :2]
             rings = self.eye.reach(coarse, batch, bases)
             known = self._true_rings(labels)
-            truth = true_table(
-                labels, rings if known is None else known, batch.entities
-            )
-            seen = true_table(labels, rings, batch.entities)
+            told = rings if known is None else known
+            truth = true_table(labels, told, batch.raster, batch.entities)
+            seen = true_table(labels, rings, batch.raster, batch.entities)
             terms = self.eye.losses(marks, truth, batch)
             terms["reading"] = reading
             terms |= self._reach_terms(seen, known, labels, batch)
@@ -189,7 +188,7 @@ class ReachNet(Model):
         from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
 
         found = [reach_of(name) for name in ARMS]
-        radii = torch.tensor([[r.inner_m, r.travel_m] for r in found])
+        radii = torch.tensor([[r.inner_m, r.travel_m, r.grasp_m] for r in found])
         return radii.to(self.device)[labels.arms]
 
     def _reach_terms(
@@ -258,7 +257,7 @@ class ReachNet(Model):
                 read = (self.reader.read(batch.instructions) == goal).flatten(1).all(1)
                 known = self._true_rings(labels)
             rings = table.rings if known is None else known
-            truth = true_table(labels, rings, batch.entities)
+            truth = true_table(labels, rings, batch.raster, batch.entities)
             return {
                 **score_decisions(decision, poses, told, labels, batch.entities),
                 "reading": read.float(),
@@ -371,13 +370,20 @@ def _demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
     """
     robot = labels.decision[:, 0].clamp(min=0)
     ends = torch.stack([labels.pick_pose[:, :2], labels.place_pose[:, :2]], 1)
-    margins = seen.margins(ends.nan_to_num())
+    ends = ends.nan_to_num()
+    drags = dragged(labels.decision[:, 1])[:, None]
+    margins = seen.margins(ends)
+    # What was lifted elsewhere is let go of low.
+    held = seen.margins(ends[:, 1], low=True)
+    margins = torch.stack(
+        [margins[..., 0], torch.where(drags, held, margins[..., 1])], -1
+    )
     logs = F.logsigmoid(margins / _REACH_EDGE_M).sum(-1)
     rows = torch.arange(len(robot), device=robot.device)
     likely = logs.log_softmax(1)[rows, robot] + logs[rows, robot]
     acts = labels.decision[:, 0] != NOBODY
     unlikely = torch.where(acts, -likely, 0.0).sum() / acts.sum().clamp(min=1)
-    area = seen.rings[..., 1].square() - seen.rings[..., 0].square()
+    area = seen.rings[..., 1:].square() - seen.rings[..., :1].square()
     return _DEMONSTRATED * (unlikely + _TIGHT * area.log().mean())
 
 

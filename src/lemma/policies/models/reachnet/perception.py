@@ -16,7 +16,7 @@ from lemma.core.config import Depth, Share, Width, Widths
 from lemma.policies.batch import Batch
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import ResidualBlock, norm, upsample_to
-from lemma.policies.models.reachnet.scene_table import FAR_M, SceneTable
+from lemma.policies.models.reachnet.scene_table import COLUMNS, FAR_M, SceneTable
 from lemma.policies.models.reachnet.tool_shape import FAR_END_M
 from lemma.scene.raster import RASTER
 
@@ -25,7 +25,12 @@ STRIDE = 4
 
 _IMAGE, _INPUTS = 5, 5 * STRIDE**2 + 2
 _HEIGHT_M = 0.1
-_RING_M = ((0.05, 0.35), (0.4, 1.8))
+_RING_M = ((0.05, 0.35), (0.4, 1.8), (0.0, 0.2))
+"""Bounds of what is told of reach: the inner radius, the outer one, and how much
+farther things are held low."""
+_PROFILE = 3
+_PROFILE_WIDTH, _PROFILE_KERNEL = 16, 7
+_TABLE_M = 0.05
 _NEAR = 1
 _CELLS = math.log(RASTER.rows * RASTER.columns / STRIDE**2)
 _MARKS = 3.0
@@ -107,7 +112,12 @@ class Perception(nn.Module):
         self.ring = nn.Sequential(
             nn.Linear(config.widths[-1] + joints + 1, config.ring_width),
             nn.SiLU(),
-            nn.Linear(config.ring_width, 2),
+            nn.Linear(config.ring_width, len(_RING_M)),
+        )
+        self.ground = nn.Sequential(
+            nn.Conv1d(_PROFILE, _PROFILE_WIDTH, _PROFILE_KERNEL, padding="same"),
+            nn.SiLU(),
+            nn.Conv1d(_PROFILE_WIDTH, 1, _PROFILE_KERNEL, padding="same"),
         )
 
     def forward(self, batch: Batch) -> tuple[Marks, Tensor]:
@@ -142,7 +152,7 @@ class Perception(nn.Module):
         )
 
     def reach(self, coarse: Tensor, batch: Batch, bases: Tensor) -> Tensor:
-        """Return the radii between which each robot reaches, (B, R, 2) [m].
+        """Return the radii of each robot's reach, (B, R, 3) [m].
 
         Args:
             coarse: The coarsest features.
@@ -163,8 +173,16 @@ class Perception(nn.Module):
         share = self.ring(torch.cat(parts, -1)).sigmoid()
         low = torch.tensor([low for low, _ in _RING_M], device=share.device)
         high = torch.tensor([high for _, high in _RING_M], device=share.device)
-        radii: Tensor = low + (high - low) * share
-        return radii
+        inner, outer, more = (low + (high - low) * share).unbind(-1)
+        return torch.stack([inner, outer, outer + more], -1)
+
+    def table_seen(self, batch: Batch) -> Tensor:
+        """Return logits of there being a table along x, (B, COLUMNS)."""
+        on_it = batch.coverage & (batch.height_m.abs() < _TABLE_M)
+        known = [batch.coverage, on_it, batch.coverage & ~on_it]
+        profile = torch.stack([cells.float().mean(1) for cells in known], 1)
+        logits: Tensor = self.ground(F.adaptive_avg_pool1d(profile, COLUMNS))
+        return logits.squeeze(1).float()
 
     def table(self, marks: Marks, coarse: Tensor, batch: Batch) -> SceneTable:
         """Return what is on the table."""
@@ -186,6 +204,8 @@ class Perception(nn.Module):
             top=torch.where(present & is_cargo, _top(batch, xy), 0.0),
             bases=bases,
             rings=self.reach(coarse, batch, bases),
+            ground=self.table_seen(batch).sigmoid(),
+            half_x_m=batch.raster.size_m[0] / 2,
             entities=self.entities,
         )
 
@@ -242,6 +262,9 @@ class Perception(nn.Module):
         return {
             "marks": _MARKS * found.mean(),
             "offsets": self._offset_loss(marks, xy, there, batch),
+            "ground": F.binary_cross_entropy_with_logits(
+                self.table_seen(batch), table.ground
+            ),
             "yaw": (torch.where(seen, off, 0.0).sum() / seen.sum().clamp(min=1)),
         }
 
@@ -272,14 +295,15 @@ def reach_loss(
 
     Args:
         table: With the radii that were seen.
-        rings: The true radii, (B, R, 2) [m].
+        rings: The true radii, (B, R, 3) [m].
         bases: The true bases, (B, R, 2) [m].
         points: (B, N, 2) [m].
     """
-    near = (points[:, None] - bases[:, :, None]).norm(dim=-1)
-    true = torch.minimum(near - rings[..., :1], rings[..., 1:] - near)
-    radii = table.rings
-    seen = torch.minimum(near - radii[..., :1], radii[..., 1:] - near)
+    near = (points[:, None] - bases[:, :, None]).norm(dim=-1).unsqueeze(2)
+    true, seen = (
+        torch.minimum(near - r[..., :1, None], r[..., 1:, None] - near)
+        for r in (rings, table.rings)
+    )
     wrong = F.binary_cross_entropy_with_logits(seen / 0.03, (true > 0).float())
     return wrong + 10.0 * F.smooth_l1_loss(seen, true, beta=0.02)
 

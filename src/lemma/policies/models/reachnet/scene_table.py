@@ -15,7 +15,10 @@ from torch import Tensor
 from lemma.policies.batch import NOBODY, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, Traits, traits_of
 from lemma.policies.models.reachnet.tool_shape import GRASP_M
+from lemma.scene.raster import RASTER, Raster
 
+COLUMNS = 128
+"""Of a table's :attr:`SceneTable.ground`."""
 CONJUNCTS = 2
 """Largest number of (top, bottom) pairs of a goal."""
 FAR_M = 10.0
@@ -43,7 +46,13 @@ class SceneTable:
     bases: Tensor
     """Positions of the robots' bases [m], (B, R, 2)."""
     rings: Tensor
-    """Radii between which each robot reaches [m], (B, R, 2): inner, outer."""
+    """Radii between which each robot works, and up to which it holds things low, as at
+    the end of a drag [m], (B, R, 3): inner, outer, low."""
+    ground: Tensor
+    """Whether there is a table, 0 to 1, along x from one edge of the map to the other,
+    (B, COLUMNS): it may have a gap, as deep as the table."""
+    half_x_m: float = RASTER.size_m[0] / 2
+    """From the middle of the map to these edges."""
     entities: EntitySet = BENCHMARK
     """What has a number."""
 
@@ -73,17 +82,30 @@ class SceneTable:
         along = torch.stack([yaw.cos(), yaw.sin()], -1)
         return self.xy[:, self.stick] + GRASP_M * along
 
-    def margins(self, points: Tensor) -> Tensor:
+    def margins(self, points: Tensor, *, low: bool = False) -> Tensor:
         """Return how far inside each robot's reach points are [m], (B, R, ...).
 
         Args:
             points: (B, ..., 2) [m].
+            low: Whether it is enough to hold something low there.
         """
         extra = (1,) * (points.dim() - 2)
         bases = self.bases.view(len(self), -1, *extra, 2)
-        inner, outer = self.rings.view(len(self), -1, *extra, 2).unbind(-1)
+        inner, outer, lowest = self.rings.view(len(self), -1, *extra, 3).unbind(-1)
         distance = (points.unsqueeze(1) - bases).norm(dim=-1)
-        return torch.minimum(distance - inner, outer - distance)
+        return torch.minimum(distance - inner, (lowest if low else outer) - distance)
+
+    def table_at(self, x: Tensor) -> Tensor:
+        """Return whether there is a table at positions, 0 to 1, (B, ...).
+
+        Args:
+            x: World x, (B, ...) [m].
+        """
+        share = (0.5 + 0.5 * x / self.half_x_m).clamp(0.0, 1.0) * (COLUMNS - 1)
+        index = share.floor().long().clamp(max=COLUMNS - 2).flatten(1)
+        rest = share.flatten(1) - index
+        near, far = self.ground.gather(1, index), self.ground.gather(1, index + 1)
+        return (near + rest * (far - near)).view_as(x)
 
     def rows(self, index: Tensor) -> Self:
         """Return some of the scenes."""
@@ -104,7 +126,19 @@ class SceneTable:
         return replace(tables[0], **parts)
 
 
-_FIELDS = tuple(f for f in fields(SceneTable) if f.name != "entities")
+_FIELDS = tuple(f for f in fields(SceneTable) if f.type is Tensor)
+
+
+def ground_of(gap_m: Tensor, half_x_m: float) -> Tensor:
+    """Return where there is a table, (B, COLUMNS).
+
+    Args:
+        gap_m: World x from and to which there is none, (B, 2) [m]; NaN if it is whole.
+        half_x_m: From the middle of the map to its edges.
+    """
+    x = torch.linspace(-half_x_m, half_x_m, COLUMNS, device=gap_m.device)
+    first, last = gap_m.unsqueeze(1).unbind(-1)
+    return 1.0 - ((x > first) & (x < last)).float()
 
 
 def yaw_of(quaternion: Tensor) -> Tensor:
@@ -126,13 +160,14 @@ def folded(yaw: Tensor, turn_rad: Tensor | float) -> Tensor:
 
 
 def true_table(
-    labels: Labels, rings: Tensor, entities: EntitySet = BENCHMARK
+    labels: Labels, rings: Tensor, raster: Raster, entities: EntitySet = BENCHMARK
 ) -> SceneTable:
     """Return what a perfect eye would see.
 
     Args:
         labels: Where everything is.
-        rings: Radii of reach, (B, R, 2) [m].
+        rings: Radii of reach, (B, R, 3) [m].
+        raster: Of the maps.
         entities: Whose numbers the labels have.
     """
     traits = traits_of(entities, labels.objects.device)
@@ -154,6 +189,8 @@ def true_table(
         top=torch.where(present, top, 0.0),
         bases=labels.bases[..., :2],
         rings=rings,
+        ground=ground_of(labels.gap_m, raster.size_m[0] / 2),
+        half_x_m=raster.size_m[0] / 2,
         entities=entities,
     )
 
@@ -206,6 +243,8 @@ def disturbed(table: SceneTable, noise: Noise, needed: Tensor) -> SceneTable:
         top=torch.where(present, jitter(table.top, noise.height_m), 0.0),
         bases=jitter(table.bases, noise.base_m),
         rings=jitter(table.rings, noise.base_m),
+        ground=table.ground,
+        half_x_m=table.half_x_m,
         entities=table.entities,
     )
 
@@ -223,6 +262,7 @@ def turned(table: SceneTable) -> SceneTable:
         yaw=yaw,
         bases=-table.bases.flip(1),
         rings=table.rings.flip(1),
+        ground=table.ground.flip(1),
     )
 
 

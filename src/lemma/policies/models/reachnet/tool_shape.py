@@ -19,12 +19,15 @@ HALF_M = STICK_KIND.disc_m
 
 
 def _axis(part: Part) -> tuple[float, float, float, float]:
-    """Return the ends of the axis of a part that lies, seen from the gripper."""
+    """Return the ends of the axis of a part that lies, seen from the gripper.
+
+    It runs from face to face, so that what is kept clear of it is clear of the ends.
+    """
     assert _GRASP is not None
     half = (0.0, 0.0)
     if part.shape == "box":
         x, y, _ = part.size_m
-        half = (x - min(x, y), y - min(x, y))
+        half = (x, 0.0) if x > y else (0.0, y)
     middle = _GRASP.at.inverse() @ Pose2(*part.position_m[:2])
     low, high = (middle @ Pose2(side * half[0], side * half[1]) for side in (-1, 1))
     return low.x, low.y, high.x, high.y
