@@ -6,7 +6,7 @@ from typing import Literal
 
 import pytest
 import torch
-from batches import drawn_batch, gradients, inputs_of, labels_of, part_of, total
+from batches import RASTER, drawn_batch, gradients, inputs_of, labels_of, part_of, total
 
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import STOP
@@ -147,7 +147,7 @@ def test_it_grounds_what_another_planner_wants(expert: ReachNet) -> None:
     batch = drawn_batch(3)
     labels = labels_of(batch)
     given = inputs_of(batch)[:1]
-    present = true_table(labels, torch.ones(3, 2, 2)).present[0]
+    present = true_table(labels, torch.ones(3, 2, 3), RASTER).present[0]
     cubes = ("pink", "red", "white", "blue", "green")
     seen = next(c for i, c in enumerate(cubes) if present[i])
     missing = next(c for i, c in enumerate(cubes) if not present[i])

@@ -4,8 +4,8 @@ An entity is called by its color and its kind (``"red_cube"``), or by the kind a
 where that comes in one color (``"stick"``). Instances, plans, actions and data hold
 these names; :func:`entity_named` is the one place that takes them apart.
 
-The numbers of actions, labels and weights count :data:`ENTITIES`, the benchmark's own.
-These never change. What users register comes behind them, and behind ``"shared"`` where
+The numbers of actions and labels count :data:`ENTITIES`, the benchmark's own. These
+never change. What users register comes behind them, and behind ``"shared"`` where
 that is a choice too: see :func:`known_entities`.
 """
 
