@@ -18,6 +18,7 @@ from lemma.dataset.rendered.keyframes.schema import EXECUTED
 from lemma.dataset.rendered.shards import keyframe_shards
 from lemma.policies.entities import BENCHMARK, EntitySet, poses_of
 from lemma.policies.interfaces import PolicyInput
+from lemma.robots.ur.arms import ARMS
 from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import UNIT_M, Raster
 from lemma.tasks.language.bank import robot_phrases_in_order, sub_instruction
@@ -120,10 +121,6 @@ class Frames:
             InvalidConfigError: Something is moved that has no number.
             DatasetError: Something is on a table that has none.
         """
-        # Robots are looked up where labels are read: policies that are only used run
-        # without a simulator.
-        from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
-
         columns, self.entities = maps.columns, entities
         self.raster = maps.raster
         self.device = torch.device(device)
@@ -150,17 +147,7 @@ class Frames:
             (task, int(index))
             for task, index in zip(self.tasks, columns["index"], strict=True)
         ]
-        decisions = _decisions(columns, entities)
-        self.perturbed = f"{EXECUTED}robot" in columns
-        executed = (
-            _decisions(columns, entities, EXECUTED) if self.perturbed else decisions
-        )
-        self._decision = self._tensor(decisions, torch.int64)
-        self._past = self._tensor(_pasts(columns, executed), torch.int64)
-        self._arms = self._tensor(
-            [[self.arm_names.index(n) for n in s.split("+")] for s in columns["arms"]],
-            torch.int64,
-        )
+        self._read_decisions(columns)
         self._floats = {
             name: self._tensor(np.stack(list(columns[name])), torch.float32)
             for name in ("joints", "opening_m", "pick_pose", "place_pose", "bases")
@@ -169,6 +156,20 @@ class Frames:
         self._floats["gap_m"] = self._tensor(gaps, torch.float32)
         self._floats["objects"] = self._tensor(
             poses_of(objects, recorded, entities), torch.float32
+        )
+
+    def _read_decisions(self, columns: dict[str, Any]) -> None:
+        """Read who did what, and who is there."""
+        decisions = _decisions(columns, self.entities)
+        self.perturbed = f"{EXECUTED}robot" in columns
+        executed = decisions
+        if self.perturbed:
+            executed = _decisions(columns, self.entities, EXECUTED)
+        self._decision = self._tensor(decisions, torch.int64)
+        self._past = self._tensor(_pasts(columns, executed), torch.int64)
+        self._arms = self._tensor(
+            [[self.arm_names.index(n) for n in s.split("+")] for s in columns["arms"]],
+            torch.int64,
         )
 
     @classmethod

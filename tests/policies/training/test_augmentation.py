@@ -16,16 +16,15 @@ from torch import Tensor
 from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
 from lemma.policies.batch import NOBODY, Batch, Frames, Labels
-from lemma.policies.entities import BENCHMARK
 from lemma.policies.training.augmentation import augment, move
 from lemma.policies.training.config import Augmentation
 from lemma.policies.training.instructions import with_instructions, with_language
 from lemma.policies.training.recolor import permute_colors
-from lemma.scene.objects.entity import ENTITIES
+from lemma.scene.objects.entity import ENTITIES, SHARED
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import parse
 
-COLORS = tuple(OBJECT_COLORS)
+COLORS, PLACES = tuple(OBJECT_COLORS), (*ENTITIES, SHARED)
 OFF = Augmentation.none()
 EACH = {
     "palette": replace(OFF, palette=True),
@@ -298,7 +297,7 @@ def test_colors_change_in_names_goals_and_past() -> None:
                 assert a[:2] == b[:2]
                 if b[2] != NOBODY:
                     assert ENTITIES[a[2]] == renamed(ENTITIES[b[2]])
-                    assert BENCHMARK.places[a[3]] == renamed(BENCHMARK.places[b[3]])
+                    assert PLACES[a[3]] == renamed(PLACES[b[3]])
                 else:
                     assert a[2:] == b[2:]
 
