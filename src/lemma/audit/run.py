@@ -19,7 +19,8 @@ from lemma.tasks.subtask import GroundedSubTask
 from lemma.tasks.suite import load_instance
 
 for _name in (
-    *("skill.drag_home", "skill.push_onto_pad"),
+    *("skill.drag_home", "skill.push_onto_pad", "skill.carry_on_stick"),
+    *("skill.shove", "skill.search", "skill.plan_order"),
     *("control.tilted_move",),
 ):
     import_module(f"lemma.audit.{_name}")

@@ -41,6 +41,8 @@ class SkillTrial:
         self.grounder = GeometricGrounder(self.scene.spec)
         self.best_progress = 0.0
         """Most of the goal that ever held between two sub-tasks."""
+        self.acted = False
+        """Whether anything was executed, taken back or not."""
 
     @property
     def placement(self) -> RobotPlacement:
@@ -51,11 +53,6 @@ class SkillTrial:
     def reach(self) -> Reach:
         """Its reach, pointing down."""
         return reach_of(self.placement.arm)
-
-    @property
-    def acted(self) -> bool:
-        """Whether anything was executed."""
-        return bool(self.episode.executed)
 
     def state(self) -> SymbolicState:
         """Return where things are now."""
@@ -83,6 +80,7 @@ class SkillTrial:
         Raises:
             AttemptOver: The goal is reached, or the time is up.
         """
+        self.acted = True
         start_s = self.episode.elapsed_s
         result = self.episode.execute(subtask)
         self.episode.linger(start_s)
