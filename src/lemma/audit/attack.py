@@ -33,6 +33,10 @@ class AttemptOver(Exception):
     """The goal is reached, or the time is up. Trials raise it; attacks let it pass."""
 
 
+class Lost(AttemptOver):
+    """Something that the goal needs has fallen off the table."""
+
+
 Play = Callable[["SkillTrial"], None] | Callable[["ControlTrial"], None]
 """Plays one attempt; ``trial.attempt`` says the how-manieth."""
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lemma.audit.attack import AttemptOver
+from lemma.audit.attack import AttemptOver, Lost
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.expert.grounding import GeometricGrounder
@@ -92,6 +92,7 @@ class SkillTrial:
 
         Raises:
             AttemptOver: It is reached, or the time is up.
+            Lost: It cannot be reached any more.
         """
         self.best_progress = max(self.best_progress, self.episode.progress)
         if self.episode.is_over:
@@ -101,6 +102,8 @@ class SkillTrial:
             if self.finish():
                 raise AttemptOver
             self.episode.restore(before)
+        if not set(self.episode.fallen).isdisjoint(self.goal.entities):
+            raise Lost
 
     def plan_alone(self) -> Plan | None:
         """Return the expert's plan for this robot alone, None where there is none."""

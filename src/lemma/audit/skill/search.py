@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import ATTACKS, Attack, Lost
 from lemma.audit.pushes import CONTACTS, GRASPS, push
 from lemma.audit.skill_trial import SkillTrial
 from lemma.core.poses import Pose2
@@ -41,8 +41,11 @@ def greedy_skills(trial: SkillTrial) -> None:
         start, best, least = trial.snapshot(), None, distance_left(trial)
         for subtask in tries:
             trial.restore(start)
-            trial.do(subtask)
             left -= 1
+            try:
+                trial.do(subtask)
+            except Lost:
+                continue
             if distance_left(trial) < least - 0.005:
                 best, least = trial.snapshot(), distance_left(trial)
         if best is None:
@@ -63,10 +66,9 @@ def distance_left(trial: SkillTrial) -> float:
 def expert_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
     """Yield every sub-task that the expert's grounder finds poses for."""
     now = trial.state()
-    things = trial.scene.spec.object_names
     for primitive in Primitive:
-        for pick in trial.scene.movable_names:
-            for place in (*things, SHARED):
+        for pick in now.poses:
+            for place in (*now.poses, SHARED):
                 subtask = SubTask(trial.robot, primitive, pick, place)
                 option = trial.grounder.ground(subtask, now)
                 if option is not None:
@@ -75,16 +77,11 @@ def expert_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
 
 def random_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
     """Yield sub-tasks with poses that are drawn, as long as the draws are in reach."""
-    rng = trial.rng
-    within = [
-        name
-        for name in trial.scene.movable_names
-        if name != STICK and trial.margin(trial.pose(name)) > 0.0
-    ]
-    cargo = [name for name in trial.scene.movable_names if kind_of(name).cargo]
-    has_stick = STICK in trial.scene.movable_names
+    rng, there = trial.rng, trial.state().poses
+    cargo = [name for name in there if kind_of(name).cargo]
+    within = [name for name in cargo if trial.margin(there[name]) > 0.0]
     for _ in range(_DRAWS):
-        if has_stick and rng.random() < 0.7:
+        if STICK in there and rng.random() < 0.7:
             grasp = GRASPS[int(rng.integers(len(GRASPS)))]
             pick = trial.pose(STICK) @ grasp
             contact = CONTACTS[int(rng.integers(len(CONTACTS)))]

@@ -34,7 +34,7 @@ def shove(trial: SkillTrial) -> None:
 
 
 def _cubes(trial: SkillTrial) -> list[str]:
-    return [name for name in trial.scene.movable_names if kind_of(name).cargo]
+    return [name for name in trial.state().poses if kind_of(name).cargo]
 
 
 def _shove_on(trial: SkillTrial, on: On) -> None:
