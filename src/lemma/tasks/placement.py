@@ -37,7 +37,7 @@ from lemma.tasks.drags import (
     stick_gap,
 )
 from lemma.tasks.subtask import Primitive
-from lemma.tasks.zones import FROM_EDGE_M, OUTSIDE_M, Mask, Territory, Zone, ZoneLike
+from lemma.tasks.zones import FROM_EDGE_M, Mask, Territory, Zone, ZoneLike
 
 _DRAWS = 2048
 """Positions that are drawn at once."""
@@ -46,7 +46,6 @@ _CHECKS = 40
 """Positions of a round, at most, that are looked at one by one."""
 _STICK_EDGE_M = 0.05
 _BESIDE_BASE_M = 0.06
-_STICK_DIAGONAL_M = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M)
 
 _KINDS = ("cube", "pad")
 """Kinds whose colors are shuffled first of all, in the benchmark's order."""
@@ -220,10 +219,7 @@ class Board:
             far = self.territory.reach(robot).grasp_m + HANDLE_LENGTH_M - MIN_DRAG_M
             found &= self.territory.nearer(robot, far, x, y)
             if alone:
-                far = self.territory.could(partner).place_m + _STICK_DIAGONAL_M
-                found &= ~self.territory.nearer(
-                    partner, far + kind.disc_m + OUTSIDE_M, x, y
-                )
+                found &= self.territory.cannot(partner, kind, x, y, tool=True)
             return found
 
         def check(pose: Pose2) -> bool:

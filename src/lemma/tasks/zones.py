@@ -17,6 +17,7 @@ from lemma.robots.could import Could, could_of
 from lemma.robots.reach import Reach, reach_of
 from lemma.scene.camera_mounts import CameraFootprint
 from lemma.scene.objects.kind import ObjectKind
+from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M
 from lemma.scene.raster import RASTER
 from lemma.scene.spec import RobotPlacement
 from lemma.scene.table import TABLE_HALF_Y_M, Gap, tops
@@ -28,12 +29,14 @@ OUTSIDE_M = 0.03
 
 FROM_EDGE_M = 0.01
 """Between the disc around an object and the table's edge, at least."""
+STICK_DIAGONAL_M = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M)
+"""How much farther the stick lets a robot do anything, however it is held."""
 _MAP_EDGE_M = 0.06
 """Things lie on the top-down map as a whole."""
-_FACING_RAD = math.radians(112.0)
-"""Objects lie in front of their robot, or at its sides."""
-_HIDDEN_RAD = math.radians(65.0)
-"""Farther to the side the waiting arm hides what is near."""
+_FACING_RAD = math.radians(170.0)
+"""Objects lie around their robot, but not straight behind it."""
+_HIDDEN_RAD = (math.radians(65.0), math.radians(160.0))
+"""The waiting arm, at the left side, hides what is near between these bearings."""
 _HIDDEN_REACH = 0.8
 
 Mask = NDArray[np.bool_]
@@ -84,14 +87,20 @@ class Territory:
         """Return where a robot could possibly do anything."""
         return could_of(self.robots[robot].arm)
 
-    def only(self, robot: int) -> Zone:
-        """Where one robot works, and no other could do anything."""
+    def only(self, robot: int, *, tool: bool = False) -> Zone:
+        """Where one robot works, and no other could do anything.
+
+        Args:
+            robot: Which.
+            tool: Whether the others could do nothing even with the stick in their
+                hand, such as to carry a cube there on it.
+        """
 
         def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
             found = self.works(robot, x, y)
             for other in range(len(self.robots)):
                 if other != robot:
-                    found &= self.cannot(other, kind, x, y)
+                    found &= self.cannot(other, kind, x, y, tool=tool)
             return found
 
         return Zone(sift)
@@ -135,12 +144,26 @@ class Territory:
         return inside
 
     def cannot(
-        self, robot: int, kind: ObjectKind, x: FloatArray, y: FloatArray
+        self,
+        robot: int,
+        kind: ObjectKind,
+        x: FloatArray,
+        y: FloatArray,
+        *,
+        tool: bool = False,
     ) -> Mask:
-        """Return at which positions a robot could do nothing to a kind of thing."""
+        """Return at which positions a robot could do nothing to a kind of thing.
+
+        Args:
+            robot: Which.
+            kind: Of thing.
+            x: World positions, (n,) [m].
+            y: World positions, (n,) [m].
+            tool: Whether with the stick in its hand, held by either end.
+        """
         least = self.could(robot).radius_m(kind.disc_m, kind.support_m or 0.0)
-        outside: Mask = self.distance(robot, x, y) >= least + OUTSIDE_M
-        return outside
+        least += OUTSIDE_M + (STICK_DIAGONAL_M if tool else 0.0)
+        return self.distance(robot, x, y) >= least
 
     def on_table(self, x: FloatArray, y: FloatArray, edge_m: float) -> Mask:
         """Return which positions are on a table top, so far from its edges [m]."""
@@ -159,9 +182,11 @@ class Territory:
             base = self.robots[robot].base
             cos, sin = math.cos(base.yaw), math.sin(base.yaw)
             ahead = cos * (x - base.x) + sin * (y - base.y)
+            left = cos * (y - base.y) - sin * (x - base.x)
             r = self.distance(robot, x, y)
-            facing = ahead >= r * math.cos(_FACING_RAD)
-            near = r < _HIDDEN_REACH * self.reach(robot).travel_m
-            facing &= ~near | (ahead >= r * math.cos(_HIDDEN_RAD))
-            seen |= on_map & facing & view.sees(x, y)
+            from_rad, to_rad = (r * math.cos(bearing) for bearing in _HIDDEN_RAD)
+            hidden = (left > 0.0) & (ahead <= from_rad) & (ahead >= to_rad)
+            hidden &= r < _HIDDEN_REACH * self.reach(robot).travel_m
+            around = ahead >= r * math.cos(_FACING_RAD)
+            seen |= on_map & around & ~hidden & view.sees(x, y)
         return seen
