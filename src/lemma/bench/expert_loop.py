@@ -3,8 +3,8 @@
 The loop is planning, grounding, skills, RMPflow and physics, from the first state of an
 episode to its end. Beside it ``mj_step`` and nothing else goes from the same state with
 the commands that the loop sent, and ends in the same state to the bit, so that both did
-the same work. They take turns after every sub-task, so that their ratio says the same
-on a busy machine as on an idle one.
+the same work. They take turns after every sub-task and are timed by what their thread
+computes, so that their ratio says the same on a busy machine as on an idle one.
 """
 
 import time
@@ -31,7 +31,7 @@ class ExpertLoopFigures:
     """
 
     expert_realtime: float
-    """Simulated seconds per second of the expert's loop."""
+    """Simulated seconds of the expert's loop per second of its thread."""
     bare_realtime: float
     """The same of ``mj_step`` with the same motor commands."""
     ratio: float
@@ -97,7 +97,7 @@ def record_loop(instance: Instance) -> RecordedLoop:
             pass
     finally:
         mujoco.set_mjcb_control(None)
-    return RecordedLoop(start, np.array(commands), scene.snapshot(), episode.elapsed_s)
+    return RecordedLoop(start, np.array(commands), scene.snapshot(), scene.time_s)
 
 
 def time_loop(instance: Instance, recorded: RecordedLoop) -> list[tuple[float, float]]:
@@ -119,16 +119,16 @@ def time_loop(instance: Instance, recorded: RecordedLoop) -> list[tuple[float, f
     control: FloatArray = data.ctrl
     going = True
     while going:
-        start = time.perf_counter()
-        # The last turn finds that nothing is left to do.
+        start = time.thread_time()
+        # The last turn finds that nothing is left to do, and stands still.
         going = next(steps, None) is not None
-        middle = time.perf_counter()
-        until = round(episode.elapsed_s / TIME_STEP_S)
-        again = time.perf_counter()
+        middle = time.thread_time()
+        until = round(scene.time_s / TIME_STEP_S)
+        again = time.thread_time()
         for row in recorded.commands[done:until]:
             control[:] = row
             mujoco.mj_step(model, data)
-        times.append((middle - start, time.perf_counter() - again))
+        times.append((middle - start, time.thread_time() - again))
         done = until
     for ended in (scene, bare):
         if not np.array_equal(ended.snapshot(), recorded.end):

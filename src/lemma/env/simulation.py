@@ -124,18 +124,24 @@ class Simulation:
             PhysicsError: The state has become infinite, or no number at all.
         """
         model, data = self.scene.model, self.scene.data
-        control, commands = self._control, self._commands
         start = data.time
-        # What skills tell the servos does not depend on the physics within a tick.
-        commands[:] = control
-        for name in active:
-            self.arms[name].lead(commands)
-        for row in commands:
-            if active:
+        if active:
+            # What RMPflow wants does not depend on the physics within a tick.
+            control, commands = self._control, self._commands
+            commands[:] = control
+            for name in active:
+                self.arms[name].lead(commands)
+            for row in commands:
                 control[:] = row
-            if drive is not None:
+                if drive is not None:
+                    drive()
+                mujoco.mj_step(model, data)
+        elif drive is not None:
+            for _ in range(STEPS_PER_TICK):
                 drive()
-            mujoco.mj_step(model, data)
+                mujoco.mj_step(model, data)
+        else:
+            mujoco.mj_step(model, data, STEPS_PER_TICK)
         # What diverges is put back to the beginning by MuJoCo: its time too.
         if not data.time > start:
             raise PhysicsError(
@@ -174,15 +180,16 @@ class Simulation:
         return SkillResult(Outcome.DROPPED, told, result.duration_s)
 
     def _drive(self, skill: Skill, robot: str, until_s: float) -> SkillResult:
-        start = self.time_s
+        data = self.scene.data
+        start, end = data.time, until_s - 0.5 * TIME_STEP_S
         active = (robot,)
         while True:
             try:
                 next(skill)
-            except StopIteration as end:
-                result: SkillResult = end.value
+            except StopIteration as done:
+                result: SkillResult = done.value
                 return result
-            if self.time_s >= until_s - 0.5 * TIME_STEP_S:
+            if data.time >= end:
                 skill.close()
                 return SkillResult(
                     Outcome.OUT_OF_TIME,

@@ -152,22 +152,27 @@ def choose_posture(  # noqa: PLR0913 - all that the choice depends on
 
 
 @kernel
-def _lead_servos(
+def _lead_servos(  # noqa: PLR0913 - one call is what makes it fast
     record: np.ndarray,
     spheres: FloatArray,
     state: FloatArray,
     obstacles: FloatArray,
     lag_s: float,
+    opening_m: float,
+    servos: int,
+    gripper: int,
     out: FloatArray,
 ) -> None:
-    """Advance a reference by as many physics steps as ``out``, (n, 6), has rows.
+    """Advance a reference by as many physics steps as ``out``, (n, nu), has rows.
 
-    Each row is written: the reference after that step, led by the servos' lag.
+    Six columns from ``servos`` on are written, the reference after that step led by the
+    servos' lag, and that of the gripper.
     """
     for step in range(out.shape[0]):
         integrate(record, spheres, state, obstacles, SUBSTEP_S, SUBSTEPS)
         for i in range(6):
-            out[step, i] = state[0, i] + lag_s * state[1, i]
+            out[step, servos + i] = state[0, i] + lag_s * state[1, i]
+        out[step, gripper] = opening_m
 
 
 @kernel
@@ -183,6 +188,14 @@ def _set_goal(
     goal.posture[:] = posture
     goal.target_weight = weight
     goal.posture_weight = 1.0 if weight > 0.0 else _POSTURE_ALONE
+
+
+@kernel
+def _aim_down(
+    record: np.ndarray, x: float, y: float, z: float, yaw: float, posture: FloatArray
+) -> None:
+    """Write a gripper that points down, see :func:`top_down`, and a posture as goal."""
+    _set_goal(record, top_down(x, y, z, yaw), posture, 1.0)
 
 
 @kernel
@@ -243,6 +256,7 @@ class ArmMotion:
         self._dh = robot.arm.dh
         self._base = robot.world_from_base
         self._lag_s = robot.arm.lag_s
+        self._servos, self._gripper = robot.ctrl.start, robot.gripper_ctrl
         self.measured: FloatArray = scene.data.qpos[robot.qpos]
         """Joint angles in the physics, (6,) [rad]: a view."""
         envelope = envelope_of(robot.arm.name)
@@ -310,6 +324,14 @@ class ArmMotion:
             posture = self.state[0]
         _set_goal(self.workspace.record, pose, posture, 1.0)
 
+    def aim_down(
+        self, x: float, y: float, z: float, yaw: float, posture: FloatArray | None
+    ) -> None:
+        """Aim at a gripper that points straight down at x, y, z [m], yaw [rad]."""
+        if posture is None:
+            posture = self.state[0]
+        _aim_down(self.workspace.record, x, y, z, yaw, posture)
+
     def follow_posture(self, posture: FloatArray) -> None:
         """Go to joint angles, (6,) [rad]."""
         _set_goal(self.workspace.record, _NOWHERE, posture, 0.0)
@@ -321,12 +343,18 @@ class ArmMotion:
             commands: What all servos of the scene are told before each step, (n, nu);
                 this arm's are written.
         """
-        space, robot = self.workspace, self.robot
+        space = self.workspace
         _lead_servos(
-            *(space.record, space.spheres, self.state, self.obstacles, self._lag_s),
-            commands[:, robot.ctrl],
+            space.record,
+            space.spheres,
+            self.state,
+            self.obstacles,
+            self._lag_s,
+            self.opening_m,
+            self._servos,
+            self._gripper,
+            commands,
         )
-        commands[:, robot.gripper_ctrl] = self.opening_m
 
     def tcp_pose(self) -> FloatArray:
         """Return the measured world from gripper at the tool centre point, (4, 4)."""

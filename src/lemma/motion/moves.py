@@ -175,8 +175,9 @@ class Moves:
         posture = self.arm.solve_posture(top_down(*end))
         for i in range(1, ticks + 1):
             t = i / ticks
-            pose = top_down(x + t * dx, y + t * dy, z + t * dz, yaw + t * turn)
-            self.arm.aim(pose, posture)
+            self.arm.aim_down(
+                x + t * dx, y + t * dy, z + t * dz, yaw + t * turn, posture
+            )
             self.check_tracking()
             yield
 

@@ -23,7 +23,7 @@ def add_collision_leaves(
     spheres: FloatArray,
     qd: FloatArray,
     obstacles: FloatArray,
-    balls: FloatArray,
+    memory: tuple[FloatArray, FloatArray],
 ) -> None:
     """Add to the root what every sphere wants that is near something.
 
@@ -33,19 +33,17 @@ def add_collision_leaves(
         spheres: Centre, radius, link, whether it meets the table: (n, 6) [m].
         qd: Joint velocities, (6,) [rad/s].
         obstacles: Capsules and the range in which they are felt, (m, 8) [m].
-        balls: What :func:`enclosing_balls` returned for them, (m, 4) [m].
+        memory: What :func:`collision_memory` returned for spheres and obstacles.
     """
+    centres, balls = memory
+    near = _find_near(root, spheres, centres, balls)
     column = root.column
     for i in range(3):
         column[i], column[3 + i] = root.frames[0, i, 3], root.frames[1, i, 3]
     column[6] = root.base_radius_m
     for s in range(spheres.shape[0]):
-        sx, sy, sz, radius = spheres[s, 0], spheres[s, 1], spheres[s, 2], spheres[s, 3]
-        link = int(spheres[s, 4])
-        f = root.frames[link]
-        x = f[0, 0] * sx + f[0, 1] * sy + f[0, 2] * sz + f[0, 3]
-        y = f[1, 0] * sx + f[1, 1] * sy + f[1, 2] * sz + f[1, 3]
-        z = f[2, 0] * sx + f[2, 1] * sy + f[2, 2] * sz + f[2, 3]
+        radius, link = spheres[s, 3], int(spheres[s, 4])
+        x, y, z = centres[s, 0], centres[s, 1], centres[s, 2]
         centre = (x, y, z)
         if spheres[s, 5] > 0.0 and z - radius < TABLE_RANGE_M:
             up = (0.0, 0.0, 1.0)
@@ -54,7 +52,8 @@ def add_collision_leaves(
             gap, away = capsule_distance(column, centre)
             if gap - radius < OWN_BASE_RANGE_M:
                 _add_one(root, qd, link, centre, away, gap - radius, OWN_BASE_RANGE_M)
-        for o in range(obstacles.shape[0]):
+        for k in range(near):
+            o = int(balls[k, 4])
             dx, dy, dz = x - balls[o, 0], y - balls[o, 1], z - balls[o, 2]
             least = balls[o, 3] + radius
             if dx * dx + dy * dy + dz * dz > least * least:
@@ -65,16 +64,55 @@ def add_collision_leaves(
 
 
 @kernel
-def enclosing_balls(obstacles: FloatArray) -> FloatArray:
-    """Return balls outside of which obstacles are not felt: middle, radius, (m, 4)."""
-    balls = np.empty((obstacles.shape[0], 4))
+def collision_memory(
+    spheres: FloatArray, obstacles: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return memory for :func:`add_collision_leaves`.
+
+    Returns:
+        For centres of spheres in the world, (n, 3), and balls outside of which
+        obstacles are not felt: middle, radius [m], and room for the number of an
+        obstacle that is near, (m, 5).
+    """
+    balls = np.empty((obstacles.shape[0], 5))
     for o in range(obstacles.shape[0]):
         capsule, length = obstacles[o], 0.0
         for i in range(3):
             balls[o, i] = 0.5 * (capsule[i] + capsule[3 + i])
             length += (capsule[i] - capsule[3 + i]) ** 2
         balls[o, 3] = 0.5 * math.sqrt(length) + capsule[6] + capsule[7] + _ROUNDING_M
-    return balls
+    return np.empty((spheres.shape[0], 3)), balls
+
+
+@kernel
+def _find_near(
+    root: np.record, spheres: FloatArray, centres: FloatArray, balls: FloatArray
+) -> int:
+    """Place the spheres; note the obstacles that are near the box around all of them.
+
+    Returns:
+        How many there are; their numbers are written to the last column of ``balls``.
+    """
+    low, high = root.low, root.high
+    low[:], high[:] = math.inf, -math.inf
+    for s in range(spheres.shape[0]):
+        f, radius = root.frames[int(spheres[s, 4])], spheres[s, 3]
+        sx, sy, sz = spheres[s, 0], spheres[s, 1], spheres[s, 2]
+        for i in range(3):
+            value = f[i, 0] * sx + f[i, 1] * sy + f[i, 2] * sz + f[i, 3]
+            centres[s, i] = value
+            low[i] = min(low[i], value - radius)
+            high[i] = max(high[i], value + radius)
+    near = 0
+    for o in range(balls.shape[0]):
+        apart = False
+        for i in range(3):
+            reach = balls[o, 3]
+            apart |= balls[o, i] < low[i] - reach or balls[o, i] > high[i] + reach
+        if not apart:
+            balls[near, 4] = o
+            near += 1
+    return near
 
 
 @kernel

@@ -15,7 +15,7 @@ import numpy as np
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow import leaves
-from lemma.motion.rmpflow.collision import add_collision_leaves, enclosing_balls
+from lemma.motion.rmpflow.collision import add_collision_leaves, collision_memory
 from lemma.motion.rmpflow.leaves import Leaves
 from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget, Workspace
 from lemma.robots.ur.kinematics import frames, point_jacobian
@@ -65,9 +65,9 @@ def integrate(
     :func:`accelerate`.
     """
     root = record[0]
-    acceleration, balls = root.acceleration, enclosing_balls(obstacles)
+    acceleration, memory = root.acceleration, collision_memory(spheres, obstacles)
     for _ in range(substeps):
-        _accelerate(root, spheres, state, obstacles, balls, acceleration)
+        _accelerate(root, spheres, state, obstacles, memory, acceleration)
         for i in range(6):
             rate = state[1, i] + acceleration[i] * step_s
             end = root.upper[i] if rate > 0 else root.lower[i]
@@ -91,8 +91,8 @@ def _accelerate_array(
     obstacles: FloatArray,
     out: FloatArray,
 ) -> None:
-    balls = enclosing_balls(obstacles)
-    _accelerate(record[0], spheres, state, obstacles, balls, out)
+    memory = collision_memory(spheres, obstacles)
+    _accelerate(record[0], spheres, state, obstacles, memory, out)
 
 
 @kernel
@@ -101,7 +101,7 @@ def _accelerate(
     spheres: FloatArray,
     state: FloatArray,
     obstacles: FloatArray,
-    balls: FloatArray,
+    memory: tuple[FloatArray, FloatArray],
     out: FloatArray,
 ) -> None:
     q, qd = state[0], state[1]
@@ -113,7 +113,7 @@ def _accelerate(
         _add_axis_leaf(root, distance)
     _add_posture_and_damping(root, q, qd)
     _add_joint_limits(root, q, qd)
-    add_collision_leaves(root, spheres, qd, obstacles, balls)
+    add_collision_leaves(root, spheres, qd, obstacles, memory)
     solve(root.metric, root.force, out)
     norm = 0.0
     for i in range(6):

@@ -77,6 +77,8 @@ _RECORD = np.dtype(
         ("jacobian", np.float64, (3, 6)),
         ("row", np.float64, 6),
         ("column", np.float64, 7),
+        ("low", np.float64, 3),
+        ("high", np.float64, 3),
         ("point", np.float64, 3),
         ("error", np.float64, 3),
         ("velocity", np.float64, 3),
