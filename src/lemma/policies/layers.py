@@ -109,7 +109,8 @@ class TransformerLayer(nn.Module):
         Args:
             tokens: (B, L, width).
             attends: Which tokens (columns) each token (row) looks at, (B, L, L) or
-                (B, 1, L) bool; at least one in each row.
+                (B, 1, L) bool, at least one in each row; or what is added to their
+                weights, (B, heads, L, L).
         """
         tokens = tokens + self.dropout(
             self._attention(self.attention_norm(tokens), attends)
@@ -123,7 +124,10 @@ class TransformerLayer(nn.Module):
         parts = self.query_key_value(x).view(count, length, 3, self.heads, -1)
         query, key, value = parts.permute(2, 0, 3, 1, 4)
         mixed = F.scaled_dot_product_attention(
-            query, key, value, attn_mask=attends.unsqueeze(1)
+            query,
+            key,
+            value,
+            attn_mask=attends if attends.dim() == 4 else attends.unsqueeze(1),
         )
         joined = mixed.transpose(1, 2).reshape(count, length, width)
         out: Tensor = self.attention_out(joined)

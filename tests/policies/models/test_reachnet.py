@@ -12,11 +12,11 @@ from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import STOP
 from lemma.policies.interfaces import Grounder, PastStep, Planner, Policy
 from lemma.policies.model import MODELS
+from lemma.policies.models.reachnet.goal_reader import ReaderConfig
 from lemma.policies.models.reachnet.model import ReachNet, ReachNetConfig
 from lemma.policies.models.reachnet.perception import PerceptionConfig
 from lemma.policies.models.reachnet.planner import PlannerConfig
 from lemma.policies.models.reachnet.scene_table import Noise, true_table
-from lemma.policies.text.encoder import TextConfig
 from lemma.tasks.subtask import Primitive, SubTask
 
 Reach = Literal["simulator", "demonstrations", "none"]
@@ -29,7 +29,7 @@ def tiny(reach: Reach = "simulator") -> ReachNet:
         ReachNetConfig(
             reach=reach,
             eye=PerceptionConfig(widths=(32, 32), blocks=1, ring_width=16),
-            text=TextConfig(width=16, layers=1, heads=2),
+            reader=ReaderConfig(width=16, layers=1, heads=2),
             planner=PlannerConfig(width=32, layers=1, heads=2),
             noise=QUIET,
             draws=1,

@@ -270,9 +270,6 @@ _add_ablation(
     " ".join(arguments for _, arguments in _AUGMENTATIONS.values()),
 )
 _add_ablation("no-recovery", "no recovery states", recovery=False)
-_add_ablation(
-    "no-recoloring", "no other colors in sentences", "--options recolor=false"
-)
 _add_ablation("no-reach", "no reach", "--options reach=none")
 _add_ablation("no-language", "control: no language", "--language none", language="none")
 _add_ablation("shuffled-language", "control: shuffled language", "--language shuffled")

@@ -1,19 +1,22 @@
-"""More ways to say what the training templates say, in their own words.
+"""More ways to say what the training templates say.
 
 Eighty-odd templates are few: a network learns them by heart, and takes the first
 words of a new sentence for those of an old one. Here their parts are mixed anew:
 another template's way to name a cube, two short sentences for a goal of two towers,
-clauses that say nothing of the goal left out or added. Held-out ones are not used.
+clauses that say nothing of the goal left out or added. Other sentences are made by
+rules, see :mod:`lemma.policies.text.grammar`. None is a held-out template.
 """
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
+from itertools import accumulate
 
 import numpy as np
 
-from lemma.policies.text.word_vectors import neighbours
+from lemma.policies.text.grammar import Grammar, grammar, speaks_of
+from lemma.policies.text.word_vectors import neighbours, word_vectors
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import entity_named, kind_of
 from lemma.scene.objects.pad import PAD
@@ -39,6 +42,7 @@ _WHERE = (
 )
 _RELATION = re.compile(rf"\b{_WHERE}(?= (?:the )?$)")
 _FRONT = re.compile(rf"(?:^|, |\. |\band ){_WHERE}(?= (?:the )?$)", re.IGNORECASE)
+_PIECE = re.compile(r"[a-z]+(?:['-][a-z]+)*|\d|[^\sa-z\d]+")
 _JOINTS = (" and ", ", and ", ". ", ", ", ", then ", ". then ", ", and then ")
 _SHORT = 16
 """Words of the longest sentence that is joined with another."""
@@ -48,6 +52,8 @@ _SHORT = 16
 class ParaphraseConfig:
     """How far sentences are taken apart; all are chances."""
 
+    ruled: float = 0.65
+    """Of a sentence that no template has a part in, but the rules of a grammar."""
     native: float = 0.3
     """Of a sentence of the task, as it stands, but for single words."""
     turned: float = 0.3
@@ -64,6 +70,12 @@ class ParaphraseConfig:
     """Of another English word of similar meaning, for each word but colors."""
     left_out: float = 0.03
     """Of leaving out a word, for each but colors."""
+    strange: float = 0.02
+    """Of any English word in its place, for each but colors."""
+    mistyped: float = 0.01
+    """Of a typing error, for each but colors."""
+    unmarked: float = 0.2
+    """Of a sentence without punctuation."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +99,7 @@ def paraphrase(
     rng: np.random.Generator,
     config: ParaphraseConfig | None = None,
     taught: Sequence[Template] = (),
+    rules: Grammar | None = None,
 ) -> str:
     """Return a sentence that asks for a goal, put together from training templates.
 
@@ -96,9 +109,14 @@ def paraphrase(
         rng: Where all draws come from.
         config: How far sentences are taken apart.
         taught: The only templates to use; all that training may see if empty.
+        rules: Of the sentences that no template has a part in; those that come with
+            the package if None.
     """
     config = config or ParaphraseConfig()
     used = tuple(taught) or None
+    if not used and rng.random() < config.ruled and speaks_of(goal_pairs):
+        text = _ruled(goal_pairs, rng, rules or grammar())
+        return _noisy(text, rng, replace(config, swapped=0.4 * config.swapped))
     if rng.random() < config.native or len(goal_pairs) > 2:
         own = _own(task, used)
         text = own[int(rng.integers(len(own)))].render(goal_pairs)
@@ -110,6 +128,28 @@ def paraphrase(
         fitting = _sentences(len(goal_pairs), used)
         text = _say(_drawn(fitting, rng), goal_pairs, rng, config)
     return _noisy(_with_clauses(text, rng, config, _fillers(used)), rng, config)
+
+
+def _ruled(goal_pairs: GoalPairs, rng: np.random.Generator, rules: Grammar) -> str:
+    """Return a sentence by the rules that no held-out template says."""
+    while True:
+        text = rules.say(goal_pairs, rng)
+        if _wording(text) not in _held_out():
+            return text
+
+
+def _wording(text: str) -> tuple[str, ...]:
+    return tuple("*" if word in OBJECT_COLORS else word for word in words(text))
+
+
+@cache
+def _held_out() -> frozenset[tuple[str, ...]]:
+    banks = [bank_for(task) for task in SUITE]
+    return frozenset(
+        tuple(re.sub(r"[^a-z*' -]", " ", t.wording()).split())
+        for bank in banks
+        for t in bank.unseen
+    )
 
 
 def _drawn(sentences: tuple[_Sentence, ...], rng: np.random.Generator) -> _Sentence:
@@ -209,17 +249,29 @@ def _with_clauses(
 
 
 def _noisy(text: str, rng: np.random.Generator, config: ParaphraseConfig) -> str:
+    """Return a text in lower case with words left out, exchanged or mistyped."""
+    pieces = _PIECE.findall(text.lower())
+    draws = rng.random((len(pieces) + 1, 2)).tolist()
+    marked = draws.pop()[0] >= config.unmarked
+    english = word_vectors().words
+    upto = list(
+        accumulate((config.left_out, config.swapped, config.strange, config.mistyped))
+    )
     out = []
-    for word in words(text):
-        if word in OBJECT_COLORS:
-            out.append(word)
-            continue
-        draw = rng.random()
-        if draw < config.left_out:
-            continue
-        others = neighbours(word) if draw < config.left_out + config.swapped else ()
-        out.append(others[int(rng.integers(len(others)))] if others else word)
-    return " ".join(out)
+    for piece, (draw, which) in zip(pieces, draws, strict=True):
+        if not piece[0].isalpha():
+            out.append(piece if marked else "")
+        elif piece in OBJECT_COLORS or draw >= upto[3]:
+            out.append(piece)
+        elif draw >= upto[2]:
+            at = int(which * len(piece))
+            out.append(piece[:at] + piece[at : at + 2][::-1] + piece[at + 2 :])
+        elif draw >= upto[1]:
+            out.append(english[int(which * len(english))])
+        elif draw >= upto[0]:
+            others = neighbours(piece)
+            out.append(others[int(which * len(others))] if others else piece)
+    return " ".join(filter(None, out))
 
 
 def _clauses(text: str) -> list[str]:

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from functools import lru_cache
 
+from lemma.policies.text.grammar import grammar
 from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.tasks.language.bank import vocabulary, words
 
@@ -27,7 +28,7 @@ class Vocabulary:
             english: Other words that are not taken for typing errors: ``"rod"`` is
                 not ``"red"``.
         """
-        self.words = vocabulary()
+        self.words = tuple(sorted({*vocabulary(), *grammar().words}))
         self.numbers = {word: i for i, word in enumerate(self.words, UNKNOWN + 1)}
         self.colors = tuple(self.numbers[color] for color in BENCHMARK_COLORS)
         self._english = frozenset(english)

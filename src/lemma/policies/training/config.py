@@ -33,9 +33,9 @@ class Augmentation:
     """Exchange the five colors of cubes and pads, in images, labels and sentences."""
     templates: bool = True
     """Draw a sentence anew each time; else an episode keeps its first one."""
-    paraphrases: float = 0.5
-    """Share of sentences that are put together anew from parts of the templates; 0 for
-    none."""
+    paraphrases: float = 0.7
+    """Share of sentences that no template has as they stand: made by rules, or put
+    together from parts of templates; 0 for none."""
     translate_cells: int = 6
     """Move the whole scene by up to so many cells of the map; 0 for never."""
     turn: bool = True
@@ -280,7 +280,7 @@ def model_options(words: tuple[str, ...]) -> dict[str, Any]:
     Whether the model has such options is seen where they are decoded.
 
     Args:
-        words: ``("width=128", "text.layers=2")``.
+        words: ``("width=128", "reader.layers=2")``.
 
     Raises:
         InvalidConfigError: A word has no value, or is part of what has one.
@@ -295,7 +295,7 @@ def model_options(words: tuple[str, ...]) -> dict[str, Any]:
         if not (equals and isinstance(place, dict)):
             raise InvalidConfigError(
                 f"{word!r} has no value, or is part of what has one. Write options as "
-                "NAME=VALUE, or PART.NAME=VALUE, such as text.layers=2."
+                "NAME=VALUE, or PART.NAME=VALUE, such as reader.layers=2."
             )
         try:
             place[last] = json.loads(text)

@@ -27,8 +27,8 @@ def with_instructions(
         seed: Seeds all draws.
         draw: A new one gives new sentences.
         kinds: Kinds to draw from, each as likely.
-        paraphrases: Share of episodes whose sentence is put together anew from parts
-            of those templates.
+        paraphrases: Share of episodes whose sentence is made by rules, or put together
+            anew from parts of those templates.
     """
     assert batch.labels is not None
     drawn: dict[int, str] = {}

@@ -1,88 +1,274 @@
-"""ReachNet's reader: from a sentence to the (top, bottom) pairs that it asks for."""
+"""ReachNet's reader: from a sentence to the (top, bottom) pairs that it asks for.
 
-import re
+It looks at the places where a color is named, or what comes in one color only. For
+every two of them it says how likely the one shall lie on the other, and for each of
+which kind it is. A goal is worth what its pairs are worth, and all goals that there are
+compete. So which color, and which place in the sentence, is nothing that it could learn
+by heart.
+"""
+
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import dataclass
+from itertools import combinations
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.core.config import Count, Depth, Share, Width
 from lemma.policies.batch import NOBODY
 from lemma.policies.entities import BENCHMARK, EntitySet
+from lemma.policies.layers import TransformerLayer
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS
-from lemma.policies.text.encoder import TextConfig, TextEncoder
+from lemma.policies.models.reachnet.sentences import (
+    NO_NAME,
+    SentenceReader,
+    Sentences,
+    groups_of,
+)
+from lemma.policies.text.vocabulary import PADDING, UNKNOWN
+from lemma.policies.text.word_vectors import word_vectors
 from lemma.tasks.language.template import GoalPairs
+
+_MENTIONS = 12
+"""Names in a sentence that are looked at."""
+_NEVER = -30.0
+_ABSENT = -6.0
+"""What a goal loses, in log-probability, for each thing that is not seen."""
+_FAR = 24
+"""Words further apart than this are all the same."""
+_NEAR = 5
+"""Words that are read together before all others."""
+_SCALE = 10.0
+"""How much faster weights of places are learned than others."""
+
+
+@dataclass(frozen=True)
+class ReaderConfig:
+    """Options of a :class:`GoalReader`."""
+
+    width: Width = 128
+    """Of a token."""
+    layers: Depth = 3
+    """Transformer layers over the words."""
+    heads: Depth = 4
+    """Of the attention."""
+    max_words: Count = 80
+    """Words and marks behind these are not read."""
+    dropout: Share = 0.1
+    """Share of values that are left out in training."""
+    word_dropout: Share = 0.08
+    """Share of words that are unknown in training."""
+    embedding_dropout: Share = 0.4
+    """Share of words of which training is shown the pretrained vector alone."""
 
 
 class GoalReader(nn.Module):
-    """Reads a goal: one query per role looks for its entity among the words."""
+    """Reads goals."""
 
-    def __init__(self, text: TextConfig, entities: EntitySet = BENCHMARK) -> None:
+    vectors: Tensor
+    goals: Tensor
+    numbers: Tensor
+    group: Tensor
+    kinds: Tensor
+
+    def __init__(
+        self, config: ReaderConfig | None = None, entities: EntitySet = BENCHMARK
+    ) -> None:
         """Make the weights.
 
         Args:
-            text: Of the encoder.
+            config: Options; the defaults if None.
             entities: What has a number; goals may name all but the stick.
         """
         super().__init__()
+        self.config = config = config or ReaderConfig()
+        width = config.width
         self.cargo, self.targets = entities.cargo, entities.stick
-        self.text = TextEncoder(text)
-        width = text.width
-        self.roles = nn.Parameter(0.5 * torch.randn(2 * CONJUNCTS, width))
-        self.key = nn.Linear(width, width)
-        self.value = nn.Linear(width, width)
-        self.out = nn.Sequential(
-            nn.LayerNorm(width), nn.Linear(width, width), nn.GELU()
+        self.sentences = SentenceReader(config.max_words, entities)
+        self.embedding = nn.Embedding(len(self.sentences), width, PADDING)
+        nn.init.normal_(self.embedding.weight, std=0.5)
+        vectors = torch.from_numpy(word_vectors().vectors).float()
+        self.register_buffer("vectors", vectors, persistent=False)
+        self.meaning = nn.Linear(vectors.shape[1], width, bias=False)
+        nn.init.normal_(self.meaning.weight, std=0.5)
+        self.near = nn.Conv1d(width, width, _NEAR, padding="same")
+        self.apart = nn.Parameter(_slopes(config.heads) / _SCALE)
+        self.alike = nn.Parameter(torch.ones(config.heads) / _SCALE)
+        self.layers = nn.ModuleList(
+            TransformerLayer(width, config.heads, 2 * width, config.dropout)
+            for _ in range(config.layers)
         )
-        self.entity = nn.Linear(width, self.targets + 1)
+        self.norm = nn.LayerNorm(width)
+        self.top, self.bottom = (nn.Linear(width, width) for _ in range(2))
+        names = [kind.name for kind in entities.kinds[: self.targets]]
+        distinct = list(dict.fromkeys(names))
+        self.kind = nn.Linear(width, len(distinct))
+        self.count = nn.Linear(width, CONJUNCTS)
+        goals, numbers = _goals(self.cargo, self.targets)
+        group = torch.tensor(groups_of(entities)[0])
+        kinds = torch.tensor([distinct.index(name) for name in names])
+        self.register_buffer("goals", goals, persistent=False)
+        self.register_buffer("numbers", numbers, persistent=False)
+        self.register_buffer("group", group, persistent=False)
+        self.register_buffer("kinds", kinds, persistent=False)
 
     def forward(self, texts: Sequence[str]) -> Tensor:
-        """Return log-probabilities of each role's entity, or of none behind them.
-
-        Returns:
-            (B, conjuncts, 2, targets + 1): top and bottom of each conjunct.
-        """
-        tokens, mask = self.text.encode(texts)
-        keys, values = self.key(tokens), self.value(tokens)
-        looks = torch.einsum("rd,bld->brl", self.roles, keys) / keys.shape[-1] ** 0.5
-        looks = looks.masked_fill(~mask.unsqueeze(1), -torch.inf).softmax(-1)
-        found = self.out(looks @ values + self.roles)
-        logits: Tensor = self.entity(found).float()
-        return logits.log_softmax(-1).view(len(tokens), CONJUNCTS, 2, self.targets + 1)
+        """Return the log-probability of every goal, (B, goals)."""
+        told = self.sentences.read(texts, self.alike.device)
+        return self._scores(told)[0].log_softmax(-1)
 
     def loss(self, texts: Sequence[str], goals: Tensor) -> Tensor:
-        """Return how badly goals are read; a mean over roles.
+        """Return how unlikely the goals are held; a mean over sentences.
 
         Args:
             texts: Sentences.
-            goals: What they ask for, (B, conjuncts, 2); -1 for none.
+            goals: What they ask for, (B, conjuncts, 2), in any order; -1 for none.
         """
-        logs = self(texts).flatten(0, 2)
-        target = torch.where(goals == NOBODY, self.targets, goals).flatten()
-        return F.nll_loss(logs, target)
+        return F.nll_loss(self(texts), self._number(goals))
 
     @torch.no_grad()
-    def read(self, texts: Sequence[str]) -> Tensor:
+    def read(self, texts: Sequence[str], present: Tensor | None = None) -> Tensor:
         """Return the likeliest goals, (B, conjuncts, 2); -1 for none.
 
-        A top can be moved, and nothing lies on itself.
+        Of two pairs the one that is named first comes first.
+
+        Args:
+            texts: Sentences.
+            present: Which entities are seen, (B, entities) bool. Goals that need
+                others are less likely: who says "on the red one" means one that is
+                there.
         """
-        logs = self(texts)
-        joint = logs[:, :, 0, :, None] + logs[:, :, 1, None, :]
-        joint[..., self.cargo : self.targets, :] = -torch.inf
-        joint[..., : self.targets, self.targets] = joint[
-            ..., self.targets, : self.targets
-        ] = -torch.inf
-        same = torch.eye(self.targets + 1, dtype=torch.bool, device=logs.device)
-        same[self.targets, self.targets] = False
-        joint = joint.masked_fill(same, -torch.inf)
-        # Without a first pair there is no second one.
-        joint[:, 0, self.targets, self.targets] = -torch.inf
-        best = joint.flatten(2).argmax(-1)
-        width = self.targets + 1
-        pair = torch.stack([best // width, best % width], -1)
-        return torch.where(pair == self.targets, NOBODY, pair)
+        told = self.sentences.read(texts, self.alike.device)
+        scores, first = self._scores(told)
+        if present is not None:
+            missing = F.pad(~present[:, : self.targets], (0, 1)).float() * _ABSENT
+            scores = scores + missing[:, self.goals].sum((2, 3))
+        best = self.goals[scores.argmax(-1)]
+        # Behind everything else comes what is none.
+        places = F.pad(first, (0, 1), value=2 * self.config.max_words)
+        place = places.gather(1, best.flatten(1) % (self.targets + 1))
+        order = place.view_as(best).amin(-1).argsort(dim=1, stable=True)
+        found: Tensor = best.gather(1, order[:, :, None].expand_as(best))
+        return found
+
+    def _scores(self, told: Sentences) -> tuple[Tensor, Tensor]:
+        """Return each goal's score, and where each entity is first named, (B, T)."""
+        tokens, whole = self._encoded(told)
+        length = tokens.shape[1]
+        place = torch.arange(length, device=tokens.device)
+        at = torch.where(told.names != NO_NAME, place, length)
+        at = at.sort(1).values[:, :_MENTIONS]
+        index = at.clamp(max=length - 1)
+        said = tokens.gather(1, index[:, :, None].expand(-1, -1, tokens.shape[2]))
+        names = torch.where(at < length, told.names.gather(1, index), NO_NAME)
+        meant = names[:, :, None] == self.group
+        pairs = self._pairs(said, meant)
+        count = self.count(whole).float().log_softmax(-1)
+        # One place more, of no worth, is the second pair of goals that have one.
+        flat = F.pad(pairs.flatten(1), (0, 1))
+        one = self.goals[..., 0] == NOBODY
+        slots = self.goals[..., 0] * self.targets + self.goals[..., 1]
+        slots = torch.where(one, flat.shape[1] - 1, slots)
+        size = (~one).sum(-1) - 1
+        first = torch.where(meant, at[:, :, None], length).amin(1)
+        return flat[:, slots].sum(-1) + count[:, size], first
+
+    def _pairs(self, said: Tensor, meant: Tensor) -> Tensor:
+        """Return how likely each thing shall lie on each other, (B, C, T).
+
+        Args:
+            said: Tokens of what is named, (B, M, width).
+            meant: Which entities have such a name, (B, M, T) bool.
+        """
+        top, bottom = self.top(said).float(), self.bottom(said).float()
+        fit = top @ bottom.transpose(1, 2) / top.shape[-1] ** 0.5
+        # One mention is not both, but a cube may lie on a pad of its color.
+        same = torch.eye(said.shape[1], dtype=torch.bool, device=said.device)
+        fit = fit.masked_fill(same, _NEVER)
+        kind = self.kind(said).float().log_softmax(-1)[:, :, self.kinds]
+        kind = torch.where(meant, kind, _NEVER)
+        tops = kind[:, :, None, : self.cargo, None]
+        both = fit[..., None, None] + tops + kind[:, None, :, None]
+        found: Tensor = both.flatten(1, 2).logsumexp(1).clamp(min=2 * _NEVER)
+        return found
+
+    def _encoded(self, told: Sentences) -> tuple[Tensor, Tensor]:
+        """Return a token for each word, (B, L, width), and one for all of them."""
+        numbers, mask = told.numbers, told.mask
+        spared = (told.names != NO_NAME) | ~mask
+        dropped = self._drawn(spared, self.config.word_dropout)
+        vectors = self.meaning(self.vectors[told.rows])
+        tokens = vectors.masked_fill(dropped.unsqueeze(2), 0.0)
+        bare = self._drawn(spared, self.config.embedding_dropout) & (told.rows > 0)
+        learned = numbers.masked_fill(dropped | bare, UNKNOWN)
+        tokens = tokens + self.embedding(learned)
+        tokens = tokens.masked_fill(~mask.unsqueeze(2), 0.0)
+        tokens = tokens + F.gelu(self.near(tokens.transpose(1, 2)).transpose(1, 2))
+        bias = self._bias(told, mask)
+        for layer in self.layers:
+            tokens = layer(tokens, bias)
+        tokens = self.norm(tokens)
+        weights = mask.unsqueeze(2).to(tokens.dtype)
+        whole = (tokens * weights).sum(1) / weights.sum(1).clamp(min=1)
+        return tokens, whole
+
+    def _bias(self, told: Sentences, mask: Tensor) -> Tensor:
+        """Return what is added to the attention, (B, heads, L, L)."""
+        place = torch.arange(mask.shape[1], device=mask.device)
+        away = (place[None] - place[:, None]).clamp(-_FAR, _FAR) + _FAR
+        same = (told.names[:, :, None] == told.names[:, None]) & (
+            told.names != NO_NAME
+        )[:, :, None]
+        bias = _SCALE * (self.apart[away][None] + same[..., None] * self.alike)
+        seen = mask[:, None, :, None] | (place[None, :, None, None] == place[:, None])
+        return bias.masked_fill(~seen, _NEVER).permute(0, 3, 1, 2)
+
+    def _drawn(self, spared: Tensor, share: float) -> Tensor:
+        """Return which words are left out, like ``spared``: none but in training."""
+        if not (self.training and share):
+            return torch.zeros_like(spared)
+        return (torch.rand(spared.shape, device=spared.device) < share) & ~spared
+
+    def _number(self, goals: Tensor) -> Tensor:
+        """Return the numbers of goals, (B,)."""
+        top, bottom = goals.unbind(-1)
+        none = self.cargo * self.targets
+        slots = torch.where(top == NOBODY, none, top * self.targets + bottom)
+        found: Tensor = self.numbers[tuple(slots.sort(1).values.unbind(1))]
+        return found
+
+
+def _slopes(heads: int) -> Tensor:
+    """Return first weights of places, (2 * far + 1, heads): nearer ones weigh more.
+
+    Half of the heads begin with the words before, the others with those behind.
+    """
+    away = torch.arange(-_FAR, _FAR + 1.0)[:, None]
+    slope = 2.0 ** -torch.arange(1, heads + 1.0)
+    side = torch.tensor([1.0, -1.0]).repeat(heads)[:heads]
+    return -slope * away.abs() - (away * side < 0) * 2.0
+
+
+def _goals(cargo: int, targets: int) -> tuple[Tensor, Tensor]:
+    """Return all goals, (goals, 2, 2), and their numbers by the slots of their pairs.
+
+    A top can be moved, has one place, and does not lie on what lies on itself.
+    """
+    single = [(t, b) for t in range(cargo) for b in range(targets) if t != b]
+    nothing = (NOBODY, NOBODY)
+    found = [(pair, nothing) for pair in single]
+    found += [
+        (one, two)
+        for one, two in combinations(single, 2)
+        if one[0] != two[0] and one != two[::-1]
+    ]
+    none = cargo * targets
+    numbers = torch.zeros(none + 1, none + 1, dtype=torch.int64)
+    for number, pairs in enumerate(found):
+        slots = [none if t == NOBODY else t * targets + b for t, b in pairs]
+        numbers[tuple(sorted(slots))] = number
+    return torch.tensor(found), numbers
 
 
 def goal_numbers(
@@ -97,31 +283,3 @@ def goal_numbers(
             for side, name in enumerate(pair):
                 numbers[row, place, side] = entities.number(name)
     return numbers.to(device)
-
-
-def _renamed(new: dict[str, str], found: re.Match[str]) -> str:
-    return new[found[0].lower()]
-
-
-def recolored(
-    texts: Sequence[str], goals: Tensor, entities: EntitySet = BENCHMARK
-) -> tuple[list[str], Tensor]:
-    """Return sentences and goals with the colors exchanged, each in its own way.
-
-    Args:
-        texts: Sentences.
-        goals: (B, conjuncts, 2); -1 for none.
-        entities: What has a number.
-    """
-    names, alike = entities.colors, entities.colored_as
-    color = re.compile(r"\b(" + "|".join(names) + r")\b", re.IGNORECASE)
-    written, tables = [], []
-    for text in texts:
-        order = torch.randperm(len(names)).tolist()
-        new = {name: names[order[i]] for i, name in enumerate(names)}
-        written.append(color.sub(partial(_renamed, new), text))
-        numbers = zip(alike, entities.color_numbers, strict=True)
-        tables.append([*(row[order[old]] for row, old in numbers), NOBODY])
-    lookup = torch.tensor(tables).to(goals.device)
-    moved = lookup.gather(1, goals.flatten(1) % lookup.shape[1])
-    return written, moved.view_as(goals)

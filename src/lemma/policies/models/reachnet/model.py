@@ -32,8 +32,8 @@ from lemma.policies.model import MODELS, Model
 from lemma.policies.models.reachnet.decisions import failures_in, numbers_of, subtask_of
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
+    ReaderConfig,
     goal_numbers,
-    recolored,
 )
 from lemma.policies.models.reachnet.grounder import ReachNetGrounder, dragged
 from lemma.policies.models.reachnet.perception import (
@@ -58,7 +58,6 @@ from lemma.policies.models.reachnet.scene_table import (
     turned_numbers,
 )
 from lemma.policies.models.reachnet.scores import score_decisions, score_eye
-from lemma.policies.text.encoder import TextConfig
 from lemma.scene.raster import RASTER, Raster
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
@@ -83,9 +82,7 @@ class ReachNetConfig:
     """What it can name; all that is known when it is made, if empty."""
     eye: PerceptionConfig = field(default_factory=PerceptionConfig)
     """What sees."""
-    text: TextConfig = field(
-        default_factory=lambda: TextConfig(kind="words+vectors", width=128)
-    )
+    reader: ReaderConfig = field(default_factory=ReaderConfig)
     """What reads."""
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     """What decides."""
@@ -97,8 +94,6 @@ class ReachNetConfig:
     """Whether the planner also learns from what the eye sees."""
     failure_cost: float = 4.0
     """What a sub-task loses, in log-probability, each time it fails in a row."""
-    recolor: bool = True
-    """Whether the reader also learns from sentences with other colors."""
     cell_m: Size = RASTER.cell_m
     """Side of a cell of the map [m]."""
     floor_m: float = RASTER.floor_m
@@ -136,7 +131,7 @@ class ReachNet(Model):
         self.config = config = replace(config, entities=named.names)
         known = config.reach != "none"
         self.eye = Perception(config.eye, config.robots, named)
-        self.reader = GoalReader(config.text, named)
+        self.reader = GoalReader(config.reader, named)
         self.planner = ReachNetPlanner(config.planner, config.robots, known)
         self.grounding = ReachNetGrounder(known)
 
@@ -151,11 +146,7 @@ class ReachNet(Model):
         assert labels is not None
         marks, coarse = self.eye(batch)
         goal = goal_numbers(labels.goals, self.device, batch.entities)
-        texts, goals = batch.instructions, goal
-        if self.config.recolor:
-            more, other = recolored(texts, goals, batch.entities)
-            texts, goals = [*texts, *more], torch.cat([goals, other])
-        reading = self.reader.loss(texts, goals)
+        reading = self.reader.loss(batch.instructions, goal)
         with torch.autocast(self.device.type, enabled=False):
             bases = labels.bases[..., :2]
             rings = self.eye.reach(coarse, batch, bases)
@@ -254,13 +245,16 @@ class ReachNet(Model):
                 poses = self.grounding(table, decision)
                 told = self.grounding(table, labels.decision)
                 goal = goal_numbers(labels.goals, self.device, batch.entities)
-                read = (self.reader.read(batch.instructions) == goal).flatten(1).all(1)
+                read = self.reader.read(batch.instructions, table.present)
+                # Which of two pairs is said first is no matter.
+                orders = torch.stack([goal, goal.flip(1)])
+                right = (orders == read).flatten(2).all(2).any(0)
                 known = self._true_rings(labels)
             rings = table.rings if known is None else known
             truth = true_table(labels, rings, batch.raster, batch.entities)
             return {
                 **score_decisions(decision, poses, told, labels, batch.entities),
-                "reading": read.float(),
+                "reading": right.float(),
                 **score_eye(table, truth, batch.raster),
             }
 
@@ -329,9 +323,10 @@ class ReachNet(Model):
     ) -> tuple[SceneTable, Tensor]:
         """Return what is seen, and the likeliest sub-tasks, (B, 4)."""
         marks, coarse = self.eye(batch)
-        goal = self.reader.read(batch.instructions)
         with torch.autocast(self.device.type, enabled=False):
             table = self.eye.table(marks, coarse, batch)
+        goal = self.reader.read(batch.instructions, table.present)
+        with torch.autocast(self.device.type, enabled=False):
             scores = self.planner(table, goal, batch.past, self.grounding.drags)
         robots = self.config.robots
         for row, subtasks in enumerate(failed):

@@ -1,0 +1,207 @@
+"""Train ReachNet's reader of sentences alone, with no images, and measure it.
+
+    python scripts/measure_reading.py --steps 1500
+
+It learns from what training says: templates and paraphrases of random goals. Then it
+reads the sentences of ``tests/policies/sentences/voices.toml``, which nobody learns
+from, with and without knowing which things are on the table. ``--without step cleft``
+leaves rules of the grammar out, so that one sees what it makes of ways of speaking that
+it was never taught. ``--unseen`` also reads the held-out templates: not to choose
+options by.
+"""
+
+import argparse
+import time
+import tomllib
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lemma.core.seeding import stream
+from lemma.policies.models.reachnet.goal_reader import (
+    GoalReader,
+    ReaderConfig,
+    goal_numbers,
+)
+from lemma.policies.text.grammar import Grammar, grammar
+from lemma.policies.text.paraphrase import paraphrase
+from lemma.scene.objects.entity import ENTITIES
+from lemma.scene.palette import BENCHMARK_COLORS
+from lemma.tasks.language.bank import instruct, templates
+from lemma.tasks.language.template import GoalPairs, Template
+from lemma.tasks.suite import SUITE
+
+VOICES = Path(__file__).parents[1] / "tests" / "policies" / "sentences" / "voices.toml"
+FAMILIES = {
+    "pad": (("cube", "pad"),),
+    "cube": (("cube", "cube"),),
+    "pads": (("cube", "pad"),) * 2,
+    "cubes": (("cube", "cube"),) * 2,
+}
+_POOLED = 8
+"""Batches that share their sentences, so that those of one length come together."""
+Asked = tuple[str, Template]
+CPU = torch.device("cpu")
+
+
+def draw_goal(kinds: Sequence[tuple[str, str]], rng: np.random.Generator) -> GoalPairs:
+    """Draw a goal of some kinds of pairs; no entity occurs twice."""
+    left = {
+        kind: list(rng.permutation(list(BENCHMARK_COLORS))) for kind in ("cube", "pad")
+    }
+    return tuple(
+        (f"{left[top].pop()}_{top}", f"{left[bottom].pop()}_{bottom}")
+        for top, bottom in kinds
+    )
+
+
+def draw_scene(goal: GoalPairs, rng: np.random.Generator) -> Tensor:
+    """Return which entities lie on a table, (entities,) bool: up to 3 distractors."""
+    present = torch.zeros(len(ENTITIES), dtype=torch.bool)
+    present[[ENTITIES.index(name) for pair in goal for name in pair]] = True
+    colored = [i for i, name in enumerate(ENTITIES) if name != "stick"]
+    others = rng.permutation([i for i in colored if not present[i]])
+    present[others[: int(rng.integers(0, 4))].tolist()] = True
+    return present
+
+
+def kinds_of(task: str) -> tuple[tuple[str, str], ...]:
+    """Return the kinds of a task's goal."""
+    found = templates(task, "high_level")[0].entity_kinds
+    assert found is not None
+    return found
+
+
+def batches(
+    rules: Grammar, options: argparse.Namespace
+) -> Iterator[tuple[list[str], Tensor]]:
+    """Yield sentences and their goals."""
+    rng = stream("reading", options.seed)
+    for _ in range(-(-options.steps // _POOLED)):
+        pool = []
+        for _ in range(_POOLED * options.batch):
+            task = SUITE[int(rng.integers(len(SUITE)))]
+            goal = draw_goal(kinds_of(task), rng)
+            if rng.random() < options.paraphrases:
+                text = paraphrase(task, goal, rng, rules=rules)
+            else:
+                kind = ("high_level", "human")[int(rng.integers(2))]
+                text = instruct(task, kind, goal, rng)
+            pool.append((text, goal))
+        pool.sort(key=lambda said: len(said[0]))
+        for start in rng.permutation(_POOLED) * options.batch:
+            part = pool[start : start + options.batch]
+            texts = [text for text, _ in part]
+            yield texts, goal_numbers([goal for _, goal in part], CPU)
+
+
+def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
+    """Return a reader that has learned."""
+    torch.manual_seed(options.seed)
+    reader = GoalReader(ReaderConfig())
+    optimizer = torch.optim.AdamW(reader.parameters(), options.rate, weight_decay=0.02)
+    steps = -(-options.steps // _POOLED) * _POOLED
+    rates = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, options.rate, total_steps=steps, pct_start=0.1
+    )
+    start, mean = time.perf_counter(), 0.0
+    for step, (texts, goals) in enumerate(batches(rules, options), 1):
+        loss = reader.loss(texts, goals)
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(reader.parameters(), 1.0)
+        optimizer.step()
+        rates.step()
+        mean += (loss.item() - mean) * max(0.02, 1 / step)
+        if step % 200 == 0:
+            seconds = time.perf_counter() - start
+            print(f"{step:6} loss {mean:.3f} ({seconds:.0f} s)", flush=True)
+    return reader.eval()
+
+
+def measure(
+    reader: GoalReader, asked: list[Asked], draws: int, *, scenes: bool
+) -> dict[Asked, float]:
+    """Return how often all of a goal is read, by group and template."""
+    rng = stream("reading", "asked")
+    found = {}
+    for group, template in asked:
+        assert template.entity_kinds is not None
+        goals = [draw_goal(template.entity_kinds, rng) for _ in range(draws)]
+        present = torch.stack([draw_scene(goal, rng) for goal in goals])
+        texts = [template.render(goal) for goal in goals]
+        read = reader.read(texts, present if scenes else None)
+        want = goal_numbers(goals, CPU)
+        right = (torch.stack([want, want.flip(1)]) == read).flatten(2).all(2).any(0)
+        found[group, template] = float(right.float().mean())
+    return found
+
+
+def voices() -> list[Asked]:
+    """Return the sentences of the voices, each with its voice."""
+    return [
+        (f"{voice} {family}", Template.from_string(text, FAMILIES[family]))
+        for voice, told in tomllib.loads(VOICES.read_text(encoding="utf-8")).items()
+        for family, texts in told.items()
+        for text in texts
+    ]
+
+
+def report(title: str, scores: dict[Asked, float], low: float) -> None:
+    """Print the means by each word of the groups, and what is read worst."""
+    groups: dict[str, list[float]] = defaultdict(list)
+    for (group, _), score in scores.items():
+        for word in group.split():
+            groups[word].append(score)
+    means = " ".join(f"{name} {np.mean(of):.0%}" for name, of in groups.items())
+    print(f"{title}: {np.mean(list(scores.values())):.1%} ({means})", flush=True)
+    for (group, template), score in scores.items():
+        if score < low:
+            print(f"    {score:4.0%} {group}: {template.text}")
+
+
+def main() -> None:
+    """Train and measure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--rate", type=float, default=1.5e-3)
+    parser.add_argument("--paraphrases", type=float, default=0.7)
+    parser.add_argument("--without", nargs="*", default=[], help="rules left out")
+    parser.add_argument("--draws", type=int, default=8, help="goals per sentence")
+    parser.add_argument("--misread", type=float, default=0.0, help="list those below")
+    parser.add_argument("--unseen", action="store_true")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--weights", type=Path, help="read by these, or write them")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    rules = grammar()
+    if options.without:
+        source = files("lemma.policies.text") / "data" / "grammar.toml"
+        sections = tomllib.loads(source.read_text(encoding="utf-8")).values()
+        rules = Grammar(
+            {k: v for section in sections for k, v in section.items()}, options.without
+        )
+    if options.weights and options.weights.exists():
+        reader = GoalReader(ReaderConfig()).eval()
+        reader.load_state_dict(torch.load(options.weights))
+    else:
+        reader = train(rules, options)
+        if options.weights:
+            torch.save(reader.state_dict(), options.weights)
+    report("voices", measure(reader, voices(), options.draws, scenes=False), 0.0)
+    known = measure(reader, voices(), options.draws, scenes=True)
+    report("voices, on a table", known, options.misread)
+    if options.unseen:
+        asked = [(task, t) for task in SUITE for t in templates(task, "unseen")]
+        report("unseen", measure(reader, asked, options.draws, scenes=False), 0.0)
+        report("unseen, on a table", measure(reader, asked, 8, scenes=True), 0.0)
+
+
+if __name__ == "__main__":
+    main()
