@@ -171,7 +171,7 @@ def test_what_cannot_be_grounded_is_explained() -> None:
     model = tiny()
     with torch.no_grad():
         model.eye.nowhere.fill_(50.0)
-        model.get_parameter("planner.stop.2.bias").fill_(-50.0)
+        model.get_parameter("planner.stop.2.bias").fill_(-500.0)
     [decision] = model.act(inputs_of(drawn_batch(1, stop_last=False)))
     assert decision.grounded is None
     assert decision.subtask.primitive is not Primitive.STOP
