@@ -36,7 +36,7 @@ def test_commands_are_printed_and_nothing_is_done(
         "# What is published of m-cliport"
     ]
     assert len(lines) == 4 + 6 + 1
-    assert lines[0] == "lemma generate --out data/lemma-v1"
+    assert lines[0] == "lemma generate --out data/lemma-v2"
     assert lines[-1] == "lemma reproduce m-cliport --weights runs/seed-2"
     assert not out.exists()
 

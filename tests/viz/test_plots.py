@@ -29,7 +29,8 @@ ABOUT = {"weights": {}, "split": "test", "language": "full"}
 
 def cell(task: str, successes: int, distractors: int = 1) -> Cell:
     progress = (10 + successes) / 2
-    return Cell("high_level", task, "ur5+ur10", distractors, 10, successes, progress)
+    counts = (distractors, 10, successes, successes)
+    return Cell("high_level", task, "ur5+ur10", *counts, progress)
 
 
 def entry(*successes: int, name: str = "et-cliport-single-step") -> PolicyResults:
@@ -203,7 +204,7 @@ def test_figures_show_results_and_the_paper(tmp_path: Path) -> None:
     ]
     said = words_of(figures["success-by-task-high-level"].svg)
     title = "ET + CLIPort, single-step"
-    assert f"{title}, pass: 50.0% (24%–76%), 5 of 10; the paper: 87 %" in said
+    assert f"{title}, pass: 50.0% (24%–76%), 5 of 10; the paper: 87.00 ± 0.67 %" in said
     # The paper's mean is over all eight.
     assert f"{title}, mean of 2: 75.0% (53%–89%), 15 of 20" in said
     assert "ReachNet (ours), pass: 100.0% (72%–100%), 10 of 10" in said

@@ -23,7 +23,7 @@ class PolicyFigures:
     slowest_ms: float
     """Of 20 decisions, 19 are faster."""
     success_rate: float
-    """In these few episodes."""
+    """In these few episodes, strictly."""
     peak_mb: float
     """Largest memory of a process that plays one episode."""
 
@@ -49,7 +49,7 @@ def measure_policy(name: str, instances: list[Instance]) -> PolicyFigures:
         play, times = _play(player, instance)
         looks += [look for look, _ in times]
         decisions += [decide for _, decide in times]
-        successes += bool(play.episode.info()["success"])
+        successes += play.success
     decisions.sort()
     return PolicyFigures(
         decisions=len(decisions),

@@ -16,14 +16,15 @@ from lemma.dataset.recipe.generate import generate as write_recipe
 from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.recovery import RecoveryFigures, recovery_figures
 from lemma.expert.disturbances import Perturbation
-from lemma.tasks.instance import SPLITS
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
 _AT_INTERRUPT = (
     "{done} of {total} episodes are written. The same command goes on from there."
 )
 _ALL = "all"
-_RECIPE, _RECOVERY = Path("data/lemma-v1"), Path("data/lemma-v1-recovery")
+_RECIPE = Path(f"data/lemma-{BENCHMARK_VERSION}")
+_RECOVERY = Path(f"data/lemma-{BENCHMARK_VERSION}-recovery")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +90,8 @@ def generate(
 
     Args:
         wanted: Which episodes.
-        out: Folder of the recipe; data/lemma-v1 by default, and
-            data/lemma-v1-recovery with --perturb.
+        out: Folder of the recipe; data/lemma-v2 by default, and
+            data/lemma-v2-recovery with --perturb.
         working: Where to work.
         resume: Complete what is there; otherwise the folder must be empty.
         as_json: Print one JSON object instead of a table.

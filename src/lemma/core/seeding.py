@@ -14,7 +14,7 @@ def stream(*words: str | int) -> np.random.Generator:
 
     Args:
         *words: What the numbers are for, outermost first:
-            ``stream("v1", "stack", "test", 3, "layout")``.
+            ``stream("v2", "stack", "test", 3, "layout")``.
 
     Returns:
         A PCG64 generator seeded with the SHA-256 of the words.

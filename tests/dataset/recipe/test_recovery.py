@@ -320,9 +320,9 @@ def test_the_verb_says_what_it_came_to(
 
 def test_perturbed_executions_have_a_place_of_their_own() -> None:
     order = GenerateOptions(perturb=0.3).order(None)
-    assert order.out == Path("data/lemma-v1-recovery")
+    assert order.out == Path("data/lemma-v2-recovery")
     assert order.splits == ("train",)
-    assert GenerateOptions().order(None).out == Path("data/lemma-v1")
+    assert GenerateOptions().order(None).out == Path("data/lemma-v2")
     assert GenerateOptions().order(None).splits == ("train", "val", "test")
     with pytest.raises(InvalidConfigError, match="Add --perturb"):
         GenerateOptions(perturb_seed=1).order(None)

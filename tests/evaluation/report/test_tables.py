@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import asdict, replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ from lemma.evaluation.report.policy_results import (
     entries_of,
     read_results,
 )
-from lemma.evaluation.report.sections import page
+from lemma.evaluation.report.sections import page, sections
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.suite import SUITE
 
@@ -251,6 +252,58 @@ def test_the_committed_page_is_made_from_the_committed_results() -> None:
     assert results.text() == results.PAGE.read_text(encoding="utf-8"), (
         "docs/results.md is not what the results give: python scripts/results.py"
     )
+
+
+def test_every_caption_of_a_sample_says_so() -> None:
+    said = "**A sample:** 10 of 60 episodes of each of 2 of the eight tasks (pass, "
+    said += "stack)."
+    tables_of_rates = sections(entries_of([result(5)]))[:-1]
+    assert all(one.note.endswith(said) for one in tables_of_rates if one.table.rows)
+    whole = result(5, episodes=60, tasks=SUITE)
+    assert not any("ample:**" in one.note for one in sections(entries_of([whole])))
+    both = sections(entries_of([whole, result(5, seed=1, tasks=SUITE)]))
+    assert "**Some rows are of a sample:** 10 of 60 episodes" in both[0].note
+
+
+def test_lenient_verdicts_stand_below_the_strict() -> None:
+    made = result(5)
+    cells_of_both = tuple(
+        replace(cell, lenient_successes=cell.successes + 2) for cell in made.cells
+    )
+    entry = entry_of(replace(made, cells=cells_of_both))
+    strict, lenient = success_tables.by_task([entry], "high_level").rows
+    assert strict[1:] == ("50.0 (24–76)", "50.0 (24–76)", "50.0 (30–70) †")
+    assert [cell.split(" ")[0] for cell in lenient] == ["*lenient*", *["70.0"] * 3]
+    # What was played strictly alone has no such row.
+    alone = tuple(replace(cell, lenient_successes=None) for cell in made.cells)
+    table = success_tables.by_task([entry_of(replace(made, cells=alone))], "high_level")
+    assert len(table.rows) == 1
+
+
+def test_all_tables_of_the_paper_stand_below_ours() -> None:
+    nobody = entries_of([], complete=True)
+    teams = success_tables.by_team(nobody, "human")
+    assert teams.header[1:4] == ("ur5+ur5", "ur5+ur10", "ur10+ur10")
+    below = {above[0]: row for above, row in pairwise(teams.rows)}
+    assert below["M-CLIPort"][1:4] == ("6.62 ± 0.93", "8.52 ± 1.25", "4.48 ± 1.06")
+    numbers = success_tables.distractors_by_task(nobody)
+    assert numbers.header[3:] == ("0", "1", "2")
+    hook = ("26.09 ± 2.51", "32.46 ± 3.62", "17.59 ± 2.07")
+    assert ("*paper*", "hook", "human", *hook) in numbers.rows
+    assert len(numbers.rows) == 2 * 8
+
+
+def test_the_readme_has_the_table_of_the_results(tmp_path: Path) -> None:
+    assert results.readme() == results.README.read_text(encoding="utf-8"), (
+        "README.md is not what the results give: python scripts/results.py"
+    )
+    assert "no results of this version yet" in results.headline(tmp_path)
+    result(5).write(tmp_path / "reachnet" / "seed-0.json")
+    told = results.headline(tmp_path)
+    assert "| ReachNet (ours) | 50.0 (30–70) † |" in told
+    assert "| *lenient* | 50.0 (30–70) † |" in told
+    assert "50.0 (24–76)" in results.text(tmp_path)
+    assert NOT_RUN in results.text(tmp_path)
 
 
 def test_a_part_is_called_a_part() -> None:

@@ -150,8 +150,9 @@ def test_the_rule_lets_another_robot_try() -> None:
     policy = PolicySpec("mine:wrong+oracle").load(lambda _: Wrong())
     assert isinstance(policy, PlannerWithGrounder)
     (play,) = roll_out([Rollout(load_instance("stack", "val", 0))], Player(policy))
-    assert play.stop is not None
-    assert play.success
+    assert not play.success
+    assert play.failure == PROTECTIVE_STOP
+    assert play.verdict().success
     robots = [step.subtask.robot for step in play.steps[:2]]
     assert sorted(robots) == ["robot_0", "robot_1"]
     assert play.steps[0].subtask.pick == play.steps[1].subtask.pick

@@ -287,6 +287,24 @@ def test_what_goes_wrong_in_the_feed_is_raised_in_the_loop(
         train(config(data, tmp_path))
 
 
+def test_the_first_episodes_of_every_task_are_trained_on(
+    data: Path, tmp_path: Path
+) -> None:
+    model = tiny_model.TinyEpisodes(tiny_model.TinyEpisodesConfig())
+    frames = Frames.load(data)
+    units = training_units(model, frames, config(data, tmp_path, episodes_per_task=2))
+    every = sorted(set(frames.instances))
+    assert sorted(frames.instances[unit[0]] for unit in units) == [
+        found
+        for task in sorted(set(frames.tasks))
+        for found in [one for one in every if one[0] == task][:2]
+    ]
+    with pytest.raises(InvalidConfigError, match=r"--episodes-per-task is 900"):
+        training_units(model, frames, config(data, tmp_path, episodes_per_task=900))
+    with pytest.raises(InvalidConfigError, match="Leave out one"):
+        config(data, tmp_path, episodes_per_task=1, episodes=1)
+
+
 def test_whole_episodes_are_drawn_for_models_that_want_them(
     data: Path, tmp_path: Path
 ) -> None:

@@ -47,7 +47,7 @@ Benchmark {benchmark}, package {lemma}, MuJoCo {mujoco}, NumPy {numpy}, revision
 ```python
 import lemma
 
-recipe = lemma.load("lemma-v1")  # the folder; 'lemma pull' fetches it
+recipe = lemma.load("lemma-v2")  # the folder; 'lemma pull' fetches it
 record = recipe.find("hook", "test", 7)
 print(record.high_level, [row.instruction for row in record.subtasks])
 ```

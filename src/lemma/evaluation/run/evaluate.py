@@ -279,7 +279,7 @@ def _player(spec: PolicySpec) -> Player:
 def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
     instance = rollout.instance
     end = rollout.verdict()
-    strict = rollout.stop or end
+    strict = rollout.protective_stop or end
     subtasks = subtasks_of(rollout.steps)
     taken, further = subtasks[: strict.steps], subtasks[strict.steps :]
     asks = rollout.control.asks

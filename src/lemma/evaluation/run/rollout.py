@@ -101,8 +101,8 @@ class Rollout:
     past: list[PastStep] = field(default_factory=list)
     fault: Fault | None = None
     """Why the policy had no more decisions, if it failed."""
-    stop: Verdict | None = None
-    """Of its strict end, if that was a protective stop."""
+    protective_stop: Verdict | None = None
+    """How it stood at its strict end, if a protective stop was that."""
 
     def __post_init__(self) -> None:
         """Set the table."""
@@ -118,7 +118,11 @@ class Rollout:
 
     @property
     def success(self) -> bool:
-        """Whether the goal holds and the policy brought it to an end, leniently."""
+        """Whether it succeeded strictly; see :meth:`verdict` for the lenient one."""
+        return self.protective_stop is None and self._ended_well
+
+    @property
+    def _ended_well(self) -> bool:
         return self.fault is None and self.episode.is_success
 
     @property
@@ -132,16 +136,20 @@ class Rollout:
 
     @property
     def failure(self) -> str | None:
-        """Why it failed, leniently; None if it succeeded or is not over."""
+        """Why it failed strictly; None if it succeeded or is not over."""
+        return PROTECTIVE_STOP if self.protective_stop else self._failure
+
+    @property
+    def _failure(self) -> str | None:
         return self.episode.failure if self.fault is None else POLICY_ERROR
 
     def verdict(self) -> Verdict:
-        """Return how it stands."""
+        """Return how it stands, leniently."""
         info = self.episode.info()
         return Verdict(
-            success=self.success,
+            success=self._ended_well,
             progress=info["progress"],
-            failure=self.failure,
+            failure=self._failure,
             fault=self.fault,
             asked_holds=self.asked_holds,
             elapsed_s=info["elapsed_s"],
@@ -193,8 +201,10 @@ class Rollout:
             decision.subtask, decision.grounded, result, start, advice, fell
         )
         self.steps.append(step)
-        if result.refused and self.stop is None:
-            self.stop = replace(self.verdict(), success=False, failure=PROTECTIVE_STOP)
+        if result.refused and self.protective_stop is None:
+            self.protective_stop = replace(
+                self.verdict(), success=False, failure=PROTECTIVE_STOP
+            )
         episode.linger(start, REFUSAL_S if result.refused else LEAST_STEP_S)
         self.past.append(
             PastStep(
@@ -287,7 +297,8 @@ class _Play:
         while running:
             self._go_on(running)
             over = [
-                rollout.episode.is_over or (strict and rollout.stop is not None)
+                rollout.episode.is_over
+                or (strict and rollout.protective_stop is not None)
                 for rollout in running
             ]
             yield from compress(running, over)

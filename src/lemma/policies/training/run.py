@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -220,21 +219,17 @@ def training_units(
 
 
 def _first_of_each_task(frames: Frames, count: int) -> list[Sequence[int]]:
-    found: list[Sequence[int]] = []
-    counted: Counter[str] = Counter()
-    for episode in frames.episodes:
-        task, index = frames.instances[episode[0]]
-        if index < count:
-            found.append(episode)
-            counted[task] += 1
-    few = {task: counted[task] for task in frames.tasks if counted[task] != count}
-    if few:
-        told = ", ".join(f"{number} of {task}" for task, number in few.items())
-        raise InvalidConfigError(
-            f"--episodes-per-task is {count}, but of the first {count} episodes of "
-            f"each task there are {told}."
-        )
-    return found
+    """Return so many episodes of each task, those with the lowest numbers."""
+    listed: dict[str, list[Sequence[int]]] = {}
+    for episode in sorted(frames.episodes, key=lambda one: frames.instances[one[0]]):
+        listed.setdefault(frames.tasks[episode[0]], []).append(episode)
+    for task, found in listed.items():
+        if len(found) < count:
+            raise InvalidConfigError(
+                f"--episodes-per-task is {count}, but there are {len(found)} of {task}."
+            )
+    chosen = [episode for found in listed.values() for episode in found[:count]]
+    return sorted(chosen, key=lambda episode: episode[0])
 
 
 def first_model(config: TrainingConfig) -> Model:
