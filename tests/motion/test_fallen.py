@@ -14,8 +14,8 @@ from lemma.expert.grounding import GeometricGrounder, ground_or_refuse
 from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.scene.build import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.scene.spec import RobotPlacement, SceneSpec
+from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import Primitive, SubTask

@@ -58,7 +58,7 @@ def test_cubes_and_the_stick_are_obstacles_and_pads_are_not(
     # The stick is its handle.
     handle = rows[2]
     assert handle[:2] == pytest.approx([-0.3, -0.4], abs=1e-4)
-    assert handle[3:5] == pytest.approx([0.2, -0.4], abs=1e-4)
+    assert handle[3:5] == pytest.approx([0.45, -0.4], abs=1e-4)
     assert handle[2] == handle[5] == pytest.approx(0.015, abs=1e-3)
     assert handle[6] == pytest.approx(0.015)
 

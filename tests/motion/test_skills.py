@@ -18,10 +18,12 @@ from lemma.core.poses import Pose, Pose2, wrap
 from lemma.env.simulation import Simulation
 from lemma.motion.outcome import Outcome
 from lemma.motion.skills import SkillRunner
+from lemma.robots.could import could_of
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK
 from lemma.scene.objects.pad import PAD_THICKNESS_M
+from lemma.scene.objects.stick import HANDLE_LENGTH_M, STICK_SECTION_M
 from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.drags import (
     Drag,
@@ -131,21 +133,20 @@ def drag_for(
 ) -> tuple[Drag, ObjectPlacement, ObjectPlacement, float]:
     """A cube out of reach, the stick, and how one is dragged with the other."""
     # Poking bridges a gap, hooking needs none.
-    gap = 0.1 if primitive is Primitive.POKE else -0.25
+    could, reach = could_of(arm), reach_of(arm)
+    gap = 2.0 * (could.touch_m - reach.travel_m) + 0.13
+    if primitive is Primitive.HOOK:
+        gap = -0.25
     spec = facing(arm, gap_m=gap)
     robot = spec.robots[0]
     receiver = spec.robots[0 if primitive is Primitive.HOOK else 1]
-    reach = reach_of(arm)
-    ahead = robot.base @ Pose2(reach.grasp_m + 0.04, -0.05, 0.4)
-    drag = find_drag(
-        primitive,
-        robot,
-        ahead,
-        lambda x, y: reach.margin(receiver.base, x, y),
-        [],
-    )
+    # Where nobody could touch it: hooked from one side, for that is free of the other.
+    bearing = 0.0 if primitive is Primitive.POKE else 1.2
+    away = could.touch_m + 0.065
+    ahead = robot.base @ Pose2(away * math.cos(bearing), away * math.sin(bearing), 0.4)
+    drag = find_drag(primitive, robot, receiver, ahead, [])
     assert drag is not None
-    lying = robot.base @ Pose2(0.6 * reach.travel_m, 0.3, 0.5)
+    lying = robot.base @ Pose2(0.5 * reach.travel_m, -0.3, -0.5)
     return drag, cube("red", ahead.x, ahead.y, ahead.yaw), stick(lying), gap
 
 
@@ -180,7 +181,12 @@ def test_tools_are_put_down_ready_and_then_used(
     assert max(heights) < 0.05
     # Fingers fit around the cube, away from the stick.
     near = scene.pose2(STICK).inverse() @ scene.pose2("red_cube")
-    assert near.x < 0.47 - 0.025 - 0.02 or near.x > 0.5 + 0.025 + 0.02
+    inner, outer = HANDLE_LENGTH_M - STICK_SECTION_M, HANDLE_LENGTH_M
+    assert near.x < inner - 0.025 - 0.02 or near.x > outer + 0.025 + 0.02
+    # And it is where its user can pick it up again.
+    left, user = grasp_on_stick(scene.pose2(STICK)), simulation.scene.spec.robots[0]
+    assert reach_of(arm).margin(user.base, *left.xy) > 0.005
+    assert left.distance(drag.left) < 0.04
     base = simulation.scene.spec.robots[0 if use is Primitive.HOOK else 1].base
     assert reach_of(arm).margin(base, *scene.pose2("red_cube").xy) > 0.02
 
@@ -209,10 +215,10 @@ def test_surface_is_the_height_of_what_lies_there() -> None:
     assert seen(0.024, 0.024) == (0.1, "blue_cube")
     assert seen(0.027, 0.0) == (0.0, None)
     assert seen(0.0, 0.0, scene.model.body("blue_cube").id) == (0.05, "red_cube")
-    assert seen(0.05, 0.3) == (0.004, "green_pad")
+    assert seen(0.05, 0.3) == (PAD_THICKNESS_M, "green_pad")
     assert seen(0.0, -0.3) == (0.03, "stick")
-    assert seen(0.185, -0.2) == (0.03, "stick")
-    assert seen(0.1, -0.2) == (0.0, None)
+    assert seen(0.435, -0.2) == (0.03, "stick")
+    assert seen(0.35, -0.2) == (0.0, None)
 
 
 @pytest.mark.parametrize("arm", ARM_NAMES)

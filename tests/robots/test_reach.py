@@ -53,22 +53,23 @@ def reaches(arm: str, base: FloatArray, x: float, y: float, z: float) -> set[boo
 @pytest.mark.parametrize("base", [Pose2(0.0, 0.0), Pose2(-0.7, 0.15, 0.4)])
 def test_ring_agrees_with_inverse_kinematics(arm: str, base: Pose2) -> None:
     reach, matrix = reach_of(arm), world_from_base(base)
-    counts = {"inside": 0, "between": 0, "outside": 0}
+    counts = {"inside": 0, "low": 0, "outside": 0}
     for x in np.arange(base.x - 1.4, base.x + 1.4, 0.05):
         for y in np.arange(base.y - 1.4, base.y + 1.4, 0.05):
-            margin, excess = reach.margin(base, x, y), reach.excess(base, x, y)
+            margin = reach.margin(base, x, y)
+            hold_margin = reach.hold_margin(base, x, y)
+            low = reaches(arm, matrix, x, y, GRASP_HEIGHT_M)
             if margin > EDGE_M:
                 counts["inside"] += 1
-                assert reaches(arm, matrix, x, y, GRASP_HEIGHT_M) == {True}
+                assert low == {True}
                 assert reaches(arm, matrix, x, y, TRAVEL_HEIGHT_M) == {True}
-            elif excess > EDGE_M:
+            elif margin < -EDGE_M and hold_margin > EDGE_M:
+                counts["low"] += 1
+                assert low == {True}
+                assert reaches(arm, matrix, x, y, TRAVEL_HEIGHT_M) == {False}
+            elif math.hypot(x - base.x, y - base.y) > reach.grasp_m + EDGE_M:
                 counts["outside"] += 1
-                assert reaches(arm, matrix, x, y, GRASP_HEIGHT_M) == {False}
-            elif margin < -EDGE_M and excess < -EDGE_M:
-                counts["between"] += 1
-                low = reaches(arm, matrix, x, y, GRASP_HEIGHT_M)
-                high = reaches(arm, matrix, x, y, TRAVEL_HEIGHT_M)
-                assert {False} in (low, high)
+                assert low == {False}
     assert min(counts.values()) > 50
 
 
@@ -92,25 +93,25 @@ def test_reach_does_not_depend_on_the_direction(
     assert reach.margin(base, *point.xy) == pytest.approx(
         reach.margin(straight, radius, 0.0), abs=1e-12
     )
-    assert reach.excess(base, *point.xy) == pytest.approx(
-        reach.excess(straight, radius, 0.0), abs=1e-12
+    assert reach.hold_margin(base, *point.xy) == pytest.approx(
+        reach.hold_margin(straight, radius, 0.0), abs=1e-12
     )
 
 
-def test_margin_and_excess_are_positive_on_opposite_sides() -> None:
+def test_what_is_held_low_is_held_in_a_wider_ring() -> None:
     reach = Reach(inner_m=0.2, travel_m=0.8, grasp_m=0.9)
     base = Pose2(1.0, 0.0, math.pi)
     expected = {
-        0.05: (-0.15, 0.05),
         0.15: (-0.05, -0.05),
-        0.25: (0.05, -0.15),
-        0.75: (0.05, -0.15),
-        0.85: (-0.05, -0.05),
-        0.95: (-0.15, 0.05),
+        0.25: (0.05, 0.05),
+        0.55: (0.25, 0.35),
+        0.75: (0.05, 0.15),
+        0.85: (-0.05, 0.05),
+        0.95: (-0.15, -0.05),
     }
-    for radius, (margin, excess) in expected.items():
+    for radius, (margin, hold_margin) in expected.items():
         assert reach.margin(base, 1.0 - radius, 0.0) == pytest.approx(margin)
-        assert reach.excess(base, 1.0, radius) == pytest.approx(excess)
+        assert reach.hold_margin(base, 1.0, radius) == pytest.approx(hold_margin)
 
 
 @pytest.mark.parametrize("arm", ARM_NAMES)
@@ -150,11 +151,11 @@ def test_can_hold_takes_the_robots_place_into_account() -> None:
 @pytest.mark.parametrize("arm", ARM_NAMES)
 def test_reach_map_is_the_margin_at_every_pixel(arm: str) -> None:
     base = Pose2(-0.7, 0.1, 0.3)
-    x, y = np.linspace(-1.66, 1.66, 416), np.linspace(-1.15, 1.15, 288)
+    x, y = np.linspace(-1.66, 1.66, 416), np.linspace(-1.66, 1.66, 416)
     rendered = reach_map(arm, base, x, y)
-    assert rendered.shape == (288, 416)
+    assert rendered.shape == (416, 416)
     reach = reach_of(arm)
-    for row, column in ((0, 0), (144, 208), (200, 90), (144, 121), (287, 415)):
+    for row, column in ((0, 0), (208, 208), (264, 90), (208, 121), (415, 415)):
         expected = reach.margin(base, x[column], y[row])
         assert rendered[row, column] == pytest.approx(expected, abs=1e-12)
     assert 0.1 < (rendered > 0).mean() < 0.9

@@ -1,4 +1,4 @@
-"""Cameras hang above their robots and see their half and the shared region."""
+"""Cameras hang above their robots and see what these could touch, stick in hand."""
 
 import math
 
@@ -8,15 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lemma.core.poses import Pose2
-from lemma.robots.reach import reach_of
+from lemma.robots.could import could_of
 from lemma.scene.camera_mounts import (
     CAMERA_FOVY_RAD,
     CAMERA_HEIGHT_PX,
     CAMERA_WIDTH_PX,
+    CameraFootprint,
     camera_mount,
-    camera_sees,
 )
 from lemma.scene.cameras import Camera, CameraIntrinsics
+from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.suite import SUITE, load_instance
@@ -25,6 +26,10 @@ arms = st.sampled_from(["ur5", "ur10"])
 bases = st.builds(
     Pose2, st.floats(-1.2, 1.2), st.floats(-0.1, 0.1), st.floats(-math.pi, math.pi)
 )
+
+
+def sees(robot: RobotPlacement, x: float, y: float) -> bool:
+    return bool(CameraFootprint(robot).sees(np.array([x]), np.array([y]))[0])
 
 
 def camera(robot: RobotPlacement) -> Camera:
@@ -41,8 +46,8 @@ def test_a_camera_hangs_above_its_robot_and_looks_down_in_front(
     pose, fovy = camera_mount(robot)
     assert fovy == CAMERA_FOVY_RAD
     x, y, z = pose.position
-    assert base.distance(Pose2(x, y)) < 0.1
-    assert 1.0 < z < 2.2
+    assert base.distance(Pose2(x, y)) < 0.3
+    assert 1.8 < z < 2.6
     rotation = pose.matrix()[:3, :3]
     assert rotation.T @ rotation == pytest.approx(np.eye(3), abs=1e-9)
     right, down, forward = rotation.T
@@ -57,7 +62,7 @@ def test_where_the_robot_works_is_in_the_middle_of_the_image(
     arm: str, base: Pose2
 ) -> None:
     robot = RobotPlacement(arm, "red", base)
-    ahead = base @ Pose2(0.33 * reach_of(arm).travel_m, 0.0)
+    ahead = base @ Pose2(0.34 * could_of(arm).touch_m, 0.0)
     (pixel,), depth = camera(robot).project([[ahead.x, ahead.y, 0.0]])
     middle = ((CAMERA_WIDTH_PX - 1) / 2, (CAMERA_HEIGHT_PX - 1) / 2)
     assert pixel == pytest.approx(middle, abs=1e-6)
@@ -77,7 +82,7 @@ def test_sees_is_what_projects_into_the_image(
     ]
     inside = bool(depth[0] > 0) and max(offsets) <= 0.94
     if depth[0] <= 0 or abs(max(offsets) - 0.94) > 1e-6:
-        assert camera_sees(robot, at.x, at.y) == inside
+        assert sees(robot, at.x, at.y) == inside
 
 
 @pytest.mark.parametrize("task", SUITE)
@@ -86,7 +91,31 @@ def test_both_cameras_see_the_middle(task: str) -> None:
         for robot in load_instance(task, "test", index).scene.robots:
             # The middle of the region between them is the middle of the table.
             for y in (-0.2, 0.0, 0.2):
-                assert camera_sees(robot, 0.0, y)
+                assert sees(robot, 0.0, y)
+
+
+@given(arms, bases, st.floats(-1.5, 1.5), st.floats(0.2, 1.0))
+def test_a_camera_sees_all_that_its_robot_could_touch_ahead(
+    arm: str, base: Pose2, bearing: float, share: float
+) -> None:
+    away = share * could_of(arm).touch_m
+    at = base @ Pose2(away * math.cos(bearing), away * math.sin(bearing))
+    assert sees(RobotPlacement(arm, "red", base), at.x, at.y)
+
+
+@pytest.mark.parametrize(("arm", "least_px"), [("ur5", 11.5), ("ur10", 8.5)])
+def test_cubes_are_large_enough_to_be_seen(arm: str, least_px: float) -> None:
+    """Wide on average over where the robot works [px]."""
+    robot = RobotPlacement(arm, "red", Pose2(0.0, 0.0))
+    widths = []
+    for away in np.linspace(0.3, could_of(arm).touch_m, 8):
+        for bearing in np.linspace(-1.5, 1.5, 7):
+            x, y = away * math.cos(bearing), away * math.sin(bearing)
+            ends = [(x, y - CUBE_EDGE_M / 2, 0.05), (x, y + CUBE_EDGE_M / 2, 0.05)]
+            (a, b), _ = camera(robot).project(ends)
+            widths.append(math.dist(a, b))
+    assert np.mean(widths) > least_px
+    assert min(widths) > 0.8 * least_px
 
 
 def test_no_camera_is_enough() -> None:
@@ -96,7 +125,7 @@ def test_no_camera_is_enough() -> None:
         for index in range(SPLITS["test"]):
             scene = load_instance(task, "test", index).scene
             left, right = (
-                any(not camera_sees(robot, *placed.pose.xy) for placed in scene.objects)
+                any(not sees(robot, *placed.pose.xy) for placed in scene.objects)
                 for robot in scene.robots
             )
             missing.add((left, right))

@@ -1,7 +1,8 @@
-"""The board: zones by reach, places that fit, colors that run out."""
+"""The board: zones by what robots could do, places that fit, colors that run out."""
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,21 +10,39 @@ from hypothesis import strategies as st
 from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
+from lemma.robots.could import could_of
 from lemma.robots.reach import reach_of
+from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.kind import ObjectKind
+from lemma.scene.objects.pad import PAD
+from lemma.scene.objects.stick import (
+    HANDLE_LENGTH_M,
+    HOOK_LENGTH_M,
+    STICK_KIND,
+    STICK_SECTION_M,
+)
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
-from lemma.tasks.drags import LARGEST_HEADING_RAD, grasp_on_stick, heading_from
+from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
+from lemma.tasks.drags import (
+    LARGEST_HEADING_RAD,
+    find_drag,
+    grasp_on_stick,
+    heading_from,
+)
 from lemma.tasks.placement import Board, PlacementError
 from lemma.tasks.subtask import Primitive
+from lemma.tasks.zones import Territory, Zone
 
 TEAM = (
     RobotPlacement("ur5", "red", Pose2(-0.9, 0.0, 0.0)),
     RobotPlacement("ur10", "white", Pose2(0.9, 0.0, math.pi)),
 )
 SEEDS = st.integers(0, 10_000)
+KINDS = st.sampled_from([CUBE, PAD, STICK_KIND])
 ON_TABLE = st.builds(
-    Pose2, st.floats(-1.5, 1.5), st.floats(-1.1, 1.1), st.floats(-math.pi, math.pi)
+    Pose2, st.floats(-1.7, 1.7), st.floats(-1.7, 1.7), st.floats(-math.pi, math.pi)
 )
 
 
@@ -35,32 +54,67 @@ def distance(robot: int, pose: Pose2) -> float:
     return TEAM[robot].base.distance(pose)
 
 
-@given(ON_TABLE)
-def test_between_reach_and_no_reach_lies_a_strip_that_is_neither(pose: Pose2) -> None:
-    table = board()
-    for robot, placed in enumerate(TEAM):
-        reach, away = reach_of(placed.arm), distance(robot, pose)
-        inside = reach.inner_m + 0.03 <= away <= reach.travel_m - 0.03
-        assert table.reaches(robot, pose) == inside
-        outside = away >= reach.grasp_m + 0.025 or away <= 0.5 * reach.inner_m - 0.025
-        assert table.cannot(robot, pose) == outside
+def works(robot: int, pose: Pose2) -> bool:
+    """Whether a robot surely works there, written out."""
+    reach, away = reach_of(TEAM[robot].arm), distance(robot, pose)
+    return reach.inner_m + 0.03 <= away <= reach.travel_m - 0.03
+
+
+def cannot(robot: int, kind: ObjectKind, pose: Pose2) -> bool:
+    """Whether a robot could do nothing there, written out."""
+    could, away = could_of(TEAM[robot].arm), distance(robot, pose)
+    put = could.place_m + (kind.support_m or 0.0)
+    return away >= could.touch_m + kind.disc_m + 0.03 and away >= put + 0.03
+
+
+def sifts(zone: Zone, kind: ObjectKind, pose: Pose2) -> bool:
+    return bool(zone.sift(kind, np.array([pose.x]), np.array([pose.y]))[0])
+
+
+@given(ON_TABLE, KINDS)
+def test_between_what_works_and_what_could_lies_a_wide_strip(
+    pose: Pose2, kind: ObjectKind
+) -> None:
+    territory = Territory(TEAM)
+    at = np.array([pose.x]), np.array([pose.y])
+    for robot in (0, 1):
+        inside, outside = works(robot, pose), cannot(robot, kind, pose)
+        assert territory.works(robot, *at).tolist() == [inside]
+        assert territory.cannot(robot, kind, *at).tolist() == [outside]
         assert not (inside and outside)
+        if inside:
+            # Whoever works here must move by this before another thing is out of reach.
+            away = could_of(TEAM[robot].arm).touch_m - distance(robot, pose)
+            assert away > 0.25
 
 
-@given(ON_TABLE)
-def test_zones_say_who_reaches(pose: Pose2) -> None:
+@given(ON_TABLE, KINDS)
+def test_zones_say_who_could_do_what(pose: Pose2, kind: ObjectKind) -> None:
     table = board()
-    can = [table.reaches(robot, pose) for robot in (0, 1)]
-    cannot = [table.cannot(robot, pose) for robot in (0, 1)]
-    assert table.only(0)(pose) == (can[0] and cannot[1])
-    assert table.only(1)(pose) == (can[1] and cannot[0])
-    assert table.nobody()(pose) == all(cannot)
-    assert table.anywhere()(pose) == all(
-        a or b for a, b in zip(can, cannot, strict=True)
+    can = [works(robot, pose) for robot in (0, 1)]
+    never = [cannot(robot, kind, pose) for robot in (0, 1)]
+    assert sifts(table.only(0), kind, pose) == (can[0] and never[1])
+    assert sifts(table.only(1), kind, pose) == (can[1] and never[0])
+    assert sifts(table.nobody(), kind, pose) == all(never)
+    assert sifts(table.anywhere(), kind, pose) == all(
+        a or b for a, b in zip(can, never, strict=True)
     )
-    assert (
-        sum(zone(pose) for zone in (table.only(0), table.only(1), table.nobody())) < 2
-    )
+    zones = (table.only(0), table.only(1), table.nobody())
+    assert sum(sifts(zone, kind, pose) for zone in zones) < 2
+
+
+@given(ON_TABLE, st.floats(-1.2, 1.0), st.floats(0.0, 0.3))
+def test_on_the_table_is_on_one_of_its_tops(
+    pose: Pose2, left: float, edge_m: float
+) -> None:
+    x, y = np.array([pose.x]), np.array([pose.y])
+    whole, parted = Territory(TEAM), Territory(TEAM, (left, left + 0.2))
+    rims = [abs(abs(pose.x) - TABLE_HALF_X_M), abs(abs(pose.y) - TABLE_HALF_Y_M)]
+    on_table = min(rims) >= edge_m
+    assert whole.on_table(x, y, edge_m).tolist() == [on_table]
+    rims += [abs(pose.x - left), abs(pose.x - left - 0.2)]
+    beside = not left < pose.x < left + 0.2 and min(rims) >= edge_m
+    assert parted.on_table(x, y, edge_m).tolist() == [beside]
 
 
 @given(SEEDS)
@@ -73,9 +127,10 @@ def test_what_is_put_lies_in_its_zone_and_has_a_color_of_its_own(seed: int) -> N
     assert [placed.name for placed in table.objects] == names
     assert [name.rsplit("_", 1)[1] for name in names] == ["cube"] * 2 + ["pad"] * 2
     places = [placed.pose for placed in table.objects]
-    assert table.only(0)(places[0])
-    assert table.only(1)(places[1])
-    assert table.only(1)(places[2])
+    owners = ((0, CUBE), (1, CUBE), (1, PAD))
+    for (owner, kind), place in zip(owners, places, strict=False):
+        assert works(owner, place)
+        assert cannot(1 - owner, kind, place)
     for i, a in enumerate(places):
         for b in places[i + 1 :]:
             assert a.distance(b) >= 0.125
@@ -83,14 +138,22 @@ def test_what_is_put_lies_in_its_zone_and_has_a_color_of_its_own(seed: int) -> N
 
 @given(SEEDS)
 @settings(max_examples=20)
-def test_the_stick_lies_where_one_robot_can_swing_it_out(seed: int) -> None:
-    table = board(seed)
-    for which in table.order:
-        fresh = board(seed)
-        assert fresh.stick(which) == STICK
-        pose = fresh.objects[0].pose
-        assert fresh.only(which)(grasp_on_stick(pose))
+def test_no_point_of_the_stick_is_another_robots(seed: int) -> None:
+    for which in (0, 1):
+        table = board(seed)
+        assert table.stick(which) == STICK
+        pose = table.objects[0].pose
+        assert works(which, grasp_on_stick(pose))
         assert heading_from(TEAM[which].base, pose) <= LARGEST_HEADING_RAD
+        half = STICK_SECTION_M / 2
+        handle = [(HANDLE_LENGTH_M * k / 30, 0.0) for k in range(31)]
+        hook = [(HANDLE_LENGTH_M - half, HOOK_LENGTH_M * k / 10) for k in range(11)]
+        for u, v in (*handle, *hook):
+            at = pose @ Pose2(u, v)
+            nearest = distance(1 - which, at) - half
+            assert nearest > could_of(TEAM[1 - which].arm).touch_m + 0.02
+            assert abs(at.x) < TABLE_HALF_X_M - 0.03
+            assert abs(at.y) < TABLE_HALF_Y_M - 0.03
 
 
 def test_robots_play_their_roles_in_either_order() -> None:
@@ -131,22 +194,42 @@ def test_a_stick_that_nobody_else_leaves_room_for_gives_the_attempt_up() -> None
         board(0, twins).stick(0)
 
 
+def drag_of(table: Board, primitive: Primitive, by: int, to: int) -> bool:
+    """Whether the stick brings the first thing on a table home."""
+    pose = table.objects[0].pose
+    discs = table.discs(but=table.objects[0].name)
+    drag = find_drag(primitive, TEAM[by], TEAM[to], pose, discs, gap_m=table.gap_m)
+    return drag is not None
+
+
 @given(SEEDS)
 @settings(max_examples=10)
 def test_what_is_put_for_hooking_can_be_hooked_in_one_way_only(seed: int) -> None:
     table = board(seed)
     robot, partner = table.order
-    try:
-        table.cube(table.tool_only(Primitive.HOOK, robot, partner))
-    except PlacementError:
-        return  # This team cannot; another attempt would have another.
+    table.cube(table.tool_only(Primitive.HOOK, robot, partner))
+    assert all(cannot(which, CUBE, table.objects[0].pose) for which in (0, 1))
+    assert drag_of(table, Primitive.HOOK, robot, robot)
+    assert not drag_of(table, Primitive.HOOK, partner, partner)
+    assert not drag_of(table, Primitive.POKE, robot, partner)
+    assert not drag_of(table, Primitive.POKE, partner, robot)
+
+
+@given(SEEDS)
+@settings(max_examples=10)
+def test_what_one_alone_can_hook_is_farther_than_a_stick_from_the_other(
+    seed: int,
+) -> None:
+    table = board(seed)
+    robot, partner = table.order
+    table.cube(table.tool_only(Primitive.HOOK, robot, partner, alone=True))
     pose = table.objects[0].pose
-    discs = table.discs(but=table.objects[0].name)
-    assert table.nobody()(pose)
-    assert table.can_drag(Primitive.HOOK, robot, robot, pose, discs)
-    assert not table.can_drag(Primitive.HOOK, partner, partner, pose, discs)
-    assert not table.can_drag(Primitive.POKE, robot, partner, pose, discs)
-    assert not table.can_drag(Primitive.POKE, partner, robot, pose, discs)
+    assert drag_of(table, Primitive.HOOK, robot, robot)
+    assert cannot(robot, CUBE, pose)
+    # Even held at its very end, at the farthest posture of any orientation.
+    stick_m = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M)
+    farthest = could_of(TEAM[partner].arm).place_m + stick_m
+    assert distance(partner, pose) - CUBE.disc_m > farthest
 
 
 def test_check_finds_what_was_put_in_the_way_later() -> None:

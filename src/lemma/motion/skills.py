@@ -17,7 +17,7 @@ from lemma.core.registry import Registry
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand
 from lemma.motion.obstacles import around
-from lemma.motion.outcome import Outcome, SkillFailure, SkillResult
+from lemma.motion.outcome import Outcome, SkillFailure, SkillResult, has_fallen
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import top_down
 from lemma.scene.objects.entity import STICK, kind_of
@@ -156,9 +156,11 @@ class SkillRunner:
         """Return what lies under a pick pose and the height to grasp it at [m].
 
         Raises:
-            SkillFailure: Nothing that can be picked.
+            SkillFailure: Nothing that can be picked, or what is on the floor.
         """
         top, entity = self.surface(pose)
+        if entity is not None and entity in self.scene.fallen:
+            raise SkillFailure(Outcome.FALLEN, has_fallen(entity))
         if entity is None or entity not in self.scene.movable_names:
             found = entity or "the bare table"
             raise SkillFailure(
