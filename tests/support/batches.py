@@ -34,6 +34,7 @@ TINY_STREAMS: dict[str, Any] = {
     "query_widths": (16, 16, 16, 16),
     "kernel_channels": 4,
     "crop": 16,
+    "crop_m": 0.4,
     "text_width": 32,
     "text_layers": 1,
     "cell_m": RASTER.cell_m,

@@ -23,6 +23,8 @@ Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
 """Part of a whole, less than all of it."""
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
 """Of something on the table [m]."""
+Extent = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
+"""Of a part of the table [m]."""
 
 
 def decode(kind: type[T], data: Any) -> T:

@@ -88,7 +88,13 @@ def test_a_crop_shows_what_lies_ahead_to_the_right_of_its_middle(yaw: float) -> 
     ahead, left = 0.08, 0.03
     at_x = x + math.cos(yaw) * ahead - math.sin(yaw) * left
     at_y = y + math.sin(yaw) * ahead + math.cos(yaw) * left
-    crop = crop_about(spot(SMALL, at_x, at_y), torch.tensor([[x, y, yaw]]), SMALL, 24)
+    crop = crop_about(
+        spot(SMALL, at_x, at_y),
+        torch.tensor([[x, y, yaw]]),
+        SMALL,
+        24,
+        24 * SMALL.cell_m,
+    )
     row, column = divmod(int(crop.argmax()), 24)
     assert (column + 0.5 - 12) * 0.01 == pytest.approx(ahead, abs=0.0101)
     assert (12 - row - 0.5) * 0.01 == pytest.approx(left, abs=0.0101)
@@ -96,7 +102,10 @@ def test_a_crop_shows_what_lies_ahead_to_the_right_of_its_middle(yaw: float) -> 
 
 def test_outside_the_map_there_is_nothing() -> None:
     image = torch.ones(1, 2, SMALL.rows, SMALL.columns)
-    assert crop_about(image, torch.tensor([[5.0, 5.0, 1.0]]), SMALL, 8).abs().max() == 0
+    assert (
+        crop_about(image, torch.tensor([[5.0, 5.0, 1.0]]), SMALL, 8, 1.0).abs().max()
+        == 0
+    )
 
 
 @pytest.mark.parametrize("size", [8, 9])
@@ -147,7 +156,7 @@ def test_a_kernel_fits_where_the_pose_is_that_sees_the_spot() -> None:
     """Crop, turn and correlation together: geometry of the whole transport."""
     pick = torch.tensor([[0.05, -0.02, 0.7]])
     seen = spot(SMALL, 0.05 + math.cos(0.7) * 0.06, -0.02 + math.sin(0.7) * 0.06)
-    kernels = turned(crop_about(seen, pick, SMALL, 16), bin_yaws(4))
+    kernels = turned(crop_about(seen, pick, SMALL, 16, 16 * SMALL.cell_m), bin_yaws(4))
     # The spot is 6 cm ahead of the gripper. With a yaw of a quarter turn, it is ahead
     # of the gripper if that stands 6 cm below it.
     fits = correlate(spot(SMALL, -0.1, 0.05), kernels)[0, 1]

@@ -45,7 +45,9 @@ class HeadsConfig:
     kernel_channels: int
     """Channels that are correlated."""
     crop: int
-    """Side of the crop, in cells of the raster; a multiple of 4."""
+    """Cells along a side of the crop; a multiple of 4."""
+    crop_m: float
+    """Side of the crop [m]."""
     extra_channels: int = 0
     """What else the pick head says of each cell."""
 
@@ -150,7 +152,7 @@ class PlaceHead(nn.Module):
         self.scale = nn.Parameter(torch.tensor(_FIRST_SCALE))
         query = self.query.context_width
         self.read = reader(width + query + config.bins + 4, 3)
-        self.bins, self.crop = config.bins, config.crop
+        self.bins, self.crop, self.crop_m = config.bins, config.crop, config.crop_m
 
     def forward(
         self, image: Tensor, sentence: Tensor, pick: Tensor, raster: Raster
@@ -164,10 +166,13 @@ class PlaceHead(nn.Module):
             raster: Where the cells are.
         """
         features, _ = self.key(image, sentence)
-        crop = crop_about(image, pick, raster, self.crop)
+        crop = crop_about(image, pick, raster, self.crop, self.crop_m)
         around, query = self.query(crop, sentence)
+        # A kernel has cells of the same size as the map that it is slid over.
         kernels = turned(
-            self.to_kernel(around).float(), bin_yaws(self.bins, image.device)
+            self.to_kernel(around).float(),
+            bin_yaws(self.bins, image.device),
+            self.crop_m / (self.crop * raster.cell_m),
         )
         fits = correlate(self.to_key(features), kernels) * self.scale
         return Fit(fits + self.alone(features).float(), features, query)

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from lemma.core.config import Count, Depth, Share, Size, Width, Widths
+from lemma.core.config import Count, Depth, Extent, Share, Size, Width, Widths
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.policies.batch import Batch, batch_of
@@ -40,9 +40,21 @@ from lemma.policies.models.cliport.poses import (
 )
 from lemma.policies.models.cliport.refinement import Zoom
 from lemma.policies.text.encoder import TextConfig, TextEncoder
+from lemma.scene.objects.stick import STICK_KIND
 from lemma.scene.raster import RASTER, Raster
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
+_ROOM_M = 0.06
+
+
+def _stick_reach_m() -> float:
+    """Return how far from its grasp the stick reaches along itself [m]."""
+    grasp = STICK_KIND.grasp
+    assert grasp is not None
+    return max(axis.end[0] for axis in STICK_KIND.shell.capsules) - grasp.at.x
+
+
+_CROP_M = 2 * round(_stick_reach_m() + _ROOM_M, 2)
 AT_ONCE = 16
 """Frames that are decided at once: their spectra need memory."""
 
@@ -60,8 +72,9 @@ class CLIPortConfig:
     kernel_channels: Width = 8
     """Channels that are correlated."""
     crop: Count = 128
-    """Cells of the map along a side of what is seen around the pick; it should hold the
-    stick, wherever it is grasped."""
+    """Cells along a side of what is seen around the pick, and around the place."""
+    crop_m: Extent = _CROP_M
+    """Side of that [m]; it should hold the stick, wherever it is grasped."""
     zoom: bool = True
     """Whether to look again at the place that was found, which CLIPort does not."""
     text_width: Width = 192
@@ -86,8 +99,7 @@ class CLIPortConfig:
                 )
         if self.crop < 2 * STRIDE or self.crop % STRIDE:
             raise InvalidConfigError(
-                f"crop={self.crop} is no multiple of {STRIDE}. Take 128: half a metre "
-                "to each side."
+                f"crop={self.crop} is no multiple of {STRIDE}. Take 128."
             )
 
     def heads(self, extra_channels: int = 0) -> HeadsConfig:
@@ -99,6 +111,7 @@ class CLIPortConfig:
             bins=self.bins,
             kernel_channels=self.kernel_channels,
             crop=self.crop,
+            crop_m=self.crop_m,
             extra_channels=extra_channels,
         )
 

@@ -35,7 +35,7 @@ class Zoom(nn.Module):
         self.streams = TwoStreams(config.query_widths, config.sentence_width)
         width = self.streams.width + self.streams.context_width
         self.read = reader(width + config.widths[0] + _KNOWN, 3)
-        self.crop = config.crop
+        self.crop, self.crop_m = config.crop, config.crop_m
 
     def forward(
         self,
@@ -59,7 +59,7 @@ class Zoom(nn.Module):
             units of some centimetres and degrees; float32.
         """
         image, sentence = seen
-        crop = crop_about(image, place, raster, self.crop)
+        crop = crop_about(image, place, raster, self.crop, self.crop_m)
         around, context = self.streams(crop, sentence)
         cells = place_cells(raster)
         there = read_at(fit.features, cells.holding(place[:, None, :2]))[:, 0]

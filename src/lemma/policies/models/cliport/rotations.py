@@ -48,7 +48,9 @@ def yaw_of(bin_number: Tensor, residual: Tensor, bins: int) -> Tensor:
     return wrapped((bin_number + residual) * (2 * math.pi / bins))
 
 
-def crop_about(image: Tensor, pose: Tensor, raster: Raster, size: int) -> Tensor:
+def crop_about(
+    image: Tensor, pose: Tensor, raster: Raster, size: int, side_m: float
+) -> Tensor:
     """Cut a square out of maps, turned with a pose.
 
     Args:
@@ -56,11 +58,13 @@ def crop_about(image: Tensor, pose: Tensor, raster: Raster, size: int) -> Tensor
         pose: x, y [m], yaw [rad] of the middle of the square, (B, 3).
         raster: Where the cells are.
         size: Cells along a side of the square.
+        side_m: Its side [m].
 
     Returns:
         (B, C, size, size); 0 outside the map.
     """
-    steps = (torch.arange(size, device=image.device) + 0.5 - size / 2) * raster.cell_m
+    cell_m = side_m / size
+    steps = (torch.arange(size, device=image.device) + 0.5 - size / 2) * cell_m
     ahead, left = steps[None, None, :], -steps[None, :, None]
     x, y, yaw = (value[:, None, None] for value in pose.unbind(1))
     cos, sin = yaw.cos(), yaw.sin()
@@ -72,19 +76,22 @@ def crop_about(image: Tensor, pose: Tensor, raster: Raster, size: int) -> Tensor
     return F.grid_sample(image, grid, align_corners=False)
 
 
-def turned(features: Tensor, yaws: Tensor) -> Tensor:
+def turned(features: Tensor, yaws: Tensor, scale: float = 1.0) -> Tensor:
     """Turn square feature maps by several angles about their middles.
 
     Args:
         features: (B, C, n, n).
         yaws: [rad], counter-clockwise, (R,).
+        scale: How many times larger their cells are than those of the result.
 
     Returns:
-        (B, R, C, s, s) with s odd, n or n + 1, so that a cell lies in the middle.
+        (B, R, C, s, s) with s odd, n * scale or the next one, so that a cell lies in
+        the middle.
     """
     count, channels, size, _ = features.shape
-    side = size + 1 - size % 2
-    steps = (torch.arange(side, device=features.device) - side // 2) * (2.0 / size)
+    wide = round(size * scale)
+    side = wide + 1 - wide % 2
+    steps = (torch.arange(side, device=features.device) - side // 2) * (2.0 / wide)
     right, up = steps[None, None, :], -steps[None, :, None]
     cos, sin = yaws.cos()[:, None, None], yaws.sin()[:, None, None]
     ahead = cos * right + sin * up
