@@ -8,7 +8,7 @@ import pytest
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.compose import PlannerWithGrounder
-from lemma.policies.interfaces import PolicyInput
+from lemma.policies.interfaces import Oracle, PolicyInput
 from lemma.policies.oracle import (
     GroundTruthAllocation,
     OracleGrounder,
@@ -18,7 +18,7 @@ from lemma.tasks.subtask import Primitive, SubTask
 from lemma.tasks.suite import SUITE, load_instance
 
 
-class Swaps:
+class Swaps(Oracle):
     """Gives every sub-task of the expert to the other robot."""
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ def test_right_allocation_mends_a_planner_that_errs_in_it_alone(task: str) -> No
 def test_the_same_question_has_the_same_answer() -> None:
     play = Rollout(load_instance("stack", "test", 0))
     planner = OraclePlanner()
-    inputs = [play.given(None)]
+    inputs = [play.given(None, planner)]
     first = planner.plan(inputs)
     assert planner.plan(inputs) == first
     assert OraclePlanner().plan(inputs) == first
@@ -64,15 +64,16 @@ def test_what_no_robot_can_do_stays_with_the_planner() -> None:
             return [SubTask("robot_1", Primitive.HOOK, "stick", "no_cube")]
 
     play = Rollout(load_instance("stack", "test", 0))
-    [subtask] = GroundTruthAllocation(Wants()).plan([play.given(None)])
+    mended = GroundTruthAllocation(Wants())
+    [subtask] = mended.plan([play.given(None, mended)])
     assert subtask.robot == "robot_1"
 
 
 def test_oracles_need_the_truth() -> None:
     play = Rollout(load_instance("stack", "test", 0))
-    blind = replace(play.given(None), episode=None)
+    blind = play.given(None)
     with pytest.raises(InvalidConfigError, match="learned policy"):
         OraclePlanner().plan([blind])
-    subtask = OraclePlanner().plan([play.given(None)])[0]
+    subtask = OraclePlanner().plan([play.given(None, OraclePlanner())])[0]
     with pytest.raises(InvalidConfigError, match="learned policy"):
         OracleGrounder().ground([blind], [subtask])

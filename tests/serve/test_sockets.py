@@ -23,7 +23,7 @@ from serving_processes import end, start
 from lemma.core.errors import InvalidConfigError
 from lemma.env.view import View
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
-from lemma.policies.interfaces import Decision, PastStep, PolicyInput
+from lemma.policies.interfaces import Decision, OracleInput, PastStep, PolicyInput
 from lemma.serve.client.conversation import Conversation, ProtocolMode
 from lemma.serve.client.remote import remote
 from lemma.serve.client.websocket import WebSocketChannel, connect, websocket_address
@@ -154,7 +154,10 @@ def test_the_truth_never_travels(served: PolicyServer) -> None:
     log: list[Any] = []
     policy = listen(served.url, log)
     truth: Any = object()
-    policy.act([replace(given(), episode=truth)])
+    plain = given()
+    policy.act(
+        [OracleInput(plain.instruction, plain.robots, plain.view, episode=truth)]
+    )
     greeting, asked = log
     assert isinstance(greeting, Hello)
     assert asked.__struct_fields__ == ("inputs", "views")

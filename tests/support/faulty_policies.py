@@ -137,11 +137,6 @@ class FailsTheHumans(Scripted):
         return super().act(inputs)
 
 
-class LooksForTruth(Scripted):
-    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        return [Decision(STOP, None, repr(one.episode)) for one in inputs]
-
-
 class CannotBeMade:
     def __init__(self) -> None:
         raise OSError("no weights")

@@ -1,7 +1,7 @@
 """The robots' cameras: what makes views of a scene, for whoever needs them."""
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,6 +17,8 @@ from lemma.scene.raster import LARGEST, RASTER, UNIT_M, MapImage
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
+
+_PLAIN = tuple(field.name for field in fields(View) if field.name != "cameras")
 
 
 class CameraRig:
@@ -52,6 +54,18 @@ class CameraRig:
                 if None.
         """
         return _SceneView(self, scene, tuple(robots or scene.spec.robot_names))
+
+    def capture(self, scene: Scene, *, cameras: bool = False) -> View:
+        """Return what is seen now, rendered now: plain data, which knows no scene.
+
+        Args:
+            scene: What to look at.
+            cameras: Whether the images of the cameras are kept beside the map.
+        """
+        seen = self.look(scene)
+        # First of all, or they are rendered twice.
+        images = seen.cameras if cameras else {}
+        return replace(View(*(getattr(seen, name) for name in _PLAIN)), cameras=images)
 
     def photograph(
         self, scene: Scene, qpos: FloatArray, robots: Sequence[str]

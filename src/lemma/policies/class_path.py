@@ -6,6 +6,25 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError
 
 
+def class_of(name: str) -> Any:
+    """Return a class, or whatever else makes an object when it is called.
+
+    Args:
+        name: ``"package.module:Class"``.
+
+    Raises:
+        InvalidConfigError: There is no such class.
+    """
+    module, _, attribute = name.partition(":")
+    try:
+        return getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InvalidConfigError(
+            f"There is no {name}: {error}. Name a class of a module that can be "
+            "imported here, as in mypackage.mymodule:MyPolicy."
+        ) from error
+
+
 def instance_of(name: str) -> Any:
     """Return an object of a class, made without arguments.
 
@@ -15,14 +34,7 @@ def instance_of(name: str) -> Any:
     Raises:
         InvalidConfigError: There is no such class, or it cannot be made.
     """
-    module, _, attribute = name.partition(":")
-    try:
-        make = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InvalidConfigError(
-            f"There is no {name}: {error}. Name a class of a module that can be "
-            "imported here, as in mypackage.mymodule:MyPolicy."
-        ) from error
+    make = class_of(name)
     try:
         return make()
     except Exception as error:

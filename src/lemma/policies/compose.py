@@ -10,18 +10,20 @@ from dataclasses import dataclass, replace
 from lemma.core.robot_names import robot_names
 from lemma.motion.outcome import REFUSED
 from lemma.policies.interfaces import (
+    Composite,
     Decision,
     Grounder,
     PastStep,
     Planner,
     Policy,
     PolicyInput,
+    told,
 )
 from lemma.tasks.subtask import Primitive, SubTask
 
 
 @dataclass(frozen=True)
-class PlannerWithGrounder:
+class PlannerWithGrounder(Composite):
     """A policy of two levels (paper, section V)."""
 
     planner: Planner
@@ -29,12 +31,13 @@ class PlannerWithGrounder:
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         """Plan for all episodes at once, then ground for those that go on."""
-        subtasks = self.planner.plan(inputs)
+        subtasks = self.planner.plan(told(self.planner, inputs))
         going = [i for i, s in enumerate(subtasks) if s.primitive is not Primitive.STOP]
         decisions = [Decision(subtask, None) for subtask in subtasks]
         if going:
             grounded = self.grounder.ground(
-                [inputs[i] for i in going], [subtasks[i] for i in going]
+                told(self.grounder, [inputs[i] for i in going]),
+                [subtasks[i] for i in going],
             )
             for i, found in zip(going, grounded, strict=True):
                 why = "" if found else f"No pose was found for: {subtasks[i]}."
@@ -43,7 +46,7 @@ class PlannerWithGrounder:
 
 
 @dataclass(frozen=True)
-class MultiStep:
+class MultiStep(Composite):
     """A planner that sees the first view only: the paper's multi-step planning.
 
     The whole plan follows from the first image and the planner's own decisions,
@@ -54,7 +57,8 @@ class MultiStep:
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Plan as if nothing had changed on the table."""
-        return self.planner.plan([_as_at_first(given) for given in inputs])
+        at_first = [_as_at_first(given) for given in inputs]
+        return self.planner.plan(told(self.planner, at_first))
 
 
 def _as_at_first(given: PolicyInput) -> PolicyInput:
@@ -64,7 +68,7 @@ def _as_at_first(given: PolicyInput) -> PolicyInput:
 
 
 @dataclass(frozen=True)
-class RetryingPlanner:
+class RetryingPlanner(Composite):
     """A planner that reads no outcomes, with the rule for refused sub-tasks.
 
     A refused sub-task changed nothing, so the planner is asked again as if it had not
@@ -76,7 +80,8 @@ class RetryingPlanner:
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return the planner's sub-tasks, each for a robot that was not refused it."""
-        decided = self.planner.plan([_as_untried(given) for given in inputs])
+        untried = [_as_untried(given) for given in inputs]
+        decided = self.planner.plan(told(self.planner, untried))
         return [
             _for_another(given, subtask)
             for given, subtask in zip(inputs, decided, strict=True)
@@ -84,14 +89,15 @@ class RetryingPlanner:
 
 
 @dataclass(frozen=True)
-class RetryingPolicy:
+class RetryingPolicy(Composite):
     """The same for a policy that plans and grounds at once: its poses remain."""
 
     policy: Policy
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         """Return the policy's decisions, each for a robot that was not refused it."""
-        decided = self.policy.act([_as_untried(given) for given in inputs])
+        untried = [_as_untried(given) for given in inputs]
+        decided = self.policy.act(told(self.policy, untried))
         found = []
         for given, decision in zip(inputs, decided, strict=True):
             subtask = _for_another(given, decision.subtask)

@@ -3,6 +3,10 @@
 A decision is a pure function of a :class:`PolicyInput`, which holds all that was seen
 and done since the episode began. Policies keep no state, so that many episodes can be
 decided at once, in any order, and again from the middle.
+
+The truth is not among it: what a policy is given is plain frozen data, copied out of
+the simulation, and no attribute of it leads back. Who needs the truth is an
+:class:`Oracle` by type, and results say so.
 """
 
 from collections.abc import Sequence
@@ -44,8 +48,6 @@ class PolicyInput:
     view: View
     past: tuple[PastStep, ...] = ()
     """What was decided before, oldest first."""
-    episode: "Episode | None" = field(default=None, repr=False)
-    """The truth, for oracles only: learned policies never look at it."""
 
     def words_for(self, subtask: SubTask) -> str:
         """Return a sub-task of this scene as a sub-instruction.
@@ -64,6 +66,65 @@ class PolicyInput:
     def with_past(self, past: tuple[PastStep, ...]) -> "PolicyInput":
         """Return the same input with another past."""
         return replace(self, past=past)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OracleInput(PolicyInput):
+    """What an oracle is given: the truth as well."""
+
+    episode: "Episode" = field(repr=False)
+    """The episode itself, with its simulation."""
+
+    def without_truth(self) -> PolicyInput:
+        """Return what anybody else is given."""
+        return PolicyInput(self.instruction, self.robots, self.view, self.past)
+
+
+class Oracle:
+    """Says that a planner, grounder or policy needs the truth: subclass it.
+
+    Oracles are given :class:`OracleInput`, and results of policies with an oracle in
+    them say ``"oracle": true``.
+    """
+
+
+class Composite:
+    """A policy, planner or grounder that is made of others: a dataclass of them."""
+
+    @property
+    def parts(self) -> tuple[object, ...]:
+        """What it is made of."""
+        return tuple(vars(self).values())
+
+
+def is_oracle(part: object) -> bool:
+    """Whether a policy or a part of one needs the truth, or something in it does."""
+    if isinstance(part, Composite):
+        return any(map(is_oracle, part.parts))
+    return isinstance(part, Oracle)
+
+
+def wants_cameras(part: object) -> bool:
+    """Whether a policy looks at camera images, not at the map alone.
+
+    It says so by an attribute: ``cameras = True``.
+    """
+    if isinstance(part, Composite):
+        return any(map(wants_cameras, part.parts))
+    return getattr(part, "cameras", False) is True
+
+
+def told(part: object, inputs: Sequence[PolicyInput]) -> list[PolicyInput]:
+    """Return inputs as a part of a policy may see them: the truth for oracles alone.
+
+    Whoever passes inputs on to a part passes these.
+    """
+    if is_oracle(part):
+        return list(inputs)
+    return [
+        given.without_truth() if isinstance(given, OracleInput) else given
+        for given in inputs
+    ]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,13 @@ from lemma.env.episode import Episode
 from lemma.expert.expert import Expert
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.policies.interfaces import Planner, PolicyInput
+from lemma.policies.interfaces import (
+    Oracle,
+    OracleInput,
+    Planner,
+    PolicyInput,
+    told,
+)
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 
@@ -23,7 +29,7 @@ class _Answer:
 
 
 @dataclass(frozen=True)
-class OraclePlanner:
+class OraclePlanner(Oracle):
     """Plans as the expert does: with the true state, and again after a failure."""
 
     _answers: WeakKeyDictionary[Episode, _Answer] = field(
@@ -54,7 +60,7 @@ class OraclePlanner:
 
 
 @dataclass(frozen=True)
-class OracleGrounder:
+class OracleGrounder(Oracle):
     """Grounds as the expert does: from the true poses."""
 
     def ground(
@@ -77,7 +83,7 @@ class OracleGrounder:
 
 
 @dataclass(frozen=True)
-class GroundTruthAllocation:
+class GroundTruthAllocation(Oracle):
     """A planner whose choice of robot is replaced by the right one (paper: GTA).
 
     Primitive and objects remain the planner's. The right robot is the expert's, where
@@ -94,9 +100,10 @@ class GroundTruthAllocation:
         Raises:
             InvalidConfigError: The inputs come without the truth.
         """
+        planned = self.planner.plan(told(self.planner, inputs))
         return [
             self._allocate(given, subtask)
-            for given, subtask in zip(inputs, self.planner.plan(inputs), strict=True)
+            for given, subtask in zip(inputs, planned, strict=True)
         ]
 
     def _allocate(self, given: PolicyInput, subtask: SubTask) -> SubTask:
@@ -118,9 +125,9 @@ class GroundTruthAllocation:
 
 
 def _truth(given: PolicyInput) -> Episode:
-    if given.episode is None:
+    if not isinstance(given, OracleInput):
         raise InvalidConfigError(
-            "An oracle was asked, but the inputs come without the truth. Give "
-            "PolicyInput its episode, or use a learned policy."
+            "An oracle was asked, but the inputs come without the truth. Give it "
+            "OracleInput, or use a learned policy."
         )
     return given.episode

@@ -6,14 +6,14 @@ from inspect import signature
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.policies.class_path import instance_of
+from lemma.policies.class_path import class_of, instance_of
 from lemma.policies.compose import (
     MultiStep,
     PlannerWithGrounder,
     RetryingPlanner,
     RetryingPolicy,
 )
-from lemma.policies.interfaces import TIMEOUT_S, Grounder, Planner, Policy
+from lemma.policies.interfaces import TIMEOUT_S, Grounder, Oracle, Planner, Policy
 from lemma.policies.oracle import (
     GroundTruthAllocation,
     OracleGrounder,
@@ -68,6 +68,20 @@ class PolicySpec:
     def blind(self) -> bool:
         """Whether it needs no images."""
         return set(self.parts) == {ORACLE}
+
+    @property
+    def oracle(self) -> bool:
+        """Whether some part of it is given the truth: results say so."""
+        return self.gta or any(map(self._is_oracle, self.parts))
+
+    def _is_oracle(self, part: str) -> bool:
+        if part == ORACLE:
+            return True
+        # The truth travels to no other process.
+        if ":" not in part or "://" in part or self.timeout_s > 0.0:
+            return False
+        found = class_of(part)
+        return isinstance(found, type) and issubclass(found, Oracle)
 
     def load(self, load: Callable[[str], Any] | None = None) -> Policy:
         """Return the policy, ready to act.

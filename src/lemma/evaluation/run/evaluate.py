@@ -119,6 +119,7 @@ class EvaluationConfig:
         """Return what decides the result."""
         return {
             "policy": asdict(self.policy),
+            "oracle": self.policy.oracle,
             "weights": weights_of(self.policy),
             "served": served_parts(self.policy),
             "language": self.language,

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from lemma.core.errors import UnknownNameError
+from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import sha256_of
-from lemma.policies.interfaces import Policy
+from lemma.policies.interfaces import Policy, is_oracle
 from lemma.policies.spec import ORACLE, PolicySpec, load_part
 from lemma.policies.weights import find_weights, published_weights
 from lemma.serve.client.conversation import ProtocolMode
@@ -21,14 +21,14 @@ def load_policy(spec: PolicySpec) -> Policy:
 
     Servers are asked over their sockets. Classes of other people live in processes of
     their own, unless no timeout is wanted: then they live here, where a debugger finds
-    them and they see the truth. Everything else is ours.
+    them, and may be oracles. Everything else is ours.
 
     Args:
         spec: Which policy.
 
     Raises:
         LemmaError: There is no such policy, nobody answers where it should be, or its
-            weights are damaged.
+            weights are damaged; or it is an oracle and its class does not say so.
     """
 
     def load(name: str) -> Any:
@@ -38,7 +38,13 @@ def load_policy(spec: PolicySpec) -> Policy:
             return isolate(name, spec.timeout_s)
         return load_part(name)
 
-    return spec.load(load)
+    found = spec.load(load)
+    if is_oracle(found) and not spec.oracle:
+        raise InvalidConfigError(
+            f"{spec.name} needs the truth, but its result would not say so. Name a "
+            "class that is derived from lemma.policies.interfaces.Oracle."
+        )
+    return found
 
 
 def served_parts(spec: PolicySpec) -> dict[str, Any]:

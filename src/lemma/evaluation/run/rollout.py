@@ -26,7 +26,15 @@ from lemma.evaluation.run.loading import load_policy
 from lemma.expert.grounding import GeometricGrounder, ground_or_refuse
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.policies.interfaces import Decision, PastStep, Policy, PolicyInput
+from lemma.policies.interfaces import (
+    Decision,
+    OracleInput,
+    PastStep,
+    Policy,
+    PolicyInput,
+    is_oracle,
+    wants_cameras,
+)
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
@@ -159,24 +167,26 @@ class Rollout:
             left=left_in(self.episode),
         )
 
-    def given(self, rig: CameraRig | None) -> PolicyInput:
-        """Return what the policy is given now; it sees nothing without cameras.
+    def given(self, rig: CameraRig | None, policy: object = None) -> PolicyInput:
+        """Return what a policy is given now; it sees nothing without cameras.
+
+        Everything is rendered now, which is neither the policy's time nor its fault if
+        it fails, and copied: nothing leads from it to the simulation.
+
+        Args:
+            rig: What it sees with, if it sees.
+            policy: An oracle is given the truth as well.
 
         Raises:
             RenderingError: OpenGL does not work here.
         """
-        view = _BLIND
+        view, scene = _BLIND, self.episode.simulation.scene
         if rig is not None:
-            view = rig.look(self.episode.simulation.scene)
-            # Rendered now: neither the policy's time nor its fault if it fails.
-            _ = view.rgb
-        return PolicyInput(
-            instruction=self.instruction,
-            robots=self._phrases,
-            view=view,
-            past=tuple(self.past),
-            episode=self.episode,
-        )
+            view = rig.capture(scene, cameras=wants_cameras(policy))
+        given = (self.instruction, self._phrases, view, tuple(self.past))
+        if is_oracle(policy):
+            return OracleInput(*given, episode=self.episode)
+        return PolicyInput(*given)
 
     def fail(self, fault: Fault) -> None:
         """End the episode for a fault of its policy."""
@@ -271,7 +281,7 @@ def roll_out(
     Raises:
         PolicyUnreachableError: The policy's server is gone.
     """
-    play = _Play(IsolatedPolicy(player.policy), player.rig, at_once, on_step)
+    play = _Play(player, IsolatedPolicy(player.policy), at_once, on_step)
     stopped = []
     for rollout in play.to_the_end(rollouts, strict=True):
         if lenient and not rollout.episode.is_over:
@@ -283,8 +293,8 @@ def roll_out(
 
 @dataclass(frozen=True)
 class _Play:
+    player: Player
     guard: IsolatedPolicy
-    rig: CameraRig | None
     at_once: int
     on_step: Callable[[Rollout, TakenStep], None] | None
 
@@ -307,7 +317,8 @@ class _Play:
 
     def _go_on(self, running: Sequence[Rollout]) -> None:
         """Let the policy decide once for every rollout."""
-        inputs = [rollout.given(self.rig) for rollout in running]
+        rig, policy = self.player.rig, self.player.policy
+        inputs = [rollout.given(rig, policy) for rollout in running]
         decisions = self.guard.decide(inputs)
         for rollout, given, decision in zip(running, inputs, decisions, strict=True):
             if isinstance(decision, Fault):

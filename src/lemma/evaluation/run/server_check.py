@@ -6,7 +6,7 @@ answer is known shows it; docs/serving.md prints the scene and the answer.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from lemma.env.camera_rig import CameraRig
@@ -62,7 +62,7 @@ def check_server(url: str, timeout_s: float = TIMEOUT_S) -> ServerCheck:
     part: Any = connect(url, ProtocolMode(timeout_s))
     try:
         play = Rollout(load_instance(*SCENE))
-        given = replace(play.given(CameraRig()), episode=None)
+        given = play.given(CameraRig())
         subtask, grounded = FIRST, None
         if hasattr(part, "act"):
             [decision] = part.act([given])

@@ -5,7 +5,7 @@ from typing import Any
 
 from lemma import __version__
 from lemma.env.view import View
-from lemma.policies.interfaces import PastStep, PolicyInput
+from lemma.policies.interfaces import PastStep, PolicyInput, is_oracle
 from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.serve.protocol.messages import (
     METHODS,
@@ -47,13 +47,18 @@ class Session:
             call: Asks the policy, in the right thread.
 
         Raises:
-            ProtocolError: It can do nothing of it.
+            ProtocolError: It can do nothing of it, or is an oracle.
         """
         self.methods = [name for name in METHODS if hasattr(policy, name)]
         if not self.methods:
             raise ProtocolError(
                 f"A {type(policy).__name__} is no policy: it has no act(), plan() or "
                 "ground()."
+            )
+        if is_oracle(policy):
+            raise ProtocolError(
+                f"A {type(policy).__name__} needs the truth, which never travels. An "
+                "oracle must live in the process that evaluates it: --timeout 0."
             )
         self._policy: Any = policy
         self._about = {"name": type(policy).__name__, **(about or {})}
