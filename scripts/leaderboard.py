@@ -93,7 +93,9 @@ class Submission:
     def knows_truth(self) -> bool:
         """Whether an oracle has a part in it, so that it is a bound and no entry."""
         policy = self.about["policy"]
-        return ORACLE in policy["name"].split("+") or bool(policy["gta"])
+        named = ORACLE in policy["name"].split("+") or bool(policy["gta"])
+        # A class of somebody's own may be an oracle as well.
+        return named or bool(self.about.get("oracle"))
 
 
 def submission_of(result: Result, title: str, who: str, link: str = "") -> Submission:
