@@ -162,7 +162,7 @@ def test_nor_beside_an_oracle(compose: Callable[[Spy], Policy]) -> None:
     policy = compose(spy)
     assert is_oracle(policy)
     play(policy)
-    assert len(spy.kept) == 2
+    assert len(spy.kept) >= 2
     assert {type(one) for one in spy.kept} == {PolicyInput}
     assert spy.found == []
 

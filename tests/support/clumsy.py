@@ -10,7 +10,7 @@ from lemma.core.poses import Pose2
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.records import SUMMARY, read_about
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
-from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.interfaces import Decision, Oracle, OracleInput, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.subtask import STOP
@@ -21,7 +21,7 @@ FAILED = 3
 """Of the episodes of each kind; the first one is solved."""
 
 
-class Clumsy:
+class Clumsy(Oracle):
     """The expert, but: stops early, picks beside the cube, takes the wrong robot."""
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class Clumsy:
         return [self._decide(given) for given in inputs]
 
     def _decide(self, given: PolicyInput) -> Decision:
-        assert given.episode is not None
+        assert isinstance(given, OracleInput)
         index, done = given.episode.instance.index % EPISODES, len(given.past)
         (subtask,) = self._planner.plan([given])
         if subtask == STOP or (done == 1 and index != 0):

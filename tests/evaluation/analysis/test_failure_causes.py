@@ -11,7 +11,7 @@ from lemma.evaluation.analysis.failure_causes import Cause, cause_of
 from lemma.evaluation.records import Departure
 from lemma.evaluation.run.expert_feedback import advise, departure, left_in
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
-from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.interfaces import Decision, Oracle, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
@@ -108,7 +108,7 @@ def test_to_act_where_all_is_done_is_a_wrong_primitive() -> None:
     assert departure(FIRST, ()) is Departure.PRIMITIVE
 
 
-class Clumsy:
+class Clumsy(Oracle):
     """The expert, whose poses are off by 40 mm."""
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:

@@ -92,7 +92,7 @@ def test_mistakes_of_convention_show(change: Change, mistakes: list[str]) -> Non
     assert list(found.mistakes) == mistakes
     assert found.ok is (not mistakes)
     [given] = policy.given
-    assert given.episode is None
+    assert type(given) is PolicyInput
     assert given.view.rgb.max() > 0
 
 

@@ -14,7 +14,7 @@ from lemma.evaluation.report.replay import retrace
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.evaluation.run.rollout import REFUSAL_S, Player, Rollout, roll_out
 from lemma.policies.compose import PlannerWithGrounder
-from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.interfaces import Decision, Oracle, OracleInput, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.subtask import STOP, SubTask
@@ -23,7 +23,7 @@ from lemma.tasks.suite import load_instance
 EPISODES = 3
 
 
-class Fickle:
+class Fickle(Oracle):
     """The expert, but: its poses depend on the company of the batch, by 0.1 mm each.
 
     It also sends the wrong robot first in all episodes but the first, and in the last
@@ -37,7 +37,7 @@ class Fickle:
         return [self._decide(given, len(inputs)) for given in inputs]
 
     def _decide(self, given: PolicyInput, company: int) -> Decision:
-        assert given.episode is not None
+        assert isinstance(given, OracleInput)
         index = given.episode.instance.index
         (subtask,) = self._planner.plan([given])
         if subtask == STOP:
@@ -127,7 +127,7 @@ def test_one_folder_holds_one_sort_of_verdicts(tmp_path: Path) -> None:
         evaluate(replace(short, verdicts="both"), Serial())
 
 
-class Wrong:
+class Wrong(Oracle):
     """Sends the other robot first, and does not read that it was refused."""
 
     reads_outcomes = False
