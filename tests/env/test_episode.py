@@ -159,7 +159,7 @@ def test_nothing_can_be_done_after_the_end(how: str) -> None:
         episode.stop()
     else:
         episode.simulation.rest(1.0)
-    with pytest.raises(ResetNeededError, match="v1/pass/free/0 is over"):
+    with pytest.raises(ResetNeededError, match="v2/pass/free/0 is over"):
         episode.execute(FIRST)
     assert episode.executed == []
 
@@ -193,7 +193,7 @@ def test_info_says_it_all(episode: Episode) -> None:
     assert info["idle_s"]["robot_1"] == pytest.approx(episode.elapsed_s)
     assert info["failure"] is None
     assert info["instruction"] == "Put them away."
-    assert info["instance"] == "v1/pass/free/0"
+    assert info["instance"] == "v2/pass/free/0"
 
 
 # --- The judge's second ------------------------------------------------------------
@@ -293,7 +293,7 @@ def test_a_fresh_episode_takes_a_snapshot_over(episode: Episode) -> None:
 
 def test_a_snapshot_of_another_instance_is_refused(episode: Episode) -> None:
     kept = Episode(replace(INSTANCE, index=1)).snapshot()
-    with pytest.raises(InvalidConfigError, match=r"of v1/pass/free/1.*v1/pass/free/0"):
+    with pytest.raises(InvalidConfigError, match=r"of v2/pass/free/1.*v2/pass/free/0"):
         episode.restore(kept)
 
 
