@@ -123,12 +123,10 @@ class TransformerLayer(nn.Module):
         count, length, width = x.shape
         parts = self.query_key_value(x).view(count, length, 3, self.heads, -1)
         query, key, value = parts.permute(2, 0, 3, 1, 4)
-        mixed = F.scaled_dot_product_attention(
-            query,
-            key,
-            value,
-            attn_mask=attends if attends.dim() == 4 else attends.unsqueeze(1),
-        )
+        mask = attends if attends.dim() == 4 else attends.unsqueeze(1)
+        if mask.is_floating_point():
+            mask = mask.to(query.dtype)
+        mixed = F.scaled_dot_product_attention(query, key, value, attn_mask=mask)
         joined = mixed.transpose(1, 2).reshape(count, length, width)
         out: Tensor = self.attention_out(joined)
         return out

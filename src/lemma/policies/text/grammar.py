@@ -199,14 +199,15 @@ class _Speaker:
         again = entity in self.named
         self.named.add(entity)
         draw = self.draw()
-        if style == "bare":
+        # Of two cubes the noun is left out more often than of a cube and a pad.
+        if style == "bare" and (kind.cargo or draw < 0.4):
             forms = (f"{color} one", f"the {color} one") if self.on_cubes else ()
             return color if draw < 0.6 or not forms else self.of((*forms, color))
         if (style == "mixed" and known and draw < 0.65) or (again and draw < 0.3):
             return self.of(
                 (f"the {color} one", f"the {color} one", f"the {color}", color)
             )
-        if style == "mixed" and draw > 0.92:
+        if style == "mixed" and kind.cargo and draw > 0.92:
             return color
         noun = self.nouns[kind.name]
         if style != "full" and draw < 0.15:
