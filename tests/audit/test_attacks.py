@@ -4,7 +4,7 @@ import pytest
 from soft_tables import SOFT, stack_out_of_reach
 
 from lemma.audit.attack import ATTACKS
-from lemma.audit.hand import TOUCH_BEYOND_M
+from lemma.robots.could import could_of
 from lemma.audit.run import Found, audit_instance, cheap_attacks_succeed, names_at
 from lemma.tasks.instance import Instance
 

@@ -7,19 +7,22 @@ stay where they are.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.audit.attack import AttemptOver
+from lemma.audit.attack import AttemptOver, Lost
 from lemma.audit.hand import base_matrix, turned_near
 from lemma.core.poses import FloatArray, Pose2
 from lemma.env.base_env import EnvSnapshot
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
+from lemma.robots.could import Could, could_of
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import Reach, gripper_ik, reach_of
 from lemma.robots.ur.build import ARMS
+from lemma.scene.objects.entity import kind_of
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.instance import Instance
 
@@ -82,6 +85,11 @@ class ControlTrial:
         return reach_of(self.placement.arm)
 
     @property
+    def could(self) -> Could:
+        """What it could do at most, however it turns its hand."""
+        return could_of(self.placement.arm)
+
+    @property
     def acted(self) -> bool:
         """Whether anything was commanded."""
         return bool(self._commands)
@@ -129,6 +137,7 @@ class ControlTrial:
 
         Raises:
             AttemptOver: The goal is reached, or the time is up.
+            Lost: It cannot be reached any more.
         """
         self._row[self._number, :6] = joints
         self._row[self._number, 6] = opening_m
@@ -140,6 +149,8 @@ class ControlTrial:
         self._over = terminated or truncated
         if self._over:
             raise AttemptOver
+        if not set(self._env.episode.fallen).isdisjoint(self.goal.entities):
+            raise Lost
 
     def wait(self, seconds: float, opening_m: float) -> None:
         """Stay, with the fingers told to open or to close."""
@@ -199,6 +210,26 @@ class ControlTrial:
         """Return where the hand is, (4, 4)."""
         return self._env.episode.simulation.arms[self.robot].tcp_pose()
 
+    def cargo(self) -> list[str]:
+        """Return what can be moved and has not fallen off the table, but the stick."""
+        fallen = self.scene.fallen
+        return [
+            name
+            for name in self.scene.movable_names
+            if kind_of(name).cargo and name not in fallen
+        ]
+
+    def snapshot(self) -> "Moment":
+        """Return the moment, to come back to it: an attacker may try things out."""
+        return Moment(self._env.snapshot(), self._row.copy(), len(self._commands))
+
+    def restore(self, moment: "Moment") -> None:
+        """Go back; what was done since was never done."""
+        self._env.restore(moment.env)
+        self._row = moment.row.copy()
+        del self._commands[moment.commands :]
+        self._over = False
+
     def finish(self) -> bool:
         """Wait for the environment to end the episode; return whether it succeeded."""
         try:
@@ -211,6 +242,15 @@ class ControlTrial:
     def what_was_done(self) -> dict[str, object]:
         """Return it, for a replay."""
         return {"commands": np.stack(self._commands)}
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A moment of a trial."""
+
+    env: EnvSnapshot
+    row: FloatArray
+    commands: int
 
 
 class ControlTable:

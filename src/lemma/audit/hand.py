@@ -6,18 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from lemma.core.poses import FloatArray, Pose2
-from lemma.robots.reach import reach_of
 
 LEANS_RAD = tuple(math.radians(d) for d in range(0, 80, 5))
 """How far a hand may lean from pointing down, smallest first."""
-TOUCH_BEYOND_M = 0.16
-"""How much farther than pointing down a hand reaches at most, however it leans: 13 cm
-were found by inverse kinematics over all orientations."""
-
-
-def touch_m(arm_name: str) -> float:
-    """Return how far from its base an arm possibly touches or grasps anything [m]."""
-    return reach_of(arm_name).grasp_m + TOUCH_BEYOND_M
 
 
 def base_matrix(base: Pose2) -> FloatArray:
@@ -49,10 +40,13 @@ def leaning(x: float, y: float, z: float, way: float, lean: float) -> FloatArray
     return pose
 
 
-def rolled(hand: FloatArray) -> FloatArray:
-    """Return a hand turned by a quarter about its own axis."""
+def turned(hand: FloatArray, axis: int, angle: float) -> FloatArray:
+    """Return a hand turned about one of its own axes, 0 to 2, by an angle [rad]."""
+    c, s = math.cos(angle), math.sin(angle)
+    one, two = (axis + 1) % 3, (axis + 2) % 3
     pose = hand.copy()
-    pose[:3, 0], pose[:3, 1] = hand[:3, 1], -hand[:3, 0]
+    pose[:3, one] = c * hand[:3, one] + s * hand[:3, two]
+    pose[:3, two] = c * hand[:3, two] - s * hand[:3, one]
     return pose
 
 

@@ -21,7 +21,8 @@ from lemma.tasks.suite import load_instance
 for _name in (
     *("skill.drag_home", "skill.push_onto_pad", "skill.carry_on_stick"),
     *("skill.shove", "skill.search", "skill.plan_order"),
-    *("control.tilted_move",),
+    *("control.tilted_move", "control.rake", "control.hand_push"),
+    *("control.tilted_stick", "control.tip_off_stick", "control.throw"),
 ):
     import_module(f"lemma.audit.{_name}")
 
