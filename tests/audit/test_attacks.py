@@ -1,17 +1,22 @@
 """Attacks have teeth: where one robot can do it they do, and nowhere else."""
 
 import pytest
-from soft_tables import SOFT, stack_out_of_reach
+from soft_tables import ARM, SOFT, reach, stack_out_of_reach
 
 from lemma.audit.attack import ATTACKS
-from lemma.robots.could import could_of
 from lemma.audit.run import Found, audit_instance, cheap_attacks_succeed, names_at
+from lemma.robots.could import could_of
 from lemma.tasks.instance import Instance
 
 
 def played(name: str, instance: Instance) -> Found:
     (found,) = audit_instance(instance, (name,))
     return found
+
+
+def beyond_could() -> float:
+    """How far out of grasp nobody can do anything, with something to spare [m]."""
+    return could_of(ARM).place_m - reach().grasp_m + 0.10
 
 
 @pytest.mark.parametrize("name", SOFT)
@@ -22,7 +27,7 @@ def test_succeeds_where_one_robot_can(name: str) -> None:
 
 @pytest.mark.slow
 def test_none_succeeds_where_one_robot_cannot() -> None:
-    hard = stack_out_of_reach(TOUCH_BEYOND_M + 0.25)
+    hard = stack_out_of_reach(beyond_could())
     found = list(audit_instance(hard, names_at("both")))
     assert [one.attack for one in found] == [*ATTACKS]
     assert [one.attack for one in found if one.succeeded] == []
@@ -31,7 +36,7 @@ def test_none_succeeds_where_one_robot_cannot() -> None:
 
 def test_cheap_attacks_say_which_of_them_succeeds() -> None:
     assert cheap_attacks_succeed(SOFT["drag_home"]) == "drag_home"
-    assert cheap_attacks_succeed(stack_out_of_reach(TOUCH_BEYOND_M + 0.25)) is None
+    assert cheap_attacks_succeed(stack_out_of_reach(beyond_could())) is None
 
 
 def test_every_attack_says_what_it_does() -> None:

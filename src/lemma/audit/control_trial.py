@@ -1,7 +1,7 @@
 """One attempt at an instance with motor commands to one robot.
 
 The hand is led along poses of any orientation: inverse kinematics turns them into the
-joint angles that the environment takes, 20 times a second. The other robots are told to
+joint angles that the environment takes, 50 times a second. The other robots are told to
 stay where they are.
 """
 
@@ -25,17 +25,23 @@ from lemma.robots.ur.build import ARMS
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.instance import Instance
+from lemma.tasks.suite import FREE_SPLIT
 
-MODE = "joint_position"
-"""The control mode in which attacks act."""
-STEP_S = 0.05
-"""Between two commands."""
+STEP_S = 0.02
+"""Between two commands: what lies on a held stick falls if the arm jerks."""
 _PATIENCE_S = 2.5
 """How long an attempt waits at its end for the environment to call it a success."""
 _SPEED = 0.6
 """Share of the joints' velocity limits at which the hand is led."""
 _CLOSE_RAD = 0.01
 _STUCK_S = 0.6
+
+
+def control_config(task: str) -> EnvConfig:
+    """Return the environment in which attacks act, and their replays."""
+    return EnvConfig(
+        task=task, control="joint_position", control_hz=1.0 / STEP_S, split=FREE_SPLIT
+    )
 
 
 class ControlTrial:
@@ -51,7 +57,7 @@ class ControlTrial:
         """Begin an attempt.
 
         Args:
-            env: At the beginning of an episode, in :data:`MODE`.
+            env: At the beginning of an episode: one of :func:`control_config`.
             robot: Who acts.
             rng: Where every draw comes from.
             attempt: Number of the attempt.
@@ -258,8 +264,7 @@ class ControlTable:
 
     def __init__(self, instance: Instance) -> None:
         """Compile it."""
-        config = EnvConfig(task=instance.task, control=MODE, split="free")
-        self._env = ControlEnv(config)
+        self._env = ControlEnv(control_config(instance.task))
         self._env.set_table(options={"instance": instance})
         self._start: EnvSnapshot = self._env.snapshot()
 

@@ -50,6 +50,32 @@ def turned(hand: FloatArray, axis: int, angle: float) -> FloatArray:
     return pose
 
 
+def dipping(
+    hand: FloatArray, point: tuple[float, float, float], heading: float, angle: float
+) -> FloatArray:
+    """Return a hand turned about a point so that what it holds dips.
+
+    Args:
+        hand: The hand, (4, 4).
+        point: What stays where it is [m].
+        heading: Where what it holds points, seen from above [rad].
+        angle: By how much that end goes down [rad].
+    """
+    c, s = math.cos(angle), math.sin(angle)
+    x, y = math.cos(heading), math.sin(heading)
+    ahead, aside = np.array([x, y, 0.0]), np.array([-y, x, 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    rotation = (
+        np.outer(c * ahead - s * up, ahead)
+        + np.outer(aside, aside)
+        + np.outer(c * up + s * ahead, up)
+    )
+    pose = hand.copy()
+    pose[:3, :3] = rotation @ hand[:3, :3]
+    pose[:3, 3] = rotation @ (hand[:3, 3] - point) + point
+    return pose
+
+
 def drawn_back(hand: FloatArray, distance_m: float) -> FloatArray:
     """Return a hand that is a distance back along where its fingers point."""
     pose = hand.copy()

@@ -6,11 +6,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from lemma.audit.attack import ATTACKS
-from lemma.audit.control_trial import MODE
+from lemma.audit.control_trial import control_config
 from lemma.audit.run import Found
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray
-from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
 from lemma.env.simulation import TICK_S
@@ -86,8 +85,7 @@ class _Commands:
     """Replays motor commands."""
 
     def __init__(self, instance: Instance) -> None:
-        config = EnvConfig(task=instance.task, control=MODE, split="free")
-        self._env = ControlEnv(config)
+        self._env = ControlEnv(control_config(instance.task))
         self._env.set_table(options={"instance": instance})
         self.episode = self._env.episode
         self.success = False

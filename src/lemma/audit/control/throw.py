@@ -1,6 +1,5 @@
 """Throw a cube at its pad: swing the arm, open the fingers on the way."""
 
-
 from lemma.audit.attack import ATTACKS, Attack, GiveUp, Lost
 from lemma.audit.control.handling import base_to, holds, pick_up
 from lemma.audit.control_trial import STEP_S, ControlTrial
@@ -18,9 +17,9 @@ _SWINGS = (
 )
 """Radius as a share of reach, height [m] and lean [rad] of the hand, before and
 after, by attempt."""
-_RELEASES = (2, 4, 6, 8, 10, 12, 14, 17, 20)
+_RELEASES = (5, 9, 13, 17, 21, 25, 30, 35, 42, 50)
 """Steps after which the fingers open."""
-_STEPS = 26
+_STEPS = 65
 _LANDING_S = 1.8
 
 

@@ -13,9 +13,10 @@ from lemma.audit.control.stick_in_hand import (
     lay_stick,
     require_stick,
 )
-from lemma.audit.control_trial import ControlTrial
-from lemma.audit.hand import leaning, moved, turned
+from lemma.audit.control_trial import STEP_S, ControlTrial
+from lemma.audit.hand import dipping, leaning, moved, turned
 from lemma.core.poses import FloatArray, Pose2, wrap
+from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.objects.stick import (
     HANDLE_LENGTH_M,
@@ -24,14 +25,18 @@ from lemma.scene.objects.stick import (
 )
 from lemma.tasks.goal import On
 
-_SPOT = Pose2(HANDLE_LENGTH_M - STICK_SECTION_M / 2, 0.035)
+_SPOT = Pose2(HANDLE_LENGTH_M - 0.004, 0.08)
 """Where on the stick the cube lies."""
 _HANDS_M = (0.42, 0.30, 0.20)
 """Where along the handle the stick is held then, by attempt."""
 _CARRY_M = 0.10
 _SLOW = 0.12
-_AIMS_M = (0.0, 0.03, 0.06, 0.09)
-_TIPS_RAD = (0.5, -0.5)
+"""How fast the arm swings [rad/s] or stretches [m/s] with a cube on the stick."""
+_JUMP_RAD = 0.3
+_AIMS_M = (-0.06, -0.035, -0.01, 0.06)
+_PITCHES_RAD = (0.3, 0.42, 0.55)
+_DIP_M = 0.025
+_PULL_M = 0.15
 
 
 def tip_off_stick(trial: ControlTrial) -> None:
@@ -94,7 +99,7 @@ def _carry(trial: ControlTrial, on: On) -> bool:
     for aim_m in _AIMS_M:
         trial.restore(start)
         over = _over(trial, on, grasp, aim_m, flipped)
-        if over is None or not trial.go(over, 0.0, _SLOW):
+        if over is None or not _bring(trial, over):
             continue
         loaded = trial.snapshot()
         for path, speed in _endings(trial, over):
@@ -102,10 +107,37 @@ def _carry(trial: ControlTrial, on: On) -> bool:
             try:
                 for hand in path:
                     trial.go(hand, 0.0, speed)
-                trial.wait(1.2, 0.0)
+                trial.wait(0.3, 0.0)
+                # What is held at the end, the stick too, is no success.
+                trial.wait(2.0, FINGER_OPENING_M)
             except Lost:
                 continue
     return False
+
+
+def _bring(trial: ControlTrial, over: FloatArray) -> bool:
+    """Bring the hand, pointing down, slowly round its base; False if it cannot."""
+    base, start = trial.placement.base, trial.hand()
+    at = Pose2(start[0, 3], start[1, 3], math.atan2(start[1, 0], start[0, 0]))
+    to = Pose2(over[0, 3], over[1, 3], math.atan2(over[1, 0], over[0, 0]))
+    swing = wrap(trial.outward(to) - trial.outward(at))
+    # The stick turns with the arm, and by what is left beside.
+    twist = wrap(to.yaw - at.yaw - swing)
+    further = base.distance(to) - base.distance(at)
+    most = max(abs(swing), abs(twist), abs(further), 0.02)
+    steps = math.ceil(most / (_SLOW * STEP_S))
+    for i in range(1, steps + 1):
+        # Gently off and gently to rest.
+        t = 0.5 - 0.5 * math.cos(math.pi * i / steps)
+        bearing = trial.outward(at) + t * swing
+        spot = base_to(trial, base.distance(at) + t * further, bearing)
+        joints = trial.posture(
+            leaning(spot.x, spot.y, start[2, 3], at.yaw + t * (swing + twist), 0.0)
+        )
+        if joints is None or float(abs(joints - trial.joints).max()) > _JUMP_RAD:
+            return False
+        trial.command(joints, 0.0)
+    return trial.lead([over], 0.0, 0.05)
 
 
 def _is_flipped(trial: ControlTrial, grasp: Pose2) -> bool:
@@ -119,7 +151,7 @@ def _over(
     """Return the hand that has the cube over its pad, or a little beyond."""
     pad = trial.pose(on.bottom)
     local = trial.pose(STICK).inverse() @ trial.pose(on.top)
-    height = kind_of(on.bottom).height_m + STICK_GRASP_HEIGHT_M + 0.012
+    height = kind_of(on.bottom).height_m + STICK_GRASP_HEIGHT_M + 0.03
     out = trial.outward(pad)
     for turn in range(-8, 9):
         yaw = out + 0.12 * turn
@@ -137,15 +169,18 @@ def _endings(
     trial: ControlTrial, over: FloatArray
 ) -> Iterator[tuple[list[FloatArray], float]]:
     """Yield ways to get rid of the cube, as poses of the hand, and how fast."""
-    base = trial.placement.base
-    way = math.atan2(base.y - over[1, 3], base.x - over[0, 3])
-    for back_m in (0.12, 0.2):
-        jerk = moved(over, back_m * math.cos(way), back_m * math.sin(way))
-        yield [jerk], 1.6
-    for tip in _TIPS_RAD:
-        tipped = turned(over, 0, tip)
-        yield [tipped], 0.15
-        yield [tipped], 1.6
+    stick = trial.pose(STICK)
+    back = moved(
+        over, *(-_PULL_M * c for c in (math.cos(stick.yaw), math.sin(stick.yaw)))
+    )
+    head = stick @ Pose2(HANDLE_LENGTH_M, 0.0)
+    for pitch in _PITCHES_RAD:
+        # The head dips until it touches; the cube slides down and off.
+        z = float(over[2, 3]) - _DIP_M
+        dipped = dipping(over, (head.x, head.y, z), stick.yaw, pitch)
+        dipped[2, 3] -= _DIP_M
+        yield [dipped, moved(dipped, *(back[:3, 3] - over[:3, 3]))], 0.15
+    yield [back], 1.6
 
 
 ATTACKS.add(
