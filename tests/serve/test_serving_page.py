@@ -18,7 +18,7 @@ from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
 from lemma.evaluation.run.fault_isolation import FARTHEST_M
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
-from lemma.evaluation.run.server_check import FIRST, NEAR_M, NEAR_RAD, SCENE
+from lemma.evaluation.run.server_check import NEAR_M, NEAR_RAD, SCENE, first_subtask
 from lemma.expert.expert import Expert
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.policies.interfaces import TIMEOUT_S, Decision, PastStep, PolicyInput
@@ -97,7 +97,7 @@ def test_the_known_question_and_its_answer_are_printed() -> None:
     assert isinstance(reply, Decisions)
     [decision] = reply.decisions
     right = plan.steps[0].grounded
-    assert decision.subtask == plan.steps[0].subtask == FIRST
+    assert decision.subtask == plan.steps[0].subtask == first_subtask()
     assert decision.grounded == replace(
         right, pick=right.pick.rounded(3), place=right.place.rounded(3)
     )

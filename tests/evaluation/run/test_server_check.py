@@ -12,7 +12,11 @@ from faulty_policies import Scripted
 from lemma.cli.serve import serve as verb
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
-from lemma.evaluation.run.server_check import FIRST, SCENE, check_server
+from lemma.evaluation.run.server_check import (
+    SCENE,
+    check_server,
+    first_subtask,
+)
 from lemma.expert.expert import Expert
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.serve.server.server import PolicyServer
@@ -21,6 +25,7 @@ from lemma.tasks.suite import load_instance
 
 pytestmark = pytest.mark.render
 
+PARTNER = {"robot_0": "robot_1", "robot_1": "robot_0"}
 Change = Callable[[GroundedSubTask], GroundedSubTask]
 
 
@@ -59,7 +64,7 @@ class Grounds:
     def ground(
         self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
     ) -> list[GroundedSubTask | None]:
-        assert subtasks == [FIRST]
+        assert subtasks == [first_subtask()]
         return [right_answer().grounded]
 
 
@@ -68,7 +73,7 @@ def at(change: Callable[[Pose2], Pose2]) -> Change:
 
 
 def other(grounded: GroundedSubTask) -> GroundedSubTask:
-    return replace(grounded, robot="robot_0")
+    return replace(grounded, robot=PARTNER[grounded.robot])
 
 
 MISTAKES: dict[str, tuple[Change, list[str]]] = {
@@ -97,9 +102,10 @@ def test_mistakes_of_convention_show(change: Change, mistakes: list[str]) -> Non
 
 
 def test_parts_are_asked_for_what_they_can_do() -> None:
+    first = first_subtask()
     for part, mistakes in (
-        (Plans(FIRST), []),
-        (Plans(replace(FIRST, robot="robot_0")), ["robot"]),
+        (Plans(first), []),
+        (Plans(replace(first, robot=PARTNER[first.robot])), ["robot"]),
         (Plans(STOP), ["pick"]),
         (Grounds(), []),
     ):
@@ -111,12 +117,12 @@ def test_the_verb_shows_question_and_answer(capsys: pytest.CaptureFixture[str]) 
     with PolicyServer(Answers(), port=0) as server:
         assert verb(check=server.url) == 0
         shown = capsys.readouterr().out
-        assert "Place the red cube on top of the blue cube" in shown
-        assert str(FIRST) in shown
+        assert load_instance(*SCENE).instructions["high_level"] in shown
+        assert str(first_subtask()) in shown
         assert verb(check=server.url, as_json=True) == 0
         told: dict[str, Any] = json.loads(capsys.readouterr().out)
         assert (told["ok"], told["mistakes"]) == (True, {})
-        assert told["subtask"] == FIRST.to_dict()
+        assert told["subtask"] == first_subtask().to_dict()
     with PolicyServer(Scripted(), port=0) as server:
         assert verb(check=server.url) == 1
         assert "WRONG" in capsys.readouterr().out

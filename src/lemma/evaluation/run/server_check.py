@@ -10,20 +10,20 @@ from dataclasses import dataclass
 from typing import Any
 
 from lemma.env.camera_rig import CameraRig
+from lemma.env.episode import Episode
 from lemma.evaluation.run.rollout import Rollout
+from lemma.expert.expert import Expert
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.policies.interfaces import TIMEOUT_S
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.client.websocket import connect
-from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+from lemma.tasks.subtask import GroundedSubTask, SubTask
 from lemma.tasks.suite import load_instance
 
 SCENE = ("stack", "val", 0)
 """Task, split and index. Each robot reaches one of the two cubes, whose sides are far
 from parallel to the axes."""
-FIRST = SubTask("robot_1", Primitive.MOVE, "blue_cube", "shared")
-"""What the expert does first, and what a grounder is asked for."""
 NEAR_M = 0.03
 NEAR_RAD = 0.2
 
@@ -45,6 +45,13 @@ class ServerCheck:
         return not self.mistakes
 
 
+def first_subtask() -> SubTask:
+    """Return what the expert does first in the known scene."""
+    instance = load_instance(*SCENE)
+    subtask, _ = Expert(Episode(instance).simulation.scene, instance.goal).act()
+    return subtask
+
+
 def check_server(url: str, timeout_s: float = TIMEOUT_S) -> ServerCheck:
     """Ask a served policy for its first decision in the known scene.
 
@@ -63,7 +70,7 @@ def check_server(url: str, timeout_s: float = TIMEOUT_S) -> ServerCheck:
     try:
         play = Rollout(load_instance(*SCENE))
         given = play.given(CameraRig())
-        subtask, grounded = FIRST, None
+        subtask, grounded = first_subtask(), None
         if hasattr(part, "act"):
             [decision] = part.act([given])
             subtask, grounded = decision.subtask, decision.grounded
