@@ -45,7 +45,7 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 REFUSAL_S = 5.0
 """Simulated time that a sub-task takes at least which its robot cannot do [s]: as long
 as an arm needs to where its fingers would close, and back. The expert's arms close
-their fingers 2.2 s after a sub-task began (30 of them, 1.6 to 2.8 s)."""
+their fingers 2.2 s after a sub-task began (30 of them, 1.7 to 2.9 s)."""
 
 _BLIND = View(
     np.zeros((0, 0, 3), np.uint8),
