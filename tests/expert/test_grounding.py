@@ -8,7 +8,7 @@ from recorded_episodes import EPISODES, recorded
 from small_tables import ARM_NAMES, cube, facing, pad, stick
 
 from lemma.core.errors import UnknownNameError
-from lemma.core.poses import Pose, Pose2
+from lemma.core.poses import Pose, Pose2, wrap
 from lemma.env.simulation import Simulation
 from lemma.expert.free_spots import FreeSpots
 from lemma.expert.grounding import GeometricGrounder, GroundedOption
@@ -224,13 +224,27 @@ def test_a_full_shared_region_has_no_place_left(arm: str) -> None:
     grid = [k * 0.05 for k in range(-20, 21)]
     everywhere = tuple((x, y, 0.04) for x, y in product(grid, grid))
     assert places.free_spot(everywhere) is None
-    assert places.free_stick(everywhere) is None
+    base, pick = spec.robots[0].base, Pose2(-0.5, 0.0)
+    assert places.free_stick(everywhere, base, pick) is None
 
 
 def test_a_gap_between_the_robots_leaves_no_shared_place() -> None:
-    places = FreeSpots(facing("ur5", gap_m=0.05).robots)
+    robots = facing("ur5", gap_m=0.05).robots
+    places = FreeSpots(robots)
     assert places.free_spot(()) is None
-    assert places.free_stick(()) is None
+    assert places.free_stick((), robots[0].base, Pose2(-0.5, 0.0)) is None
+
+
+@pytest.mark.parametrize("yaw", [-1.7, -0.8, 0.0, 0.8, 1.7])
+def test_the_stick_is_laid_down_without_turning_it_through_the_arm(yaw: float) -> None:
+    robots = facing("ur5").robots
+    base = robots[0].base
+    pick = base @ Pose2(0.5, 0.0, yaw)
+    place = FreeSpots(robots).free_stick((), base, pick)
+    assert place is not None
+    outward = math.atan2(place.y - base.y, place.x - base.x)
+    turned = wrap(place.yaw - outward) - yaw
+    assert abs(turned) <= math.radians(150.0)
 
 
 @pytest.mark.parametrize("task", SUITE)

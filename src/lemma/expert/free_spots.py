@@ -9,9 +9,11 @@ from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECT
 from lemma.scene.spec import RobotPlacement
 from lemma.scene.table import TABLE_HALF_Y_M, Gap, lies_on_table
 from lemma.tasks.drags import (
+    HAND_CLEARANCE_M,
     LARGEST_HEADING_RAD,
     Disc,
     heading_from,
+    is_turned_too_far,
     stick_gap,
     stick_in_grasp,
 )
@@ -27,6 +29,7 @@ _STICK_GRID = 3
 _STICK_YAWS = 24
 _EDGE_M = 0.05
 
+_StickKey = tuple[tuple[Disc, ...], Pose2, Pose2]
 Spot = tuple[float, float, float]
 """x, y, and the smallest margin of any robot there, where more is no better [m]."""
 
@@ -46,7 +49,7 @@ class FreeSpots:
         self._gap_m = gap_m
         self._spots = _shared_spots(robots, gap_m)
         self._bases = tuple(robot.base for robot in robots)
-        self._stick_places: dict[tuple[Disc, ...], Pose2 | None] = {}
+        self._stick_places: dict[_StickKey, Pose2 | None] = {}
 
     def free_spot(
         self, obstacles: tuple[Disc, ...], wider_m: float = 0.0
@@ -73,19 +76,29 @@ class FreeSpots:
                     best, best_score = Pose2(x, y), margin + clearance
         return best
 
-    def free_stick(self, obstacles: tuple[Disc, ...]) -> Pose2 | None:
-        """Return the best gripper pose to lay the stick down for somebody else."""
-        if obstacles not in self._stick_places:
-            self._stick_places[obstacles] = next(
+    def free_stick(
+        self, obstacles: tuple[Disc, ...], base: Pose2, pick: Pose2
+    ) -> Pose2 | None:
+        """Return the best gripper pose to lay the stick down for somebody else.
+
+        Args:
+            obstacles: What lies around.
+            base: Of the robot that brings it.
+            pick: Gripper pose where that robot grasps it.
+        """
+        key = (obstacles, base, pick)
+        if key not in self._stick_places:
+            self._stick_places[key] = next(
                 (
                     grip
                     for x, y, _ in self._spots[::_STICK_GRID]
                     for grip in self._stick_poses(x, y)
-                    if _stick_is_free(grip, obstacles, self._gap_m)
+                    if not is_turned_too_far(base, pick, grip)
+                    and _stick_is_free(grip, obstacles, self._gap_m)
                 ),
                 None,
             )
-        return self._stick_places[obstacles]
+        return self._stick_places[key]
 
     def _stick_poses(self, x: float, y: float) -> list[Pose2]:
         """Return gripper poses at a place that suit every robot, best first."""
@@ -110,6 +123,7 @@ def _stick_is_free(grip: Pose2, obstacles: tuple[Disc, ...], gap_m: Gap | None) 
             return False
     return all(
         stick_gap(stick, x, y) > radius + _STICK_CLEARANCE_M
+        and math.hypot(x - grip.x, y - grip.y) > radius + HAND_CLEARANCE_M
         for x, y, radius in obstacles
     )
 

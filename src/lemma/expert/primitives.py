@@ -154,7 +154,9 @@ def _ground_pass_stick(
     if subtask.place != SHARED:
         return None
     pick = grasp_on_stick(now.poses[STICK])
-    place = geometry.places.free_stick(geometry.discs(now, but=STICK))
+    place = geometry.places.free_stick(
+        geometry.discs(now, but=STICK), geometry.robots[subtask.robot].base, pick
+    )
     if place is None or geometry.margin(subtask.robot, pick, place) <= 0.0:
         return None
     return GroundedOption(

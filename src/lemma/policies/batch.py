@@ -180,6 +180,8 @@ class Frames:
         tasks: Sequence[str] = (),
         device: torch.device | str = "cpu",
         entities: EntitySet = BENCHMARK,
+        *,
+        shared: bool = False,
     ) -> "Frames":
         """Read what ``lemma render --form keyframes`` wrote.
 
@@ -189,6 +191,8 @@ class Frames:
             tasks: Names of tasks; all if empty.
             device: Where batches shall be made.
             entities: What shall have a number.
+            shared: Whether processes of this machine share the maps; see
+                :class:`~lemma.dataset.rendered.keyframes.memory.MapsInMemory`.
 
         Raises:
             DatasetError: Files are missing, damaged or of another version, scenes do
@@ -200,7 +204,7 @@ class Frames:
         header = keyframe_shards(Path(folder), split, tasks)[0].header
         if header.perturbed:
             columns += tuple(f"{EXECUTED}{name}" for name in _DECISION)
-        maps = MapsInMemory.load(folder, split, tasks, columns)
+        maps = MapsInMemory.load(folder, split, tasks, columns, shared=shared)
         if len({np.shape(j) for j in maps.columns["joints"]}) > 1:
             raise DatasetError(
                 f"{folder} mixes teams of different sizes. Choose tasks of one size."

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from lemma.core.poses import Pose2, wrap
+from lemma.robots.gripper import FINGER_CENTER_M, FINGER_DISC_M
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.kind import ObjectKind
@@ -30,6 +31,11 @@ PREPARE_GAP_M = 0.02
 _INNER_FACE_M = HANDLE_LENGTH_M - STICK_SECTION_M
 _DIRECTION = {Primitive.HOOK: -1.0, Primitive.POKE: 1.0}
 _STICK_CLEARANCE_M = STICK_SECTION_M / 2 + 0.012
+HAND_CLEARANCE_M = FINGER_CENTER_M + FINGER_DISC_M
+"""Around a hand that opens its fingers to take or leave the stick."""
+LARGEST_TURN_RAD = math.radians(150.0)
+"""How far the stick may turn, seen from the base of who carries it: with more, the last
+joint would turn it the other way, through the arm."""
 _GRIP_MARGIN_M = 0.015
 _END_MARGIN_M = 0.05
 _GOOD_MARGIN_M = 0.10
@@ -80,6 +86,21 @@ def heading_from(base: Pose2, stick: Pose2) -> float:
     grasp = grasp_on_stick(stick)
     outward = math.atan2(grasp.y - base.y, grasp.x - base.x)
     return abs(wrap(stick.yaw - outward))
+
+
+def is_turned_too_far(base: Pose2, pick: Pose2, place: Pose2) -> bool:
+    """Whether a robot that carries the stick would turn it through its own arm.
+
+    Args:
+        base: Of the robot.
+        pick: Gripper where the stick is grasped, turned as the stick is.
+        place: Gripper where it is put down.
+    """
+    headings = [
+        wrap(grip.yaw - math.atan2(grip.y - base.y, grip.x - base.x))
+        for grip in (pick, place)
+    ]
+    return abs(headings[1] - headings[0]) > LARGEST_TURN_RAD
 
 
 def stick_in_grasp(gripper: Pose2) -> Pose2:
@@ -229,6 +250,8 @@ def _is_free(
         stick = stick_in_grasp(grip)
         for ox, oy, radius in obstacles:
             if math.hypot(ox - x, oy - y) < radius + disc_m + 0.01:
+                return False
+            if math.hypot(ox - grip.x, oy - grip.y) < radius + HAND_CLEARANCE_M:
                 return False
             if stick_gap(stick, ox, oy) < radius + _STICK_CLEARANCE_M:
                 return False

@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import shutil
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -31,7 +32,7 @@ from lemma.dataset.rendered.keyframes.dataset import (
     KeyframeDataset,
     Sample,
 )
-from lemma.dataset.rendered.keyframes.memory import MapsInMemory
+from lemma.dataset.rendered.keyframes.memory import SHARED, MapsInMemory
 from lemma.tasks.language.bank import templates
 
 pytestmark = pytest.mark.render
@@ -204,7 +205,7 @@ def test_everything_in_memory() -> None:
     found = dataset(language=RESAMPLED)
     memory = MapsInMemory.load(keyframes_folder(), SPLIT, language=RESAMPLED)
     assert len(memory) == len(found)
-    assert memory.nbytes == len(found) * 288 * 416 * 5
+    assert memory.nbytes == len(found) * 416 * 416 * 5
     assert memory.rgb.flags.c_contiguous
     for index in range(len(found)):
         row = {name: values[index] for name, values in memory.columns.items()}
@@ -212,6 +213,24 @@ def test_everything_in_memory() -> None:
         row["map_coverage"] = memory.coverage[index]
         assert same(row, found[index])
     assert memory.raster == found.raster
+
+
+def test_processes_share_maps_in_a_file(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(keyframes_folder(), folder)
+    alone = MapsInMemory.load(folder, SPLIT)
+    first, second = (MapsInMemory.load(folder, SPLIT, shared=True) for _ in range(2))
+    assert sum(path.suffix == ".npy" for path in (folder / SHARED).iterdir()) == 2
+    for found in (first, second):
+        assert np.array_equal(found.rgb, alone.rgb)
+        assert np.array_equal(found.height, alone.height)
+        assert isinstance(found.rgb, np.memmap)
+        assert found.columns.keys() == alone.columns.keys()
+        for name, values in alone.columns.items():
+            assert repr(values.tolist()) == repr(found.columns[name].tolist())
+    # What one of them writes, nobody else sees.
+    second.rgb[0] = 0
+    assert np.array_equal(MapsInMemory.load(folder, SPLIT, shared=True).rgb, alone.rgb)
 
 
 def open_files(folder: Path) -> int:

@@ -122,8 +122,9 @@ class TrainingConfig:
     """Whether to compile the parts of the model: slower to start, faster to run."""
     device: Literal["auto", "cuda", "cpu"] = "auto"
     """Where to train; auto: on a GPU where there is one."""
-    images: Literal["auto", "device", "host"] = "auto"
-    """Where images are kept; auto: on the device if a tenth of its memory is enough."""
+    images: Literal["auto", "device", "host", "shared"] = "auto"
+    """Where images are kept; auto: on the device if a tenth of its memory is enough;
+    shared: once for all runs of this machine, uncompressed beside the data."""
 
     val_every: Count = None
     """Steps between validations. By default twenty in all."""

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -129,12 +130,13 @@ def read_frames(
         for shard in keyframe_shards(folder, split, tasks)
     )
     how = tasks, _place(config, team.device, size), entities
-    train = Frames.load(config.data, config.train_split, *how)
+    read = partial(Frames.load, shared=config.images == "shared")
+    train = read(config.data, config.train_split, *how)
     same = config.val_split == config.train_split
-    val = train if same else Frames.load(config.data, config.val_split, *how)
+    val = train if same else read(config.data, config.val_split, *how)
     recovery = None
     if config.recovery is not None:
-        recovery = Frames.load(config.recovery, config.train_split, *how)
+        recovery = read(config.recovery, config.train_split, *how)
         _check_alike(train, recovery)
     return Data(train, val, about, recovery)
 
@@ -155,7 +157,7 @@ def _check_alike(train: Frames, recovery: Frames) -> None:
 
 def _place(config: TrainingConfig, device: torch.device, size: int) -> torch.device:
     host = torch.device("cpu")
-    if device.type == "cpu" or config.images == "host":
+    if device.type == "cpu" or config.images in ("host", "shared"):
         return host
     free, _ = torch.cuda.mem_get_info(device)
     # From the host they come nearly as fast, and the memory has better uses.
