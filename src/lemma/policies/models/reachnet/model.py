@@ -29,7 +29,6 @@ from lemma.policies.batch import (
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.model import MODELS, Model
-from lemma.policies.models.reachnet.decisions import failures_in, numbers_of, subtask_of
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
@@ -46,7 +45,10 @@ from lemma.policies.models.reachnet.planner import (
     PlannerConfig,
     ReachNetPlanner,
     decision_of,
+    failures_in,
     number_of,
+    numbers_of,
+    subtask_of,
 )
 from lemma.policies.models.reachnet.scene_table import (
     Noise,

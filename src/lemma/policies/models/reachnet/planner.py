@@ -7,6 +7,7 @@ paper's utility, the logarithm of how likely the robot reaches what it needs.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -14,8 +15,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.core.config import Depth, Share, Width
-from lemma.policies.batch import NOBODY, PRIMITIVES, STOP
+from lemma.core.robot_names import robot_name
+from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, decision_numbers
 from lemma.policies.entities import BENCHMARK, EntitySet
+from lemma.policies.interfaces import PolicyInput
 from lemma.policies.layers import check_heads
 from lemma.policies.models.reachnet.drags import DragUtility
 from lemma.policies.models.reachnet.features import (
@@ -37,10 +40,13 @@ from lemma.policies.models.reachnet.features import (
     tool_features,
 )
 from lemma.policies.models.reachnet.scene_table import SceneTable
+from lemma.tasks.subtask import STOP as STOP_SUBTASK
+from lemma.tasks.subtask import Primitive, SubTask
 
 _TOOL_ROWS = ("prehook", "hook", "prepoke", "poke")
 _ROW_OF = {PRIMITIVES.index(name): row for row, name in enumerate(_TOOL_ROWS)}
 _ABSENT = -20.0
+_SUCCESS = "success"
 
 
 @dataclass(frozen=True)
@@ -291,3 +297,45 @@ def decision_of(number: Tensor, robots: int, entities: EntitySet = BENCHMARK) ->
     ).sum(-1)
     table = torch.stack([move, tool, hand, none], 1)
     return table[torch.arange(len(number), device=number.device), bands]
+
+
+def subtask_of(row: Sequence[int], entities: EntitySet = BENCHMARK) -> SubTask:
+    """Return a sub-task of numbers: robot, primitive, pick, place."""
+    places = entities.places
+    robot, primitive, pick, place = row
+    if primitive == STOP:
+        return STOP_SUBTASK
+    return SubTask(
+        robot_name(robot), Primitive(PRIMITIVES[primitive]), places[pick], places[place]
+    )
+
+
+def numbers_of(
+    subtask: SubTask, robots: int, entities: EntitySet = BENCHMARK
+) -> list[int]:
+    """Return a sub-task as numbers; those of ``stop`` if it makes no sense."""
+    nothing = [NOBODY, STOP, NOBODY, NOBODY]
+    try:
+        numbers = decision_numbers(subtask.to_dict(), entities)
+    except ValueError:
+        return nothing
+    robot, _, pick, place = numbers
+    cargo, stick = range(entities.cargo), entities.stick
+    if subtask.primitive is Primitive.MOVE:
+        onto = place in range(stick) and place != pick
+        fits = (pick in cargo and (onto or place > stick)) or (
+            pick == stick and place > stick
+        )
+    else:
+        fits = pick == stick and place in cargo
+    return numbers if fits and 0 <= robot < robots else nothing
+
+
+def failures_in(given: PolicyInput) -> list[SubTask]:
+    """Return what has failed since something last succeeded."""
+    failed = []
+    for step in reversed(given.past):
+        if step.outcome == _SUCCESS:
+            break
+        failed.append(step.subtask)
+    return failed
