@@ -162,25 +162,21 @@ def _rates(
 
 
 def table(cells: "tuple[Cell, ...]") -> Table:
-    """Return success rates [%] with Wilson intervals: tasks down, kinds across."""
+    """Return success rates [%] with Wilson intervals: tasks down, kinds across.
+
+    All strict, but for the last row.
+    """
     from lemma.evaluation.analysis.intervals import leniently, mean_over_tasks, rates_by
     from lemma.tasks.language.template import EVALUATION_KINDS
     from lemma.tasks.names import in_order
     from lemma.tasks.suite import SUITE
 
-    later = leniently(cells)
-    columns = {
-        (kind, name): [cell for cell in among if cell.kind == kind]
-        for kind in EVALUATION_KINDS
-        for name, among in (("", cells), ("lenient", later))
-        if any(cell.kind == kind for cell in among)
-    }
+    every = {kind: [c for c in cells if c.kind == kind] for kind in EVALUATION_KINDS}
+    columns = {kind: listed for kind, listed in every.items() if listed}
     shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     shown.add_column("success [%]", style="bold", no_wrap=True)
-    for kind, name in columns:
-        title = name or kind.replace("_", "-")
-        style = "dim" if name else ""
-        shown.add_column(title, justify="right", no_wrap=True, style=style)
+    for kind in columns:
+        shown.add_column(kind.replace("_", "-"), justify="right", no_wrap=True)
     tasks = in_order(cell.task for cell in cells)
     rates = [rates_by(column, "task") for column in columns.values()]
     for task in tasks:
@@ -190,6 +186,10 @@ def table(cells: "tuple[Cell, ...]") -> Table:
     over = "the tasks" if whole else f"{len(tasks)} of the tasks"
     means = (f"{100 * mean_over_tasks(column):.1f}" for column in columns.values())
     shown.add_row(f"mean over {over}", *means)
+    later = [leniently(column) for column in columns.values()]
+    if all(later):
+        means = (f"{100 * mean_over_tasks(column):.1f}" for column in later)
+        shown.add_row("the same, lenient", *means)
     return shown
 
 
