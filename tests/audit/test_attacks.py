@@ -1,12 +1,24 @@
 """Attacks have teeth: where one robot can do it they do, and nowhere else."""
 
+from collections.abc import Iterator
+
 import pytest
-from soft_tables import ARM, SOFT, reach, stack_out_of_reach
+from own_plugins import loaded
+from soft_tables import ARM, SOFT, mat, reach, soft_table, stack_out_of_reach
 
 from lemma.audit.attack import ATTACKS
 from lemma.audit.run import Found, audit_instance, cheap_attacks_succeed, names_at
 from lemma.robots.could import could_of
+from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.tasks.instance import Instance
+
+
+@pytest.fixture(autouse=True)
+def _mats() -> Iterator[None]:
+    """Let there be mats, for these tests alone."""
+    with loaded():
+        OBJECT_KINDS.add("mat", mat())
+        yield
 
 
 def played(name: str, instance: Instance) -> Found:
@@ -21,7 +33,7 @@ def beyond_could() -> float:
 
 @pytest.mark.parametrize("name", SOFT)
 def test_succeeds_where_one_robot_can(name: str) -> None:
-    found = played(name, SOFT[name])
+    found = played(name, soft_table(name))
     assert (found.succeeded, found.progress, found.robot) == (True, 1.0, "robot_0")
 
 
@@ -35,7 +47,7 @@ def test_none_succeeds_where_one_robot_cannot() -> None:
 
 
 def test_cheap_attacks_say_which_of_them_succeeds() -> None:
-    assert cheap_attacks_succeed(SOFT["drag_home"]) == "drag_home"
+    assert cheap_attacks_succeed(soft_table("drag_home")) == "drag_home"
     assert cheap_attacks_succeed(stack_out_of_reach(beyond_could())) is None
 
 

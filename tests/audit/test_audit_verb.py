@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from own_plugins import EXAMPLES, loaded
-from soft_tables import SOFT, two_cubes_to_drag
+from soft_tables import soft_table, two_cubes_to_drag
 
 from lemma.audit.run import audit, audit_instance
 from lemma.audit.table import tally, to_dict
@@ -79,8 +79,9 @@ def test_repeats_whoever_works() -> None:
 
 @pytest.mark.parametrize("name", ["drag_home", "tilted_move"])
 def test_what_succeeded_is_replayed_from_what_it_did(name: str) -> None:
-    (found,) = audit_instance(SOFT[name], [name])
-    recording = replay_attack(found, SOFT[name], frame_s=0.5)
+    soft = soft_table(name)
+    (found,) = audit_instance(soft, [name])
+    recording = replay_attack(found, soft, frame_s=0.5)
     assert recording.success
     assert len(recording.frames) == pytest.approx(2 * recording.elapsed_s, abs=2)
 

@@ -5,10 +5,14 @@ own tables change.
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
 from lemma.core.poses import Pose2
 from lemma.robots.reach import Reach, reach_of
-from lemma.scene.objects.stick import GRASP_FROM_END_M
+from lemma.scene.objects.kind import ObjectKind, Part
+from lemma.scene.objects.pad import PAD, PAD_RADIUS_M
+from lemma.scene.objects.stick import GRASP_FROM_END_M, HANDLE_LENGTH_M
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
@@ -77,9 +81,64 @@ def stack_out_of_reach(beyond_m: float) -> Instance:
     )
 
 
-SOFT = {
-    "drag_home": two_cubes_to_drag(),
-    "drag_any_part": two_cubes_to_drag(),
-    "tilted_move": stack_out_of_reach(0.05),
+def mat() -> ObjectKind:
+    """A pad so thin that things are pushed onto it, as in version 1."""
+    thickness_m = 0.004
+    disc = Part(
+        "cylinder",
+        (PAD_RADIUS_M, thickness_m / 2),
+        position_m=(0.0, 0.0, thickness_m / 2),
+    )
+    return replace(PAD, name="mat", nouns=("mat",), parts=(disc,), height_m=thickness_m)
+
+
+def pad_out_of_reach(beyond_m: float, kind: str = "pad") -> Instance:
+    """Cubes and stick lie in reach, the pad so far out of grasp."""
+    return instance(
+        "hook",
+        ("red_cube", f"blue_{kind}"),
+        ObjectPlacement("cube", "red", at(0.72 * reach().travel_m, 22.0)),
+        ObjectPlacement("cube", "green", at(0.55 * reach().travel_m, 50.0)),
+        ObjectPlacement(kind, "blue", at(reach().grasp_m + beyond_m, 8.0)),
+        stick_of_first(),
+    )
+
+
+def stick_by_its_hook() -> Instance:
+    """The end of the stick's handle is out of reach, its hook is not."""
+    soft = two_cubes_to_drag()
+    tip = at(0.72 * reach().travel_m, -30.0)
+    turn = math.radians(165.0)
+    end = Pose2(
+        tip.x - HANDLE_LENGTH_M * math.cos(turn),
+        tip.y - HANDLE_LENGTH_M * math.sin(turn),
+        turn,
+    )
+    stick = ObjectPlacement("stick", "yellow", end)
+    others = tuple(o for o in soft.scene.objects if o.kind != "stick")
+    return replace(soft, scene=replace(soft.scene, objects=(*others, stick)))
+
+
+SOFT: dict[str, Callable[[], Instance]] = {
+    "drag_home": two_cubes_to_drag,
+    "drag_any_part": two_cubes_to_drag,
+    "take_the_stick": stick_by_its_hook,
+    "push_onto_pad": lambda: pad_out_of_reach(0.15, "mat"),
+    "shove": lambda: pad_out_of_reach(reach().travel_m - reach().grasp_m + 0.07, "mat"),
+    "greedy_skills": lambda: pad_out_of_reach(-0.25),
+    "random_skills": lambda: pad_out_of_reach(-0.25),
+    "out_of_order": lambda: pad_out_of_reach(-0.25),
+    "tilted_move": lambda: stack_out_of_reach(0.05),
+    "rake": lambda: stack_out_of_reach(0.05),
+    "hand_push": lambda: pad_out_of_reach(0.06, "mat"),
+    "tilted_stick": two_cubes_to_drag,
+    "tip_off_stick": lambda: pad_out_of_reach(0.25),
+    "topple": lambda: pad_out_of_reach(0.25),
+    "tower_push": lambda: pad_out_of_reach(0.25),
 }
 """Attacks, and an instance that each of them solves."""
+
+
+def soft_table(attack: str) -> Instance:
+    """The instance that an attack solves; the kind ``mat`` must be registered."""
+    return SOFT[attack]()

@@ -22,7 +22,8 @@ for _name in (
     *("skill.drag_home", "skill.push_onto_pad", "skill.carry_on_stick"),
     *("skill.shove", "skill.search", "skill.plan_order"),
     *("control.tilted_move", "control.rake", "control.hand_push"),
-    *("control.tilted_stick", "control.tip_off_stick", "control.throw"),
+    *("control.tilted_stick", "control.tip_off_stick", "control.tower_push"),
+    *("control.topple", "control.throw"),
 ):
     import_module(f"lemma.audit.{_name}")
 

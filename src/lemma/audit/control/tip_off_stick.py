@@ -17,9 +17,11 @@ from lemma.audit.control_trial import STEP_S, ControlTrial
 from lemma.audit.hand import dipping, leaning, moved, turned
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.objects.stick import (
     HANDLE_LENGTH_M,
+    HOOK_LENGTH_M,
     STICK_GRASP_HEIGHT_M,
     STICK_SECTION_M,
 )
@@ -27,7 +29,7 @@ from lemma.tasks.goal import On
 
 _SPOT = Pose2(HANDLE_LENGTH_M - 0.004, 0.08)
 """Where on the stick the cube lies."""
-_HANDS_M = (0.42, 0.30, 0.20)
+_HANDS_M = (0.42, 0.30, 0.20, 0.08)
 """Where along the handle the stick is held then, by attempt."""
 _CARRY_M = 0.10
 _SLOW = 0.12
@@ -43,8 +45,10 @@ def tip_off_stick(trial: ControlTrial) -> None:
     """Play an attempt."""
     require_stick(trial)
     for on in trial.goal.conjuncts:
-        farthest = trial.could.touch_m + HANDLE_LENGTH_M
-        if trial.radius(trial.pose(on.bottom)) > farthest:
+        support_m = kind_of(on.bottom).support_m or 0.0
+        longest_m = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M) + CUBE_EDGE_M
+        farthest_m = trial.could.touch_m + longest_m + support_m
+        if trial.radius(trial.pose(on.bottom)) > farthest_m:
             raise GiveUp
     for on in trial.goal.conjuncts:
         if not _load(trial, on) or not _carry(trial, on):
