@@ -133,7 +133,7 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "hand_push": lambda: pad_out_of_reach(0.06, "mat"),
     "tilted_stick": two_cubes_to_drag,
     "tip_off_stick": lambda: pad_out_of_reach(0.25),
-    "topple": lambda: pad_out_of_reach(0.25),
+    "topple": lambda: pad_out_of_reach(0.25, "mat"),
     "tower_push": lambda: pad_out_of_reach(0.25),
 }
 """Attacks, and an instance that each of them solves."""

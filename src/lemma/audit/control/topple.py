@@ -8,9 +8,9 @@ from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.objects.stick import HANDLE_LENGTH_M
 
-_HANDS_M = (0.06, 0.25, 0.45)
+_HANDS_M = (0.45, 0.25, 0.06)
 """Where along the handle the stick is held, by attempt."""
-_RAISES_M = (0.03, 0.024, 0.036)
+_RAISES_M = (0.03, 0.036, 0.042, 0.048)
 """Above the middle of the cube, and still below its top."""
 
 
