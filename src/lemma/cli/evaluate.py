@@ -182,14 +182,13 @@ def table(cells: "tuple[Cell, ...]") -> Table:
     for task in tasks:
         shown.add_row(task, *(_cell(by_task.get((task,))) for by_task in rates))
     shown.add_section()
-    whole = set(tasks) == set(SUITE)
-    over = "the tasks" if whole else f"{len(tasks)} of the tasks"
+    over = "mean" if set(tasks) == set(SUITE) else f"mean of {len(tasks)} tasks"
     means = (f"{100 * mean_over_tasks(column):.1f}" for column in columns.values())
-    shown.add_row(f"mean over {over}", *means)
+    shown.add_row(over, *means)
     later = [leniently(column) for column in columns.values()]
     if all(later):
         means = (f"{100 * mean_over_tasks(column):.1f}" for column in later)
-        shown.add_row("the same, lenient", *means)
+        shown.add_row("mean, lenient", *means)
     return shown
 
 

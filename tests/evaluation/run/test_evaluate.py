@@ -219,4 +219,4 @@ def test_the_verb_prints_a_table(
     assert "stack" in shown
     assert "unseen" in shown
     assert "100.0" in shown
-    assert "the same, lenient" in shown
+    assert "mean, lenient" in shown
