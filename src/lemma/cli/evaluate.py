@@ -173,7 +173,8 @@ def table(cells: "tuple[Cell, ...]") -> Table:
 
     every = {kind: [c for c in cells if c.kind == kind] for kind in EVALUATION_KINDS}
     columns = {kind: listed for kind, listed in every.items() if listed}
-    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    # Four kinds fit into 80 columns without the edge.
+    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     shown.add_column("success [%]", style="bold", no_wrap=True)
     for kind in columns:
         shown.add_column(kind.replace("_", "-"), justify="right", no_wrap=True)
