@@ -2,7 +2,7 @@
 
 from lemma.audit.attack import ATTACKS, Attack, GiveUp, Lost
 from lemma.audit.control.handling import base_to, holds, pick_up
-from lemma.audit.control_trial import STEP_S, ControlTrial
+from lemma.audit.control_trial import ControlTrial, Moment
 from lemma.audit.hand import leaning
 from lemma.core.poses import FloatArray
 from lemma.robots.gripper import FINGER_OPENING_M
@@ -20,6 +20,9 @@ after, by attempt."""
 _RELEASES = (5, 9, 13, 17, 21, 25, 30, 35, 42, 50)
 """Steps after which the fingers open."""
 _STEPS = 65
+_SHARES = (1.0, 0.85, 0.7)
+"""Of the swing, for throws about the best one."""
+_OFFS = (-2, -1, 1, 2)
 _LANDING_S = 1.8
 
 
@@ -44,15 +47,29 @@ def throw(trial: ControlTrial) -> None:
     if target is None:
         return
     ready = trial.snapshot()
-    for release in _RELEASES:
-        trial.restore(ready)
-        try:
-            for i in range(_STEPS):
-                trial.command(target, 0.0 if i < release else FINGER_OPENING_M)
-            for _ in range(round(_LANDING_S / STEP_S)):
-                trial.command(target, FINGER_OPENING_M)
-        except Lost:
-            continue
+    missed = [
+        (_throw(trial, on, ready, target, release), release) for release in _RELEASES
+    ]
+    _, best = min(missed)
+    for share in _SHARES:
+        for off in _OFFS:
+            trial.restore(ready)
+            less = trial.joints + share * (target - trial.joints)
+            _throw(trial, on, ready, less, best + off)
+
+
+def _throw(
+    trial: ControlTrial, on: On, ready: Moment, target: FloatArray, release: int
+) -> float:
+    """Swing and open the fingers; return by how much the cube misses [m]."""
+    trial.restore(ready)
+    try:
+        for i in range(_STEPS):
+            trial.command(target, 0.0 if i < release else FINGER_OPENING_M)
+        trial.wait(_LANDING_S, FINGER_OPENING_M)
+    except Lost:
+        pass
+    return trial.pose(on.top).distance(trial.pose(on.bottom))
 
 
 def _swing(trial: ControlTrial, on: On) -> tuple[FloatArray | None, FloatArray | None]:

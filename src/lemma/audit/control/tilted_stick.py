@@ -46,6 +46,5 @@ ATTACKS.add(
         level="control",
         play=tilted_stick,
         attempts=_TRIES,
-        cheap=True,
     ),
 )
