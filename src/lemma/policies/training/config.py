@@ -253,10 +253,10 @@ class Defaults:
 
 DEFAULTS: dict[str, Defaults] = {
     # Eighteen passes, where the paper makes thirty: the best weights are of the ninth.
-    "episodic-transformer": Defaults(samples=100_000, batch_size=32),
-    "cliport": Defaults(samples=230_000, learning_rate=1e-3),
-    "m-cliport": Defaults(samples=230_000, learning_rate=1e-3),
-    "reachnet": Defaults(samples=400_000, batch_size=128, learning_rate=1e-3),
+    "episodic-transformer": Defaults(samples=60_000, batch_size=32),
+    "cliport": Defaults(samples=120_000, learning_rate=1e-3),
+    "m-cliport": Defaults(samples=120_000, learning_rate=1e-3),
+    "reachnet": Defaults(samples=300_000, batch_size=128, learning_rate=1e-3),
 }
 """By the name of the model."""
 
