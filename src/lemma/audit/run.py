@@ -20,7 +20,7 @@ from lemma.tasks.suite import load_instance
 
 for _name in (
     *("skill.drag_home", "skill.push_onto_pad", "skill.carry_on_stick"),
-    *("skill.shove", "skill.search", "skill.plan_order"),
+    *("skill.push_tower", "skill.shove", "skill.search", "skill.plan_order"),
     *("control.tilted_move", "control.rake", "control.hand_push"),
     *("control.tilted_stick", "control.tip_off_stick", "control.tower_push"),
     *("control.topple", "control.throw"),

@@ -1,5 +1,7 @@
 """One attempt at an instance with grounded sub-tasks of one robot."""
 
+import math
+
 import numpy as np
 
 from lemma.audit.attack import AttemptOver, Lost
@@ -69,6 +71,17 @@ class SkillTrial:
     def margin(self, pose: Pose2) -> float:
         """Return how far inside the robot's reach a position is [m]."""
         return self.reach.margin(self.placement.base, pose.x, pose.y)
+
+    def outward(self, pose: Pose2) -> float:
+        """Return the direction from the robot's base to a position [rad]."""
+        base = self.placement.base
+        return math.atan2(pose.y - base.y, pose.x - base.x)
+
+    def at(self, radius_m: float, bearing: float) -> tuple[float, float]:
+        """Return a position by distance and direction from the robot's base [m]."""
+        base = self.placement.base
+        x = base.x + radius_m * math.cos(bearing)
+        return x, base.y + radius_m * math.sin(bearing)
 
     def move(self, pick: Pose2, place: Pose2) -> SkillResult:
         """Pick up what lies at a pose and put it down at another."""

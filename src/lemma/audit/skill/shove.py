@@ -49,15 +49,15 @@ def _shove_on(trial: SkillTrial, on: On) -> None:
         ]
         if on.holds(trial.scene) or not spare:
             return
-        out = _outward(trial, target)
+        out = trial.outward(target)
         behind = _FINGER_M + CUBE_EDGE_M / 2 + 0.003
         radius = min(
             trial.radius(target) - behind + CUBE_EDGE_M / 2,
             trial.reach.travel_m - _EDGE_M,
         )
         cube = trial.pose(spare[0])
-        yaw = _face(cube, _outward(trial, cube) + math.pi / 2)
-        place = _at(trial, radius, out, out + math.pi / 2)
+        yaw = _face(cube, trial.outward(cube) + math.pi / 2)
+        place = Pose2(*trial.at(radius, out), out + math.pi / 2)
         trial.move(Pose2(cube.x, cube.y, yaw), place)
 
 
@@ -66,29 +66,17 @@ def _set_down_at_the_edge(trial: SkillTrial, on: On) -> bool:
     cube, bottom = trial.pose(on.top), trial.pose(on.bottom)
     if trial.margin(cube) <= _OFF_M:
         return False
-    yaw = _face(cube, _outward(trial, cube))
+    yaw = _face(cube, trial.outward(cube))
     pick = Pose2(cube.x, cube.y, yaw) @ Pose2(-_OFF_M, 0.0)
     radius = min(trial.radius(bottom) - _OFF_M, trial.reach.travel_m - _EDGE_M)
-    out = _outward(trial, bottom)
-    return trial.move(pick, _at(trial, radius, out, out)).ok
-
-
-def _outward(trial: SkillTrial, pose: Pose2) -> float:
-    base = trial.placement.base
-    return math.atan2(pose.y - base.y, pose.x - base.x)
+    out = trial.outward(bottom)
+    return trial.move(pick, Pose2(*trial.at(radius, out), out)).ok
 
 
 def _face(cube: Pose2, wanted: float) -> float:
     """Return the heading across a cube's faces that is nearest to one."""
     turns = (cube.yaw + 0.5 * math.pi * k for k in range(4))
     return min(turns, key=lambda yaw: abs(wrap(yaw - wanted)))
-
-
-def _at(trial: SkillTrial, radius: float, bearing: float, yaw: float) -> Pose2:
-    base = trial.placement.base
-    return Pose2(
-        base.x + radius * math.cos(bearing), base.y + radius * math.sin(bearing), yaw
-    )
 
 
 ATTACKS.add(
