@@ -48,12 +48,9 @@ CONTACTS = (HOOK, HEAD, CORNER, OUTSIDE, TIP)
 
 END_GRASP = Pose2(GRASP_FROM_END_M, 0.0)
 """Where the expert holds the stick, in its frame: it reaches farthest then."""
-HANDLE_GRASPS = (
-    Pose2(0.02, 0.0),
-    *(
-        Pose2(round(GRASP_FROM_END_M + 0.05 * i, 3), 0.0)
-        for i in range(int((HANDLE_LENGTH_M - 0.12) / 0.05))
-    ),
+HANDLE_GRASPS = tuple(
+    Pose2(round(GRASP_FROM_END_M + 0.05 * i, 3), 0.0)
+    for i in range(int((HANDLE_LENGTH_M - 0.12) / 0.05))
 )
 BAR_GRASPS = tuple(
     Pose2(_BAR_M, v, math.pi / 2) for v in (0.04, 0.08, HOOK_LENGTH_M - 0.035)

@@ -48,11 +48,11 @@ def _push_tower(trial: SkillTrial, on: On, lower: str) -> None:
         return
     if not _move(trial, on.top, trial.pose(lower)):
         return
-    for _ in range(_PUSHES):
+    for number in range(_PUSHES):
         ways = direct_pushes(trial, lower, trial.pose(lower), pad)
         if not ways:
             return
-        carry_out(trial, ways[0], hooks=False)
+        carry_out(trial, ways[min(number, len(ways) - 1)], hooks=False)
 
 
 def _move(trial: SkillTrial, name: str, place: Pose2) -> bool:
