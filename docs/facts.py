@@ -10,7 +10,6 @@ lines ``what | constant | unit | why``, ``engine-options`` one of ``name | why``
 import math
 import sys
 from collections.abc import Iterator
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -25,10 +24,11 @@ from lemma.audit.attack import ATTACKS, LEVELS
 from lemma.audit.run import names_at
 from lemma.cli.tasks import describe
 from lemma.robots.collision_model import sweep_radius_m
+from lemma.robots.could import could_of
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.build import ARMS
 from lemma.scene.build import compile_model
-from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.drags import find_drag
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS
@@ -116,8 +116,9 @@ def _reach(instance: Instance, robot: int, name: str) -> str:
     ways = []
     for primitive, receiver in ((Primitive.HOOK, robot), (Primitive.POKE, 1 - robot)):
         other = scene.robots[receiver]
-        wanted = partial(reach_of(other.arm).margin, other.base)
-        if find_drag(primitive, placed, pose, wanted, bases) is not None:
+        kind = kind_of(name)
+        drag = find_drag(primitive, placed, other, pose, bases, kind, scene.gap_m)
+        if drag is not None:
             ways.append(f"can {primitive} it")
     return " or ".join(ways) or "–"
 
@@ -138,17 +139,21 @@ class Constants(Generated):
 
 
 class Arms(Generated):
-    """A table of every arm in the registry: reach, payload and limits."""
+    """A table of every arm in the registry: where it works, what it could touch."""
 
     def lines(self) -> Iterator[str]:
         """Return the table."""
-        yield "| arm | nearest | carries up to | touches up to | payload |"
-        yield "|---|---|---|---|---|"
+        yield (
+            "| arm | nearest | carries up to | holds low up to | could touch up to "
+            "| could put a cube up to | payload |"
+        )
+        yield "|---|---|---|---|---|---|---|"
         for name in ARMS:
-            reach = reach_of(name)
+            reach, could = reach_of(name), could_of(name)
             yield (
                 f"| `{name}` | {reach.inner_m:.3f} m | {reach.travel_m:.3f} m "
-                f"| {reach.grasp_m:.3f} m | {ARMS[name].payload_kg:g} kg |"
+                f"| {reach.grasp_m:.3f} m | {could.touch_m:.3f} m "
+                f"| {could.place_m:.3f} m | {ARMS[name].payload_kg:g} kg |"
             )
 
 

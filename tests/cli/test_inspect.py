@@ -77,7 +77,7 @@ def test_one_episode_as_pictures(
     words = ("--task", "stack", "--split", "val", "--index", 1, "--out", out)
     assert run(recipe, *words) == 0
     text = capsys.readouterr().out
-    assert "v1/stack/val/1" in text
+    assert "v2/stack/val/1" in text
     assert "solved after" in text
     assert "shared space" in text.replace("\n", " ")
     picture = Image.open(out).convert("RGB")

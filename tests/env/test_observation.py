@@ -118,7 +118,7 @@ def test_map_is_that_of_the_table() -> None:
     picture = found["map"]
     space = env.observation_space["map"]
     assert isinstance(space, spaces.Dict)
-    assert picture["rgb"].shape == (288, 416, 3)
+    assert picture["rgb"].shape == (416, 416, 3)
     assert picture["coverage"].mean() > 0.5
     heights = []
     for entity, pose in env.info()["state"].items():

@@ -14,7 +14,8 @@ from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.robots.reach import reach_of
+from lemma.robots.could import could_of
+from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import STICK
 from lemma.scene.scene import Scene
 from lemma.tasks.drags import stick_gap
@@ -220,7 +221,7 @@ def test_a_cube_pushed_out_of_reach_again_is_dragged_again(task: str) -> None:
         x, y = scene.spec.placement(name).pose.xy
         scene.set_pose(name, Pose((x, y, 0.025)))
         for robot in scene.spec.robots:
-            assert reach_of(robot.arm).excess(robot.base, x, y) > 0.0
+            assert could_of(robot.arm).excess(robot.base, x, y, CUBE.disc_m) > 0.0
 
     play(first_instance(task, TEAM), 2, push_back)
 

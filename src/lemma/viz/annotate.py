@@ -59,7 +59,12 @@ def wrap(text: str, size_px: float, width_px: float) -> list[str]:
 
 
 def label_plate(
-    near: Point, text: str, size: float, away: float, taken: list[Box]
+    near: Point,
+    text: str,
+    size: float,
+    away: float,
+    taken: list[Box],
+    within: Point | None = None,
 ) -> Box:
     """Return a free place for a label: above a point, else below, right or left of it.
 
@@ -69,12 +74,16 @@ def label_plate(
         size: Height of the letters [px].
         away: Distance from the point to the plate's middle [px].
         taken: Boxes to keep free, if that is possible.
+        within: Width and height of the picture, which labels do not leave [px].
     """
     half_width, half_height = (text_width(text, size) + 2.0 * size) / 2, 0.78 * size
     sideways = half_width + away - half_height
     boxes = []
     for dx, dy in ((0, -away), (0, away), (sideways, 0), (-sideways, 0)):
         x, y = near[0] + dx, near[1] + dy
+        if within is not None:
+            x = min(max(x, half_width), max(within[0] - half_width, half_width))
+            y = min(max(y, half_height), max(within[1] - half_height, half_height))
         boxes.append(
             ((x - half_width, y - half_height), (x + half_width, y + half_height))
         )

@@ -25,7 +25,7 @@ from lemma.viz.map_overlay import annotated_map
 from lemma.viz.recording import robot_titles
 
 SHEET_WIDTH_PX = 1900
-SHEET_HEIGHT_PX = 1290
+SHEET_HEIGHT_PX = 1500
 
 _EDGE_PX = 36
 _GAP_PX = 20
@@ -61,7 +61,7 @@ def instance_sheet(instance: Instance) -> Image.Image:
         (
             _EDGE_PX + _VIEW_PX + _GAP_PX,
             top,
-            "Top-down map of both cameras: reach (solid), grasp only (dashed), shared "
+            "Top-down map of both cameras: works (solid), could touch (dashed), shared "
             "region (tinted), goal (arrows)",
         )
     )

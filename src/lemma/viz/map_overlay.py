@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lemma.core.poses import Pose2
+from lemma.robots.could import could_of
 from lemma.robots.reach import reach_map, reach_of
 from lemma.scene.cameras import CameraImage
 from lemma.scene.objects.entity import STICK, entity_named
@@ -45,6 +46,9 @@ def annotated_map(
 ) -> Image.Image:
     """Return the map of a scene with reach, names and goal drawn on it.
 
+    Where a robot surely works is bounded by a solid circle, what it could touch at most
+    by a dashed one.
+
     Args:
         instance: What to draw.
         scene: Its scene, in the state to draw.
@@ -68,15 +72,15 @@ def annotated_map(
     size = width / 62
     metre = scale / raster.cell_m
     for placed in instance.scene.robots:
-        reach = reach_of(placed.arm)
+        reach, could = reach_of(placed.arm), could_of(placed.arm)
         centre = pixel(placed.base.x, placed.base.y)
         # A dark edge, because white would not be seen on what is pale.
         for ink, width_px in ((INK, 0.30), (ROBOT_INK[placed.color], 0.18)):
             thick = width_px * size
-            canvas.ring(centre, reach.grasp_m * metre, ink, 0.7 * thick, dash=size / 2)
+            canvas.ring(centre, could.touch_m * metre, ink, 0.7 * thick, dash=size / 2)
             canvas.ring(centre, reach.travel_m * metre, ink, thick)
             canvas.ring(centre, reach.inner_m * metre, ink, thick)
-    _name_entities(canvas, instance, scene, pixel, size)
+    _name_entities(canvas, instance, scene, pixel, picture.size, size)
     return canvas.picture()
 
 
@@ -91,14 +95,19 @@ def _shade(fused: MapImage, instance: Instance, raster: Raster) -> NDArray[np.ui
     for placed in instance.scene.robots:
         shared &= reach_map(placed.arm, placed.base, x, y) > 0.0
     rgb = fused.rgb.astype(np.float64)
-    flat = shared & (fused.height_m < 0.003)
+    flat = shared & (np.abs(fused.height_m) < 0.003)
     rgb[flat] = 0.72 * rgb[flat] + 0.28 * _SHARED_TINT
     rgb[~fused.coverage] = _NOT_SEEN
     return rgb.astype(np.uint8)
 
 
 def _name_entities(
-    canvas: Canvas, instance: Instance, scene: Scene, pixel: Pixel, size: float
+    canvas: Canvas,
+    instance: Instance,
+    scene: Scene,
+    pixel: Pixel,
+    within: Point,
+    size: float,
 ) -> None:
     """Draw goal arrows, then names over them."""
     places = {}
@@ -119,7 +128,7 @@ def _name_entities(
         labels.append((at, f"{names[i]}: {titles[i]}", ROBOT_INK[placed.color], 3.2))
     taken += [_around(at, 0.8 * size) for at, *_ in labels]
     for at, text, ink, away in labels:
-        plate = label_plate(at, text, size, away * size, taken)
+        plate = label_plate(at, text, size, away * size, taken, within)
         taken.append(plate)
         canvas.label(plate, text, size, ink)
 
