@@ -29,6 +29,7 @@ from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.raster import RASTER
+from lemma.tasks.drags import HAND_CLEARANCE_M
 from lemma.tasks.goal import Goal
 from lemma.tasks.names import SUITE
 from lemma.tasks.subtask import Primitive, SubTask
@@ -37,8 +38,8 @@ from lemma.tasks.suite import load_instance
 EPISODES = 3
 """Of each task's validation list."""
 PREPARE = (Primitive.PREHOOK, Primitive.PREPOKE)
-# As the expert has it: margins of reach, room around the stick, the dragged cube and
-# arms, and a table.
+# As the expert has it: margins of reach, room around the stick, the dragged cube, the
+# hand and arms, and a table.
 LEAST = (0.015, 0.02, 0.05, 0.015, 0.027, 0.046)
 
 
@@ -100,7 +101,7 @@ def can_drag(now: SymbolicState) -> Tensor:
     table = table_of(now)
     found = DragUtility().drags(table).constraints[0]
     wide = max(sweep_radius_m(robot.arm) for robot in now.spec.robots)
-    least = torch.tensor([*LEAST, wide + 0.027, 0.5])
+    least = torch.tensor([*LEAST, HAND_CLEARANCE_M, wide + 0.027, 0.5])
     return (found >= least).all(-1).flatten(-2).any(-1)
 
 

@@ -22,7 +22,7 @@ from lemma.policies.models.reachnet.tool_shape import (
     beyond,
     swept_distance,
 )
-from lemma.tasks.drags import MAX_DRAG_M, PREPARE_GAP_M
+from lemma.tasks.drags import HAND_CLEARANCE_M, MAX_DRAG_M, PREPARE_GAP_M
 
 TOOL_PRIMITIVES = ("hook", "poke")
 SIGNS = (-1.0, 1.0)
@@ -38,8 +38,8 @@ TRAVELS_M = tuple(
 )
 """How far the gripper moves."""
 
-_SCALES_M = (0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.1, 0.05)
-_FIRST = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 10.0)
+_SCALES_M = (0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.1, 0.05)
+_FIRST = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, HAND_CLEARANCE_M / 0.02, 1.0, 10.0)
 """Thresholds at first, in these."""
 _CONSTRAINTS = len(_FIRST)
 _OF_REACH = 4
@@ -60,9 +60,10 @@ class Drags:
     """All drags of C things: T turns, L lengths, S primitives, R robots."""
 
     constraints: Tensor
-    """What must be large enough, (B, R, S, C, T, L, 8): margins of the gripper at both
+    """What must be large enough, (B, R, S, C, T, L, 9): margins of the gripper at both
     ends, of the cube's end, and of the gripper when the stick is freed; room for stick,
-    for cube, and around bases [m]; and how surely a table is under the cube."""
+    for cube, for the hand, and around bases [m]; and how surely there is a table under
+    the cube."""
     bearings: Tensor
     """Of the stick [rad], (B, R, S, C, T)."""
     prepared: Tensor
@@ -225,7 +226,7 @@ def _room(
     lying: tuple[Tensor, Tensor, Tensor],
     ready: Tensor,
 ) -> list[Tensor]:
-    """Return the room of stick and cube, and around bases, (B, R, S, C, T, L).
+    """Return the room of stick, cube and hand, and around bases, (B, R, S, C, T, L).
 
     Args:
         table: B scenes.
@@ -253,7 +254,10 @@ def _room(
     stick = torch.where(own, _FAR_M, stick)
     cube = torch.where(own, _FAR_M, cube)
     bases = torch.minimum(stick, cube)[..., stick_number:].amin(-1)
-    found = [stick[..., :stick_number].amin(-1), cube[..., :stick_number].amin(-1)]
+    # What is dragged lies before the stick, far from the hand.
+    hand = beyond(u, back, forth).hypot(v) - radii
+    rooms = (stick, cube, torch.where(own, _FAR_M, hand))
+    found = [room[..., :stick_number].amin(-1) for room in rooms]
     # Room that is more than enough is all the same.
     return [room.clamp(max=_FAR_M) for room in (*found, bases)]
 

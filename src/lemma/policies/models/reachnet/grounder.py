@@ -75,7 +75,7 @@ class ReachNetGrounder(nn.Module):
         spot = self.cube_spots.pose(self.cube_spots(table, pick).argmax(-1))
         xy = torch.where(shared[:, None], spot, table.xy[rows, support])
         moved = self._carried(table, start, xy, (robot, pick, support), shared)
-        laid = self.stick_spots.pose(self.stick_spots(table).argmax(-1))
+        laid = self.stick_spots.pose(self.stick_spots(table, robot).argmax(-1))
         prepared, used = self._with_stick(table, start, robot, primitive, support)
         end = torch.where((picked & (primitive == _MOVE))[:, None], laid, moved)
         end = torch.where(_among(primitive, _PREPARE)[:, None], prepared, end)
@@ -106,7 +106,8 @@ class ReachNetGrounder(nn.Module):
         )
         hand = to_shared & (entity == table.stick)
         some = hand.float().topk(math.ceil(len(hand) / _STICK_SHARE)).indices
-        laid = self.stick_spots(table.rows(some)).log_softmax(-1)
+        robot = decision[some, 0].clamp(min=0)
+        laid = self.stick_spots(table.rows(some), robot).log_softmax(-1)
         number = self.stick_spots.number(place[some])
         stick = _mean(-laid.gather(1, number[:, None])[:, 0], hand[some])
         found = self._drag_losses(table, decision, pick.nan_to_num(), place)

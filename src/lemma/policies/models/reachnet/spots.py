@@ -13,9 +13,13 @@ from torch.nn import functional as F
 from lemma.policies.models.reachnet.drags import Tuned
 from lemma.policies.models.reachnet.scene_table import FAR_M, SceneTable
 from lemma.policies.models.reachnet.tool_shape import HALF_M, stick_distance
+from lemma.tasks.drags import HAND_CLEARANCE_M, LARGEST_TURN_RAD
 
 _SCALE_M = 0.02
 _ROOM_M = 0.3
+_HAND_M = HAND_CLEARANCE_M - 0.02
+"""Less than a hand needs by what a threshold is at first."""
+_LEEWAY_RAD = 0.2
 _YAWS = 24
 
 
@@ -109,26 +113,42 @@ class StickSpots(_Spots):
         Args:
             use_reach: Whether margins of reach count.
         """
-        super().__init__(_grid(0.16, 0.24, 0.04), 4, 3, use_reach)
+        super().__init__(_grid(0.16, 0.24, 0.04), 6, 3, use_reach)
 
-    def forward(self, table: SceneTable) -> Tensor:
-        """Return the utility of each spot with each yaw, (B, N * yaws)."""
+    def forward(self, table: SceneTable, robot: Tensor) -> Tensor:
+        """Return the utility of each spot with each yaw, (B, N * yaws).
+
+        Args:
+            table: B scenes.
+            robot: Who brings it, (B,).
+        """
         count, spots = len(table), len(self.grid)
         yaws = torch.arange(_YAWS, device=self.grid.device) * (math.tau / _YAWS)
         margin = self._worst_margin(table, self.grid)[..., None].expand(-1, -1, _YAWS)
         ray = self.grid[None, None] - table.bases[:, :, None]
         outward = torch.atan2(ray[..., 1], ray[..., 0])
         heading = torch.cos(yaws - outward[..., None]).clamp(-1, 1).acos().amax(1)
+        own = outward[torch.arange(count, device=robot.device), robot]
+        turn = self._turn(table, robot, yaws - own[..., None])
         grasps = self.grid.repeat_interleave(_YAWS, 0)[:, None]
         turned = yaws.repeat(spots)[:, None]
         things = table.xy[:, None, : table.stick]
-        room = stick_distance(grasps, turned, things)
-        room = room - table.traits.disc_m[: table.stick]
+        radii = table.traits.disc_m[: table.stick]
+        room = stick_distance(grasps, turned, things) - radii
+        hand = torch.cdist(self.grid.expand(count, -1, -1), table.xy[:, : table.stick])
+        hand = (hand - radii).amin(-1).clamp(max=_ROOM_M)
+        hand = hand[..., None].expand(-1, -1, _YAWS)
         bases = stick_distance(grasps, turned, table.bases[:, None]).amin(-1)
         room = room.amin(-1).clamp(max=_ROOM_M).view(count, spots, _YAWS)
         bases = bases.clamp(max=1.0).view(count, spots, _YAWS)
         able = self._able(
-            torch.stack([margin, room, 0.2 * bases, 0.1 * (1.8 - heading)], -1)
+            torch.stack(
+                [
+                    *(margin, room, 0.2 * bases, 0.1 * (1.8 - heading)),
+                    *(hand - _HAND_M, 0.1 * (LARGEST_TURN_RAD + _LEEWAY_RAD - turn)),
+                ],
+                -1,
+            )
         )
         weights, enough = self.weights().exp(), self.enough()
         away = self.grid.norm(dim=-1, keepdim=True) / _SCALE_M
@@ -140,6 +160,23 @@ class StickSpots(_Spots):
         utility: Tensor = (able + worth).flatten(1)
         return utility
 
+    def _turn(self, table: SceneTable, robot: Tensor, heading: Tensor) -> Tensor:
+        """Return how far the stick turns, seen from the base of who brings it.
+
+        The last joint turns it, and never beyond straight back to the base: from one
+        side of that to the other it goes the long way.
+
+        Args:
+            table: B scenes.
+            robot: (B,).
+            heading: Of the stick where it is laid, from straight outward, (B, N, yaws).
+        """
+        rows = torch.arange(len(table), device=robot.device)
+        ray = table.grasp - table.bases[rows, robot]
+        outward = torch.atan2(ray[:, 1], ray[:, 0])
+        before = _wrapped(table.yaw[:, table.stick] - outward)
+        return (_wrapped(heading) - before[:, None, None]).abs()
+
     def number(self, pose: Tensor) -> Tensor:
         """Return the candidates nearest to gripper poses (B, 3)."""
         spot = torch.cdist(pose[:, :2], self.grid).argmin(-1)
@@ -149,6 +186,11 @@ class StickSpots(_Spots):
         """Return the gripper poses of candidates, (B, 3)."""
         yaw = (number % _YAWS).float() * (math.tau / _YAWS)
         return torch.cat([self.grid[number // _YAWS], yaw[:, None]], -1)
+
+
+def _wrapped(angle: Tensor) -> Tensor:
+    """Return angles [rad] in [-pi, pi)."""
+    return torch.remainder(angle + math.pi, math.tau) - math.pi
 
 
 def _without(table: SceneTable, entity: Tensor) -> SceneTable:
