@@ -13,7 +13,7 @@ TABLE = "table"
 _ON_M = 0.03
 """A thing lies on another when their middles are no farther apart, or as far as the
 other's kind allows."""
-_LIFTED_M = 0.035
+_LIFTED_M = 0.025
 """What lies higher than this above the table lies on something taller than a plate."""
 
 
