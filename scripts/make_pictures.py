@@ -52,8 +52,8 @@ MOMENTS = {
     "task_stack": Moment("stack", index=47, step=1, share=0.62),
     "task_stack2": Moment("stack2", index=8, step=3, share=0.58),
     "task_poke": Moment("poke", index=51, step=1, share=0.55),
-    "task_poke_stack": Moment("poke_stack", index=13, step=3, share=0.55),
-    "task_hook": Moment("hook", index=28, step=1, share=0.55),
+    "task_poke_stack": Moment("poke_stack", index=1, step=3, share=0.55),
+    "task_hook": Moment("hook", index=20, step=1, share=0.55),
     "task_hook_stack": Moment("hook_stack", index=30, step=4, share=0.62),
 }
 FRAME_S = 0.05

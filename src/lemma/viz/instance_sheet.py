@@ -25,7 +25,7 @@ from lemma.viz.map_overlay import annotated_map
 from lemma.viz.recording import robot_titles
 
 SHEET_WIDTH_PX = 1900
-SHEET_HEIGHT_PX = 1500
+SHEET_HEIGHT_PX = 1540
 
 _EDGE_PX = 36
 _GAP_PX = 20
