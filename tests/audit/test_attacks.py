@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 from own_plugins import loaded
-from soft_tables import ARM, SOFT, mat, reach, soft_table, stack_out_of_reach
+from soft_tables import ARM, SOFT, THIN, reach, soft_table, stack_out_of_reach
 
 from lemma.audit.attack import ATTACKS
 from lemma.audit.run import Found, audit_instance, cheap_attacks_succeed, names_at
@@ -14,10 +14,11 @@ from lemma.tasks.instance import Instance
 
 
 @pytest.fixture(autouse=True)
-def _mats() -> Iterator[None]:
-    """Let there be mats, for these tests alone."""
+def _thin_pads() -> Iterator[None]:
+    """Let there be thin pads, for these tests alone."""
     with loaded():
-        OBJECT_KINDS.add("mat", mat())
+        for kind in THIN:
+            OBJECT_KINDS.add(kind.name, kind)
         yield
 
 

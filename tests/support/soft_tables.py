@@ -81,15 +81,25 @@ def stack_out_of_reach(beyond_m: float) -> Instance:
     )
 
 
-def mat() -> ObjectKind:
+def thin_pad(name: str, radius_m: float) -> ObjectKind:
     """A pad so thin that things are pushed onto it, as in version 1."""
     thickness_m = 0.004
-    disc = Part(
-        "cylinder",
-        (PAD_RADIUS_M, thickness_m / 2),
-        position_m=(0.0, 0.0, thickness_m / 2),
+    size_m = (radius_m, thickness_m / 2)
+    disc = Part("cylinder", size_m, position_m=(0.0, 0.0, thickness_m / 2))
+    return replace(
+        PAD,
+        name=name,
+        nouns=(name,),
+        parts=(disc,),
+        height_m=thickness_m,
+        disc_m=radius_m,
+        side_m=radius_m,
+        support_m=radius_m - 0.01,
     )
-    return replace(PAD, name="mat", nouns=("mat",), parts=(disc,), height_m=thickness_m)
+
+
+THIN = (thin_pad("mat", PAD_RADIUS_M), thin_pad("rug", 0.3))
+"""Kinds that are registered where soft tables are used."""
 
 
 def pad_out_of_reach(beyond_m: float, kind: str = "pad") -> Instance:
@@ -133,6 +143,8 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "hand_push": lambda: pad_out_of_reach(0.06, "mat"),
     "tilted_stick": two_cubes_to_drag,
     "tip_off_stick": lambda: pad_out_of_reach(0.25),
+    "fling": lambda: pad_out_of_reach(0.12),
+    "throw": lambda: pad_out_of_reach(0.45, "rug"),
     "topple": lambda: pad_out_of_reach(0.25, "mat"),
     "tower_push": lambda: pad_out_of_reach(0.25),
 }
@@ -140,5 +152,5 @@ SOFT: dict[str, Callable[[], Instance]] = {
 
 
 def soft_table(attack: str) -> Instance:
-    """The instance that an attack solves; the kind ``mat`` must be registered."""
+    """The instance that an attack solves; those of :data:`THIN` must be registered."""
     return SOFT[attack]()

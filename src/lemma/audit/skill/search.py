@@ -12,7 +12,7 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _STEPS = 12
 _DRAWS = 30
-_ROLLOUTS = 9
+_ROLLOUTS = 15
 _WIDTH = 3
 
 
@@ -111,6 +111,7 @@ ATTACKS.add(
         summary="Sub-tasks that the expert's grounder proposes, and random ones.",
         level="skill",
         play=random_skills,
+        attempts=3,
     ),
 )
 ATTACKS.add(
