@@ -42,7 +42,7 @@ def test_numbers_as_json(
     assert found["tasks"]["pass"]["subtasks"]["mean"] == 2.0
     assert found["splits"]["val"]["episodes"] == 4
     assert sum(team["episodes"] for team in found["teams"].values()) == 4
-    assert found["versions"]["benchmark"] == "v1"
+    assert found["versions"]["benchmark"] == "v2"
     assert found["primitives_s"]["move"]["mean"] > 1.0
     assert list(tmp_path.iterdir()) == []
 
