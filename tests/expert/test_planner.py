@@ -295,6 +295,7 @@ def turned(spec: SceneSpec) -> SceneSpec:
     return SceneSpec(
         tuple(replace(robot, base=half(robot.base)) for robot in spec.robots[::-1]),
         tuple(replace(placed, pose=half(placed.pose)) for placed in spec.objects),
+        None if spec.gap_m is None else (-spec.gap_m[1], -spec.gap_m[0]),
     )
 
 

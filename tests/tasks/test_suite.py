@@ -14,7 +14,7 @@ from lemma.core.seeding import stream
 from lemma.scene.objects.entity import STICK
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.scene.spec import ROBOT_COLORS
-from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.language.bank import KINDS, parse, words
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance, task_named
@@ -123,7 +123,7 @@ def test_every_line_is_an_instance(task: str, split: str) -> None:
     assert len(found) == SPLITS[split]
     lines = text(task, split).decode().splitlines()
     for index, (line, instance) in enumerate(zip(lines, found, strict=True)):
-        assert instance.key == f"v1/{task}/{split}/{index}"
+        assert instance.key == f"{BENCHMARK_VERSION}/{task}/{split}/{index}"
         assert instance.to_dict() == json.loads(line)
         assert Instance.from_dict(instance.to_dict()) == instance
         assert instance.sha256() == hashlib.sha256(line.encode()).hexdigest()
@@ -277,4 +277,6 @@ def test_a_free_instance_does_not_depend_on_what_was_sampled_before(task: str) -
     first = [load_instance(task, FREE_SPLIT, seed) for seed in seeds]
     assert load_instance(task, FREE_SPLIT, 3) == first[0]
     assert first[0].scene != first[1].scene
-    assert [i.key for i in first] == [f"v1/{task}/free/{seed}" for seed in seeds]
+    assert [i.key for i in first] == [
+        f"{BENCHMARK_VERSION}/{task}/free/{seed}" for seed in seeds
+    ]
