@@ -145,6 +145,7 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "tip_off_stick": lambda: pad_out_of_reach(0.25),
     "fling": lambda: pad_out_of_reach(0.12),
     "throw": lambda: pad_out_of_reach(0.45, "rug"),
+    "strike": lambda: pad_out_of_reach(0.25, "mat"),
     "topple": lambda: pad_out_of_reach(0.25, "mat"),
     "tower_push": lambda: pad_out_of_reach(0.25),
 }

@@ -23,7 +23,7 @@ for _name in (
     *("skill.push_tower", "skill.shove", "skill.search", "skill.plan_order"),
     *("control.tilted_move", "control.rake", "control.hand_push"),
     *("control.tilted_stick", "control.tip_off_stick", "control.tower_push"),
-    *("control.topple", "control.fling", "control.throw"),
+    *("control.topple", "control.strike", "control.fling", "control.throw"),
 ):
     import_module(f"lemma.audit.{_name}")
 

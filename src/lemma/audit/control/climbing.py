@@ -50,15 +50,8 @@ def climb(
         hand_m: Where along the handle the stick is held [m].
         raises_m: By how much the stick is raised for the second push [m].
     """
-    grasp = Pose2(hand_m, 0.0)
-    if not grasp_stick(trial, grasp):
-        return
-    way = _find(trial, on, lowest, grasp)
-    if way is None or not trial.lead([moved(trial.hand(), dz=0.14)], 0.0, 0.25):
-        return
-    if not trial.go(moved(way.start, dz=0.12), 0.0, 0.4):
-        return
-    if not trial.lead([way.start, way.end], 0.0, _PUSH_M_S):
+    way = push_against(trial, on, lowest, hand_m)
+    if way is None:
         return
     ready = trial.snapshot()
     for raise_m in raises_m:
@@ -70,19 +63,36 @@ def climb(
                 continue
 
 
+def push_against(
+    trial: ControlTrial, on: On, lowest: str, hand_m: float, short_m: float = 0.0
+) -> Climb | None:
+    """Push a thing against a pad, or short of it; None if that does not go."""
+    grasp = Pose2(hand_m, 0.0)
+    if not grasp_stick(trial, grasp):
+        return None
+    way = _find(trial, on, lowest, grasp)
+    if way is None or not trial.lead([moved(trial.hand(), dz=0.14)], 0.0, 0.25):
+        return None
+    if not trial.go(moved(way.start, dz=0.12), 0.0, 0.4):
+        return None
+    end = ahead_of(way.end, way, -short_m)
+    return way if trial.lead([way.start, end], 0.0, _PUSH_M_S) else None
+
+
 def _raise_and_push(
     trial: ControlTrial, way: Climb, raise_m: float, over_m: float
 ) -> None:
-    back = _along(way.end, way, -_BACK_M)
+    back = ahead_of(way.end, way, -_BACK_M)
     raised = moved(back, dz=raise_m)
-    pushed = _along(raised, way, _BACK_M + way.gap_m + over_m)
-    away = _along(raised, way, -_AWAY_M)
+    pushed = ahead_of(raised, way, _BACK_M + way.gap_m + over_m)
+    away = ahead_of(raised, way, -_AWAY_M)
     if trial.lead([back, raised, pushed, away], 0.0, _PUSH_M_S):
         # What is held at the end, the stick too, is no success.
         trial.wait(2.2, FINGER_OPENING_M)
 
 
-def _along(hand: FloatArray, way: Climb, distance_m: float) -> FloatArray:
+def ahead_of(hand: FloatArray, way: Climb, distance_m: float) -> FloatArray:
+    """Return a hand farther along the push [m]."""
     return moved(hand, distance_m * way.ahead[0], distance_m * way.ahead[1])
 
 
@@ -100,7 +110,7 @@ def _find(trial: ControlTrial, on: On, lowest: str, grasp: Pose2) -> Climb | Non
         way = push(contact, grasp, thing, heading, length_m)
         start, end = (hand_at(grip @ turn, HOVER_M) for grip in (way.start, way.end))
         found = Climb(start, end, (math.cos(heading), math.sin(heading)), gap_m)
-        far = moved(_along(end, found, gap_m - 0.03), dz=0.05)
+        far = moved(ahead_of(end, found, gap_m - 0.03), dz=0.05)
         if trial.can(start, end, far, moved(start, dz=0.12)):
             return found
     return None

@@ -3,15 +3,15 @@
 import math
 
 from lemma.audit.attack import ATTACKS, Attack, GiveUp, Lost
-from lemma.audit.control.handling import (
+from lemma.audit.control_trial import STEP_S, ControlTrial
+from lemma.audit.hand import leaning
+from lemma.audit.handling import (
     base_to,
     holds,
     pick_up,
     resting_height,
     stand_by,
 )
-from lemma.audit.control_trial import STEP_S, ControlTrial
-from lemma.audit.hand import leaning
 from lemma.core.poses import FloatArray
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.entity import kind_of

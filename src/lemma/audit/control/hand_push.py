@@ -3,7 +3,9 @@
 import math
 
 from lemma.audit.attack import ATTACKS, Attack, GiveUp
-from lemma.audit.control.handling import (
+from lemma.audit.control_trial import ControlTrial
+from lemma.audit.hand import LEANS_RAD, leaning, moved
+from lemma.audit.handling import (
     approach,
     base_to,
     holds,
@@ -11,8 +13,6 @@ from lemma.audit.control.handling import (
     pick_up,
     stand_by,
 )
-from lemma.audit.control_trial import ControlTrial
-from lemma.audit.hand import LEANS_RAD, leaning, moved
 from lemma.core.poses import FloatArray, Pose2
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import kind_of

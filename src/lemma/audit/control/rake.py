@@ -3,10 +3,10 @@
 import math
 
 from lemma.audit.attack import ATTACKS, Attack, GiveUp
-from lemma.audit.control.handling import stand_by
 from lemma.audit.control.tilted_move import put_on
 from lemma.audit.control_trial import ControlTrial
 from lemma.audit.hand import LEANS_RAD, drawn_back, leaning, moved
+from lemma.audit.handling import stand_by
 from lemma.core.poses import FloatArray
 from lemma.robots.gripper import FINGERTIP_BEYOND_TCP_M
 from lemma.scene.objects.cube import CUBE_EDGE_M

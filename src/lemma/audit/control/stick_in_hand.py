@@ -3,9 +3,9 @@
 import math
 
 from lemma.audit.attack import GiveUp
-from lemma.audit.control.handling import approach, let_go
 from lemma.audit.control_trial import ControlTrial
 from lemma.audit.hand import LEANS_RAD, leaning, moved
+from lemma.audit.handling import approach, let_go
 from lemma.audit.pushes import END_GRASP, GRASPS, HOOK, Push, push
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.robots.gripper import FINGER_OPENING_M

@@ -1,9 +1,9 @@
 """Throw a cube at its pad: swing the arm, open the fingers on the way."""
 
 from lemma.audit.attack import ATTACKS, Attack, GiveUp, Lost
-from lemma.audit.control.handling import base_to, holds, pick_up
 from lemma.audit.control_trial import ControlTrial, Moment
 from lemma.audit.hand import leaning
+from lemma.audit.handling import base_to, holds, pick_up
 from lemma.core.poses import FloatArray
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.entity import kind_of

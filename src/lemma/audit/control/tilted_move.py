@@ -5,7 +5,9 @@ from collections.abc import Iterator
 from itertools import islice
 
 from lemma.audit.attack import ATTACKS, Attack, GiveUp
-from lemma.audit.control.handling import (
+from lemma.audit.control_trial import ControlTrial
+from lemma.audit.hand import LEANS_RAD
+from lemma.audit.handling import (
     Hold,
     approach,
     holds,
@@ -14,8 +16,6 @@ from lemma.audit.control.handling import (
     places,
     resting_height,
 )
-from lemma.audit.control_trial import ControlTrial
-from lemma.audit.hand import LEANS_RAD
 from lemma.core.poses import FloatArray
 from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import On

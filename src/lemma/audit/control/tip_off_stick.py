@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator
 
 from lemma.audit.attack import ATTACKS, Attack, GiveUp, Lost
-from lemma.audit.control.handling import approach, base_to, holds, let_go, pick_up
 from lemma.audit.control.stick_in_hand import (
     either_way,
     grasp_stick,
@@ -15,6 +14,7 @@ from lemma.audit.control.stick_in_hand import (
 )
 from lemma.audit.control_trial import STEP_S, ControlTrial
 from lemma.audit.hand import dipping, leaning, moved, turned
+from lemma.audit.handling import approach, base_to, holds, let_go, pick_up
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.cube import CUBE_EDGE_M

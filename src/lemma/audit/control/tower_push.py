@@ -2,10 +2,10 @@
 
 from lemma.audit.attack import ATTACKS, Attack, GiveUp
 from lemma.audit.control.climbing import climb
-from lemma.audit.control.handling import approach, base_to, holds, let_go, pick_up
 from lemma.audit.control.stick_in_hand import hook_home, require_stick
 from lemma.audit.control_trial import ControlTrial
 from lemma.audit.hand import leaning
+from lemma.audit.handling import approach, base_to, holds, let_go, pick_up
 from lemma.core.poses import Pose2
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import kind_of
