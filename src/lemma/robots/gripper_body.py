@@ -116,7 +116,7 @@ def _make_rubber(pad: mujoco.MjsGeom) -> None:
     # two fifths of the drift that the usual 200 does; from about 320 fingers bounce.
     pad.solref = [-10000.0, -280.0]
     # Constant and hard: the softness that is left is what creeps under a load.
-    pad.solimp = [0.995, 0.995, 0.001, 0.5, 2.0]
+    pad.solimp = [0.998, 0.998, 0.001, 0.5, 2.0]
     pad.margin = SKIN_M
 
 
