@@ -11,7 +11,8 @@ def arrange(board: Board) -> Goal:
     """Set the table."""
     first, second = board.order[:2]
     cube = board.cube(board.tool_only(Primitive.POKE, first, second))
-    pad = board.pad(board.only(second))
+    # Out of the first robot's way even with the stick: a raised one can push a cube up.
+    pad = board.pad(board.only(second, tool=True))
     board.stick(first)
     return Goal((On(cube, pad),))
 
