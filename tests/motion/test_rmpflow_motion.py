@@ -24,7 +24,7 @@ from rmpflow_scenes import (
 
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow.leaves import Leaves
-from lemma.motion.rmpflow.policy import ArmModel
+from lemma.motion.rmpflow.workspace import ArmModel
 from lemma.robots.collision_model import envelope_of
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down

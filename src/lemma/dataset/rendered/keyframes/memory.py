@@ -119,7 +119,8 @@ class MapsInMemory:
         with FileLock(place / f"{stem}.lock"):
             if not all(path.exists() for path in paths):
                 maps = cls.load(folder, split, tasks, ())
-                for path, array in zip(paths, (maps.rgb, maps.height), strict=True):
+                arrays: tuple[NDArray[Any], ...] = (maps.rgb, maps.height)
+                for path, array in zip(paths, arrays, strict=True):
                     draft = path.with_suffix(".draft")
                     with draft.open("wb") as file:
                         np.save(file, array)
