@@ -23,6 +23,8 @@ from lemma.tasks.language.bank import phrase, sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask, primitive_names
 
 SIX = ("move", "prehook", "hook", "prepoke", "poke", "stop")
+PUSHED = 14
+"""Number of an instance in which pushing is the best that the first robot can do."""
 PUSH = EXAMPLES / "06_write_a_primitive.py"
 
 
@@ -84,7 +86,7 @@ def test_a_primitive_of_ones_own_is_numbered_after_the_six(push: Primitive) -> N
     assert primitive_names() == (*SIX, "push")
     assert tuple(Primitive) == SIX
     assert skill_space(2)["primitive"] == Discrete(7)
-    env = lemma.make("pass", level="skill", split="test", index=0)
+    env = lemma.make("pass", level="skill", split="test", index=PUSHED)
     grounded = GroundedSubTask("robot_1", push, Pose2(0, 0, 1), Pose2(0.1, 0, 1))
     action = env.encode(grounded)
     assert action["primitive"] == 6
@@ -102,7 +104,7 @@ def test_it_is_one_object_wherever_it_goes(push: Primitive) -> None:
 
 
 def test_the_expert_plans_it_and_replay_reproduces_it(push: Primitive) -> None:
-    record = record_episode(lemma.load_instance("pass", "test", 0))
+    record = record_episode(lemma.load_instance("pass", "test", PUSHED))
     assert record.success
     assert [row.primitive for row in record.subtasks] == ["push", "move"]
     assert record.subtasks[0].instruction.endswith(" to the shared space")
@@ -110,8 +112,8 @@ def test_the_expert_plans_it_and_replay_reproduces_it(push: Primitive) -> None:
 
 
 def test_it_is_done_at_plan_and_skill_level(push: Primitive) -> None:
-    skill: SkillEnv = lemma.make("pass", level="skill", split="test", index=0)
-    plan: PlanEnv = lemma.make("pass", level="plan", split="test", index=0)
+    skill: SkillEnv = lemma.make("pass", level="skill", split="test", index=PUSHED)
+    plan: PlanEnv = lemma.make("pass", level="plan", split="test", index=PUSHED)
     expert = lemma.ExpertPolicy(skill)
     skill.reset()
     plan.reset()
@@ -126,7 +128,7 @@ def test_it_is_done_at_plan_and_skill_level(push: Primitive) -> None:
 
 
 def test_what_cannot_be_pushed_is_told_at_plan_level(push: Primitive) -> None:
-    env = lemma.make("pass", level="plan", split="test", index=0)
+    env = lemma.make("pass", level="plan", split="test", index=PUSHED)
     env.reset()
     cube, pad = env.instance.goal.pairs[0]
     for place, outcome, why in (
@@ -143,7 +145,7 @@ def test_without_grounding_it_is_for_skill_level_alone() -> None:
     with loaded():
         spec = PrimitiveSpec(name="wave", phrase="{robot}: wave", skill=SKILLS["move"])
         PRIMITIVES.add("wave", spec)
-        env = lemma.make("pass", level="plan", split="test", index=0)
+        env = lemma.make("pass", level="plan", split="test", index=PUSHED)
         env.reset()
         cube, pad = env.instance.goal.pairs[0]
         wave = SubTask("robot_0", Primitive("wave"), cube, pad)
