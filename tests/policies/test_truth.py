@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from faulty_policies import given
+from numba import njit
 from reachable import Confidant, Slotted, Spy, secrets_within
 
 from lemma.core.errors import InvalidConfigError
@@ -74,11 +75,19 @@ def _wrapper(secret: Any) -> Callable[[], Any]:
     return wraps(secret.info)(lambda: 0)
 
 
+def _field_of_compiled(secret: Any) -> Any:
+    compiled: Any = njit(lambda: 0)
+    compiled.kept = secret
+    return compiled
+
+
 HIDINGS: dict[str, Callable[[Any], object]] = {
     "itself": lambda secret: secret,
     "bound method": lambda secret: secret.info,
     "closure": _closure,
     "default": _default,
+    "compiled": lambda secret: njit(_closure(secret)),
+    "field of compiled": _field_of_compiled,
     "wrapped": _wrapper,
     "partial": lambda secret: partial(print, secret),
     "keyword": lambda secret: partial(print, end=secret),

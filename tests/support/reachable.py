@@ -2,7 +2,8 @@
 
 Attributes, items, closures, bound objects, what wrappers wrap, what an object would be
 pickled as, and the modules of the package behind the globals of its functions. What is
-outside: frames of the stack, and the garbage collector's list of all objects.
+outside: frames of the stack, the garbage collector's list of all objects, and Numba's
+own objects: a compiled function holds the compiler, with all types of the process.
 """
 
 import sys
@@ -16,6 +17,7 @@ from pathlib import PurePath
 
 import mujoco
 import numpy as np
+from numba.core.dispatcher import Dispatcher
 
 from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
@@ -80,6 +82,11 @@ def _behind(one: object) -> Iterator[tuple[str, object]]:
         if home.partition(".")[0] in _HOMES:
             yield from ((f".{name}", value) for name, value in vars(one).items())
         return
+    if type(one).__module__.partition(".")[0] == "numba":
+        # Machine code holds no object; what it was made of may, and who sets a field.
+        if isinstance(one, Dispatcher):
+            yield from ((f".{name}", value) for name, value in vars(one).items())
+        return
     if isinstance(one, Mapping):
         yield from ((f"[{key!r:.40}]", one[key]) for key in list(one))
         yield from (("<key>", key) for key in one)
@@ -94,7 +101,8 @@ def _behind(one: object) -> Iterator[tuple[str, object]]:
         return
     names = set(_HIDDEN)
     if isinstance(one, types.FunctionType):
-        if one.__module__.partition(".")[0] in _HOMES:
+        # Code that was generated is of no module.
+        if (one.__module__ or "").partition(".")[0] in _HOMES:
             yield ".__globals__", one.__globals__
     elif type(one).__module__.partition(".")[0] in _HOMES:
         # Of others' objects no property is asked: who knows what it does.
