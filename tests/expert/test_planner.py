@@ -197,7 +197,7 @@ def plan_for(*pairs: tuple[str, str], spec: SceneSpec = THREE) -> Plan | None:
 
 def test_a_goal_that_holds_needs_nothing() -> None:
     scene = Scene(THREE)
-    scene.set_pose("red_cube", Pose((-0.3, -0.2, 0.029)))
+    scene.set_pose("red_cube", Pose((-0.3, -0.2, 0.06)))
     goal = Goal.from_pairs((("red_cube", "white_pad"),))
     plan = find_plan(SymbolicState.observe(scene), goal, GeometricGrounder(THREE))
     assert plan is not None
@@ -241,7 +241,7 @@ def test_a_tower_is_turned_over() -> None:
 
 def test_an_occupied_pad_is_cleared() -> None:
     scene = Scene(THREE)
-    scene.set_pose("blue_cube", Pose((-0.3, -0.2, 0.029)))
+    scene.set_pose("blue_cube", Pose((-0.3, -0.2, 0.06)))
     goal = Goal.from_pairs((("red_cube", "white_pad"),))
     plan = find_plan(SymbolicState.observe(scene), goal, GeometricGrounder(THREE))
     assert plan is not None

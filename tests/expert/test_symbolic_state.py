@@ -45,11 +45,11 @@ def test_a_fresh_table(scene: Scene) -> None:
 
 
 def test_a_cube_on_a_pad(scene: Scene) -> None:
-    now = put(scene, "red_cube", 0.02, 0.32, 0.029)
+    now = put(scene, "red_cube", 0.02, 0.32, 0.06)
     assert now.supports["red_cube"] == "white_pad"
     assert now.labels["red_cube"] == "on white_pad"
     assert now.on_top_of("white_pad") == "red_cube"
-    assert put(scene, "red_cube", 0.0, 0.355, 0.029).supports["red_cube"] == TABLE
+    assert put(scene, "red_cube", 0.0, 0.355, 0.06).supports["red_cube"] == TABLE
 
 
 def test_towers(scene: Scene) -> None:
@@ -64,8 +64,8 @@ def test_towers(scene: Scene) -> None:
 
 
 def test_a_tower_on_a_pad(scene: Scene) -> None:
-    put(scene, "red_cube", 0.2, 0.3, 0.029)
-    now = put(scene, "blue_cube", 0.2, 0.3, 0.079)
+    put(scene, "red_cube", 0.2, 0.3, 0.06)
+    now = put(scene, "blue_cube", 0.2, 0.3, 0.11)
     assert now.supports["red_cube"] == "red_pad"
     assert now.supports["blue_cube"] == "red_cube"
 
@@ -96,7 +96,7 @@ def test_two_ways_to_one_place_are_one_state(scene: Scene) -> None:
 
 @pytest.mark.parametrize(
     ("primitive", "ahead", "beside"),
-    [(Primitive.HOOK, 0.445 - PREPARE_GAP_M, 0.075), (Primitive.POKE, 0.545, 0.06)],
+    [(Primitive.HOOK, 0.695 - PREPARE_GAP_M, 0.075), (Primitive.POKE, 0.795, 0.06)],
 )
 def test_a_stick_that_lies_ready(
     scene: Scene, primitive: Primitive, ahead: float, beside: float

@@ -30,8 +30,8 @@ def compiled(kind: str, color: str = "pink") -> tuple[mujoco.MjModel, mujoco.MjD
 def test_sizes_are_those_of_the_design() -> None:
     assert CUBE_EDGE_M == 0.05
     assert PAD_RADIUS_M == 0.06
-    assert (HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M) == (0.5, 0.15, 0.03)
-    assert [OBJECT_KINDS[kind].height_m for kind in OBJECT_KINDS] == [0.05, 0.004, 0.03]
+    assert (HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M) == (0.75, 0.15, 0.03)
+    assert [OBJECT_KINDS[kind].height_m for kind in OBJECT_KINDS] == [0.05, 0.035, 0.03]
 
 
 @pytest.mark.parametrize("color", OBJECT_COLORS)
@@ -52,7 +52,7 @@ def test_a_pad_is_fixed_to_the_table() -> None:
     model, data = compiled("pad")
     assert model.nv == 0
     assert model.geom("pink_pad").type[0] == mujoco.mjtGeom.mjGEOM_CYLINDER
-    assert model.geom("pink_pad").size[:2].tolist() == [PAD_RADIUS_M, 0.002]
+    assert model.geom("pink_pad").size[:2].tolist() == [PAD_RADIUS_M, 0.0175]
     assert data.body("pink_pad").xpos.tolist() == [0.3, -0.2, 0.0]
     # Its underside lies on the table.
     assert data.geom("pink_pad").xpos[2] == pytest.approx(PAD_THICKNESS_M / 2)
@@ -63,8 +63,8 @@ def test_the_stick_starts_at_the_free_end_of_its_handle() -> None:
     half = STICK_SECTION_M / 2
     assert data.body("stick").xpos.tolist() == [0.3, -0.2, half]
     for geom, low, high in (
-        ("stick/handle", (0.0, -half), (0.5, half)),
-        ("stick/hook", (0.47, half), (0.5, 0.135)),
+        ("stick/handle", (0.0, -half), (0.75, half)),
+        ("stick/hook", (0.72, half), (0.75, 0.135)),
     ):
         centre = POSE @ Pose2(0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]))
         assert data.geom(geom).xpos == pytest.approx([centre.x, centre.y, half])

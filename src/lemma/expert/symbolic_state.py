@@ -14,7 +14,8 @@ _ON_M = 0.03
 """A thing lies on another when their middles are no farther apart, or as far as the
 other's kind allows."""
 _LIFTED_M = 0.025
-"""What lies higher than this above the table lies on something taller than a plate."""
+"""What has its bottom higher than this above the table lies on what has its top higher
+than this, such as a pad or a cube; what has it lower, on the table or on a thin mat."""
 
 
 @dataclass(frozen=True)
