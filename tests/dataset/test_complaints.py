@@ -21,6 +21,7 @@ from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.files import open_table, read_table, write_table
 from lemma.dataset.recipe.generate import generate
 from lemma.dataset.recipe.reader import load
+from lemma.tasks.instance import BENCHMARK_VERSION
 
 NAME = "val/stack.parquet"
 GENERATE = (
@@ -48,7 +49,7 @@ def empty(folder: Path) -> None:
 def flip(folder: Path) -> None:
     # Of the statistics in the footer: what Parquet itself does not notice.
     data = bytearray((folder / NAME).read_bytes())
-    data[data.rindex(b"v1/stack/val/2")] ^= 1
+    data[data.rindex(f"{BENCHMARK_VERSION}/stack/val/2".encode())] ^= 1
     (folder / NAME).write_bytes(data)
 
 

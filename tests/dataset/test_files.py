@@ -39,8 +39,9 @@ from lemma.dataset.recipe.files import (
 )
 from lemma.dataset.recipe.generate import generate
 from lemma.dataset.recipe.schema import SCHEMA, from_table, to_table
+from lemma.tasks.instance import BENCHMARK_VERSION
 
-ABOUT = versions("v1")
+ABOUT = versions(BENCHMARK_VERSION)
 
 
 def hidden(folder: Path) -> list[str]:
@@ -323,7 +324,7 @@ def test_the_revision_is_never_that_of_somebody_elses_repository(
     package.mkdir(parents=True)
     subprocess.run(["git", "init", "-q", str(tmp_path / "project")], check=True)
     monkeypatch.setattr(files, "__file__", str(package / "recipe" / "files.py"))
-    assert versions("v1")["revision"] == "release"
+    assert versions(BENCHMARK_VERSION)["revision"] == "release"
 
 
 def test_columns_can_be_read_alone(tmp_path: Path) -> None:

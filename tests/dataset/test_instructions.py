@@ -13,7 +13,7 @@ from lemma.dataset.instructions import (
     check_recorded,
     draw_instruction,
 )
-from lemma.tasks.instance import SPLITS
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.language.bank import templates
 from lemma.tasks.suite import SUITE, load_instance
 
@@ -29,9 +29,15 @@ def said_by_anybody(kind: str, sentence: str) -> bool:
 
 
 def test_drawing_is_a_pure_function() -> None:
-    first = draw_instruction("stack", PAIRS, "v1/stack/train/3", seed=1, epoch=2)
-    draw_instruction("stack", PAIRS, "v1/stack/train/4", seed=1, epoch=2)
-    again = draw_instruction("stack", PAIRS, "v1/stack/train/3", seed=1, epoch=2)
+    first = draw_instruction(
+        "stack", PAIRS, f"{BENCHMARK_VERSION}/stack/train/3", seed=1, epoch=2
+    )
+    draw_instruction(
+        "stack", PAIRS, f"{BENCHMARK_VERSION}/stack/train/4", seed=1, epoch=2
+    )
+    again = draw_instruction(
+        "stack", PAIRS, f"{BENCHMARK_VERSION}/stack/train/3", seed=1, epoch=2
+    )
     assert first == again
 
 
@@ -195,7 +201,7 @@ def test_sub_instructions_are_printed(capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_instructions_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("instructions", "pass", "--n", 3) == 0
-    assert capsys.readouterr().out.count("v1/pass/train/") == 3
+    assert capsys.readouterr().out.count(f"{BENCHMARK_VERSION}/pass/train/") == 3
 
 
 @pytest.mark.parametrize(

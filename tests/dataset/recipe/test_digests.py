@@ -21,7 +21,7 @@ from lemma.dataset.recipe.digests import (
 )
 from lemma.dataset.recipe.files import versions
 from lemma.dataset.recipe.record import record_episode
-from lemma.tasks.instance import SPLITS
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import SUITE, load_instance
 
 LISTS = [(task, split) for task in SUITE for split in SPLITS]
@@ -44,7 +44,7 @@ def test_the_manifest_has_the_sha256_of_every_split(split: str) -> None:
 
 
 def test_digests_are_of_this_benchmark_and_engine() -> None:
-    here = versions("v1")
+    here = versions(BENCHMARK_VERSION)
     found = digest_manifest()["versions"]
     assert found["benchmark"] == here["benchmark"]
     assert found["format"] == here["format"]

@@ -26,10 +26,10 @@ from lemma.dataset.recipe.generate import (
 from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.schema import EpisodeRecord, to_table
-from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.suite import SUITE
 
-ABOUT = versions("v1")
+ABOUT = versions(BENCHMARK_VERSION)
 
 
 def test_has_every_episode_of_the_order() -> None:
@@ -171,7 +171,7 @@ def test_a_failing_expert_is_told_and_the_rest_is_kept(
 ) -> None:
     def fail_once(instance: Instance) -> EpisodeRecord:
         record = record_episode(instance)
-        if instance.key == "v1/pass/val/1":
+        if instance.key == f"{BENCHMARK_VERSION}/pass/val/1":
             return replace(record, success=False, failure="dropped")
         return record
 
@@ -179,7 +179,8 @@ def test_a_failing_expert_is_told_and_the_rest_is_kept(
     with monkeypatch.context() as patch:
         patch.setattr(generating, "record_episode", fail_once)
         with pytest.raises(
-            DatasetError, match=r"1 episodes .*: v1/pass/val/1 .dropped"
+            DatasetError,
+            match=rf"1 episodes .*: {BENCHMARK_VERSION}/pass/val/1 .dropped",
         ):
             generate(order, Serial())
     assert not (tmp_path / MANIFEST).exists()

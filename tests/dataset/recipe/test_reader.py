@@ -12,6 +12,7 @@ from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.dataset.recipe import reader
 from lemma.dataset.recipe.files import versions
 from lemma.dataset.recipe.reader import EpisodeHeader, load
+from lemma.tasks.instance import BENCHMARK_VERSION
 
 
 @pytest.fixture
@@ -135,7 +136,9 @@ def test_damage_inside_a_file_is_found_when_it_is_read(long_recipe: Path) -> Non
 
 
 def test_the_files_of_another_engine_can_still_be_read(tmp_path: Path) -> None:
-    write_recipe(tmp_path, [made_up()], {**versions("v1"), "mujoco": "4.0.0"})
+    write_recipe(
+        tmp_path, [made_up()], {**versions(BENCHMARK_VERSION), "mujoco": "4.0.0"}
+    )
     assert load(tmp_path)[0] == made_up()
 
 
@@ -155,4 +158,4 @@ def test_reading_needs_neither_simulator_nor_torch() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr == ""
     digest = load(small_recipe()).find("stack", "test", 2).digest()[:4]
-    assert done.stdout == f"v1/stack/test/2 12 {digest}\n"
+    assert done.stdout == f"{BENCHMARK_VERSION}/stack/test/2 12 {digest}\n"

@@ -20,6 +20,7 @@ from lemma.dataset.recipe.generate import recipe_file
 from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.replay import check_versions, replay, replay_all
 from lemma.dataset.recipe.schema import EpisodeRecord
+from lemma.tasks.instance import BENCHMARK_VERSION
 
 
 def record() -> EpisodeRecord:
@@ -85,17 +86,21 @@ def test_all_drifting_episodes_are_returned(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["mujoco", "benchmark", "format"])
 def test_another_version_is_refused_before_anything_is_replayed(name: str) -> None:
-    about = {**versions("v1"), name: "0"}
+    about = {**versions(BENCHMARK_VERSION), name: "0"}
     with pytest.raises(DatasetError, match=rf"written with {name} 0, and here is"):
         check_versions(about)
 
 
 def test_another_numpy_is_not_refused() -> None:
-    check_versions({**versions("v1"), "numpy": "0", "numba": "0", "revision": "?"})
+    check_versions(
+        {**versions(BENCHMARK_VERSION), "numpy": "0", "numba": "0", "revision": "?"}
+    )
 
 
 def test_a_file_of_another_engine_is_refused(tmp_path: Path) -> None:
-    write_recipe(tmp_path, [made_up()], {**versions("v1"), "mujoco": "4.0.0"})
+    write_recipe(
+        tmp_path, [made_up()], {**versions(BENCHMARK_VERSION), "mujoco": "4.0.0"}
+    )
     with pytest.raises(DatasetError, match=r"mujoco 4\.0\.0.*Install that version"):
         replay_all(load(tmp_path), Serial())
 

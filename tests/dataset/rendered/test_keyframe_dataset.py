@@ -87,7 +87,7 @@ def test_images_of_a_sample() -> None:
     sample = dataset()[0]
     height, seen = sample["map_height"], sample["map_coverage"]
     assert (sample["map_rgb"].dtype, height.dtype) == (np.uint8, np.uint16)
-    assert (seen.dtype, seen.shape) == (np.bool_, (288, 416))
+    assert (seen.dtype, seen.shape) == (np.bool_, (416, 416))
     assert np.array_equal(seen, height > 0)
     assert 0.3 < seen.mean() < 0.99
     assert not sample["map_rgb"][~seen].any()

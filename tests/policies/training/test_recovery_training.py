@@ -288,9 +288,9 @@ def test_only_the_split_that_is_trained_on_is_read(
     asked: list[tuple[object, str]] = []
     load = Frames.load
 
-    def spy(folder: Path, split: str, *rest: Any) -> Frames:
+    def spy(folder: Path, split: str, *rest: Any, **how: Any) -> Frames:
         asked.append((folder, split))
-        return load(folder, split, *rest)
+        return load(folder, split, *rest, **how)
 
     monkeypatch.setattr(Frames, "load", spy)
     read_frames(config, ALONE)

@@ -20,6 +20,7 @@ from lemma.dataset.files import MANIFEST
 from lemma.policies.training.config import model_options
 from lemma.policies.training.loop import TrainingError, train
 from lemma.policies.training.run import TrainingReport
+from lemma.tasks.instance import BENCHMARK_VERSION
 
 tiny_model.register()
 
@@ -94,8 +95,10 @@ def test_missing_or_foreign_data_are_refused_with_a_remedy(
     with pytest.raises(DatasetError, match="nothing was rendered there"):
         train(config(tmp_path / "empty", tmp_path / "out"))
     old = write_painted(tmp_path / "old", {"train": 1, "val": 1})
-    text = (old / MANIFEST).read_text().replace('"benchmark": "v1"', '"benchmark": "0"')
-    (old / MANIFEST).write_text(text)
+    text = (old / MANIFEST).read_text()
+    mine = f'"benchmark": "{BENCHMARK_VERSION}"'
+    assert mine in text
+    (old / MANIFEST).write_text(text.replace(mine, '"benchmark": "0"'))
     with pytest.raises(DatasetError, match="version 0 of the benchmark"):
         train(config(old, tmp_path / "out"))
 
