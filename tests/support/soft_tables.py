@@ -143,7 +143,7 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "hand_push": lambda: pad_out_of_reach(0.06, "mat"),
     "tilted_stick": two_cubes_to_drag,
     "tip_off_stick": lambda: pad_out_of_reach(0.25),
-    "fling": lambda: pad_out_of_reach(0.12),
+    "fling": lambda: pad_out_of_reach(0.10),
     "throw": lambda: pad_out_of_reach(0.45, "rug"),
     "strike": lambda: pad_out_of_reach(0.25, "mat"),
     "topple": lambda: pad_out_of_reach(0.25, "mat"),

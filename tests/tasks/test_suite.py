@@ -153,10 +153,10 @@ def test_sampling_again_gives_the_frozen_instances(task: str) -> None:
 
 def test_a_refused_draw_is_followed_by_the_next() -> None:
     """Of the same team, so that what is hard for it does not make it rarer."""
-    record = task_named("hook")
+    record = task_named("poke_stack")
     first = (
         (frozen, sample(record, "train", frozen.index).instance)
-        for frozen in instances("hook", "train")
+        for frozen in instances("poke_stack", "train")
     )
     frozen, refused = next((f, r) for f, r in first if f != r)
     assert sample(record, "train", frozen.index, attempt=1).instance == frozen
