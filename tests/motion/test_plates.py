@@ -108,12 +108,12 @@ def test_a_cube_pushed_with_the_stick_does_not_climb_a_pad(
     assert_not_climbed(simulation)
 
 
-@pytest.mark.parametrize("speed_m_s", [0.05, 0.2])
 @pytest.mark.parametrize("bearing", [-0.6, 0.0, 0.35])
 @pytest.mark.parametrize("height_m", [0.018, 0.03])
-def test_a_cube_pushed_with_the_hand_does_not_climb_a_pad(
-    speed_m_s: float, bearing: float, height_m: float
+def test_a_cube_pushed_slowly_with_the_hand_does_not_climb_a_pad(
+    bearing: float, height_m: float
 ) -> None:
+    """A faster hand may knock it up, but a hand so near could put it there as well."""
     target = BASE @ Pose2(0.8, 0.0)
     heading = Pose2(target.x, target.y, bearing)
     start = heading @ Pose2(-BEFORE_M, 0.0, 0.3)
@@ -133,7 +133,7 @@ def test_a_cube_pushed_with_the_hand_does_not_climb_a_pad(
         yield from moves.lower(at(behind, height_m))
         # Until the fingers are at the edge, where the cube was in their way.
         end = at(-PAD_RADIUS_M - 0.015, height_m)
-        yield from moves.along(at(behind, height_m), end, speed_m_s)
+        yield from moves.along(at(behind, height_m), end, 0.05)
         # Back first: fingers that rise beside a cube lift it.
         yield from moves.along(end, at(behind, height_m), 0.1)
 
