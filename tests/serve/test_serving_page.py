@@ -207,7 +207,7 @@ def own_server(folder: Path) -> Iterator[str]:
 
 
 def test_a_server_of_ones_own_decides(tmp_path: Path) -> None:
-    rows, columns = 288, 416
+    rows, columns = RASTER.rows, RASTER.columns
     low, high = view(1, rows, columns), view(1, rows, columns)
     high.height_m[100, 300] = 0.2
     low.height_m[200, 10] = 0.1
@@ -224,7 +224,7 @@ def test_a_server_of_ones_own_decides(tmp_path: Path) -> None:
                 ]
             )
             assert [one.subtask.robot for one in found] == ["robot_0", "robot_1", ""]
-            assert found[1].grounded.pick.rounded() == Pose2(0.74, 0.348, 0.0)
+            assert found[1].grounded.pick.rounded() == Pose2(0.74, 0.86, 0.0)
             assert found[2].subtask == STOP
         policy.close()
 

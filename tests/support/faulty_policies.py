@@ -52,8 +52,6 @@ class Scripted:
     def _decide(self, one: PolicyInput) -> Decision:
         if len(one.past) == 2:
             return Decision(STOP, None)
-        number = (len(one.instruction) + len(one.past)) % 2
-        robot = f"robot_{number}"
         seen = [*(step.view for step in one.past), one.view]
         total = sum(float(v.height_m.astype(np.float64).sum()) for v in seen)
         height = np.where(one.view.height_m < 0.07, one.view.height_m, 0.0)
@@ -64,8 +62,12 @@ class Scripted:
         if len(around[0]):
             row, column = row + around[0].mean(), first + around[1].mean()
         x, y = (column + 0.5 - columns / 2) * 0.008, (rows / 2 - row - 0.5) * 0.008
+        # Whom it lies nearer to: a robot that is asked for too much has to stop.
+        number = int(x > 0)
+        robot = f"robot_{number}"
         pick = Pose2(float(x), float(y), float(one.view.joints[number, 0]))
-        place = Pose2(0.05 * math.sin(total), 0.1, 0.0)
+        words = len(one.instruction) + len(one.past)
+        place = Pose2(0.05 * math.sin(total), 0.1 - 0.01 * (words % 2), 0.0)
         subtask = SubTask(robot, Primitive.MOVE, "red_cube", "shared")
         return Decision(subtask, GroundedSubTask(robot, Primitive.MOVE, pick, place))
 
