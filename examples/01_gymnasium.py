@@ -23,9 +23,10 @@ print(f"after {info['elapsed_s']:.2f} s: joints {observation['agent_pos'].round(
 env.close()
 
 # Skill level: one grounded sub-task per step.
-skills = lemma.make("stack", level="skill", split="test", index=3)
+skills = lemma.make("stack", level="skill", split="test", index=0)
 observation, info = skills.reset()
-x, y = info["state"]["pink_cube"][:2]
+cube, _ = skills.instance.goal.pairs[0]
+x, y = info["state"][cube][:2]
 for robot in ("robot_0", "robot_1"):
     move = GroundedSubTask(robot, Primitive.MOVE, Pose2(x, y), Pose2(0.0, 0.0))
     action = skills.encode(move)

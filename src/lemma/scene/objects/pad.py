@@ -4,12 +4,31 @@ It is too high to be climbed by what is pushed along the table: whoever puts a c
 it must lift the cube, and so must reach the pad.
 """
 
-from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind, Part, Shell
+import math
+
+from lemma.scene.objects.kind import OBJECT_KINDS, Capsule, ObjectKind, Part, Shell
 
 PAD_RADIUS_M = 0.06
 PAD_THICKNESS_M = 0.035
 
 _HALF_M = PAD_THICKNESS_M / 2
+
+
+def _star(spokes: int) -> tuple[Capsule, ...]:
+    """Return capsules that cross in the middle of the plate and cover all of it.
+
+    Farthest from their axes is the rim, midway between two of them.
+    """
+    half_angle = math.pi / (2 * spokes)
+    length = PAD_RADIUS_M * math.cos(half_angle)
+    radius = math.hypot(PAD_RADIUS_M * math.sin(half_angle), _HALF_M)
+    capsules = []
+    for k in range(spokes):
+        x = length * math.cos(2 * k * half_angle)
+        y = length * math.sin(2 * k * half_angle)
+        capsules.append(Capsule((x, y, _HALF_M), (-x, -y, _HALF_M), radius))
+    return tuple(capsules)
+
 
 PAD = OBJECT_KINDS.add(
     "pad",
@@ -27,6 +46,6 @@ PAD = OBJECT_KINDS.add(
         spacing_m={"pad": 0.16, "stick": PAD_RADIUS_M + 0.08},
         support_m=PAD_RADIUS_M - 0.01,
         obstacle=(),
-        shell=Shell((), 0.0),
+        shell=Shell(_star(4), _HALF_M),
     ),
 )
