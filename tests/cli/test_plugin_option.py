@@ -20,6 +20,8 @@ from lemma.tasks.instance import BENCHMARK_VERSION
 from lemma.tasks.language.bank import bank_for
 from lemma.tasks.names import SUITE, in_order
 
+FREE = f"{BENCHMARK_VERSION}/tower/free/"
+
 TOWER = EXAMPLES / "03_write_a_task.py"
 
 
@@ -56,7 +58,7 @@ def test_own_task_is_listed_and_asked_for(capsys) -> None:
         assert [*found] == [*SUITE, "tower"]
         assert found["tower"]["gym_id"] == "lemma/Tower-v0"
         _, out, _ = run(capsys, "instructions", "tower", "--n", "3", "--json")
-        assert all(r["instance"].startswith(f"{BENCHMARK_VERSION}/tower/free/") for r in json.loads(out))
+        assert all(r["instance"].startswith(FREE) for r in json.loads(out))
 
 
 def test_own_task_has_environments_without_a_word_about_splits() -> None:
@@ -65,7 +67,7 @@ def test_own_task_has_environments_without_a_word_about_splits() -> None:
         by_name = lemma.make("tower", level="plan")
         assert by_id.config == by_name.config == lemma.make("lemma/Tower-v0").config
         assert by_name.config.split == "free"
-        assert by_name.reset(seed=0)[1]["instance"].startswith(f"{BENCHMARK_VERSION}/tower/free/")
+        assert by_name.reset(seed=0)[1]["instance"].startswith(FREE)
         with pytest.raises(InvalidConfigError, match=r"list 'test'.*'free'"):
             lemma.make("tower", split="test")
         with pytest.raises(InvalidConfigError, match="no frozen list 'val'"):
