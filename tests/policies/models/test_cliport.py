@@ -39,7 +39,7 @@ def tiny(**changes: Any) -> CLIPort:
 def test_it_learns_an_episode_by_heart() -> None:
     batch = drawn_batch(3)
     model = tiny()
-    learn_by_heart(model, batch, 90)
+    learn_by_heart(model, batch, 150)
     scores = model.score(batch)
     assert scores["grounded"][:2].tolist() == [1.0, 1.0]
     assert all(math.isnan(values[2]) for values in scores.values())
@@ -136,7 +136,9 @@ def test_a_second_look_learns_to_undo_what_was_done_to_a_place() -> None:
         fit = model.place(*seen, labels.pick_pose, batch.raster)
     optimizer = torch.optim.Adam(zoom.parameters(), 3e-3)
     given = (seen, fit, labels.pick_pose)
-    for _ in range(150):
+    steps = 300
+    for step in range(steps):
+        optimizer.param_groups[0]["lr"] = 3e-3 * (1.0 - step / steps)
         optimizer.zero_grad()
         zoom.loss(*given, labels.place_pose, batch.raster).mean().backward()
         optimizer.step()

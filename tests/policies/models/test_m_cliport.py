@@ -34,7 +34,7 @@ def test_it_learns_an_episode_by_heart() -> None:
     decision[1, 1] = PRIMITIVES.index("poke")
     batch = replace(batch, labels=replace(labels_of(batch), decision=decision))
     model = tiny()
-    learn_by_heart(model, batch, 90)
+    learn_by_heart(model, batch, 180)
     scores = model.score(batch)
     assert scores["right_stop"].tolist() == [1.0] * 4
     assert scores["right_robot"][:3].tolist() == [1.0] * 3
