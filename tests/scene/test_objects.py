@@ -1,14 +1,16 @@
 """Cubes, pads and the stick: their sizes, masses and frames as MuJoCo has them."""
 
+import itertools
 import math
 
 import mujoco
+import numpy as np
 import pytest
 
-from lemma.core.poses import Pose2
+from lemma.core.poses import FloatArray, Pose2
 from lemma.scene.objects.bodies import add_object, resting_quaternion
 from lemma.scene.objects.cube import CUBE_EDGE_M, CUBE_MASS_KG
-from lemma.scene.objects.kind import OBJECT_KINDS
+from lemma.scene.objects.kind import OBJECT_KINDS, Part
 from lemma.scene.objects.pad import PAD_RADIUS_M, PAD_THICKNESS_M
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
 from lemma.scene.palette import OBJECT_COLORS, STICK
@@ -84,3 +86,35 @@ def test_a_resting_quaternion_turns_about_the_vertical(yaw: float) -> None:
     w, x, y, z = resting_quaternion(yaw)
     assert (x, y) == (0.0, 0.0)
     assert math.atan2(2 * w * z, 1 - 2 * z * z) == pytest.approx(yaw)
+
+
+def surface(part: Part) -> FloatArray:
+    """Return points of a box or of the rims of an upright cylinder, (n, 3) [m]."""
+    if part.shape == "box":
+        around = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
+        points = around * part.size_m
+    else:
+        radius, half = part.size_m
+        turns = np.linspace(0.0, 2.0 * np.pi, 33)
+        points = np.array(
+            [
+                (radius * np.cos(turn), radius * np.sin(turn), z)
+                for turn in turns
+                for z in (-half, half)
+            ]
+        )
+    return points + np.array(part.position_m)
+
+
+@pytest.mark.parametrize("name", ["cube", "pad"])
+def test_the_guard_knows_all_of_a_cube_and_a_pad(name: str) -> None:
+    kind = OBJECT_KINDS[name]
+    for point in np.concatenate([surface(part) for part in kind.parts]):
+        gaps = []
+        for capsule in kind.shell.capsules:
+            start, end = np.array(capsule.start), np.array(capsule.end)
+            along = end - start
+            share = np.dot(point - start, along) / max(np.dot(along, along), 1e-12)
+            nearest = start + np.clip(share, 0.0, 1.0) * along
+            gaps.append(np.linalg.norm(point - nearest) - capsule.radius_m)
+        assert min(gaps) <= 1e-9
