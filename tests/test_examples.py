@@ -17,7 +17,7 @@ CASES = {
     "03_write_a_task.py": "success",
     "04_policy_server.py": "shared: success\nsuccess",
     "05_write_an_object.py": "success",
-    "06_write_a_primitive.py": "push white_cube -> shared: success",
+    "06_write_a_primitive.py": "push green_cube -> shared: success",
     "07_write_a_robot.py": "(ur5+ur16e)\nsuccess",
     "08_write_an_attack.py": "not solved",
 }
