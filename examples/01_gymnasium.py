@@ -25,7 +25,7 @@ env.close()
 # Skill level: one grounded sub-task per step.
 skills = lemma.make("stack", level="skill", split="test", index=0)
 observation, info = skills.reset()
-cube, _ = skills.instance.goal.pairs[0]
+cube = skills.instance.goal.pairs[0][0]
 x, y = info["state"][cube][:2]
 for robot in ("robot_0", "robot_1"):
     move = GroundedSubTask(robot, Primitive.MOVE, Pose2(x, y), Pose2(0.0, 0.0))
