@@ -2,8 +2,9 @@
 
 Attributes, items, closures, bound objects, what wrappers wrap, what an object would be
 pickled as, and the modules of the package behind the globals of its functions. What is
-outside: frames of the stack, the garbage collector's list of all objects, and Numba's
-own objects: a compiled function holds the compiler, with all types of the process.
+outside: frames of the stack, the garbage collector's list of all objects, what modules
+are imported by, and Numba's own objects: a compiled function holds the compiler, with
+all types of the process.
 """
 
 import sys
@@ -48,6 +49,8 @@ _HOMES = {"lemma", __name__, "builtins", "functools", "itertools", "mujoco"}
 """Packages whose objects are asked for all that they have."""
 _MOST = 200_000
 """Objects that are looked at before the search is called endless."""
+_LOADED_BY = ("__loader__", "__spec__")
+"""What imported a module; the tests' own importer knows of all tests."""
 _HIDDEN = (
     *("__wrapped__", "__func__", "__self__", "__closure__", "__defaults__"),
     *("__kwdefaults__", "__dict__"),
@@ -80,7 +83,7 @@ def _behind(one: object) -> Iterator[tuple[str, object]]:
     if isinstance(one, types.ModuleType | type):
         home = one.__name__ if isinstance(one, types.ModuleType) else one.__module__
         if home.partition(".")[0] in _HOMES:
-            yield from ((f".{name}", value) for name, value in vars(one).items())
+            yield from ((f".{name}", value) for name, value in _own(vars(one)).items())
         return
     if type(one).__module__.partition(".")[0] == "numba":
         # Machine code holds no object; what it was made of may, and who sets a field.
@@ -103,7 +106,7 @@ def _behind(one: object) -> Iterator[tuple[str, object]]:
     if isinstance(one, types.FunctionType):
         # Code that was generated is of no module.
         if (one.__module__ or "").partition(".")[0] in _HOMES:
-            yield ".__globals__", one.__globals__
+            yield ".__globals__", _own(one.__globals__)
     elif type(one).__module__.partition(".")[0] in _HOMES:
         # Of others' objects no property is asked: who knows what it does.
         names |= {name for name in dir(one) if not name.startswith("__")}
@@ -116,6 +119,10 @@ def _behind(one: object) -> Iterator[tuple[str, object]]:
                 f".{name}",
                 one.__reduce_ex__(4)[1:3] if pickled else getattr(one, name),
             )
+
+
+def _own(module: Mapping[str, object]) -> dict[str, object]:
+    return {name: value for name, value in module.items() if name not in _LOADED_BY}
 
 
 class Slotted:
