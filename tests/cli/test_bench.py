@@ -12,7 +12,7 @@ from lemma.tasks.suite import load_instance
 
 SPEED = {
     *("realtime_factor", "camera_fps", "map_ms"),
-    *("reset_state_ms", "reset_images_ms", "peak_mb"),
+    *("sample_ms", "reset_state_ms", "reset_images_ms", "peak_mb"),
 }
 LOOP = {"expert_realtime", "bare_realtime", "ratio", "lowest_ratio"}
 CONTROL = {

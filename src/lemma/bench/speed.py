@@ -33,6 +33,8 @@ class Speed:
     """Camera pictures per second, 640 x 480, color and depth together."""
     map_ms: float
     """Fusing two cameras into the top-down map."""
+    sample_ms: float
+    """Sampling a new instance, mean over the tasks."""
     reset_state_ms: float
     """From an instance to its first state."""
     reset_images_ms: float
@@ -87,10 +89,28 @@ def measure_speed(instances: list[Instance], repeats: int = 30) -> Speed:
         realtime_factor=measure_realtime_factor(instances),
         camera_fps=fps,
         map_ms=map_ms,
+        sample_ms=measure_sampling([instance.task for instance in instances]),
         reset_state_ms=state_ms,
         reset_images_ms=images_ms,
         peak_mb=measure_peak_mb(instances[-1]),
     )
+
+
+def measure_sampling(tasks: list[str], each: int = 10) -> float:
+    """Return milliseconds to sample an instance, tables that are rejected included.
+
+    Args:
+        tasks: Names of tasks, in any number.
+        each: Instances of each task.
+    """
+    records = [task_named(task) for task in dict.fromkeys(tasks)]
+    # The first has kernels compiled and reach computed.
+    sample(records[0], FREE_SPLIT, each)
+    start = time.perf_counter()
+    for task in records:
+        for index in range(each):
+            sample(task, FREE_SPLIT, index)
+    return 1000.0 * (time.perf_counter() - start) / (each * len(records))
 
 
 def measure_realtime_factor(instances: Iterable[Instance]) -> float:

@@ -8,7 +8,7 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.options import File, JsonFlag, Number, messages, output, print_json
+from lemma.cli.options import Folder, JsonFlag, Number, messages, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ _EVERYTHING = AuditOptions()
 def audit(
     wanted: Annotated[AuditOptions, tyro.conf.arg(name="")] = _EVERYTHING,
     working: WorkerOptions = DEFAULT,
-    videos: File = None,
+    videos: Folder = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Attack instances with one robot alone, in physics; none may be solved.

@@ -38,6 +38,7 @@ _TARGETS = {
     "realtime_factor": ("simulated seconds per second, one core", "{:.0f}", "≥ 60"),
     "camera_fps": ("camera pictures per second, RGB and depth", "{:.0f}", "≥ 50"),
     "map_ms": ("top-down map of two cameras", "{:.1f} ms", "< 5 ms"),
+    "sample_ms": ("sampling an instance, mean", "{:.0f} ms", "< 1000 ms"),
     "reset_state_ms": ("reset to the first state", "{:.1f} ms", "< 20 ms"),
     "reset_images_ms": ("reset to the first pictures", "{:.1f} ms", "< 80 ms"),
     "peak_mb": ("memory of one environment, with cameras", "{:.0f} MB", "< 400 MB"),

@@ -31,6 +31,8 @@ Team = Annotated[str | None, tyro.conf.arg(metavar="ARM,ARM", help_behavior_hint
 """Optional arm types, from left to right."""
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 """An optional file."""
+Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
+"""An optional folder."""
 
 
 def output() -> Console:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from lemma.cli.options import Flag, Number, messages, output
+from lemma.cli.options import Flag, Folder, Number, messages, output
 from lemma.cli.report import print_written
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.files import write_text
@@ -25,17 +25,12 @@ _AT_INTERRUPT = (
     "from there."
 )
 
-OptionalFolder = Annotated[
-    Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
-]
-"""An optional folder."""
-
 
 @dataclass(frozen=True, slots=True)
 class ReproduceOptions:
     """From which weights, and how many episodes."""
 
-    weights: OptionalFolder = None
+    weights: Folder = None
     """Folder with one training run for each name of weights; by default those that
     ship."""
     split: Annotated[str, tyro.conf.arg(metavar="SPLIT")] = "test"

@@ -2,11 +2,8 @@
 
 A task says what it needs ("a cube that only this robot reaches"); the board finds a
 place by rejection sampling, as in the paper, and remembers what is there. When no place
-is found, the whole attempt is given up and a new one begins.
-
-Robots are kept apart by what they *could* do (:mod:`lemma.robots.could`), not by what
-they are told to do: what is exclusive to one robot works for it and is out of every
-other's possibilities, whatever the others do with their hands.
+is found, the whole attempt is given up and a new one begins. Zones are those of
+:mod:`lemma.tasks.zones`.
 """
 
 import math
@@ -50,12 +47,9 @@ _BESIDE_BASE_M = 0.06
 _KINDS = ("cube", "pad")
 """Kinds whose colors are shuffled first of all, in the benchmark's order."""
 
-_OUTLINE = tuple(
-    (u, v)
-    for u, v in (
-        *((HANDLE_LENGTH_M * i / 5, 0.0) for i in range(6)),
-        (HANDLE_LENGTH_M - STICK_SECTION_M / 2, HOOK_LENGTH_M - STICK_SECTION_M / 2),
-    )
+_OUTLINE = (
+    *((HANDLE_LENGTH_M * i / 5, 0.0) for i in range(6)),
+    (HANDLE_LENGTH_M - STICK_SECTION_M / 2, HOOK_LENGTH_M - STICK_SECTION_M / 2),
 )
 """Points along the stick's axes, in its frame [m]."""
 
