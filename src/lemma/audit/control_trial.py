@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lemma.audit.attack import AttemptOver, Lost
-from lemma.audit.hand import base_matrix, turned_near
+from lemma.audit.hand import turned_near
 from lemma.core.poses import FloatArray, Pose2
 from lemma.env.base_env import EnvSnapshot
 from lemma.env.config import EnvConfig
@@ -124,7 +124,7 @@ class ControlTrial:
 
     def postures(self, hand: FloatArray) -> FloatArray:
         """Return joint angles, (n, 6), that put the hand at a pose, (4, 4)."""
-        return gripper_ik(self.placement.arm, base_matrix(self.placement.base), hand)
+        return gripper_ik(self.placement.arm, self.placement.base.matrix(), hand)
 
     def can(self, *hands: FloatArray) -> bool:
         """Whether the hand can be at each of some poses."""

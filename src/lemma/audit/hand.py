@@ -5,19 +5,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lemma.core.poses import FloatArray, Pose2
+from lemma.core.poses import FloatArray
 
 LEANS_RAD = tuple(math.radians(d) for d in range(0, 80, 5))
 """How far a hand may lean from pointing down, smallest first."""
-
-
-def base_matrix(base: Pose2) -> FloatArray:
-    """Return world from base, (4, 4)."""
-    cos, sin = math.cos(base.yaw), math.sin(base.yaw)
-    frame = np.eye(4)
-    frame[0, 0], frame[0, 1], frame[0, 3] = cos, -sin, base.x
-    frame[1, 0], frame[1, 1], frame[1, 3] = sin, cos, base.y
-    return frame
 
 
 def leaning(x: float, y: float, z: float, way: float, lean: float) -> FloatArray:

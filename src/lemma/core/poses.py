@@ -46,6 +46,18 @@ class Pose2:
             -cos * self.x - sin * self.y, sin * self.x - cos * self.y, -self.yaw
         )
 
+    def matrix(self) -> FloatArray:
+        """Return the homogeneous transform in space, on the table, shape (4, 4)."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        return np.array(
+            [
+                [cos, -sin, 0.0, self.x],
+                [sin, cos, 0.0, self.y],
+                [0.0, 0.0, 1.0, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+
     def distance(self, other: "Pose2") -> float:
         """Return the distance between the two positions [m]."""
         return math.hypot(self.x - other.x, self.y - other.y)

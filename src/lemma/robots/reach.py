@@ -151,11 +151,7 @@ def usable_postures(
 
 def can_hold(arm_name: str, base: Pose2, x: float, y: float, z: float) -> bool:
     """Whether the gripper can point down at a position of the world [m]."""
-    cos, sin = math.cos(base.yaw), math.sin(base.yaw)
-    frame = np.eye(4)
-    frame[0, 0], frame[0, 1], frame[0, 3] = cos, -sin, base.x
-    frame[1, 0], frame[1, 1], frame[1, 3] = sin, cos, base.y
-    return len(gripper_ik(arm_name, frame, top_down(x, y, z, 0.0))) > 0
+    return len(gripper_ik(arm_name, base.matrix(), top_down(x, y, z, 0.0))) > 0
 
 
 @lru_cache

@@ -86,15 +86,7 @@ class Scene:
             int(model.joint(f"{name}/finger_{side}").qposadr[0])
             for side in ("left", "right")
         ]
-        cos, sin = math.cos(placement.base.yaw), math.sin(placement.base.yaw)
-        base = np.array(
-            [
-                [cos, -sin, 0.0, placement.base.x],
-                [sin, cos, 0.0, placement.base.y],
-                [0.0, 0.0, 1.0, 0.0],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
+        base = placement.base.matrix()
         return RobotIndex(
             name=name,
             placement=placement,
