@@ -7,12 +7,16 @@ import pytest
 from own_plugins import EXAMPLES, loaded
 from soft_tables import soft_table, two_cubes_to_drag
 
+from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.control_trial import ControlTrial
 from lemma.audit.run import audit, audit_instance
 from lemma.audit.table import tally, to_dict
 from lemma.cli import audit as verb
 from lemma.cli.main import main
+from lemma.core.errors import PhysicsError
 from lemma.core.workers.pool import ProcessPool
 from lemma.tasks import suite
+from lemma.tasks.suite import load_instance
 from lemma.viz.attack_video import replay_attack
 from lemma.viz.video import VideoStyle
 
@@ -104,3 +108,24 @@ def test_an_attack_of_a_plugin_is_played(capsys: pytest.CaptureFixture[str]) -> 
         run("--tasks", "pass", "--attacks", "set_down_near", *EPISODES, "--json")
     found = json.loads(capsys.readouterr().out)["attacks"]
     assert found["set_down_near"]["pass"]["tried"] == 1
+
+
+def test_an_attempt_that_ends_in_unstable_physics_is_lost_and_told_of(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def blow_up(trial: ControlTrial) -> None:
+        trial.wait(0.1, 0.0)
+        raise PhysicsError("unstable")
+
+    attack = Attack(
+        name="blow_up", summary="", level="control", play=blow_up, attempts=2
+    )
+    monkeypatch.setitem(ATTACKS._records, "blow_up", attack)
+    found = list(audit_instance(load_instance("pass", "test", 0), ["blow_up"]))
+    assert [(one.acted, one.succeeded, one.unstable) for one in found] == [
+        (True, False, 4)
+    ]
+    monkeypatch.setattr("lemma.audit.run.audit", lambda *args: found)
+    assert run("--tasks", "pass", *EPISODES) == 0
+    words = " ".join(capsys.readouterr().err.split())
+    assert "pass/test/0: blow_up made the physics unstable in 4 attempts" in words

@@ -12,6 +12,7 @@ from lemma.audit.attack import ATTACKS, LEVELS, Attack, AttemptOver, GiveUp
 from lemma.audit.control_trial import ControlTable
 from lemma.audit.skill_trial import SkillTable
 from lemma.core.arguments import known
+from lemma.core.errors import PhysicsError
 from lemma.core.seeding import stream
 from lemma.core.workers.pool import Engine, run_in_order
 from lemma.tasks.instance import Instance
@@ -50,6 +51,8 @@ class Found:
     """What it did, at skill level."""
     commands: NDArray[np.float32] | None = None
     """What it commanded, at control level, (steps, robots, numbers)."""
+    unstable: int = 0
+    """Attempts that ended because the physics became unstable."""
 
 
 _Table = SkillTable | ControlTable
@@ -133,24 +136,35 @@ def _audit_key(
 def _play(record: Attack, instance: Instance, table: _Table) -> Found:
     """Make all attempts of an attack, until one succeeds."""
     key = (record.name, record.level, instance.task, instance.split, instance.index)
-    acted, progress = False, 0.0
+    acted, progress, unstable = False, 0.0, 0
     robots = instance.scene.robot_names
     for robot in robots[:1] if record.team else robots:
         for attempt in range(record.attempts):
             rng = stream("audit", record.name, instance.key, robot, attempt)
             trial: Any = table.begin(robot, rng, attempt)
             try:
-                record.play(trial)
-            except AttemptOver:
-                pass
-            except GiveUp:
-                if not trial.acted:
-                    break
-            won = trial.acted and trial.finish()
+                won = _attempt(record, trial)
+            except PhysicsError:
+                # What is simulated means nothing any more, so nothing is won by it.
+                won, unstable = False, unstable + 1
+            if won is None:
+                break
             acted = acted or trial.acted
             progress = max(progress, trial.best_progress)
             if won:
                 return Found(
                     *key, True, True, 1.0, robot, attempt, **trial.what_was_done()
                 )
-    return Found(*key, acted, False, progress)
+    return Found(*key, acted, False, progress, unstable=unstable)
+
+
+def _attempt(record: Attack, trial: Any) -> bool | None:
+    """Make one attempt; return whether it succeeded, None if geometry gave it up."""
+    try:
+        record.play(trial)
+    except AttemptOver:
+        pass
+    except GiveUp:
+        if not trial.acted:
+            return None
+    return bool(trial.acted and trial.finish())

@@ -76,6 +76,12 @@ def audit(
             f"{one.task}/{one.split}/{one.index}: {one.attack} by {one.robot}, "
             f"attempt {one.attempt + 1}"
         )
+    for one in found:
+        if one.unstable:
+            messages().print(
+                f"{one.task}/{one.split}/{one.index}: {one.attack} made the physics "
+                f"unstable in {one.unstable} attempts, which count as failed"
+            )
     if videos is not None:
         write_videos(won, videos)
     return 1 if won else 0

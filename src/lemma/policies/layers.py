@@ -35,7 +35,11 @@ def norm(channels: int) -> nn.GroupNorm:
     return GroupNorm(max(1, channels // GROUP_CHANNELS), channels)
 
 
-class ResidualBlock(nn.Module):
+class Network(nn.Module):
+    """Maps tensors to tensors, by nothing else: such parts of a model are compiled."""
+
+
+class ResidualBlock(Network):
     """Two 3 x 3 convolutions and a shortcut; the first may halve the resolution."""
 
     def __init__(self, channels_in: int, channels: int, stride: int = 1) -> None:

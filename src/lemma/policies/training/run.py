@@ -130,7 +130,7 @@ def read_frames(
         for shard in keyframe_shards(folder, split, tasks)
     )
     how = tasks, _place(config, team.device, size), entities
-    read = partial(Frames.load, shared=config.images == "shared")
+    read = partial(Frames.load, shared=config.shared_images)
     train = read(config.data, config.train_split, *how)
     same = config.val_split == config.train_split
     val = train if same else read(config.data, config.val_split, *how)
@@ -157,7 +157,7 @@ def _check_alike(train: Frames, recovery: Frames) -> None:
 
 def _place(config: TrainingConfig, device: torch.device, size: int) -> torch.device:
     host = torch.device("cpu")
-    if device.type == "cpu" or config.images in ("host", "shared"):
+    if device.type == "cpu" or config.images == "host":
         return host
     free, _ = torch.cuda.mem_get_info(device)
     # From the host they come nearly as fast, and the memory has better uses.

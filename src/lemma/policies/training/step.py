@@ -11,8 +11,8 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lemma.core.seeding import stream
 from lemma.policies.batch import Batch
+from lemma.policies.layers import Network
 from lemma.policies.model import Model
-from lemma.policies.text.encoder import TextEncoder
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup
 from lemma.policies.training.validation import autocast
@@ -120,16 +120,16 @@ class Trainer:
 
 
 def compile_parts(module: nn.Module) -> None:
-    """Compile the parts of a model that are given tensors alone.
+    """Compile the parts of a model that are networks of tensors.
 
-    Sentences are constants to the compiler, so that the whole model would be compiled
-    anew for every batch.
+    Sentences and numbers of things are constants to the compiler: whole models would
+    be compiled anew for every batch.
     """
     for part in module.children():
-        if isinstance(part, nn.ModuleList | nn.ModuleDict):
-            compile_parts(part)
-        elif not isinstance(part, TextEncoder):
+        if isinstance(part, Network):
             part.compile()
+        else:
+            compile_parts(part)
 
 
 def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:

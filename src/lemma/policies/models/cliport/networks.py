@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.policies.batch import Batch
-from lemma.policies.layers import ResidualBlock, norm, upsample_to
+from lemma.policies.layers import Network, ResidualBlock, norm, upsample_to
 
 STRIDE = 4
 """Cells of the map along a side of a cell of features."""
@@ -121,7 +121,7 @@ class _Lateral(nn.Module):
         return F.silu(self.conv(torch.cat([semantic, spatial], 1)))
 
 
-class TwoStreams(nn.Module):
+class TwoStreams(Network):
     """A picture and a sentence in, features at a quarter of the resolution out."""
 
     def __init__(self, widths: Sequence[int], sentence_width: int) -> None:

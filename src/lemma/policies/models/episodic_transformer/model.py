@@ -22,6 +22,7 @@ from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, Batch
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.layers import (
+    Network,
     ResidualBlock,
     TransformerLayer,
     norm,
@@ -79,7 +80,7 @@ class EpisodicTransformerConfig:
     multi-step planning."""
 
 
-class FrameNetwork(nn.Module):
+class FrameNetwork(Network):
     """Maps to the values of a grid of cells: a ResNet from scratch."""
 
     def __init__(self, config: EpisodicTransformerConfig) -> None:

@@ -277,9 +277,12 @@ def goal_numbers(
     entities: EntitySet = BENCHMARK,
 ) -> Tensor:
     """Return goals as numbers of entities, (B, conjuncts, 2); -1 for none."""
-    numbers = torch.full((len(goals), CONJUNCTS, 2), NOBODY)
-    for row, pairs in enumerate(goals):
-        for place, pair in enumerate(pairs[:CONJUNCTS]):
-            for side, name in enumerate(pair):
-                numbers[row, place, side] = entities.number(name)
-    return numbers.to(device)
+    none = (NOBODY, NOBODY)
+    numbers = [
+        [
+            *((entities.number(a), entities.number(b)) for a, b in pairs[:CONJUNCTS]),
+            *(none,) * (CONJUNCTS - len(pairs)),
+        ]
+        for pairs in goals
+    ]
+    return torch.tensor(numbers, device=device)
