@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from lemma.core.plugins import load_plugins
     from lemma.dataset.recipe.reader import load
     from lemma.env.episode import Episode
+    from lemma.evaluation.evaluation import Evaluation, evaluate
     from lemma.expert.expert import Expert, solve
     from lemma.expert.policy import ExpertPolicy
     from lemma.expert.primitives import PRIMITIVES, PrimitiveSpec
@@ -34,6 +35,7 @@ __all__ = [
     "TASKS",
     "ArmSpec",
     "Episode",
+    "Evaluation",
     "Expert",
     "ExpertPolicy",
     "Instance",
@@ -42,6 +44,7 @@ __all__ = [
     "PrimitiveSpec",
     "Task",
     "__version__",
+    "evaluate",
     "load",
     "load_instance",
     "load_plugins",
@@ -54,6 +57,7 @@ _HOMES = {
     "ARMS": "lemma.robots.ur.arms",
     "ArmSpec": "lemma.robots.ur.arms",
     "Episode": "lemma.env.episode",
+    "Evaluation": "lemma.evaluation.evaluation",
     "Expert": "lemma.expert.expert",
     "ExpertPolicy": "lemma.expert.policy",
     "Instance": "lemma.tasks.instance",
@@ -66,6 +70,7 @@ _HOMES = {
     "SUITE": "lemma.tasks.suite",
     "TASKS": "lemma.tasks.suite",
     "Task": "lemma.tasks.task",
+    "evaluate": "lemma.evaluation.evaluation",
     "load": "lemma.dataset.recipe.reader",
     "load_instance": "lemma.tasks.suite",
     "load_plugins": "lemma.core.plugins",

@@ -5,10 +5,10 @@ import re
 from pathlib import Path
 
 import pytest
-from in_process import Serial
 from PIL import Image
 
 from lemma.cli.main import main
+from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 
 

@@ -4,7 +4,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from in_process import Serial
 from rendered_sets import recipe_folder
 
 from lemma.cli import render as verb
@@ -12,6 +11,7 @@ from lemma.cli.main import main
 from lemma.cli.render import RenderOptions, choose_form
 from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
+from lemma.core.workers.serial import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 

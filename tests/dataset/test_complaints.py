@@ -5,7 +5,6 @@ from pathlib import Path
 from shutil import copytree
 
 import pytest
-from in_process import Serial
 from recipes import (
     bytes_of,
     lemma,
@@ -17,6 +16,7 @@ from recipes import (
 )
 
 from lemma.core.files import read_json, sha256_of, write_json
+from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.files import open_table, read_table, write_table
 from lemma.dataset.recipe.generate import generate

@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from in_process import Serial
 from recipes import made_up, small_disk, small_order, write_recipe
 
 from lemma.core.errors import DatasetError
@@ -25,6 +24,7 @@ from lemma.core.files import (
     write_text,
     write_whole,
 )
+from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.recipe import files
 from lemma.dataset.recipe.digests import export

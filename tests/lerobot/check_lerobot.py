@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from in_process import Serial
 from numpy.typing import NDArray
 
 import lemma
 from lemma.cli.main import main
+from lemma.core.workers.serial import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset, write_shard
 from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.recipe.generate import GenerateConfig, generate

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from faulty_policies import Scripted, given
-from in_process import Serial
 from serving_processes import end, start
 
 from lemma.cli.evaluate import EvaluateOptions
@@ -18,6 +17,7 @@ from lemma.cli.serve import serve as serve_verb
 from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import Job, Listener, ProcessPool, ignore
+from lemma.core.workers.serial import Serial
 from lemma.evaluation.records import ABOUT, EPISODES, Row, read_rows
 from lemma.evaluation.run import loading
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from in_process import Serial
-
 from lemma.core.poses import Pose2
+from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.records import SUMMARY, read_about
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate

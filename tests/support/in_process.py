@@ -1,27 +1,10 @@
-"""An engine for tests: jobs in this process, so that what they call can be replaced."""
+"""An engine for tests that is gone after some jobs."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from lemma.core.workers.pool import Job, Listener, heard_by, ignore
-
-
-class Serial:
-    """Runs jobs one after another in this process."""
-
-    workers = 1
-
-    def run(
-        self,
-        function: Callable[..., Any],
-        jobs: Sequence[Job],
-        on_report: Listener = ignore,
-    ) -> Iterator[Any]:
-        """Yield what each job returned."""
-        for job in jobs:
-            with heard_by(on_report):
-                result = function(*job)
-            yield result
+from lemma.core.workers.pool import Job, Listener, ignore
+from lemma.core.workers.serial import Serial
 
 
 class Killed(BaseException):

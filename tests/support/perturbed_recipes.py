@@ -6,8 +6,7 @@ from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
 
-from in_process import Serial
-
+from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.schema import PerturbedRecord

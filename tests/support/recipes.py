@@ -15,10 +15,10 @@ from tempfile import mkdtemp
 
 import numpy as np
 import pytest
-from in_process import Serial
 
 from lemma.cli.main import main
 from lemma.core.files import sha256_of, write_json
+from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.digests import content_digest, shorten
 from lemma.dataset.recipe.files import REVISION_VARIABLE, versions, write_table

@@ -6,8 +6,7 @@ from pathlib import Path
 from shutil import copytree, rmtree
 from tempfile import mkdtemp
 
-from in_process import Serial
-
+from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.recipe.reader import Recipe, load
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm

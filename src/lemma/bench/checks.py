@@ -8,9 +8,9 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from lemma import __version__
 from lemma.bench.machine import installed_version
 from lemma.core.errors import LemmaError
+from lemma.core.version import VERSION as __version__
 
 ENGINE = "3.17"
 """The series of MuJoCo that results are tied to."""

@@ -6,8 +6,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from lemma import __version__
 from lemma.core.errors import RenderingError
+from lemma.core.version import VERSION as __version__
 from lemma.core.workers.pool import usable_cores
 from lemma.scene.rendering.gl_backend import choose_backend
 

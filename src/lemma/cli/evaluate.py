@@ -13,7 +13,6 @@ from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.policies.interfaces import TIMEOUT_S
 
 if TYPE_CHECKING:
-    from lemma.evaluation.analysis.intervals import Rate
     from lemma.evaluation.analysis.result import Cell
     from lemma.evaluation.records import Row
 
@@ -162,39 +161,18 @@ def _rates(
 
 
 def table(cells: "tuple[Cell, ...]") -> Table:
-    """Return success rates [%] with Wilson intervals: tasks down, kinds across.
+    """Return success rates [%] for a terminal: tasks down, kinds across."""
+    from lemma.evaluation.report.success_tables import rates
 
-    All strict, but for the last row.
-    """
-    from lemma.evaluation.analysis.intervals import leniently, mean_over_tasks, rates_by
-    from lemma.tasks.language.template import EVALUATION_KINDS
-    from lemma.tasks.names import in_order
-    from lemma.tasks.suite import SUITE
-
-    every = {kind: [c for c in cells if c.kind == kind] for kind in EVALUATION_KINDS}
-    columns = {kind: listed for kind, listed in every.items() if listed}
+    found = rates(cells)
+    first, *kinds = found.header
     # Four kinds fit into 80 columns without the edge.
     shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
-    shown.add_column("success [%]", style="bold", no_wrap=True)
-    for kind in columns:
-        shown.add_column(kind.replace("_", "-"), justify="right", no_wrap=True)
-    tasks = in_order(cell.task for cell in cells)
-    rates = [rates_by(column, "task") for column in columns.values()]
-    for task in tasks:
-        shown.add_row(task, *(_cell(by_task.get((task,))) for by_task in rates))
-    shown.add_section()
-    over = "mean" if set(tasks) == set(SUITE) else f"mean of {len(tasks)} tasks"
-    means = (f"{100 * mean_over_tasks(column):.1f}" for column in columns.values())
-    shown.add_row(over, *means)
-    later = [leniently(column) for column in columns.values()]
-    if all(later):
-        means = (f"{100 * mean_over_tasks(column):.1f}" for column in later)
-        shown.add_row("mean, lenient", *means)
+    shown.add_column(first, style="bold", no_wrap=True)
+    for kind in kinds:
+        shown.add_column(kind, justify="right", no_wrap=True)
+    for number, row in enumerate(found.rows):
+        if number == len({cell.task for cell in cells}):
+            shown.add_section()
+        shown.add_row(*row)
     return shown
-
-
-def _cell(rate: "Rate | None") -> str:
-    if rate is None:
-        return ""
-    low, high = rate.interval
-    return f"{100 * rate.success_rate:.1f} ({100 * low:.0f}-{100 * high:.0f})"

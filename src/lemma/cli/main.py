@@ -8,10 +8,10 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from lemma import __version__
 from lemma.cli.options import complain, output
 from lemma.core.errors import LemmaError, UnknownNameError
 from lemma.core.plugins import load_plugins, split_names
+from lemma.core.version import VERSION as __version__
 
 VERBS = {
     "tasks": "List the eight tasks of the suite, and those of plugins.",

@@ -13,7 +13,14 @@ from lemma.policies.compose import (
     RetryingPlanner,
     RetryingPolicy,
 )
-from lemma.policies.interfaces import TIMEOUT_S, Grounder, Oracle, Planner, Policy
+from lemma.policies.interfaces import (
+    TIMEOUT_S,
+    Grounder,
+    Oracle,
+    Planner,
+    Policy,
+    is_oracle,
+)
 from lemma.policies.oracle import (
     GroundTruthAllocation,
     OracleGrounder,
@@ -22,6 +29,8 @@ from lemma.policies.oracle import (
 
 ORACLE = "oracle"
 PLANNINGS = ("single-step", "multi-step")
+LEVELS = ("plan", "skill")
+"""What a policy decides: sub-tasks in symbols, or with poses."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +144,59 @@ class PolicySpec:
         if self.gta:
             planner = GroundTruthAllocation(planner)
         return PlannerWithGrounder(planner, grounder)
+
+
+class GivenPolicy(PolicySpec):
+    """A policy that is an object of this process, not a name: no other one has it."""
+
+    _held: object
+
+    @classmethod
+    def of(
+        cls,
+        held: object,
+        level: str = "",
+        planning: str = PLANNINGS[0],
+        *,
+        gta: bool = False,
+    ) -> "GivenPolicy":
+        """Return the spec of an object.
+
+        Args:
+            held: A policy, or a planner.
+            level: One of :data:`LEVELS`; a planner's sub-tasks get the expert's poses.
+                By default what it can do.
+            planning: How it plans.
+            gta: Whether the right robot replaces the one that the planner chose.
+
+        Raises:
+            InvalidConfigError: It is neither, or cannot plan in that way.
+        """
+        kind = type(held)
+        name = f"{kind.__module__}:{kind.__qualname__}"
+        whole = _can(held, Policy) or _can(held, Grounder)
+        if level == LEVELS[0] or (not level and _can(held, Planner) and not whole):
+            name += f"+{ORACLE}"
+        found = cls(name, planning, gta)
+        object.__setattr__(found, "_held", held)
+        found.load()
+        return found
+
+    @property
+    def oracle(self) -> bool:
+        """Whether some part of it is given the truth: results say so."""
+        return is_oracle(self.load())
+
+    def load(self, load: Callable[[str], Any] | None = None) -> Policy:
+        """Return the policy, ready to act; names are not looked up."""
+        return super().load(lambda name: self._held)
+
+    # Of two objects of one class, each is itself.
+    __hash__ = object.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the same spec."""
+        return self is other
 
 
 def _reads_outcomes(part: object) -> bool:

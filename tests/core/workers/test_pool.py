@@ -11,7 +11,6 @@ from pathlib import Path
 import ctrl_c
 import in_process
 import pytest
-from in_process import Serial
 
 from lemma.core.errors import DatasetError, InvalidConfigError, WorkerError
 from lemma.core.workers.pool import (
@@ -24,6 +23,7 @@ from lemma.core.workers.pool import (
     usable_cores,
 )
 from lemma.core.workers.ray_cluster import RayCluster
+from lemma.core.workers.serial import Serial
 
 
 def double(number: int) -> tuple[int, int]:

@@ -8,7 +8,6 @@ from shutil import copytree
 from typing import Any
 
 import pytest
-from in_process import Serial
 from perturbed_recipes import (
     EPISODES,
     PERTURBATION,
@@ -23,6 +22,7 @@ from lemma.cli.generate import GenerateOptions
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import read_json, write_json
 from lemma.core.workers.pool import ProcessPool
+from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
 from lemma.dataset.recipe.digests import expected_digests, export, shorten

@@ -8,12 +8,12 @@ from shutil import copytree
 
 import numpy as np
 import pytest
-from in_process import Serial
 from recipes import made_up, small_recipe, write_recipe
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_json
 from lemma.core.workers.pool import ProcessPool
+from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.files import versions
 from lemma.dataset.recipe.generate import recipe_file

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from in_process import Killed, KilledAfter, Serial
+from in_process import Killed, KilledAfter
 from rendered_sets import (
     SPLIT,
     TASKS,
@@ -16,6 +16,7 @@ from rendered_sets import (
 
 from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import ProcessPool
+from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.files import REVISION_VARIABLE, open_table
 from lemma.dataset.recipe.generate import GenerateConfig, generate

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 import tyro
-from in_process import Serial
 
 from lemma.core.config import decode
 from lemma.core.errors import UnknownNameError
+from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.result import read_result
 from lemma.evaluation.experiments.catalog import (
     ABLATION_EPISODES,

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from in_process import Serial
 from made_up import row, step
 
 import check_results
+from lemma.core.workers.serial import Serial
 from lemma.evaluation.records import read_about
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.spec import PolicySpec

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from in_process import Serial
 
 from lemma.cli.evaluate import EvaluateOptions
 from lemma.cli.evaluate import evaluate as verb
 from lemma.cli.workers import Workers
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.workers.pool import Job, Listener, ProcessPool, ignore
+from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.intervals import rates_by, wilson_interval
 from lemma.evaluation.analysis.result import cells_of
 from lemma.evaluation.records import ABOUT, EPISODES, Row, read_rows

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from in_process import Serial
 
 from lemma.core.poses import Pose2
+from lemma.core.workers.serial import Serial
 from lemma.env.view import View
 from lemma.evaluation.records import EPISODES, POLICY_ERROR
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate

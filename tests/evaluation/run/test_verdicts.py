@@ -5,10 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from in_process import Serial
 
 from lemma.core.errors import DatasetError
 from lemma.core.poses import Pose2
+from lemma.core.workers.serial import Serial
 from lemma.evaluation.records import PROTECTIVE_STOP, Row
 from lemma.evaluation.report.replay import retrace
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate

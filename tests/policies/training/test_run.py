@@ -1,9 +1,9 @@
 from pathlib import Path
 
 import pytest
-from in_process import Serial
 from rendered_sets import SPLIT, TASKS, contents, recipe_folder
 
+from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.files import REVISION_VARIABLE
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm

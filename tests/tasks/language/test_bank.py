@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from in_process import Serial
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.seeding import stream
+from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.tasks.language import bank as language

@@ -3,6 +3,12 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from lemma.evaluation.analysis.intervals import (
+    Rate,
+    leniently,
+    mean_over_tasks,
+    rates_by,
+)
 from lemma.evaluation.analysis.result import Cell
 from lemma.evaluation.experiments.catalog import SUITES
 from lemma.evaluation.experiments.paper_figures import TEAMS, Figures, Measured
@@ -21,6 +27,7 @@ from lemma.evaluation.report.policy_results import (
 )
 from lemma.evaluation.report.tables import ResultTable, words
 from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.names import in_order
 from lemma.tasks.suite import SUITE
 
 LENIENT = "*lenient*"
@@ -46,6 +53,35 @@ def at_a_glance(entries: Sequence[PolicyResults]) -> ResultTable:
             rows.append((PAPER, *map(_printed, means)))
     header = ("mean over the tasks [%]", *(words(kind, "-") for kind in kinds))
     return ResultTable(header, tuple(rows))
+
+
+def rates(cells: Sequence[Cell]) -> ResultTable:
+    """Return the success of one policy [%]: tasks down, kinds of instructions across.
+
+    Strict, with Wilson intervals; the last row is the mean of the lenient verdict.
+    """
+    every = {kind: [c for c in cells if c.kind == kind] for kind in EVALUATION_KINDS}
+    columns = {kind: listed for kind, listed in every.items() if listed}
+    by_name = [rates_by(column, "task") for column in columns.values()]
+    tasks = in_order(cell.task for cell in cells)
+    rows = [
+        (task, *(_interval(found.get((task,))) for found in by_name)) for task in tasks
+    ]
+    many = f"{len(tasks)} task{'s' * (len(tasks) > 1)}"
+    over = "mean" if set(tasks) == set(SUITE) else f"mean of {many}"
+    later = [leniently(column) for column in columns.values()]
+    for title, listed in ((over, list(columns.values())), ("mean, lenient", later)):
+        if all(listed):
+            means = (f"{100 * mean_over_tasks(column):.1f}" for column in listed)
+            rows.append((title, *means))
+    return ResultTable(("success [%]", *(words(k, "-") for k in columns)), tuple(rows))
+
+
+def _interval(rate: Rate | None) -> str:
+    if rate is None:
+        return ""
+    low, high = rate.interval
+    return f"{100 * rate.success_rate:.1f} ({100 * low:.0f}-{100 * high:.0f})"
 
 
 def by_task(entries: Iterable[PolicyResults], kind: str) -> ResultTable:

@@ -23,9 +23,9 @@ import torch
 import tyro
 from torch import Tensor
 
-from lemma import __version__
 from lemma.core.errors import LemmaError
 from lemma.core.files import only_writer, write_json
+from lemma.core.version import VERSION as __version__
 from lemma.policies.models.catalog import options_of
 from lemma.policies.training.checkpoint import read_state, write_state
 from lemma.policies.training.config import TrainingConfig

@@ -10,10 +10,10 @@ from typing import Any
 
 import torch
 
-from lemma import __version__
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import clear_drafts, read_json, write_json
 from lemma.core.seeding import stream
+from lemma.core.version import VERSION as __version__
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.schema import executions, perturbed_as
 from lemma.dataset.rendered.keyframes.schema import FORM

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from lemma import __version__
+from lemma.core.version import VERSION as __version__
 from lemma.env.view import View
 from lemma.policies.interfaces import PastStep, PolicyInput, is_oracle
 from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lemma import __version__
 from lemma.core.engine import mujoco
+from lemma.core.version import VERSION as __version__
 from lemma.tasks.suite import task_named
 from lemma.viz.pages.templates import fill
 from lemma.viz.recording import Recording, robot_titles

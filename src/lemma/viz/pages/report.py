@@ -9,8 +9,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from lemma import __version__
 from lemma.core.files import write_text
+from lemma.core.version import VERSION as __version__
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.records import Departure
 from lemma.evaluation.report.episodes import (

@@ -1,0 +1,130 @@
+"""`lemma.evaluate`: objects and names give the same lines, folders and complaints."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import lemma
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.evaluation.analysis.result import check_lines, read_result
+from lemma.evaluation.records import EPISODES, SUMMARY, WALL_CLOCK, Row, read_rows
+from lemma.policies.interfaces import Decision, Oracle, PolicyInput
+from lemma.policies.oracle import OracleGrounder, OraclePlanner
+from lemma.tasks.subtask import Primitive, SubTask
+
+FEW: dict[str, Any] = {"tasks": ["pass", "stack"], "episodes": 2}
+STOP = SubTask("", Primitive.STOP)
+
+
+class Both(Oracle):
+    """A planner with poses of its own, all in one object."""
+
+    def __init__(self) -> None:
+        self.planner, self.grounder, self.grounded = (
+            OraclePlanner(),
+            OracleGrounder(),
+            0,
+        )
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        return self.planner.plan(inputs)
+
+    def ground(
+        self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
+    ) -> list[Any]:
+        self.grounded += 1
+        return self.grounder.ground(inputs, subtasks)
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        subtasks = self.plan(inputs)
+        poses = self.ground(inputs, subtasks)
+        return [
+            Decision(one, None if one.primitive is Primitive.STOP else pose)
+            for one, pose in zip(subtasks, poses, strict=True)
+        ]
+
+
+class Silent:
+    """Stops at once, or says what it was told to say."""
+
+    def __init__(self, says: str = "") -> None:
+        self.says = says
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        if self.says:
+            raise RuntimeError(self.says)
+        return [Decision(STOP, None) for _ in inputs]
+
+
+def timeless(rows: Sequence[Row]) -> list[Row]:
+    return [{k: v for k, v in row.items() if k not in WALL_CLOCK} for row in rows]
+
+
+def test_an_object_and_a_name_give_the_same_lines() -> None:
+    by_name = lemma.evaluate("oracle", **FEW)
+    planner = lemma.evaluate(OraclePlanner(), **FEW)
+    assert timeless(by_name.rows) == timeless(planner.rows)
+    assert by_name.success_rate == 1.0
+    assert by_name.result.episodes_sha256 == planner.result.episodes_sha256
+    assert planner.result.about["oracle"]
+
+
+def test_the_folder_is_that_of_the_command(tmp_path: Path) -> None:
+    found = lemma.evaluate(OraclePlanner(), **FEW, out=tmp_path)
+    result = read_result(tmp_path / SUMMARY)
+    rows = read_rows(tmp_path)
+    assert result == found.result
+    check_lines(result, rows, tmp_path / SUMMARY, tmp_path / EPISODES)
+    # What is there is not played again, not even by somebody else of the same name.
+    again = lemma.evaluate(OraclePlanner(), **FEW, out=tmp_path)
+    assert list(again.rows) == list(found.rows)
+
+
+def test_a_level_says_whose_poses_they_are() -> None:
+    own, given = Both(), Both()
+    assert lemma.evaluate(own, level="skill", **FEW).success_rate == 1.0
+    assert own.grounded > 0
+    assert lemma.evaluate(given, level="plan", **FEW).success_rate == 1.0
+    assert given.grounded == 0
+
+
+def test_two_objects_of_one_class_are_two_policies() -> None:
+    for says in ("one", "", "two"):
+        found = lemma.evaluate(Silent(says), **FEW)
+        assert found.success_rate == 0.0
+        assert not found.result.about["oracle"]
+        assert len(found.errors) == (4 if says else 0)
+        assert all(says in error for error in found.errors)
+
+
+def test_printed_it_is_a_table_and_says_what_went_wrong() -> None:
+    kinds = ("high_level", "human")
+    told = str(lemma.evaluate(Silent("<b>no</b>"), **FEW, kinds=kinds))
+    lines = told.splitlines()
+    assert lines[0] == "| success [%] | high-level | human |"
+    assert lines[2].startswith("| pass | 0.0 (0-66) | 0.0 (0-66) |")
+    assert lines[4] == "| mean of 2 tasks | 0.0 | 0.0 |"
+    assert "8 of 8 episodes failed because the policy did" in told
+    assert "RuntimeError: <b>no</b>" in told
+
+
+@pytest.mark.parametrize(
+    ("policy", "changes", "error", "told"),
+    [
+        (object(), {}, InvalidConfigError, "no whole policy"),
+        (OraclePlanner(), {"level": "skill"}, InvalidConfigError, "no whole policy"),
+        (Silent(), {"level": "plan"}, InvalidConfigError, "cannot plan"),
+        (Silent(), {"level": "motor"}, UnknownNameError, "plan, skill"),
+        (Silent(), {"workers": 2}, InvalidConfigError, "package.module:Class"),
+        (Silent(), {"planning": "multi-step"}, InvalidConfigError, "multi-step"),
+        (Silent(), {"kinds": ("rude",)}, UnknownNameError, "high_level"),
+        (Silent(), {"tasks": ("pas",)}, UnknownNameError, "pass"),
+    ],
+)
+def test_what_cannot_be_is_explained(
+    policy: object, changes: dict[str, Any], error: type[Exception], told: str
+) -> None:
+    with pytest.raises(error, match=told):
+        lemma.evaluate(policy, **{**FEW, **changes})
