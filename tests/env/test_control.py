@@ -9,13 +9,22 @@ import pytest
 import lemma
 from lemma.core.errors import ResetNeededError
 from lemma.core.poses import FloatArray, Pose, matrix_from_quaternion
+from lemma.env.control.modes import CONTROLS
+from lemma.env.control.rotations import (
+    axis_angle_from_quaternion,
+    rot6d_from_quaternion,
+)
 from lemma.env.control_env import ControlEnv
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.scene import Scene
 
-CONTROLS = ("ee_pose", "joint_position", "joint_velocity", "joint_torque")
+ROTATIONS: dict[str, Any] = {
+    "ee_pose": lambda quaternion: quaternion,
+    "ee_pose_axis_angle": axis_angle_from_quaternion,
+    "ee_pose_rot6d": rot6d_from_quaternion,
+}
 
 
 def control_env(control: str, task: str = "stack", **options: Any) -> ControlEnv:
@@ -33,11 +42,16 @@ def resting(env: ControlEnv) -> FloatArray:
     rows = []
     for arm in env.episode.simulation.arms.values():
         still = {
-            "joint_position": arm.park.tolist(),
-            "joint_velocity": [0.0] * 6,
-            "joint_torque": [0.0] * 6,
+            "joint_position": [*arm.park.tolist(), 0.1],
+            "joint_velocity": [0.0] * 6 + [0.1],
+            "joint_torque": [0.0] * 6 + [0.1],
+            "delta_ee_pose": [0.0] * 6 + [1.0],
+            "delta_ee_pose_rot6d": [0.0] * 3 + [1, 0, 0, 0, 1, 0] + [1.0],
         }
-        rows.append([*still.get(env.config.control, pose_row(arm.tcp_pose())), 0.1])
+        pose = Pose.from_matrix(arm.tcp_pose())
+        for name, written in ROTATIONS.items():
+            still[name] = [*pose.position, *written(pose.quaternion), 0.1]
+        rows.append(still[env.config.control])
     return np.array(rows)
 
 
@@ -69,7 +83,10 @@ def wild_actions(env: ControlEnv, seed: int, steps: int) -> list[FloatArray]:
     while len(actions) < steps:
         action = rng.uniform(low, high)
         if rng.random() < 0.5:
-            action = np.where(rng.random(low.shape) < 0.5, low, high)
+            corner = np.where(rng.random(low.shape) < 0.5, low, high)
+            # Columns at a corner can be parallel, and are then no rotation.
+            free = [name[:1] == "r" for name in env.action_layout.columns]
+            action = np.where(free, action, corner)
         actions += [action] * int(rng.choice([1, 3, 12]))
     return actions[:steps]
 
@@ -86,7 +103,7 @@ def test_no_command_exceeds_what_the_robots_can(control: str, index: int) -> Non
     assert speed <= 1.0
     assert effort <= 1.0 + 1e-9
     # They were really driven hard.
-    assert speed > 0.8
+    assert speed > (0.7 if "delta" in control else 0.8)
 
 
 @pytest.mark.parametrize("control", CONTROLS)
@@ -112,8 +129,8 @@ def test_resting_arms_stay(control: str) -> None:
     for _ in range(40):
         observation, *_, info = env.step(action)
     moved = np.abs(observation["agent_pos"] - first["agent_pos"]).max()
-    assert moved < (0.02 if control == "ee_pose" else 1e-3)
-    if control != "ee_pose":
+    assert moved < (0.02 if "ee_pose" in control else 1e-3)
+    if "ee_pose" not in control:
         assert info["idle_s"] == pytest.approx({"robot_0": 2.0, "robot_1": 2.0})
 
 
@@ -176,8 +193,9 @@ def test_torque_accelerates_by_the_inertia() -> None:
     assert rate == pytest.approx(0.01 * 5.0 / arm.armature[5], rel=0.05)
 
 
-def test_poses_are_reached_with_any_length_of_quaternion() -> None:
-    env = control_env("ee_pose")
+@pytest.mark.parametrize("control", ROTATIONS)
+def test_poses_are_reached_however_they_are_written(control: str) -> None:
+    env = control_env(control)
     env.reset()
     action = resting(env)
     targets = []
@@ -187,8 +205,12 @@ def test_poses_are_reached_with_any_length_of_quaternion() -> None:
         x = base.x + 0.6 * reach * math.cos(base.yaw)
         y = base.y + 0.6 * reach * math.sin(base.yaw)
         targets.append(top_down(x, y, 0.25, base.yaw + 0.5))
-        action[i, :7] = pose_row(targets[-1])
-        action[i, 3:7] *= 0.3
+        pose = Pose.from_matrix(targets[-1])
+        action[i, :3] = pose.position
+        action[i, 3:-1] = ROTATIONS[control](pose.quaternion)
+        if control == "ee_pose":
+            # Any length of a quaternion will do.
+            action[i, 3:7] *= 0.3
     for _ in range(80):
         env.step(action)
     for arm, target in zip(env.episode.simulation.arms.values(), targets, strict=True):
@@ -286,5 +308,5 @@ def test_layout_names_every_number(control: str) -> None:
     env = control_env(control)
     layout = env.action_layout
     assert layout.rows == ("robot_0", "robot_1")
-    assert layout.columns[-1] == "opening"
+    assert layout.columns[-1] == ("gripper" if "delta" in control else "opening")
     assert env.action_space.shape == layout.shape == (2, len(layout.columns))

@@ -18,6 +18,7 @@ from lemma.core.errors import (
 from lemma.core.poses import Pose2
 from lemma.env.action_spaces import PICKS, PLACES
 from lemma.env.base_env import LemmaEnv
+from lemma.env.control.modes import CONTROLS
 from lemma.env.skill_env import SkillEnv
 from lemma.expert.plan_env import PlanEnv
 from lemma.tasks.language.blind import instruction
@@ -25,7 +26,6 @@ from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import SUITE, gym_id
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
-CONTROLS = ("ee_pose", "joint_position", "joint_velocity", "joint_torque")
 LEVELS = ("control", "skill", "plan")
 
 

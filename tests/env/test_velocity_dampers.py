@@ -13,8 +13,9 @@ from lemma.env.control.approach_bounds import (
     DECELERATION_M_S2,
     RANGE_M,
 )
+from lemma.env.control.controllers import Controller, StepSize
 from lemma.env.control.guarded_arm import CAPSULES, CORNERS
-from lemma.env.control.modes import CONTROLS, Controller
+from lemma.env.control.modes import CONTROLS
 from lemma.env.control.safety_filter import keep_clear
 from lemma.env.control.velocity_dampers import (
     _IN_HAND_M,
@@ -55,7 +56,8 @@ def simulation_of(team: str) -> Simulation:
 
 
 def controller_of(simulation: Simulation, control: str) -> Controller:
-    return CONTROLS[control].controller(tuple(simulation.arms.values()))
+    arms = tuple(simulation.arms.values())
+    return CONTROLS[control].controller(arms, StepSize())
 
 
 class Plain:

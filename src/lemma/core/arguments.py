@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from numbers import Real
 from typing import SupportsIndex
 
+import numpy as np
+
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 
 
@@ -62,6 +64,23 @@ def real(
             f"{_range(low, high)}."
         )
     return number
+
+
+def flag(name: str, value: object) -> bool:
+    """Return a truth value.
+
+    Args:
+        name: What it is called, for the message.
+        value: What was passed; NumPy's truth values are fine, numbers are not.
+
+    Raises:
+        InvalidConfigError: It is none.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidConfigError(
+            f"{name}={shown(value)} is impossible. It must be True or False."
+        )
+    return bool(value)
 
 
 def known(kind: str, name: object, valid: Iterable[str]) -> str:

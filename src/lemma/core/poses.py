@@ -5,6 +5,7 @@ their last bits differ, while everything that reaches the simulation must not.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -118,7 +119,7 @@ def matrix_from_quaternion(
 
 
 def quaternion_from_matrix(
-    rotation: FloatArray,
+    rotation: FloatArray | Sequence[Sequence[float]],
 ) -> tuple[float, float, float, float]:
     """Return the unit quaternion ``wxyz`` (w >= 0) of a rotation matrix (3, 3)."""
     r = [[float(v) for v in row] for row in rotation]

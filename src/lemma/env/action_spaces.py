@@ -73,8 +73,12 @@ class ActionLayout:
         low, high = np.array(self.low, np.float32), np.array(self.high, np.float32)
         return spaces.Box(low, high, dtype=np.float32)
 
-    def check(self, action: Any) -> FloatArray:
+    def check(self, action: Any, *, clip: bool = False) -> FloatArray:
         """Return a valid action as an array of the layout's shape.
+
+        Args:
+            action: Numbers of that shape.
+            clip: Whether finite numbers out of bounds are clipped instead of refused.
 
         Raises:
             InvalidActionError: Not numbers, of another shape, not finite, or out of
@@ -88,6 +92,8 @@ class ActionLayout:
                 f"The action has shape {values.shape}. {self._valid()}{hint}"
             )
         low, high, slack = self._bounds
+        if clip and np.isfinite(values).all():
+            values = np.clip(values, low, high)
         if not _clip(values, low, high, slack):
             # So written, NaN is outside.
             outside = ~((low - slack <= values) & (values <= high + slack))
@@ -124,8 +130,8 @@ class ActionLayout:
         more = f" (and {len(places) - 1} more numbers)" if len(places) > 1 else ""
         raise InvalidActionError(
             f"In the action, {self.columns[j]} of {self.rows[i]} is {values[i, j]:g}, "
-            f"not in [{self.low[j]:g}, {self.high[j]:g}]{more}. Clip it to the bounds "
-            "of the action space, wrap the environment in "
+            f"not in [{self.low[j]:g}, {self.high[j]:g}]{more}. Make the environment "
+            "with clip_actions=True, which clips what is finite, wrap it in "
             "gymnasium.wrappers.ClipAction, or let gymnasium.wrappers.RescaleAction "
             "map [-1, 1] to the bounds."
         )

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
-from lemma.core.arguments import known, real, whole
+from lemma.core.arguments import flag, known, real, whole
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.robots.ur.build import ARMS
@@ -15,6 +15,10 @@ from lemma.tasks.suite import FREE_SPLIT, check_split, default_split, task_named
 
 LEAST_HZ = 0.1
 """Fewest actions per second [Hz]."""
+
+
+LEAST_STEP = 0.001
+"""Smallest step of a target [m, rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +33,15 @@ class EnvConfig:
     control_hz: float = 20.0
     """Control level only: actions per second; 100 divided by a whole number, at least
     0.1. Videos are played at the nearest whole number of pictures per second."""
+    clip_actions: bool = False
+    """Control level only: whether numbers out of bounds are clipped instead of
+    refused."""
+    delta_position_m: float = 0.05
+    """Control modes ``"delta_..."`` only: how far 1 moves the target, at most 1 m
+    [m]."""
+    delta_rotation_rad: float = 0.25
+    """Control modes ``"delta_..."`` only: by how much 1 turns the target, at most 1 rad
+    [rad]."""
     observation: str = "state"
     """What is observed; a name in :data:`lemma.env.observation.OBSERVATIONS`."""
     width: int = CAMERA_WIDTH_PX
@@ -66,6 +79,11 @@ class EnvConfig:
             "height": whole("height", self.height, 1),
             "control_hz": real("control_hz", self.control_hz, LEAST_HZ, 1.0 / TICK_S),
             "horizon_s": real("horizon_s", self.horizon_s, TICK_S),
+            "clip_actions": flag("clip_actions", self.clip_actions),
+            **{
+                name: real(name, getattr(self, name), LEAST_STEP, 1.0)
+                for name in ("delta_position_m", "delta_rotation_rad")
+            },
         }
         if self.index is not None:
             last = SPLITS[self.split] - 1 if self.split in SPLITS else None

@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 from lemma.core.errors import ResetNeededError
 from lemma.env.base_env import LemmaEnv, StepResult
 from lemma.env.config import EnvConfig
-from lemma.env.control.modes import CONTROLS, Controller
+from lemma.env.control.controllers import Controller, StepSize
+from lemma.env.control.modes import CONTROLS
 from lemma.env.episode import Episode
 from lemma.env.simulation import TICK_S
 
@@ -18,8 +19,9 @@ SETTLE_S = 0.5
 class ControlEnv(LemmaEnv):
     """All robots are commanded at once: one row of numbers for each.
 
-    ``action_layout`` names rows and columns. Values out of bounds are an error; values
-    that only a stronger arm could follow are not, the arm then does what it can.
+    ``action_layout`` names rows and columns. Values out of bounds are an error, or are
+    clipped with ``clip_actions``; values that only a stronger arm could follow are no
+    error, the arm then does what it can.
 
     The episode is terminated when the goal has held for half a second with nothing in
     any gripper, and truncated at T_max; then the robots stand still for a second, and
@@ -45,12 +47,16 @@ class ControlEnv(LemmaEnv):
         self.action_layout = self.mode.layout(self.robot_names)
         self.action_space = self.action_layout.box()
         self._max_episode_steps = max(1, round(config.horizon_s * config.control_hz))
+        self._step = StepSize(
+            position_m=config.delta_position_m, rotation_rad=config.delta_rotation_rad
+        )
         self._controller: Controller | None = None
         self._settled_s = 0.0
 
     def _begin(self, episode: Episode) -> None:
         super()._begin(episode)
-        self._controller = self.mode.controller(tuple(episode.simulation.arms.values()))
+        arms = tuple(episode.simulation.arms.values())
+        self._controller = self.mode.controller(arms, self._step)
         self._settled_s = 0.0
 
     @property
@@ -83,7 +89,7 @@ class ControlEnv(LemmaEnv):
     def advance(self, action: ArrayLike) -> tuple[float, bool, bool]:
         """Step without looking: return reward, terminated and truncated."""
         episode = self._running()
-        rows = self.action_layout.check(action)
+        rows = self.action_layout.check(action, clip=self.config.clip_actions)
         self.controller.check(rows)
         self.controller.command(rows)
         for _ in range(self.config.ticks_per_step):

@@ -1,0 +1,157 @@
+"""What drives the arms from numbers sent 20 times a second.
+
+Whatever is asked for, a motor stays inside the limits of its robot. References move at
+no more than 95% of a joint's velocity limit and with a bounded acceleration, servos are
+never told to catch up faster than that, and torques that would make a joint too fast
+within a physics step are replaced by those that make it just as fast as it may be. The
+same holds for what would ram an arm into something, see
+:mod:`lemma.env.control.safety_filter`. A real robot would stop for protection instead.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lemma.core.engine import mujoco
+from lemma.core.poses import FloatArray
+from lemma.env.control.motor_commands import (
+    drive_positions,
+    drive_torques,
+    drive_velocities,
+    find_moving,
+)
+from lemma.env.control.safety_filter import SafetyFilter
+from lemma.motion.arm_motion import ArmMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepSize:
+    """What 1 means in an action that moves poses step by step."""
+
+    position_m: float = 0.05
+    """Along each axis [m]."""
+    rotation_rad: float = 0.25
+    """About each axis [rad]."""
+
+
+class Controller(ABC):
+    """Drives the arms of a scene from what an action says, one row for each."""
+
+    def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
+        """Take over the arms where they are.
+
+        Args:
+            arms: All arms of a scene, in the order of an action's rows.
+            step: For who moves poses step by step.
+        """
+        self.arms = arms
+        self.step = step
+        self.scene = arms[0].scene
+        self.guard = SafetyFilter(arms)
+        self.openings = np.array([arm.opening_m for arm in arms])
+        """What the grippers shall open to, (n,) [m]."""
+        self.states = np.stack([arm.state for arm in arms])
+        """The references of all arms, (n, 2, 6) [rad, rad/s]."""
+        for arm, state in zip(arms, self.states, strict=True):
+            # The same memory: whoever moves or restores an arm moves it here.
+            arm.state = state
+        data = self.scene.data
+        self.qvel: FloatArray = data.qvel
+        self.given = (
+            *(self.guard.records, self.states, self.openings),
+            *(self.guard.obstacles, self.guard.objects),
+            *(data.qpos, data.ctrl),
+        )
+        """What every kernel of :mod:`lemma.env.control.motor_commands` takes first."""
+        self._moving = np.zeros(len(arms), bool)
+
+    def check(self, rows: FloatArray) -> None:  # noqa: B027 - bounds are mostly enough
+        """Raise what is wrong with an action; changes nothing.
+
+        Raises:
+            InvalidActionError: It is in bounds, and still makes no sense.
+        """
+
+    def command(self, rows: FloatArray) -> None:
+        """Take note of an action, (n, k); last in a row is the gripper's opening."""
+        self.openings[:] = rows[:, -1]
+        for arm, opening_m in zip(self.arms, self.openings.tolist(), strict=True):
+            arm.opening_m = opening_m
+
+    def look(self) -> None:
+        """Look around, once per servo tick."""
+        self.guard.look()
+
+    @abstractmethod
+    def drive(self) -> None:
+        """Command the motors, before every physics step."""
+
+    def moving(self) -> list[bool]:
+        """Return which arms move: a joint by 0.02 rad/s or a finger by 2 mm/s."""
+        find_moving(self.guard.records, self.qvel, self._moving)
+        return self._moving.tolist()
+
+
+class JointController(Controller):
+    """Takes a number for each joint."""
+
+    def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
+        """Take over the arms where they are; every number is 0."""
+        super().__init__(arms, step)
+        self.wanted = np.zeros((len(arms), 6))
+
+    def command(self, rows: FloatArray) -> None:
+        """Take note of joint angles [rad], speeds [rad/s] or torques [N m]."""
+        super().command(rows)
+        self.wanted[:] = rows[:, :6]
+
+
+class PositionController(JointController):
+    """Leads the joints to angles, along a trapezoid of speed each."""
+
+    def drive(self) -> None:
+        """Advance the references."""
+        drive_positions(*self.given, self.wanted)
+
+
+class VelocityController(JointController):
+    """Turns the joints at given speeds; they stop at the ends of their range."""
+
+    def drive(self) -> None:
+        """Advance the reference speeds; their angles are the measured."""
+        drive_velocities(*self.given, self.wanted)
+
+
+class TorqueController(JointController):
+    """Passes torques on, on top of gravity compensation, unless a joint is too fast."""
+
+    def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
+        """Exert nothing."""
+        super().__init__(arms, step)
+        data, count = self.scene.data, self.scene.model.nv
+        self._efforts = np.array([arm.robot.arm.effort_limits for arm in arms])
+        self._inertia = np.empty((count, count))
+        self._forces: tuple[FloatArray, ...] = (data.qfrc_bias, data.qfrc_passive)
+
+    def command(self, rows: FloatArray) -> None:
+        """Exert joint torques [N m]."""
+        super().command(rows)
+        np.clip(self.wanted, -self._efforts, self._efforts, out=self.wanted)
+
+    def drive(self) -> None:
+        """Command what the joints' speeds allow."""
+        self._update_dynamics()
+        drive_torques(*self.given, self.wanted, self.qvel, self._inertia, *self._forces)
+
+    def _update_dynamics(self) -> None:
+        """Compute inertias and bias forces of the present state."""
+        model, data = self.scene.model, self.scene.data
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_passive(model, data)
+        mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+        mujoco.mj_fullM(model, data, self._inertia)

@@ -1,0 +1,212 @@
+"""Arms that are led by poses of their tool centre points, absolute or step by step."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lemma.core.errors import InvalidActionError
+from lemma.core.poses import FloatArray, quaternion_from_matrix
+from lemma.env.control.controllers import Controller, StepSize
+from lemma.env.control.motor_commands import drive_poses
+from lemma.env.control.pose_targets import aim_arms
+from lemma.env.control.rotations import (
+    Quaternion,
+    axis_angle_from_quaternion,
+    compose,
+    quaternion_from_axis_angle,
+    quaternion_from_rot6d,
+)
+from lemma.motion.arm_motion import ArmMotion
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
+
+CEILING_M = 1.5
+"""Highest position of the tool centre point that can be asked for."""
+LOWEST_M = (-TABLE_HALF_X_M, -TABLE_HALF_Y_M, 0.0)
+HIGHEST_M = (TABLE_HALF_X_M, TABLE_HALF_Y_M, CEILING_M)
+"""Corners of the box in which a tool centre point can be asked for."""
+LEASH_STEPS = 2.0
+"""How far a target that is moved step by step can be ahead of the arm, in steps."""
+
+_LEAST_NORM = 1e-3
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """A way to write a rotation."""
+
+    columns: tuple[str, ...]
+    """Names of its numbers."""
+    limit: float
+    """Largest absolute value of each."""
+    quaternion: Callable[[Sequence[float]], Quaternion | None]
+    """Returns the quaternion ``wxyz``, or None if there is no such rotation."""
+    hint: str = ""
+    """What to try then."""
+
+
+def _as_it_is(quaternion: Sequence[float]) -> Quaternion | None:
+    w, x, y, z = quaternion
+    return (w, x, y, z) if math.hypot(w, x, y, z) >= _LEAST_NORM else None
+
+
+QUATERNION = Rotation(
+    columns=("qw", "qx", "qy", "qz"),
+    limit=1.0,
+    quaternion=_as_it_is,
+    hint="Any other length is fine: it is normalised. Pointing down is (qw, qx, qy, "
+    "qz) = (0, 1, 0, 0).",
+)
+AXIS_ANGLE = Rotation(
+    columns=("rx", "ry", "rz"), limit=math.pi, quaternion=quaternion_from_axis_angle
+)
+ROT6D = Rotation(
+    columns=("r1x", "r1y", "r1z", "r2x", "r2y", "r2z"),
+    limit=1.0,
+    quaternion=quaternion_from_rot6d,
+    hint="They are the first two columns of a rotation matrix and must not be parallel "
+    "or 0. No rotation is (1, 0, 0, 0, 1, 0), pointing down (1, 0, 0, 0, -1, 0).",
+)
+
+
+class PoseController(Controller):
+    """Goes to poses of the tool centre points under RMPflow."""
+
+    rotation = QUATERNION
+    """How rotations are written, after the position."""
+
+    def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
+        """Take over the arms where they are."""
+        super().__init__(arms, step)
+        spaces = [arm.workspace for arm in arms]
+        self._workspaces = np.concatenate([space.record for space in spaces])
+        self._spheres = np.stack([space.spheres for space in spaces])
+        self._parks = np.stack([arm.park for arm in arms])
+        self._rows = np.empty((len(arms), 8))
+        for k, space in enumerate(spaces):
+            # The same memory, again.
+            space.record = self._workspaces[k : k + 1]
+
+    def check(self, rows: FloatArray) -> None:
+        """Refuse numbers that are no rotation."""
+        for arm, row in zip(self.arms, rows[:, 3:-1].tolist(), strict=True):
+            if self.rotation.quaternion(row) is None:
+                length = (
+                    f"quaternion of {arm.robot.name} has length {math.hypot(*row):g}"
+                    if self.rotation is QUATERNION
+                    else f"rotation of {arm.robot.name} is {row}"
+                )
+                raise InvalidActionError(
+                    f"The {length}, so it is no rotation. {self.rotation.hint}"
+                )
+
+    def command(self, rows: FloatArray) -> None:
+        """Aim at poses in the world."""
+        super().command(rows)
+        for k in range(len(rows)):
+            self._write_target(k, rows[k])
+        aim_arms(
+            *(self.guard.records, self.states, self._parks),
+            *(self._rows, self._workspaces),
+        )
+
+    def _write_target(self, k: int, row: FloatArray) -> None:
+        """Write the position [m] and quaternion that a row means for arm ``k``."""
+        self._rows[k, :3] = row[:3]
+        self._rows[k, 3:7] = self._quaternion(row)
+
+    def _quaternion(self, row: FloatArray) -> Sequence[float]:
+        found = self.rotation.quaternion(row[3:-1].tolist())
+        # As check() has made sure.
+        assert found is not None
+        return found
+
+    def drive(self) -> None:
+        """Advance the references."""
+        drive_poses(*self.given, self._workspaces, self._spheres)
+
+
+class AxisAnglePoseController(PoseController):
+    """The same, with rotations as axis and angle."""
+
+    rotation = AXIS_ANGLE
+
+
+class Rot6dPoseController(PoseController):
+    """The same, with rotations as six numbers."""
+
+    rotation = ROT6D
+
+
+class DeltaPoseController(PoseController):
+    """Moves the targets of the tool centre points step by step.
+
+    Numbers are in [-1, 1]. A step starts from the last target, or from where the arm
+    is if it has none. Targets stay in the box of :data:`LOWEST_M` and
+    :data:`HIGHEST_M`, and no more than :data:`LEASH_STEPS` steps ahead of the arm, so
+    that what it could not follow is not made up for later.
+    """
+
+    rotation = AXIS_ANGLE
+
+    def command(self, rows: FloatArray) -> None:
+        """Aim at what the steps lead to."""
+        absolute = rows.copy()
+        absolute[:, -1] = (0.5 + 0.5 * rows[:, -1]) * FINGER_OPENING_M
+        super().command(absolute)
+
+    def _write_target(self, k: int, row: FloatArray) -> None:
+        goal, here = self._workspaces[k]["goal"], self.arms[k].tcp_pose()
+        if goal["target_weight"] > 0.0:
+            position, rotation = goal["position"], goal["rotation"]
+        else:
+            position, rotation = here[:3, 3], here[:3, :3]
+        self._rows[k, :3] = self._moved(row, position, here[:3, 3])
+        self._rows[k, 3:7] = self._turned(row, rotation, here[:3, :3])
+
+    def _moved(self, row: FloatArray, start: FloatArray, arm: FloatArray) -> FloatArray:
+        """Return the next position [m]."""
+        wanted = start + self.step.position_m * row[:3]
+        ahead = wanted - arm
+        leash = LEASH_STEPS * self.step.position_m
+        distance = math.hypot(*ahead.tolist())
+        if distance > leash:
+            wanted = arm + ahead * (leash / distance)
+        found: FloatArray = np.minimum(np.maximum(wanted, LOWEST_M), HIGHEST_M)
+        return found
+
+    def _turned(
+        self, row: FloatArray, start: FloatArray, arm: FloatArray
+    ) -> Sequence[float]:
+        """Return the next rotation as quaternion ``wxyz``."""
+        wanted = compose(self._turn(row), quaternion_from_matrix(start))
+        w, x, y, z = quaternion_from_matrix(arm)
+        ahead = compose(wanted, (w, -x, -y, -z))
+        leash = LEASH_STEPS * self.step.rotation_rad
+        return compose(_shortened(ahead, leash), (w, x, y, z))
+
+    def _turn(self, row: FloatArray) -> Quaternion:
+        """Return the rotation of one step."""
+        x, y, z = (self.step.rotation_rad * row[3:6]).tolist()
+        return quaternion_from_axis_angle((x, y, z))
+
+
+class DeltaRot6dPoseController(DeltaPoseController):
+    """The same, with rotations as six numbers, shortened to what a step may be."""
+
+    rotation = ROT6D
+
+    def _turn(self, row: FloatArray) -> Quaternion:
+        w, x, y, z = self._quaternion(row)
+        return _shortened((w, x, y, z), self.step.rotation_rad)
+
+
+def _shortened(rotation: Quaternion, most_rad: float) -> Quaternion:
+    """Return a rotation about the same axis by no more than an angle."""
+    vector = axis_angle_from_quaternion(rotation)
+    angle = math.hypot(*vector)
+    if angle <= most_rad:
+        return rotation
+    return quaternion_from_axis_angle([v * most_rad / angle for v in vector])
