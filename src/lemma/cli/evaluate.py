@@ -1,5 +1,6 @@
 """`lemma evaluate`: a policy on a frozen split, with a table of success rates."""
 
+from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -8,13 +9,24 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.options import Flag, JsonFlag, Number, Word, complain, output, print_json
+from lemma.cli.options import (
+    File,
+    Flag,
+    JsonFlag,
+    Number,
+    Word,
+    complain,
+    output,
+    print_json,
+)
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.policies.interfaces import TIMEOUT_S
 
 if TYPE_CHECKING:
-    from lemma.evaluation.analysis.result import Cell
+    from lemma.evaluation.analysis.result import Cell, Result
     from lemma.evaluation.records import Row
+    from lemma.evaluation.run.evaluate import EvaluationConfig
+    from lemma.policies.planners.options import ChatOptions
 
 _ALL = "all"
 _COMPLAINTS = 5
@@ -57,11 +69,39 @@ class EvaluateOptions:
     episode. both: it then goes on, for the lenient verdict; one play gives the two."""
 
 
+@dataclass(frozen=True, slots=True)
+class LanguageModelOptions:
+    """How a language model is asked, with --policy llm:MODEL."""
+
+    base_url: Annotated[str, tyro.conf.arg(metavar="URL")] = ""
+    """Of an OpenAI-compatible server, such as http://127.0.0.1:8000/v1. Its key, if it
+    asks for one, is in the environment variable LEMMA_API_KEY."""
+    cassette: File = None
+    """File of requests and answers: what is in it is asked of nobody."""
+    cassette_mode: Literal["record", "replay", "strict"] = "record"
+    """What is not in it. record: is asked and written; replay: is asked; strict: is an
+    error that says what changed."""
+    perception: Literal["truth", "seen"] = "truth"
+    """What the model reads of the table: the truth, or what ReachNet sees."""
+    team: Literal["one", "each"] = "one"
+    """One planner for the team, or one for each robot, with messages."""
+    pictures: Flag = False
+    """Send the images of the robots' cameras as well."""
+    tries: Annotated[int, tyro.conf.arg(metavar="N")] = 3
+    """Answers to a question, until one is a sub-task."""
+    max_tokens: Annotated[int, tyro.conf.arg(metavar="N")] = 1024
+    """Of an answer."""
+
+
 EVERYTHING = EvaluateOptions()
 """High-level instructions, all tasks, the whole test split."""
+NO_MODEL = LanguageModelOptions()
+"""No language model is asked."""
 
 QuestionOptions = Annotated[EvaluateOptions, tyro.conf.arg(name="")]
 """The fields as options of the verb."""
+ModelOptions = Annotated[LanguageModelOptions, tyro.conf.arg(name="")]
+"""The same of a language model."""
 
 
 def evaluate(
@@ -70,44 +110,30 @@ def evaluate(
     ask: QuestionOptions = EVERYTHING,
     working: WorkerOptions = DEFAULT,
     as_json: JsonFlag = False,
+    model: ModelOptions = NO_MODEL,
 ) -> int:
     """Let a policy play the episodes of a frozen split, and count its successes.
 
     What is there already is kept, so the same command goes on where it was stopped.
 
     Args:
-        policy: oracle; a model; PLANNER+GROUNDER; package.module:Class; or the address
-            of a server, http://HOST:PORT.
+        policy: oracle; a model; PLANNER+GROUNDER; package.module:Class; the address of
+            a server, http://HOST:PORT; or a planner alone, llm:MODEL, greedy-reach,
+            random-valid or noisy-oracle:0.1, which is given the expert's poses.
         out: Folder of the result: one line per episode in episodes.jsonl, counts and
             causes of failure in summary.json.
         ask: What is asked of the policy.
         working: Where to work.
         as_json: Print one JSON object instead of a table.
+        model: How a language model is asked.
     """
     # Imported here, so that help does not wait for it.
     from lemma.evaluation.analysis.result import summarise
     from lemma.evaluation.records import SUMMARY, read_about
-    from lemma.evaluation.run.evaluate import EvaluationConfig
     from lemma.evaluation.run.evaluate import evaluate as run
     from lemma.evaluation.run.protocol import NAME, departures
-    from lemma.policies.spec import PolicySpec
-    from lemma.tasks.language.blind import kinds_of
-    from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
-    tasks = _names(ask.tasks, SUITE)
-    split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
-    split = ask.split or split
-    config = EvaluationConfig(
-        out=out,
-        policy=PolicySpec(policy, ask.planning, ask.gta, ask.timeout_s),
-        tasks=tasks,
-        split=split,
-        kinds=_names(ask.instructions.replace("-", "_"), kinds_of(tasks, split)),
-        episodes=ask.episodes,
-        language=ask.language,
-        perturb_start=ask.perturb_start,
-        verdicts=ask.protocol,
-    )
+    config = _config(policy, out, ask, model)
     for departure in departures():
         complain(f"This is not protocol {NAME}, and its result says so: {departure}.")
     with progress_bar("evaluate", config.total, _AT_INTERRUPT) as advance:
@@ -119,7 +145,76 @@ def evaluate(
         print_json(_rates(result.cells, config.kinds))
     else:
         output().print(table(result.cells))
+        for line in effort_lines(result):
+            output().print(line)
     return 0
+
+
+def _config(
+    policy: str, out: Path, ask: EvaluateOptions, model: LanguageModelOptions
+) -> "EvaluationConfig":
+    """Return what the options mean."""
+    from lemma.evaluation.run.evaluate import EvaluationConfig
+    from lemma.policies.spec import PolicySpec
+    from lemma.tasks.language.blind import kinds_of
+    from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
+
+    tasks = _names(ask.tasks, SUITE)
+    split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
+    split = ask.split or split
+    return EvaluationConfig(
+        out=out,
+        policy=PolicySpec(
+            policy, ask.planning, ask.gta, ask.timeout_s, _chat(policy, model)
+        ),
+        tasks=tasks,
+        split=split,
+        kinds=_names(ask.instructions.replace("-", "_"), kinds_of(tasks, split)),
+        episodes=ask.episodes,
+        language=ask.language,
+        perturb_start=ask.perturb_start,
+        verdicts=ask.protocol,
+    )
+
+
+def _chat(policy: str, model: LanguageModelOptions) -> "ChatOptions | None":
+    """Return how a language model is asked; None if none is, nor is one spoken of."""
+    from lemma.policies.planners.options import ChatOptions
+
+    if model == NO_MODEL and not policy.startswith("llm:"):
+        return None
+    return ChatOptions(
+        base_url=model.base_url,
+        cassette=model.cassette,
+        mode=model.cassette_mode,
+        perception=model.perception,
+        team=model.team,
+        pictures=model.pictures,
+        tries=model.tries,
+        max_tokens=model.max_tokens,
+    )
+
+
+def effort_lines(result: "Result") -> list[str]:
+    """Return what a language model was asked, and how it chose robots, in words."""
+    told = result.planning
+    if not told:
+        return []
+    invalid: Counter[str] = Counter()
+    for each in told:
+        invalid.update(each.invalid)
+    kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(invalid.items()))
+    able = sum(each.able for each in result.coordination)
+    doable = sum(each.doable for each in result.coordination)
+    return [
+        f"{sum(each.decisions for each in told)} decisions, "
+        f"{sum(each.calls for each in told)} calls, "
+        f"{sum(each.prompt_tokens for each in told):,} tokens of prompts, "
+        f"{sum(each.completion_tokens for each in told):,} of answers",
+        f"{invalid.total()} invalid answers{f' ({kinds})' if kinds else ''}, "
+        f"{sum(each.replans for each in told)} replans, {able} of {doable} sub-tasks "
+        "for a robot that can do them",
+    ]
 
 
 def complain_of(rows: "list[Row]") -> None:

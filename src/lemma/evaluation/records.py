@@ -113,6 +113,15 @@ class _Fault(msgspec.Struct):
     explanation: str
 
 
+class _Planning(msgspec.Struct):
+    decisions: int
+    calls: int
+    prompt_tokens: int
+    completion_tokens: int
+    invalid: dict[str, int]
+    replans: int
+
+
 class _Lenient(msgspec.Struct):
     """What became of an episode that went on after its strict end."""
 
@@ -123,6 +132,8 @@ class _Lenient(msgspec.Struct):
     asked_holds: bool | None
     elapsed_s: float
     subtasks: list[_Step]
+    planning: _Planning | None = None
+    """What the further decisions took; there for policies alone that count it."""
 
 
 class _Line(msgspec.Struct):
@@ -151,6 +162,8 @@ class _Line(msgspec.Struct):
     left: int | None
     lenient: _Lenient | None
     """None if it was played strictly alone."""
+    planning: _Planning | None = None
+    """What the decisions took; there for policies alone that count it."""
 
 
 class _Policy(msgspec.Struct):

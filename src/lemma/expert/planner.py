@@ -117,7 +117,7 @@ def find_plan(
             continue
         done.add(state.key)
         elapsed = sum(step.duration_s for step in steps)
-        for subtask in _candidates(state, goal, robots, grounder):
+        for subtask in candidates(state, goal, robots, grounder):
             step = grounder.ground(subtask, state)
             if step is None or elapsed + step.duration_s > limit_s:
                 continue
@@ -139,10 +139,17 @@ def _bound(now: SymbolicState, goal: Goal) -> float:
     return _LEAST * sum(not _holds(on, now) for on in goal.conjuncts)
 
 
-def _candidates(
+def candidates(
     now: SymbolicState, goal: Goal, robots: tuple[str, ...], grounder: GeometricGrounder
 ) -> Iterator[SubTask]:
-    """Propose the sub-tasks that could serve the goal."""
+    """Propose the sub-tasks that could serve the goal, whether they can be done or not.
+
+    Args:
+        now: Where things are.
+        goal: What shall become true.
+        robots: Robots that may act.
+        grounder: Of the same scene.
+    """
     wanted = _wanted(now, goal)
     if STICK in now.poses and now.labels[STICK] != SHARED:
         wanted[STICK] = [SHARED]

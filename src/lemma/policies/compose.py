@@ -17,6 +17,7 @@ from lemma.policies.interfaces import (
     Planner,
     Policy,
     PolicyInput,
+    proposals,
     told,
 )
 from lemma.tasks.subtask import Primitive, SubTask
@@ -31,9 +32,9 @@ class PlannerWithGrounder(Composite):
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         """Plan for all episodes at once, then ground for those that go on."""
-        subtasks = self.planner.plan(told(self.planner, inputs))
+        decisions = proposals(self.planner, inputs)
+        subtasks = [decision.subtask for decision in decisions]
         going = [i for i, s in enumerate(subtasks) if s.primitive is not Primitive.STOP]
-        decisions = [Decision(subtask, None) for subtask in subtasks]
         if going:
             grounded = self.grounder.ground(
                 told(self.grounder, [inputs[i] for i in going]),
@@ -41,7 +42,7 @@ class PlannerWithGrounder(Composite):
             )
             for i, found in zip(going, grounded, strict=True):
                 why = "" if found else f"No pose was found for: {subtasks[i]}."
-                decisions[i] = Decision(subtasks[i], found, why)
+                decisions[i] = replace(decisions[i], grounded=found, explanation=why)
         return decisions
 
 

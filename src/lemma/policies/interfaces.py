@@ -127,6 +127,18 @@ def told(part: object, inputs: Sequence[PolicyInput]) -> list[PolicyInput]:
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """What a decision took that was asked of a language model."""
+
+    calls: int = 0
+    """Requests, also those that were answered with nonsense or not at all."""
+    prompt_tokens: int = 0
+    completion_tokens: int = 0
+    invalid: tuple[str, ...] = ()
+    """Kinds of the answers that were no sub-task, in order."""
+
+
 @dataclass(frozen=True)
 class Decision:
     """What shall be done next."""
@@ -137,6 +149,11 @@ class Decision:
     """With poses; None to stop, or where no pose was found."""
     explanation: str = ""
     """Why there is no pose, or whatever else its maker wants to say."""
+    failed: str = ""
+    """A kind of fault where there is no decision, which costs this episode alone; then
+    the sub-task is ``STOP``."""
+    effort: Effort | None = None
+    """What it took, where that is counted."""
 
     @property
     def stops(self) -> bool:
@@ -155,6 +172,27 @@ class Planner(Protocol):
             inputs: One per episode; at least one.
         """
         ...
+
+
+@runtime_checkable
+class Proposer(Protocol):
+    """A planner with more to say than a sub-task: what it took, or that it failed."""
+
+    def propose(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the next decision of each episode, without poses.
+
+        Args:
+            inputs: One per episode; at least one.
+        """
+        ...
+
+
+def proposals(planner: Planner, inputs: Sequence[PolicyInput]) -> list[Decision]:
+    """Return what a planner decides, with all that it has to say of it."""
+    given = told(planner, inputs)
+    if isinstance(planner, Proposer):
+        return planner.propose(given)
+    return [Decision(subtask, None) for subtask in planner.plan(given)]
 
 
 @runtime_checkable

@@ -10,11 +10,12 @@ from lemma.expert.expert import Expert
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.policies.interfaces import (
+    Decision,
     Oracle,
     OracleInput,
     Planner,
     PolicyInput,
-    told,
+    proposals,
 )
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
@@ -44,7 +45,7 @@ class OraclePlanner(Oracle):
         Raises:
             InvalidConfigError: The inputs come without the truth.
         """
-        return [self._plan(_truth(given)) for given in inputs]
+        return [self._plan(truth_of(given)) for given in inputs]
 
     def _plan(self, episode: Episode) -> SubTask:
         answer = self._answers.get(episode)
@@ -74,7 +75,7 @@ class OracleGrounder(Oracle):
         """
         found: list[GroundedSubTask | None] = []
         for given, subtask in zip(inputs, subtasks, strict=True):
-            scene = _truth(given).simulation.scene
+            scene = truth_of(given).simulation.scene
             step = GeometricGrounder(scene.spec).ground(
                 subtask, SymbolicState.observe(scene)
             )
@@ -100,10 +101,15 @@ class GroundTruthAllocation(Oracle):
         Raises:
             InvalidConfigError: The inputs come without the truth.
         """
-        planned = self.planner.plan(told(self.planner, inputs))
+        return [decision.subtask for decision in self.propose(inputs)]
+
+    def propose(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the same with what else the planner has to say."""
         return [
-            self._allocate(given, subtask)
-            for given, subtask in zip(inputs, planned, strict=True)
+            replace(decision, subtask=self._allocate(given, decision.subtask))
+            for given, decision in zip(
+                inputs, proposals(self.planner, inputs), strict=True
+            )
         ]
 
     def _allocate(self, given: PolicyInput, subtask: SubTask) -> SubTask:
@@ -112,7 +118,7 @@ class GroundTruthAllocation(Oracle):
         expected = self.expert.plan([given])[0]
         if replace(expected, robot=subtask.robot) == subtask:
             return expected
-        scene = _truth(given).simulation.scene
+        scene = truth_of(given).simulation.scene
         geometry, now = GeometricGrounder(scene.spec), SymbolicState.observe(scene)
         steps = [
             geometry.ground(replace(subtask, robot=robot), now)
@@ -124,7 +130,12 @@ class GroundTruthAllocation(Oracle):
         return max(able, key=lambda step: step.quality).subtask
 
 
-def _truth(given: PolicyInput) -> Episode:
+def truth_of(given: PolicyInput) -> Episode:
+    """Return the episode itself.
+
+    Raises:
+        InvalidConfigError: The input comes without the truth.
+    """
     if not isinstance(given, OracleInput):
         raise InvalidConfigError(
             "An oracle was asked, but the inputs come without the truth. Give it "

@@ -1,7 +1,7 @@
 """Policies by name: what ``--policy`` takes."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from inspect import signature
 from typing import Any
 
@@ -19,6 +19,7 @@ from lemma.policies.interfaces import (
     Oracle,
     Planner,
     Policy,
+    Proposer,
     is_oracle,
 )
 from lemma.policies.oracle import (
@@ -26,8 +27,12 @@ from lemma.policies.oracle import (
     OracleGrounder,
     OraclePlanner,
 )
+from lemma.policies.planners.options import ChatOptions
+from lemma.policies.planners.registry import is_planner, make_planner
 
 ORACLE = "oracle"
+FOREVER_S = 1e6
+"""What stands for any time [s]."""
 PLANNINGS = ("single-step", "multi-step")
 LEVELS = ("plan", "skill")
 """What a policy decides: sub-tasks in symbols, or with poses."""
@@ -42,6 +47,9 @@ class PolicySpec:
     - ``"oracle"``: the expert;
     - a model that plans and grounds: ``"reachnet"``, ``"m-cliport"``;
     - a planner and a grounder: ``"episodic-transformer+cliport"``;
+    - a planner of :data:`lemma.policies.planners.registry.PLANNERS`, such as
+      ``"greedy-reach"`` or ``"llm:MODEL"``, with a grounder or, alone, with the
+      expert's poses;
     - anybody's own class: ``"package.module:Class"``, called without arguments;
     - a policy behind a socket: ``"http://127.0.0.1:8000"``.
 
@@ -57,6 +65,8 @@ class PolicySpec:
     timeout_s: float = TIMEOUT_S
     """Time that a decision of somebody else's policy may take [s]; 0 for any time, in
     the same process."""
+    chat: ChatOptions | None = None
+    """How a language model is asked, if one is."""
 
     def __post_init__(self) -> None:
         """Check the names and the time."""
@@ -67,6 +77,26 @@ class PolicySpec:
                 f"A decision may take {self.timeout_s} s? Valid: a positive number, or "
                 "0 for no limit."
             )
+        if self.chat is not None and not self.planners():
+            raise InvalidConfigError(
+                f"{self.name} asks no language model, so there is no server and no "
+                "cassette for it. Leave these options out, or name llm:MODEL."
+            )
+
+    def about(self) -> dict[str, Any]:
+        """Return the fields that decide what it does; :meth:`planners` say more."""
+        return {name: told for name, told in asdict(self).items() if name != "chat"}
+
+    def planners(self) -> list[Any]:
+        """Return the planners of :data:`~lemma.policies.planners.registry.PLANNERS`.
+
+        Raises:
+            LemmaError: One cannot be made so.
+        """
+        return [self._planner(part) for part in self.parts if is_planner(part)]
+
+    def _planner(self, part: str) -> Any:
+        return make_planner(part, self.chat, self.timeout_s or FOREVER_S)
 
     @property
     def parts(self) -> list[str]:
@@ -76,16 +106,27 @@ class PolicySpec:
     @property
     def blind(self) -> bool:
         """Whether it needs no images."""
-        return set(self.parts) == {ORACLE}
+        return all(
+            part == ORACLE or getattr(self._object(part), "blind", False) is True
+            for part in self.parts
+        )
+
+    def _object(self, part: str) -> object:
+        """Return what a part means, where that is known without loading it."""
+        return self._planner(part) if is_planner(part) else None
 
     @property
     def oracle(self) -> bool:
         """Whether some part of it is given the truth: results say so."""
-        return self.gta or any(map(self._is_oracle, self.parts))
+        # A planner alone is given the expert's poses.
+        alone = "+" not in self.name and is_planner(self.name)
+        return self.gta or alone or any(map(self._is_oracle, self.parts))
 
     def _is_oracle(self, part: str) -> bool:
         if part == ORACLE:
             return True
+        if is_planner(part):
+            return is_oracle(self._planner(part))
         # The truth travels to no other process.
         if ":" not in part or "://" in part or self.timeout_s > 0.0:
             return False
@@ -106,6 +147,8 @@ class PolicySpec:
         """
         load = load or load_part
         first, plus, second = self.name.partition("+")
+        if is_planner(first):
+            return self._with_planner(first, second or ORACLE, load)
         if not plus:
             whole = load(first)
             if first == ORACLE:
@@ -126,14 +169,20 @@ class PolicySpec:
                 "planner with a grounder, as in episodic-transformer+cliport."
             )
         planner = OraclePlanner() if first == ORACLE else load(first)
-        grounder = OracleGrounder() if second == ORACLE else load(second)
         if not _can(planner, Planner):
             raise InvalidConfigError(f"{first} cannot plan; it has no plan(inputs).")
-        if not _can(grounder, Grounder):
+        return self._compose(planner, _grounder(second, load))
+
+    def _with_planner(
+        self, first: str, second: str, load: Callable[[str], Any]
+    ) -> Policy:
+        planner = self._planner(first)
+        if self.planning != PLANNINGS[0] and is_oracle(planner):
             raise InvalidConfigError(
-                f"{second} cannot ground; it has no ground(inputs, subtasks)."
+                f"{first} is told how the table is before each sub-task, so it cannot "
+                "plan from the first image alone. Leave out --planning."
             )
-        return self._compose(planner, grounder)
+        return self._compose(planner, _grounder(second, load))
 
     def _compose(self, planner: Planner, grounder: Grounder) -> Policy:
         reads = _reads_outcomes(planner)
@@ -191,12 +240,29 @@ class GivenPolicy(PolicySpec):
         """Return the policy, ready to act; names are not looked up."""
         return super().load(lambda name: self._held)
 
+    def planners(self) -> list[Any]:
+        """Return the object, if it has more to say than others."""
+        return [self._held] if isinstance(self._held, Proposer) else []
+
+    def _object(self, part: str) -> object:
+        return self._held
+
     # Of two objects of one class, each is itself.
     __hash__ = object.__hash__
 
     def __eq__(self, other: object) -> bool:
         """Whether it is the same spec."""
         return self is other
+
+
+def _grounder(name: str, load: Callable[[str], Any]) -> Grounder:
+    grounder = OracleGrounder() if name == ORACLE else load(name)
+    if not _can(grounder, Grounder):
+        raise InvalidConfigError(
+            f"{name} cannot ground; it has no ground(inputs, subtasks)."
+        )
+    found: Grounder = grounder
+    return found
 
 
 def _reads_outcomes(part: object) -> bool:

@@ -19,6 +19,7 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_text
 from lemma.evaluation.analysis.coordination import Coordination, coordination_of
 from lemma.evaluation.analysis.failure_causes import cause_of
+from lemma.evaluation.analysis.planning import Planning, planning_in
 from lemma.evaluation.records import (
     POSE_TOLERANCE_MM,
     RESULT_VERSION,
@@ -102,6 +103,8 @@ class Result:
     precisions: tuple[Precision, ...] = ()
     coordination: tuple[Coordination, ...] = ()
     asked: tuple[Asked, ...] = ()
+    planning: tuple[Planning, ...] = ()
+    """Of policies alone that count what decisions take."""
     experiment: str = ""
     """Name of the experiment it belongs to, if any."""
     version: str = field(default=RESULT_VERSION)
@@ -115,6 +118,9 @@ class Result:
         """Write it, the same bytes for the same result; a line for every entry."""
         data = asdict(self)
         lists = {name: data.pop(name) for name in _LISTS}
+        if self.planning:
+            lists["planning"] = data["planning"]
+        del data["planning"]
         text = json.dumps(data, indent=1, sort_keys=True).removesuffix("\n}")
         for name, entries in lists.items():
             lines = ",\n".join(f"  {json.dumps(entry)}" for entry in entries)
@@ -266,6 +272,11 @@ def summarise(
             coordination_of(listed, *name) for name, listed in _questions(ordered)
         ),
         asked=tuple(_asked(ordered)),
+        planning=tuple(
+            found
+            for name, listed in _questions(ordered)
+            if (found := planning_in(listed, *name)) is not None
+        ),
         experiment=experiment,
     )
 

@@ -7,8 +7,9 @@ again, so that a run that goes on gives what an undisturbed one gives.
 """
 
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from math import inf
 from multiprocessing import parent_process
@@ -117,8 +118,10 @@ class EvaluationConfig:
 
     def about(self) -> dict[str, Any]:
         """Return what decides the result."""
+        told = [getattr(planner, "about", None) for planner in self.policy.planners()]
         return {
-            "policy": asdict(self.policy),
+            "policy": self.policy.about(),
+            **({"planners": told} if any(told) else {}),
             "oracle": self.policy.oracle,
             "weights": weights_of(self.policy),
             "served": served_parts(self.policy),
@@ -147,6 +150,8 @@ class EvaluationConfig:
             words.append("--gta")
         if self.language != FULL:
             words.append(f"--language {self.language}")
+        if self.policy.chat is not None:
+            words += self.policy.chat.words()
         if self.perturb_start:
             words.append("--perturb-start")
         if self.verdicts != VERDICTS[0]:
@@ -286,6 +291,8 @@ def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
     asks = rollout.control.asks
     least_m = strict.clearance_m
     lenient = config.verdicts == VERDICTS[0]
+    asked = planning_of(rollout, range(strict.asked))
+    later = planning_of(rollout, range(strict.asked, end.asked))
     return {
         "protocol": PROTOCOL_VERSION,
         "benchmark": BENCHMARK_VERSION,
@@ -312,8 +319,35 @@ def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
         },
         "subtasks": taken,
         "left": strict.left,
-        "lenient": {**_judged(end), "subtasks": further} if lenient else None,
+        **asked,
+        "lenient": {**_judged(end), "subtasks": further, **later} if lenient else None,
         "wall_s": round(wall_s, 3),
+    }
+
+
+def planning_of(rollout: Rollout, decisions: range) -> dict[str, Any]:
+    """Return what some decisions took, where their policy counts that; else nothing.
+
+    A decision after a sub-task that was not carried out is a replan.
+
+    Args:
+        rollout: The episode.
+        decisions: Their numbers, from 0.
+    """
+    efforts = [rollout.efforts[number] for number in decisions]
+    if not efforts:
+        return {}
+    before = [rollout.steps[number - 1] for number in decisions if number > 0]
+    invalid = Counter(kind for effort in efforts for kind in effort.invalid)
+    return {
+        "planning": {
+            "decisions": len(efforts),
+            "calls": sum(effort.calls for effort in efforts),
+            "prompt_tokens": sum(effort.prompt_tokens for effort in efforts),
+            "completion_tokens": sum(effort.completion_tokens for effort in efforts),
+            "invalid": dict(sorted(invalid.items())),
+            "replans": sum(not step.result.ok for step in before),
+        }
     }
 
 

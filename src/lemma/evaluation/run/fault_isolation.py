@@ -14,7 +14,8 @@ import numpy as np
 
 from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_names
-from lemma.policies.interfaces import Decision, Policy, PolicyInput
+from lemma.policies.interfaces import Decision, Effort, Policy, PolicyInput
+from lemma.policies.planners.options import PlannerUnavailableError
 from lemma.scene.objects.entity import SHARED, known_entities
 from lemma.serve.protocol.faults import (
     FaultKind,
@@ -36,6 +37,8 @@ class Fault:
     kind: FaultKind
     explanation: str
     """One sentence."""
+    effort: Effort | None = None
+    """What was tried in vain, where that is counted."""
 
     def to_dict(self) -> dict[str, str]:
         """Return plain data, ready for JSON."""
@@ -61,6 +64,8 @@ class IsolatedPolicy:
 
         Raises:
             PolicyUnreachableError: Nobody answers any more: no fault of the policy.
+            PlannerUnavailableError: So it is with a language model, or a cassette does
+                not know an answer.
         """
         if len(inputs) > 1 and not self._one_by_one:
             answers = self._ask(inputs)
@@ -79,7 +84,7 @@ class IsolatedPolicy:
     def _ask(self, inputs: Sequence[PolicyInput]) -> list[object] | Fault:
         try:
             answers: object = self._policy.act(inputs)
-        except PolicyUnreachableError:
+        except (PolicyUnreachableError, PlannerUnavailableError):
             raise
         except PolicyFailedError as error:
             return Fault(error.kind, _cut(str(error)))
@@ -102,9 +107,11 @@ class IsolatedPolicy:
 class _FaultError(Exception):
     """Carries a fault out of the check."""
 
-    def __init__(self, kind: FaultKind, explanation: str) -> None:
+    def __init__(
+        self, kind: FaultKind, explanation: str, effort: Effort | None = None
+    ) -> None:
         super().__init__(explanation)
-        self.fault = Fault(kind, _cut(explanation))
+        self.fault = Fault(kind, _cut(explanation), effort)
 
 
 def check(answer: object, given: PolicyInput) -> Decision | Fault:
@@ -129,18 +136,24 @@ def _checked(answer: object, robots: int) -> Decision:
         raise _malformed(
             f"The policy decided on a {type(answer).__name__}, no Decision"
         )
-    subtask = _subtask(answer.subtask, robots)
     explanation = str(answer.explanation)
+    effort = answer.effort if isinstance(answer.effort, Effort) else None
+    if answer.failed:
+        known = answer.failed in tuple(FaultKind)
+        kind = FaultKind(answer.failed) if known else FaultKind.MALFORMED
+        raise _FaultError(kind, explanation, effort)
+    subtask = _subtask(answer.subtask, robots)
     if subtask.primitive is Primitive.STOP:
-        return Decision(STOP, None, explanation)
+        return Decision(STOP, None, explanation, effort=effort)
     if answer.grounded is None:
         if not (subtask.pick and subtask.place):
             raise _FaultError(
                 FaultKind.UNKNOWN_NAME,
                 f"The decision has no poses, and names no entity: {subtask}.",
             )
-        return Decision(subtask, None, explanation)
-    return Decision(subtask, _grounded(answer.grounded, subtask), explanation)
+        return Decision(subtask, None, explanation, effort=effort)
+    grounded = _grounded(answer.grounded, subtask)
+    return Decision(subtask, grounded, explanation, effort=effort)
 
 
 def _subtask(subtask: object, robots: int) -> SubTask:

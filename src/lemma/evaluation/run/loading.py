@@ -6,14 +6,12 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import sha256_of
 from lemma.policies.interfaces import Policy, is_oracle
-from lemma.policies.spec import ORACLE, PolicySpec, load_part
+from lemma.policies.planners.registry import PLANNERS, is_planner
+from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part
 from lemma.policies.weights import find_weights, published_weights
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.client.websocket import connect, is_address
 from lemma.serve.isolation import isolate
-
-FOREVER_S = 1e6
-"""What stands for any time [s]."""
 
 
 def load_policy(spec: PolicySpec) -> Policy:
@@ -71,7 +69,11 @@ def learned_parts(policy: str) -> list[str]:
     """Return the parts of a policy's name that mean weights of ours."""
     # A colon is in addresses and in names of classes.
     parts = policy.split("+")
-    return [part for part in parts if part != ORACLE and ":" not in part]
+    return [
+        part
+        for part in parts
+        if part != ORACLE and ":" not in part and not is_planner(part)
+    ]
 
 
 def weights_of(spec: PolicySpec) -> Weights:
@@ -81,7 +83,8 @@ def weights_of(spec: PolicySpec) -> Weights:
         LemmaError: They are missing or damaged.
     """
     found: Weights = {}
-    parts = learned_parts(spec.name)
+    eyes = (getattr(planner, "weights", ()) for planner in spec.planners())
+    parts = dict.fromkeys([*learned_parts(spec.name), *(w for e in eyes for w in e)])
     if not parts:
         return found
     paths = [_find(part) for part in parts]
@@ -104,5 +107,5 @@ def _find(part: str) -> Path:
     try:
         return find_weights(part)
     except UnknownNameError:
-        valid = (ORACLE, *published_weights())
+        valid = (ORACLE, *PLANNERS, *published_weights())
         raise UnknownNameError("policy", part, valid) from None

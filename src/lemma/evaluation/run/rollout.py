@@ -28,6 +28,7 @@ from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.policies.interfaces import (
     Decision,
+    Effort,
     OracleInput,
     PastStep,
     Policy,
@@ -93,6 +94,8 @@ class Verdict:
     """Sub-tasks so far."""
     left: int | None
     """Sub-tasks that the expert needs from there; None if it has no plan."""
+    asked: int = 0
+    """How many efforts of its policy were counted so far."""
 
 
 @dataclass
@@ -107,6 +110,8 @@ class Rollout:
     """What is said instead of that instruction."""
     steps: list[TakenStep] = field(default_factory=list)
     past: list[PastStep] = field(default_factory=list)
+    efforts: list[Effort] = field(default_factory=list)
+    """What each decision took, where the policy counts that."""
     fault: Fault | None = None
     """Why the policy had no more decisions, if it failed."""
     protective_stop: Verdict | None = None
@@ -165,6 +170,7 @@ class Rollout:
             clearance_m=self.clearance.least_m,
             steps=len(self.steps),
             left=left_in(self.episode),
+            asked=len(self.efforts),
         )
 
     def given(self, rig: CameraRig | None, policy: object = None) -> PolicyInput:
@@ -191,11 +197,17 @@ class Rollout:
     def fail(self, fault: Fault) -> None:
         """End the episode for a fault of its policy."""
         self.fault = fault
+        self._count(fault.effort)
         self.episode.stop()
+
+    def _count(self, effort: Effort | None) -> None:
+        if effort is not None:
+            self.efforts.append(effort)
 
     def take(self, given: PolicyInput, decision: Decision) -> TakenStep | None:
         """Carry out a decision; None if it was to stop."""
         episode = self.episode
+        self._count(decision.effort)
         if decision.stops:
             episode.stop()
             return None
@@ -280,6 +292,7 @@ def roll_out(
 
     Raises:
         PolicyUnreachableError: The policy's server is gone.
+        PlannerUnavailableError: So is that of its language model.
     """
     play = _Play(player, IsolatedPolicy(player.policy), at_once, on_step)
     stopped = []

@@ -1,0 +1,216 @@
+"""What a language model may answer: a JSON schema of this table, and its check."""
+
+import json
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from typing import Any
+
+from lemma.expert.primitives import PRIMITIVES
+from lemma.scene.objects.entity import SHARED, STICK, kind_of
+from lemma.tasks.subtask import STOP, Primitive, SubTask
+
+NONE = "none"
+"""What stands where nothing is meant."""
+WAIT = "wait"
+"""What one robot of a team says that has nothing to do."""
+_FIELDS = ("reason", "robot", "primitive", "pick", "place")
+_SHOWN = 80
+
+
+class Mistake(StrEnum):
+    """The ways in which an answer is no sub-task."""
+
+    NO_JSON = "no_json"
+    """It is no JSON."""
+    NOT_IN_SCHEMA = "not_in_schema"
+    """It is JSON of another form."""
+    UNKNOWN_NAME = "unknown_name"
+    """It names a robot, a primitive or an object that is not there."""
+    IMPOSSIBLE = "impossible"
+    """Nobody could ever do that: it hooks with a cube, or moves a pad."""
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """A valid answer."""
+
+    subtask: SubTask | None
+    """None to wait."""
+    message: str = ""
+    """To the other robots."""
+
+
+class MistakeError(Exception):
+    """An answer that is no sub-task."""
+
+    def __init__(self, kind: Mistake, explanation: str) -> None:
+        """Keep what is wrong.
+
+        Args:
+            kind: In one word.
+            explanation: In one sentence, for the model.
+        """
+        super().__init__(explanation)
+        self.kind = kind
+
+
+@dataclass(frozen=True)
+class Grammar:
+    """The sub-tasks that can be said at a table."""
+
+    robots: tuple[str, ...]
+    """Who may be told to do something."""
+    objects: tuple[str, ...]
+    """What is on the table, by the names of entities."""
+    talks: bool = False
+    """Whether a robot speaks for itself: answers hold a message to the others."""
+    may_wait: bool = False
+    """Whether it may leave the decision to another robot."""
+
+    @property
+    def cargo(self) -> tuple[str, ...]:
+        """What can be moved, the stick apart."""
+        return tuple(name for name in self.objects if kind_of(name).cargo)
+
+    @property
+    def has_stick(self) -> bool:
+        """Whether there is a stick."""
+        return STICK in self.objects
+
+    @cached_property
+    def primitives(self) -> tuple[str, ...]:
+        """What can be done: nothing with a stick where there is none."""
+        usable = (n for n in PRIMITIVES if self.has_stick or not PRIMITIVES[n].tool)
+        return (*usable, *([WAIT] if self.may_wait else []))
+
+    @property
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """What each field of an answer may hold."""
+        movable = (name for name in self.objects if not kind_of(name).fixed)
+        return {
+            "robot": (*self.robots, NONE),
+            "primitive": self.primitives,
+            "pick": (*movable, NONE),
+            "place": (*self.objects, SHARED, NONE),
+        }
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema of an answer."""
+        text = {"type": "string"}
+        fields: dict[str, Any] = {
+            "reason": text,
+            **{n: {"type": "string", "enum": list(e)} for n, e in self.names.items()},
+        }
+        if self.talks:
+            fields["message"] = text
+        return {
+            "type": "object",
+            "properties": fields,
+            "required": list(fields),
+            "additionalProperties": False,
+        }
+
+    def every_subtask(self) -> list[SubTask]:
+        """Return ``stop`` and every sub-task that can be said and is possible."""
+        found = [STOP]
+        names = self.names
+        for robot in self.robots:
+            for name in self.primitives:
+                if name in (Primitive.STOP, WAIT):
+                    continue
+                for pick in names["pick"]:
+                    for place in names["place"]:
+                        subtask = SubTask(robot, Primitive(name), pick, place)
+                        if NONE not in (pick, place) and not self.why_not(subtask):
+                            found.append(subtask)
+        return found
+
+    def read(self, text: str) -> Said:
+        """Return what an answer says.
+
+        Raises:
+            MistakeError: It is no sub-task of this table.
+        """
+        answer = _parsed(text)
+        wanted = {*_FIELDS, *(["message"] if self.talks else [])}
+        if not isinstance(answer, dict):
+            raise _not_in_schema("It is no JSON object.")
+        # A server that takes no schema may leave out what nobody needs.
+        missing = sorted(wanted - {"reason", "message"} - set(answer))
+        if missing:
+            raise _not_in_schema(f"It lacks {', '.join(missing)}.")
+        more = sorted(map(str, set(answer) - wanted))
+        if more:
+            raise _not_in_schema(f"It has {', '.join(more)[:_SHOWN]} too many.")
+        for field in sorted(answer):
+            if not isinstance(answer[field], str):
+                raise _not_in_schema(f"{field} is no string.")
+        for field, names in self.names.items():
+            if answer[field] not in names:
+                raise MistakeError(
+                    Mistake.UNKNOWN_NAME,
+                    f"{field} is {json.dumps(answer[field][:_SHOWN])}. "
+                    f"Valid: {', '.join(names)}.",
+                )
+        return Said(self._subtask(answer), answer.get("message", ""))
+
+    def _subtask(self, answer: dict[str, str]) -> SubTask | None:
+        if answer["primitive"] == WAIT:
+            return None
+        primitive = Primitive(answer["primitive"])
+        if primitive is Primitive.STOP:
+            return STOP
+        for field in ("robot", "pick", "place"):
+            if answer[field] == NONE:
+                raise MistakeError(
+                    Mistake.IMPOSSIBLE, f"{primitive} needs a {field}, not {NONE}."
+                )
+        subtask = SubTask(answer["robot"], primitive, answer["pick"], answer["place"])
+        why = self.why_not(subtask)
+        if why:
+            raise MistakeError(Mistake.IMPOSSIBLE, why)
+        return subtask
+
+    def why_not(self, subtask: SubTask) -> str:
+        """Return why nobody could ever do a sub-task; empty if somebody might."""
+        primitive, pick, place = subtask.primitive, subtask.pick, subtask.place
+        if PRIMITIVES[primitive].tool:
+            if pick != STICK:
+                return f"{primitive} is done with the stick: pick must be {STICK}."
+            if place not in self.cargo:
+                return f"{primitive} acts on one of {', '.join(self.cargo)}: place."
+            return ""
+        if primitive is not Primitive.MOVE:
+            return ""
+        if pick == STICK:
+            return (
+                "" if place == SHARED else f"The stick can be moved to {SHARED} only."
+            )
+        if place == pick:
+            return f"The {pick} cannot be put on itself."
+        if place != SHARED and kind_of(place).support_m is None:
+            return f"Nothing can be put on the {place}."
+        return ""
+
+
+_THOUGHTS = re.compile(r"^\s*<think>.*?</think>", re.DOTALL)
+_FENCED = re.compile(r"```(?:json)?\s*\n(.*?)```", re.DOTALL)
+
+
+def _parsed(text: str) -> Any:
+    """Return the JSON of an answer, without thoughts before it and a fence around."""
+    bare = _THOUGHTS.sub("", text).strip()
+    fenced = _FENCED.fullmatch(bare)
+    try:
+        return json.loads(fenced[1] if fenced else bare)
+    except (ValueError, RecursionError):
+        raise MistakeError(
+            Mistake.NO_JSON,
+            "It is empty." if not bare else "It is no JSON, or something is around it.",
+        ) from None
+
+
+def _not_in_schema(why: str) -> MistakeError:
+    return MistakeError(Mistake.NOT_IN_SCHEMA, why)

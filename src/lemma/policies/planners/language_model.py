@@ -1,0 +1,288 @@
+"""A language model as planner: one question per decision, answered with a sub-task."""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.robot_names import robot_names
+from lemma.policies.interfaces import (
+    TIMEOUT_S,
+    Composite,
+    Decision,
+    Effort,
+    PolicyInput,
+)
+from lemma.policies.planners.cassette import Cassette
+from lemma.policies.planners.client import ChatServer, Reply
+from lemma.policies.planners.grammar import Grammar, MistakeError, Said
+from lemma.policies.planners.options import ChatOptions
+from lemma.policies.planners.prompts import (
+    PROMPTS,
+    correction,
+    messages_of,
+    pictures,
+    question,
+    system_prompt,
+)
+from lemma.policies.planners.scene_text import Perception, SceneText, TruthPerception
+from lemma.policies.planners.seen import SeenPerception
+from lemma.tasks.subtask import STOP, SubTask
+
+MALFORMED = "malformed"
+"""Kind of fault of a model whose answers are no sub-tasks."""
+_AT_ONCE = 8
+_LONGEST_MESSAGE = 500
+
+
+class Asker:
+    """Gets replies from a cassette, or from a server."""
+
+    def __init__(self, options: ChatOptions, timeout_s: float) -> None:
+        """Prepare; nothing is read or asked yet.
+
+        Args:
+            options: Where replies come from.
+            timeout_s: For one attempt at a request [s].
+
+        Raises:
+            InvalidConfigError: They can come from nowhere.
+        """
+        self.mode = options.mode
+        self.cassette = Cassette(options.cassette) if options.cassette else None
+        self.server = (
+            ChatServer(options.base_url, timeout_s) if options.base_url else None
+        )
+        if self.cassette is None and (self.server is None or self.mode != "record"):
+            raise InvalidConfigError(
+                "Who shall answer for the language model? Name a server with "
+                "--base-url http://HOST:PORT/v1, or a --cassette that has the answers."
+            )
+
+    def ask(self, request: Mapping[str, Any]) -> Reply:
+        """Return the reply to a request.
+
+        Raises:
+            PlannerUnavailableError: It is in no cassette, and nobody may be asked or
+                answers.
+            DatasetError: The cassette is damaged, or cannot be written.
+        """
+        cassette, server = self.cassette, self.server
+        known = cassette.find(request) if cassette else None
+        if known is not None:
+            return known
+        if self.mode == "strict" or server is None:
+            assert cassette is not None
+            strict = self.mode == "strict"
+            why = (
+                "In strict mode nobody is asked."
+                if strict
+                else "No --base-url is named."
+            )
+            raise cassette.missing(request, why)
+        reply = server.ask(request)
+        if cassette is None or self.mode != "record":
+            return reply
+        return cassette.keep(request, reply)
+
+
+@dataclass
+class _Tally:
+    """What a decision has taken so far."""
+
+    calls: int = 0
+    prompt_tokens: int = 0
+    completion_tokens: int = 0
+    invalid: list[str] = field(default_factory=list)
+
+    def effort(self) -> Effort:
+        return Effort(
+            self.calls, self.prompt_tokens, self.completion_tokens, tuple(self.invalid)
+        )
+
+
+class _GaveUpError(Exception):
+    """No sub-task came of it: a kind of fault, and a sentence."""
+
+    def __init__(self, kind: str, explanation: str) -> None:
+        super().__init__(explanation)
+        self.kind = kind
+
+
+class LanguageModelPlanner(Composite):
+    """Asks a language model.
+
+    Each decision is a conversation of its own, a pure function of what is given: the
+    rules, and the sentence, the table and the past as text. An answer that is no
+    sub-task is answered with the reason, and the model tries again.
+    """
+
+    reads_outcomes = True
+
+    def __init__(
+        self,
+        model: str,
+        options: ChatOptions,
+        timeout_s: float = TIMEOUT_S,
+        perception: Perception | None = None,
+    ) -> None:
+        """Prepare; nothing is asked yet.
+
+        Args:
+            model: Its name at the server.
+            options: How it is asked.
+            timeout_s: For one attempt at a request [s].
+            perception: What says what is on the table; by the options if None.
+
+        Raises:
+            InvalidConfigError: It has no name, or nobody can be asked.
+        """
+        if not model:
+            raise InvalidConfigError(
+                "Which language model? Name it as its server does, as in llm:MODEL."
+            )
+        seen = options.perception == "seen"
+        self.perception = perception or (
+            SeenPerception() if seen else TruthPerception()
+        )
+        self.cameras = options.pictures
+        self.about = {"model": model, "prompts": PROMPTS, **options.settings()}
+        self._model = model
+        self._options = options
+        self._asker = Asker(options, timeout_s)
+
+    @property
+    def parts(self) -> tuple[object, ...]:
+        """What sees for it, and whether that are camera images too."""
+        return (self.perception, _Eyes(self.cameras))
+
+    @property
+    def blind(self) -> bool:
+        """Whether it needs no images."""
+        return not self.cameras and isinstance(self.perception, TruthPerception)
+
+    @property
+    def weights(self) -> tuple[str, ...]:
+        """Published weights that it uses."""
+        return getattr(self.perception, "weights", ())
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        """Return the next sub-task of each episode.
+
+        Raises:
+            PlannerUnavailableError: Nobody answers.
+            InvalidConfigError: An answer of the model is no sub-task.
+        """
+        decided = self.propose(inputs)
+        for decision in decided:
+            if decision.failed:
+                raise InvalidConfigError(decision.explanation)
+        return [decision.subtask for decision in decided]
+
+    def propose(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the next decision of each episode, without poses, and what it took.
+
+        Raises:
+            PlannerUnavailableError: Nobody answers.
+        """
+        scenes = self.perception.look(inputs)
+        with ThreadPoolExecutor(min(_AT_ONCE, len(inputs))) as pool:
+            return list(pool.map(self._decide, inputs, scenes))
+
+    def _decide(self, given: PolicyInput, scene: SceneText) -> Decision:
+        tally = _Tally()
+        try:
+            talk = self._one if self._options.team == "one" else self._each
+            return Decision(talk(given, scene, tally), None, effort=tally.effort())
+        except _GaveUpError as error:
+            return Decision(
+                STOP, None, str(error), failed=error.kind, effort=tally.effort()
+            )
+
+    def _one(self, given: PolicyInput, scene: SceneText, tally: _Tally) -> SubTask:
+        team = robot_names(len(given.robots))
+        grammar = Grammar(team, _names(scene))
+        said = self._converse(given, grammar, question(given, scene), tally)
+        assert said.subtask is not None
+        return said.subtask
+
+    def _each(self, given: PolicyInput, scene: SceneText, tally: _Tally) -> SubTask:
+        """Ask one robot after the other until one does something; they take turns."""
+        team = robot_names(len(given.robots))
+        first = len(given.past) % len(team)
+        order = (*team[first:], *team[:first])
+        messages: tuple[tuple[str, str], ...] = ()
+        for robot in order:
+            last = robot == order[-1]
+            grammar = Grammar((robot,), _names(scene), talks=True, may_wait=not last)
+            text = question(given, scene, robot, messages)
+            said = self._converse(given, grammar, text, tally)
+            if said.subtask is not None:
+                return said.subtask
+            messages += ((robot, said.message[:_LONGEST_MESSAGE]),)
+        raise AssertionError("the last one cannot wait")
+
+    def _converse(
+        self, given: PolicyInput, grammar: Grammar, text: str, tally: _Tally
+    ) -> Said:
+        """Ask until an answer is valid.
+
+        Raises:
+            _GaveUpError: None was, or the server gave none.
+        """
+        shown = pictures(given) if self.cameras else []
+        messages = messages_of(system_prompt(given, grammar), text, shown)
+        told = ""
+        for _ in range(self._options.tries):
+            reply = self._asker.ask(self._request(messages, grammar))
+            tally.calls += 1
+            tally.prompt_tokens += reply.prompt_tokens
+            tally.completion_tokens += reply.completion_tokens
+            if reply.failure:
+                raise _GaveUpError(reply.failure, reply.explanation)
+            try:
+                return grammar.read(reply.content)
+            except MistakeError as error:
+                tally.invalid.append(str(error.kind))
+                told = f"{error.kind}: {error}"
+                messages = [
+                    *messages,
+                    {"role": "assistant", "content": reply.content},
+                    {"role": "user", "content": correction(error.kind, str(error))},
+                ]
+        raise _GaveUpError(
+            MALFORMED,
+            f"The model gave {self._options.tries} answers that are no sub-task. The "
+            f"last one: {told}",
+        )
+
+    def _request(
+        self, messages: list[dict[str, Any]], grammar: Grammar
+    ) -> dict[str, Any]:
+        return {
+            "model": self._model,
+            "messages": messages,
+            "temperature": 0,
+            "seed": 0,
+            "max_tokens": self._options.max_tokens,
+            "response_format": {
+                "type": "json_schema",
+                "json_schema": {
+                    "name": "sub_task",
+                    "strict": True,
+                    "schema": grammar.schema(),
+                },
+            },
+        }
+
+
+@dataclass(frozen=True)
+class _Eyes:
+    """Says whether camera images are looked at."""
+
+    cameras: bool
+
+
+def _names(scene: SceneText) -> tuple[str, ...]:
+    return tuple(thing.name for thing in scene.objects)

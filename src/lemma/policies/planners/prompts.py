@@ -1,0 +1,179 @@
+"""What a language model is told, word by word."""
+
+import base64
+import json
+import unicodedata
+from io import BytesIO
+from typing import Any
+
+from PIL import Image
+
+from lemma.core.robot_names import robot_number
+from lemma.policies.interfaces import PastStep, PolicyInput
+from lemma.policies.planners.grammar import NONE, WAIT, Grammar
+from lemma.policies.planners.scene_text import ObjectText, SceneText
+from lemma.scene.objects.entity import SHARED
+from lemma.tasks.subtask import Primitive
+
+PROMPTS = 1
+"""Version of these words: part of every result."""
+
+_TASK = """\
+Robot arms stand around a table. One sentence says what shall lie on what at the end. \
+You decide on the next sub-task; you will be asked again after it, until you say stop.
+
+Rules
+- x and y are in metres. Each robot has its place and never leaves it. It grasps \
+things only where it reaches them, and lays them only where it reaches.
+- A robot that is told to do what it cannot do stops for its protection, and the task \
+has failed. So look at who reaches what.
+- "{shared}" is a free place that every robot reaches. What one robot cannot bring to \
+its end, it moves to "{shared}", and another takes it from there.
+- One thing can be put on one other: a cube on a pad, or on a cube. Nothing else may \
+lie on either.
+- Say stop when the task is done. Stopping too early is a failure.
+"""
+_TOOLS = """\
+- The stick brings what no robot reaches. Who reaches the stick uses it, and may move \
+it to "{shared}" first for another. "prehook" lays the stick (pick) behind a cube \
+(place), "hook" then drags the cube towards the robot. "prepoke" lays it before a \
+cube, "poke" then pushes the cube away from the robot, to another. hook needs prehook \
+right before, poke needs prepoke.
+"""
+_ANSWER = """\
+
+Answer with one JSON object and nothing else:
+{{"reason": one short sentence{message}, "robot": {robot}, "primitive": {primitive}, \
+"pick": {pick}, "place": {place}}}
+"move" picks a cube or the stick up (pick) and puts it down (place). For stop{wait}, \
+robot, pick and place are "{none}".
+"""
+_EACH = """
+You speak for {name} alone ("{phrase}"), and are told what it reaches. Other robots \
+know what they reach; they are asked after you if you wait, and read your message.
+"""
+
+
+def system_prompt(given: PolicyInput, grammar: Grammar) -> str:
+    """Return the rules, and the form of an answer."""
+    text = _TASK + (_TOOLS if grammar.has_stick else "")
+    names = {
+        field: " or ".join(json.dumps(name) for name in valid)
+        for field, valid in grammar.names.items()
+    }
+    text = text.format(shared=SHARED)
+    text += _ANSWER.format(
+        message=', "message": to the other robots' if grammar.talks else "",
+        wait=f" and {WAIT}" if grammar.may_wait else "",
+        none=NONE,
+        **names,
+    )
+    if grammar.talks:
+        name = grammar.robots[0]
+        text += _EACH.format(name=name, phrase=given.robots[robot_number(name)])
+    return text
+
+
+def question(
+    given: PolicyInput,
+    scene: SceneText,
+    speaker: str = "",
+    messages: tuple[tuple[str, str], ...] = (),
+) -> str:
+    """Return the sentence, the table and the past as text.
+
+    Args:
+        given: Sentence and past.
+        scene: The table.
+        speaker: The robot that is asked; the whole team if empty.
+        messages: What other robots have said of this decision: who, and what.
+    """
+    lines = [f"Sentence: {quoted(given.instruction)}", "", "Robots"]
+    for robot in scene.robots:
+        line = f"- {robot.name}, the {quoted(robot.phrase)}, at {_at(robot.x, robot.y)}"
+        if speaker in ("", robot.name):
+            near, far = robot.reach_m
+            line += f", reaches from {near:.2f} to {far:.2f} m around it"
+        lines.append(line)
+    lines += ["", "Objects"]
+    lines += [_line_of(thing, speaker) for thing in scene.objects]
+    lines += [f"- {name} has fallen off the table: it is lost" for name in scene.lost]
+    lines += ["", "So far"]
+    lines += [_past(step) for step in given.past] or ["- nothing was done yet"]
+    if messages:
+        lines += ["", "Messages"]
+        lines += [f"- {name}: {quoted(text)}" for name, text in messages]
+    lines += ["", "What is the next sub-task?"]
+    return "\n".join(lines)
+
+
+def _line_of(thing: ObjectText, speaker: str) -> str:
+    if speaker:
+        reach = "within your reach" if speaker in thing.within else "not in your reach"
+    else:
+        reach = f"reached by {' and '.join(thing.within) or 'no robot'}"
+    state = f", {thing.state}" if thing.state else ""
+    return f"- {thing.name} at {_at(thing.x, thing.y)}{state}, {reach}"
+
+
+def _at(x: float, y: float) -> str:
+    # Without a minus before what rounds to zero.
+    return f"({round(x, 2) + 0.0:.2f}, {round(y, 2) + 0.0:.2f})"
+
+
+def _past(step: PastStep) -> str:
+    subtask = step.subtask
+    if subtask.primitive is Primitive.STOP:
+        return "- stop"
+    why = f": {quoted(step.explanation)}" if step.explanation else ""
+    return f"- {subtask}: {step.outcome}{why}"
+
+
+def correction(kind: str, explanation: str) -> str:
+    """Return what a model is told whose answer was no sub-task."""
+    return f"That is no valid answer ({kind}). {explanation} Answer again."
+
+
+def quoted(text: str) -> str:
+    """Return text of others as a JSON string that cannot be taken for anything else.
+
+    Line breaks, control and invisible characters and the brackets of markup and of
+    chat templates are escaped: nothing in it begins a turn, a line or a picture.
+    """
+    return "".join(
+        f"\\u{ord(c):04x}" if c in "<>[]`" or _is_hidden(c) else c
+        for c in json.dumps(text, ensure_ascii=False)
+    )
+
+
+def _is_hidden(character: str) -> bool:
+    return unicodedata.category(character) in ("Cc", "Cf", "Co", "Cs", "Zl", "Zp")
+
+
+def messages_of(system: str, text: str, images: list[str]) -> list[dict[str, Any]]:
+    """Return the beginning of a conversation.
+
+    Args:
+        system: The rules.
+        text: The question.
+        images: Pictures as data URLs.
+    """
+    content: Any = text
+    if images:
+        parts = [{"type": "image_url", "image_url": {"url": url}} for url in images]
+        content = [{"type": "text", "text": text}, *parts]
+    return [
+        {"role": "system", "content": system},
+        {"role": "user", "content": content},
+    ]
+
+
+def pictures(given: PolicyInput) -> list[str]:
+    """Return what the robots' cameras see, as PNG data URLs in the order of robots."""
+    found = []
+    for _, image in sorted(given.view.cameras.items()):
+        with BytesIO() as file:
+            Image.fromarray(image.rgb).save(file, "png")
+            data = base64.b64encode(file.getvalue()).decode()
+        found.append(f"data:image/png;base64,{data}")
+    return found

@@ -1,0 +1,71 @@
+"""What the page about planners prints is what happens."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from chat_server import chat_server
+
+from lemma.cli.evaluate import LanguageModelOptions
+from lemma.core.kernels import NOTICE
+from lemma.policies.planners.grammar import Mistake
+from lemma.policies.planners.options import MODES, ChatOptions
+from lemma.policies.planners.registry import PLANNERS
+
+PAGE = (Path(__file__).parents[3] / "docs/planners.md").read_text(encoding="utf-8")
+CODE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+
+
+def run(code: str, folder: Path, *arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        timeout=300,
+    )
+    assert (done.returncode, done.stderr.replace(NOTICE, "")) == (0, "")
+    return done.stdout
+
+
+def test_the_example_runs(tmp_path: Path) -> None:
+    code = CODE[0].replace("episodes=10", "episodes=1")
+    assert "http://127.0.0.1:8000/v1" in code
+    assert len(code.splitlines()) <= 15
+    with chat_server() as server:
+        told = run(code.replace("http://127.0.0.1:8000/v1", server.url), tmp_path)
+        assert server.requests[0]["model"] in code
+    assert "| pass" in told
+    assert "calls=3" in told
+    assert (tmp_path / "out/run.jsonl").exists()
+
+
+def test_a_planner_of_ones_own_is_found_by_name(tmp_path: Path) -> None:
+    (tmp_path / "idle.py").write_text(CODE[1])
+    line = "evaluate --plugin idle.py --policy idle --split val --tasks pass"
+    line += " --episodes 1 --workers 1 --out out"
+    code = "from lemma.cli.main import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *line.split()],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "0.0" in done.stdout
+
+
+def test_names_on_the_page_are_all_that_there_are() -> None:
+    shipped = {"llm", "random-valid", "greedy-reach", "noisy-oracle"}
+    assert shipped <= set(PLANNERS)
+    for name in (*shipped, *map(str, Mistake), *MODES):
+        assert re.search(rf"^\| `{name}[`:]", PAGE, re.MULTILINE), name
+    defaults, options = ChatOptions(), LanguageModelOptions()
+    for name in ("perception", "team", "pictures", "tries", "max_tokens"):
+        assert getattr(options, name) == getattr(defaults, name)
+    assert options.cassette_mode == defaults.mode
+    assert f"; {defaults.tries}. |" in PAGE
+    assert f"; {defaults.max_tokens}." in PAGE
