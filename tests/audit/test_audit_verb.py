@@ -42,6 +42,20 @@ def test_prints_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
             assert (set(sums), sums["tried"]) == (keys, 1)
 
 
+def test_the_table_tells_what_was_executed_from_what_geometry_gave_up() -> None:
+    # No stick is needed to pass a cube: geometry gives drags up there.
+    (given_up,) = audit_instance(load_instance("pass", "test", 0), ["drag_home"])
+    (acted,) = audit_instance(two_cubes_to_drag(), ["drag_home"])
+    sums = tally([given_up, acted])["drag_home"]
+    assert [(sums[t].tried, sums[t].executed) for t in ("pass", "poke_stack")] == [
+        (1, 0),
+        (1, 1),
+    ]
+    shown = verb.table(tally([given_up, acted]))
+    columns = {str(column.header): list(column.cells) for column in shown.columns}
+    assert (columns["tried"], columns["executed"]) == (["1", "1"], ["0", "1"])
+
+
 def test_leaves_with_1_if_an_attack_succeeded(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

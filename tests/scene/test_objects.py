@@ -10,7 +10,7 @@ import pytest
 from lemma.core.poses import FloatArray, Pose2
 from lemma.scene.objects.bodies import add_object, resting_quaternion
 from lemma.scene.objects.cube import CUBE_EDGE_M, CUBE_MASS_KG
-from lemma.scene.objects.kind import OBJECT_KINDS, Part
+from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind, Part
 from lemma.scene.objects.pad import PAD_RADIUS_M, PAD_THICKNESS_M
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
 from lemma.scene.palette import OBJECT_COLORS, STICK
@@ -106,15 +106,29 @@ def surface(part: Part) -> FloatArray:
     return points + np.array(part.position_m)
 
 
-@pytest.mark.parametrize("name", ["cube", "pad"])
-def test_the_guard_knows_all_of_a_cube_and_a_pad(name: str) -> None:
-    kind = OBJECT_KINDS[name]
+def outside_m(kind: ObjectKind) -> float:
+    """Return how far an object sticks out of its safety shell at most [m].
+
+    Corners and edges are enough where one capsule is nearest to all of a part.
+    """
+    farthest = -math.inf
     for point in np.concatenate([surface(part) for part in kind.parts]):
-        gaps = []
+        gaps: list[float] = []
         for capsule in kind.shell.capsules:
             start, end = np.array(capsule.start), np.array(capsule.end)
             along = end - start
             share = np.dot(point - start, along) / max(np.dot(along, along), 1e-12)
             nearest = start + np.clip(share, 0.0, 1.0) * along
-            gaps.append(np.linalg.norm(point - nearest) - capsule.radius_m)
-        assert min(gaps) <= 1e-9
+            gaps.append(float(np.linalg.norm(point - nearest)) - capsule.radius_m)
+        farthest = max(farthest, min(gaps))
+    return farthest
+
+
+@pytest.mark.parametrize("name", ["cube", "pad"])
+def test_the_guard_knows_all_of_a_cube_and_a_pad(name: str) -> None:
+    assert outside_m(OBJECT_KINDS[name]) <= 1e-9
+
+
+def test_the_guard_knows_the_stick_but_for_the_inner_edges_of_its_hook() -> None:
+    """The hook's capsule runs along its outer face, so its inner edges stick out."""
+    assert outside_m(OBJECT_KINDS["stick"]) <= 0.0096

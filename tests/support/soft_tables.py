@@ -114,6 +114,34 @@ def pad_out_of_reach(beyond_m: float, kind: str = "pad") -> Instance:
     )
 
 
+def stick_across() -> Instance:
+    """The stick lies across the front, all of it in reach; the rug's edge does not."""
+    soft = pad_out_of_reach(0.35, "rug")
+    tip = at(0.62 * reach().travel_m, 35.0)
+    turn = math.radians(-85.0)
+    back = GRASP_FROM_END_M
+    stick = Pose2(tip.x - back * math.cos(turn), tip.y - back * math.sin(turn), turn)
+    objects = (
+        ObjectPlacement("cube", "red", at(0.5 * reach().travel_m, 70.0)),
+        *(placed for placed in soft.scene.objects if placed.kind == "rug"),
+        ObjectPlacement("stick", "yellow", stick),
+    )
+    return replace(soft, scene=replace(soft.scene, objects=objects))
+
+
+def rug_not_cleared() -> Instance:
+    """A cube stands on the rug, which has room for two: it need not be cleared."""
+    soft = pad_out_of_reach(0.0, "rug")
+    near, far = soft.scene.robots
+    robots = (near, replace(far, base=Pose2(0.1, 0.0, math.pi)))
+    objects = (
+        ObjectPlacement("cube", "red", at(0.72 * reach().travel_m, 22.0)),
+        ObjectPlacement("cube", "green", at(0.7 * reach().travel_m, -45.0)),
+        ObjectPlacement("rug", "blue", at(0.72 * reach().travel_m, -60.0)),
+    )
+    return replace(soft, scene=replace(soft.scene, robots=robots, objects=objects))
+
+
 def stick_by_its_hook() -> Instance:
     """The end of the stick's handle is out of reach, its hook is not."""
     soft = two_cubes_to_drag()
@@ -134,10 +162,13 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "drag_any_part": two_cubes_to_drag,
     "take_the_stick": stick_by_its_hook,
     "push_onto_pad": lambda: pad_out_of_reach(0.15, "mat"),
+    "carry_on_stick": stick_across,
+    "push_tower": lambda: pad_out_of_reach(0.25),
     "shove": lambda: pad_out_of_reach(reach().travel_m - reach().grasp_m + 0.07, "mat"),
     "greedy_skills": lambda: pad_out_of_reach(-0.25),
     "random_skills": lambda: pad_out_of_reach(-0.25),
     "out_of_order": lambda: pad_out_of_reach(-0.25),
+    "one_skipped": rug_not_cleared,
     "tilted_move": lambda: stack_out_of_reach(0.05),
     "rake": lambda: stack_out_of_reach(0.05),
     "hand_push": lambda: pad_out_of_reach(0.06, "mat"),

@@ -1,7 +1,7 @@
 """What an audit found, summed up by attack and task."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from lemma.audit.run import Found
@@ -14,6 +14,8 @@ class Tally:
     level: str
     tried: int
     """Instances, each with every robot."""
+    executed: int
+    """Those in which something was executed; in the others geometry gave it up."""
     succeeded: int
     """Instances that were solved."""
     best_progress: float
@@ -25,10 +27,11 @@ def tally(found: Iterable[Found]) -> dict[str, dict[str, Tally]]:
     tallies: dict[str, dict[str, Tally]] = {}
     for one in found:
         of_tasks = tallies.setdefault(one.attack, {})
-        so_far = of_tasks.get(one.task, Tally(one.level, 0, 0, 0.0))
+        so_far = of_tasks.get(one.task, Tally(one.level, 0, 0, 0, 0.0))
         of_tasks[one.task] = Tally(
             one.level,
             so_far.tried + 1,
+            so_far.executed + one.acted,
             so_far.succeeded + one.succeeded,
             max(so_far.best_progress, one.progress),
         )
@@ -36,10 +39,18 @@ def tally(found: Iterable[Found]) -> dict[str, dict[str, Tally]]:
 
 
 def to_dict(tallies: dict[str, dict[str, Tally]]) -> dict[str, Any]:
-    """Return sums as plain data, ready for JSON."""
+    """Return sums as plain data, ready for JSON: without what was executed."""
     return {
         "attacks": {
-            attack: {task: asdict(sums) for task, sums in of_tasks.items()}
+            attack: {
+                task: {
+                    "level": sums.level,
+                    "tried": sums.tried,
+                    "succeeded": sums.succeeded,
+                    "best_progress": sums.best_progress,
+                }
+                for task, sums in of_tasks.items()
+            }
             for attack, of_tasks in tallies.items()
         }
     }

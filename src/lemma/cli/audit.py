@@ -136,11 +136,11 @@ def _keys(wanted: AuditOptions) -> list[tuple[str, str, int]]:
 
 
 def table(tallies: "dict[str, dict[str, Tally]]") -> Table:
-    """Return sums as a table: task, attack, tried, succeeded, best progress."""
+    """Return sums as a table, by task and attack."""
     shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in ("task", "attack", "level"):
         shown.add_column(heading, no_wrap=True)
-    for heading in ("tried", "succeeded", "best progress"):
+    for heading in ("tried", "executed", "succeeded", "best progress"):
         shown.add_column(heading, justify="right")
     tasks = dict.fromkeys(task for of_tasks in tallies.values() for task in of_tasks)
     for task in tasks:
@@ -148,8 +148,8 @@ def table(tallies: "dict[str, dict[str, Tally]]") -> Table:
             sums = of_tasks[task]
             style = "bold red" if sums.succeeded else None
             shown.add_row(
-                *(task, attack, sums.level, str(sums.tried), str(sums.succeeded)),
-                f"{sums.best_progress:.0%}",
+                *(task, attack, sums.level, str(sums.tried), str(sums.executed)),
+                *(str(sums.succeeded), f"{sums.best_progress:.0%}"),
                 style=style,
             )
         shown.add_section()

@@ -1,5 +1,7 @@
 """Build a tower on a cube that the goal does not need, and push it against the pad."""
 
+import math
+
 from lemma.audit.attack import ATTACKS, Attack, GiveUp
 from lemma.audit.skill.push_onto_pad import direct_pushes, place_in_line
 from lemma.audit.skill.stick_work import (
@@ -16,6 +18,9 @@ from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import On
 
 _PUSHES = 3
+_OVERHANGS_M = (0.0, 0.015, 0.018)
+"""How far the upper cube stands out towards the pad, by attempt: where the lower one is
+stopped, it tips over."""
 
 
 def push_tower(trial: SkillTrial) -> None:
@@ -46,7 +51,12 @@ def _push_tower(trial: SkillTrial, on: On, lower: str) -> None:
     place = place_in_line(trial, lower, pad)
     if place is None or not _move(trial, lower, place):
         return
-    if not _move(trial, on.top, trial.pose(lower)):
+    below = trial.pose(lower)
+    ahead = math.atan2(pad.y - below.y, pad.x - below.x)
+    out_m = _OVERHANGS_M[trial.attempt]
+    x = below.x + out_m * math.cos(ahead)
+    y = below.y + out_m * math.sin(ahead)
+    if not _move(trial, on.top, Pose2(x, y, below.yaw)):
         return
     for number in range(_PUSHES):
         ways = direct_pushes(trial, lower, trial.pose(lower), pad)
@@ -67,6 +77,6 @@ ATTACKS.add(
         summary="Pushes a tower against the pad with the stick; its top may go on.",
         level="skill",
         play=push_tower,
-        attempts=2,
+        attempts=len(_OVERHANGS_M),
     ),
 )

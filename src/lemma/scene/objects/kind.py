@@ -82,7 +82,8 @@ class Shell:
     """What the safety filter of control-level actions keeps arms clear of."""
 
     capsules: tuple[Capsule, ...]
-    """They cover the object, at any heading."""
+    """They cover the object, at any heading; of the stick, all but the inner edges of
+    its hook, which stick out by 9.6 mm at most."""
     rim_m: float
     """The object's top above the higher end of its first capsule's axis [m]."""
 
