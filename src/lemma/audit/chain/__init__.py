@@ -1,0 +1,1 @@
+"""Attacks that push one thing with another, at control level: rows and relays."""
