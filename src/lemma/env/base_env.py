@@ -1,8 +1,9 @@
 """What every Gymnasium environment of the benchmark shares, whatever its actions are.
 
 An environment is one face of an :class:`~lemma.env.episode.Episode`. Rewards are
-sparse: 1 when the episode ends in success, else 0; ``info["progress"]`` says how much
-of the goal holds.
+sparse, 1 when the episode ends in success, else 0, or
+:mod:`dense <lemma.env.learning.rewards>`; ``info["progress"]`` says how much of the
+goal holds.
 """
 
 from abc import abstractmethod
@@ -14,28 +15,22 @@ import gymnasium
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError, ResetNeededError, shown
 from lemma.core.robot_names import robot_names
+from lemma.env.camera_rig import OVERVIEW
 from lemma.env.config import EnvConfig
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.env.instance_source import InstanceSource, own_options
+from lemma.env.learning.rewards import RewardMeter
 from lemma.env.observation import (
     Observation,
     Observer,
     object_poses,
 )
 from lemma.env.view import View
-from lemma.scene.cameras import Camera, FreeCamera, RgbImage
-from lemma.scene.model_cameras import camera_from_model
+from lemma.scene.cameras import Camera, RgbImage
 from lemma.scene.rendering.renderer import Renderer
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.blind import instruction
 from lemma.tasks.suite import task_named
-
-OVERVIEW = FreeCamera(
-    lookat=(0.0, -0.05, 0.1), distance=3.6, azimuth_deg=90.0, elevation_deg=-36.0
-)
-"""What :meth:`LemmaEnv.render` looks through."""
-RENDER_SIZE = (960, 540)
-"""Width and height of its pictures [px]."""
 
 StepResult = tuple[Observation, float, bool, bool, dict[str, Any]]
 
@@ -81,8 +76,10 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
             config.observation,
             tuple(range(config.team_size)),
             (config.width, config.height),
+            config.cameras,
         )
         self.observation_space = self._observer.space
+        self.rewards = RewardMeter(config.reward, config.reward_discount)
         self._episode: Episode | None = None
         self._renderer: Renderer | None = None
 
@@ -147,6 +144,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
     def _begin(self, episode: Episode) -> None:
         """Take a new episode."""
         self._episode = episode
+        self.rewards.begin(episode)
 
     def _running(self) -> Episode:
         """Return the episode, which must not be over.
@@ -184,20 +182,27 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         found = self.episode.info()
         found["instruction"] = self.task_description
         found["state"] = object_poses(self.episode.simulation.scene)
+        if self.rewards.potential is not None:
+            found["potential"] = self.rewards.potential
         return found
 
     def cameras(self) -> dict[str, Camera]:
-        """Return the calibrated camera of each robot: intrinsics and extrinsics."""
-        scene = self.episode.simulation.scene
+        """Return the calibrated cameras that are observed, where they are now.
+
+        Each robot's, unless ``cameras`` chose others.
+        """
+        scene, rig = self.episode.simulation.scene, self._observer.rig
         scene.refresh()
-        size = (self.config.width, self.config.height)
         return {
-            name: camera_from_model(scene.model, scene.data, f"{name}/camera", *size)
-            for name in self.robot_names
+            name: rig.calibrated(scene, scene.data, name)
+            for name in self._observer.cameras
         }
 
     def render(self) -> RgbImage | None:
-        """Return a picture for people, (540, 960, 3); None without a render mode.
+        """Return a picture for people; None without a render mode.
+
+        Returns:
+            Colors, (``render_height``, ``render_width``, 3).
 
         Raises:
             ResetNeededError: There is no episode yet.
@@ -210,7 +215,8 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
             )
             return None
         if self._renderer is None:
-            self._renderer = Renderer(*RENDER_SIZE, quality="video")
+            size = (self.config.render_width, self.config.render_height)
+            self._renderer = Renderer(*size, quality="video")
         scene = self.episode.simulation.scene
         scene.refresh()
         return self._renderer.rgb(scene.model, scene.data, OVERVIEW)
@@ -256,6 +262,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
             )
         self.episode.restore(snapshot.episode)
         self._recall(snapshot.level)
+        self.rewards.begin(self.episode)
         return self.observe(), self.info()
 
     def _remember(self) -> dict[str, Any]:

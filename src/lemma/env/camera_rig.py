@@ -1,5 +1,11 @@
-"""The robots' cameras: what makes views of a scene, for whoever needs them."""
+"""The cameras: what makes views of a scene, for whoever needs them.
 
+Each robot has a camera that hangs above it, called as the robot is; these are what maps
+are fused from. Beside them there are the overview, which does not move, and a camera on
+the wrist of each robot, ``robot_0_wrist``, which looks at what is between its fingers.
+"""
+
+import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cached_property
@@ -8,21 +14,66 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lemma.core.engine import mujoco
 from lemma.core.kernels import kernel
-from lemma.core.poses import FloatArray
+from lemma.core.poses import FloatArray, Pose
 from lemma.env.view import View
+from lemma.robots.gripper import TCP_OFFSET_M
+from lemma.robots.ur.kinematics import frames
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
-from lemma.scene.cameras import CameraImage, DepthImage
+from lemma.scene.cameras import (
+    Camera,
+    CameraImage,
+    CameraIntrinsics,
+    DepthImage,
+    FreeCamera,
+)
+from lemma.scene.model_cameras import camera_from_model
 from lemma.scene.raster import LARGEST, RASTER, UNIT_M, MapImage
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
 
+OVERVIEW = FreeCamera(
+    lookat=(0.0, -0.05, 0.1), distance=3.6, azimuth_deg=90.0, elevation_deg=-36.0
+)
+"""Sees the whole table, from the side."""
+OVERVIEW_NAME = "overview"
+WRIST_FOVY_RAD = math.radians(75.0)
+WRIST_EYE_M = (0.09, 0.0, 0.05)
+"""Where a wrist's camera sits, in the frame of the flange: beside the palm."""
+_WRIST_TARGET_M = (0.0, 0.0, TCP_OFFSET_M + 0.02)
+
 _PLAIN = tuple(field.name for field in fields(View) if field.name != "cameras")
 
 
+def wrist_name(robot: str) -> str:
+    """Return the name of the camera on a robot's wrist."""
+    return f"{robot}_wrist"
+
+
+def camera_names(robots: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of all cameras of a team: each robot's, overview, wrists."""
+    return (*robots, OVERVIEW_NAME, *map(wrist_name, robots))
+
+
+def wrist_mount() -> Pose:
+    """Return the pose of a wrist's camera in the frame of the flange.
+
+    The fingers open to the left and to the right of the image.
+    """
+    eye, target = np.array(WRIST_EYE_M), np.array(_WRIST_TARGET_M)
+    forward = target - eye
+    forward /= math.hypot(*forward.tolist())
+    right = np.array([0.0, 1.0, 0.0])
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    matrix[:3, 3] = eye
+    return Pose.from_matrix(matrix)
+
+
 class CameraRig:
-    """One camera per robot, of one image size.
+    """The cameras of a scene, of one image size.
 
     Keep it: its renderer changes from scene to scene at little cost.
     """
@@ -41,8 +92,14 @@ class CameraRig:
             InvalidConfigError: The size is impossible.
         """
         self._renderer = Renderer(width, height)
+        self._size = (width, height)
 
-    def look(self, scene: Scene, robots: Sequence[str] | None = None) -> View:
+    def look(
+        self,
+        scene: Scene,
+        robots: Sequence[str] | None = None,
+        cameras: Sequence[str] | None = None,
+    ) -> View:
         """Return what is seen now.
 
         Images and map are rendered when they are first asked for, and show this moment
@@ -52,8 +109,12 @@ class CameraRig:
             scene: What to look at.
             robots: Names of the robots whose joints and cameras are of interest; all
                 if None.
+            cameras: Names of the cameras whose images are of interest, see
+                :func:`camera_names`; those of the robots if None.
         """
-        return _SceneView(self, scene, tuple(robots or scene.spec.robot_names))
+        names = tuple(robots or scene.spec.robot_names)
+        chosen = names if cameras is None else tuple(cameras)
+        return _SceneView(self, scene, names, chosen)
 
     def capture(self, scene: Scene, *, cameras: bool = False) -> View:
         """Return what is seen now, rendered now: plain data, which knows no scene.
@@ -68,25 +129,45 @@ class CameraRig:
         return replace(View(*(getattr(seen, name) for name in _PLAIN)), cameras=images)
 
     def photograph(
-        self, scene: Scene, qpos: FloatArray, robots: Sequence[str]
+        self, scene: Scene, qpos: FloatArray, cameras: Sequence[str]
     ) -> dict[str, CameraImage]:
-        """Render the cameras of some robots, with depths as they are stored.
+        """Render some cameras, with depths as they are stored.
 
         Args:
             scene: The scene.
             qpos: The positions of all its joints, (nq,).
-            robots: Names of the robots.
+            cameras: Their names, see :func:`camera_names`.
 
         Raises:
             RenderingError: OpenGL does not work here.
         """
         data = scene.posed(qpos)
         found = {}
-        for name in robots:
-            image = self._renderer.rgbd(scene.model, data, f"{name}/camera")
+        for name in cameras:
+            own = name in scene.spec.robot_names
+            camera = f"{name}/camera" if own else self.calibrated(scene, data, name)
+            image = self._renderer.rgbd(scene.model, data, camera)
             round_depth(image.depth_m)
             found[name] = image
         return found
+
+    def calibrated(self, scene: Scene, data: mujoco.MjData, name: str) -> Camera:
+        """Return intrinsics and extrinsics of a camera.
+
+        Args:
+            scene: The scene.
+            data: A state of it, with derived poses up to date.
+            name: See :func:`camera_names`.
+        """
+        if name in scene.spec.robot_names:
+            return camera_from_model(scene.model, data, f"{name}/camera", *self._size)
+        if name == OVERVIEW_NAME:
+            return replace(OVERVIEW.camera(*self._size), name=name)
+        robot = next(r for r in scene.robots if wrist_name(r.name) == name)
+        placed = np.empty((7, 4, 4))
+        frames(robot.arm.dh, robot.world_from_base, data.qpos[robot.qpos], placed)
+        lens = CameraIntrinsics.from_fovy(WRIST_FOVY_RAD, *self._size)
+        return Camera(name, Pose.from_matrix(placed[6] @ wrist_mount().matrix()), lens)
 
     def close(self) -> None:
         """Forget the last scene; the rig can still be used afterwards."""
@@ -109,9 +190,16 @@ class _SceneView(View):
     _rig: CameraRig
     _scene: Scene
     _robots: tuple[str, ...]
+    _cameras: tuple[str, ...]
     _qpos: FloatArray
 
-    def __init__(self, rig: CameraRig, scene: Scene, robots: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        rig: CameraRig,
+        scene: Scene,
+        robots: tuple[str, ...],
+        cameras: tuple[str, ...],
+    ) -> None:
         data, found = scene.data, [scene.robot(name) for name in robots]
         # The base class is frozen, and this one not done yet.
         vars(self).update(
@@ -122,23 +210,26 @@ class _SceneView(View):
             _rig=rig,
             _scene=scene,
             _robots=robots,
+            _cameras=cameras,
             _qpos=data.qpos.copy(),
         )
 
     @cached_property
     def cameras(self) -> dict[str, CameraImage]:
-        return self._photograph()
+        return self._photograph(self._cameras)
 
     @cached_property
     def _map(self) -> MapImage:
         # Images that nobody asked for are not kept: they are four times as large.
-        images = vars(self).get("cameras") or self._photograph()
-        fused = fuse(images.values())
+        seen: dict[str, CameraImage] = vars(self).get("cameras", {})
+        if not set(self._robots) <= set(seen):
+            seen = self._photograph(self._robots)
+        fused = fuse([seen[name] for name in self._robots])
         stored = RASTER.encode_height(fused.height_m, fused.coverage)
         return MapImage(fused.rgb, RASTER.decode_height(stored), fused.coverage)
 
-    def _photograph(self) -> dict[str, CameraImage]:
-        return self._rig.photograph(self._scene, self._qpos, self._robots)
+    def _photograph(self, cameras: tuple[str, ...]) -> dict[str, CameraImage]:
+        return self._rig.photograph(self._scene, self._qpos, cameras)
 
     @property
     def rgb(self) -> NDArray[np.uint8]:

@@ -5,6 +5,8 @@ from typing import Any, Self
 
 from lemma.core.arguments import flag, known, real, whole
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
+from lemma.core.robot_names import robot_names
+from lemma.env.camera_rig import camera_names
 from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.robots.ur.build import ARMS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
@@ -48,6 +50,13 @@ class EnvConfig:
     """Width of camera images [px]."""
     height: int = CAMERA_HEIGHT_PX
     """Height of camera images [px]."""
+    cameras: tuple[str, ...] | None = None
+    """Which cameras are observed: ``"robot_0"``, ``"overview"``, ``"robot_0_wrist"``;
+    each robot's own if None."""
+    render_width: int = 960
+    """Width of the pictures of ``render()`` [px]."""
+    render_height: int = 540
+    """Height of the pictures of ``render()`` [px]."""
     split: str = ""
     """Where instances come from: ``"train"``, ``"val"``, ``"test"``, or ``"free"`` for
     instances sampled on demand. By default ``"train"``, and ``"free"`` for a task that
@@ -61,6 +70,11 @@ class EnvConfig:
     instruction: str = "high_level"
     """Which instruction is given: ``"high_level"``, ``"human"``, ``"unseen"`` or, for
     evaluation and not of split ``"train"``, ``"blind"``."""
+    reward: str = "sparse"
+    """What steps are rewarded by; a name in
+    :data:`lemma.env.learning.rewards.REWARDS`."""
+    reward_discount: float = 0.99
+    """The learner's discount gamma, which dense rewards are shaped for."""
     horizon_s: float = HORIZON_S
     """T_max: simulated time after which the episode is truncated, at least a servo tick
     of 0.01 s [s]."""
@@ -77,8 +91,11 @@ class EnvConfig:
         checked: dict[str, object] = {
             "width": whole("width", self.width, 1),
             "height": whole("height", self.height, 1),
+            "render_width": whole("render_width", self.render_width, 1, 4096),
+            "render_height": whole("render_height", self.render_height, 1, 4096),
             "control_hz": real("control_hz", self.control_hz, LEAST_HZ, 1.0 / TICK_S),
             "horizon_s": real("horizon_s", self.horizon_s, TICK_S),
+            "reward_discount": real("reward_discount", self.reward_discount, 0.0, 1.0),
             "clip_actions": flag("clip_actions", self.clip_actions),
             **{
                 name: real(name, getattr(self, name), LEAST_STEP, 1.0)
@@ -92,6 +109,8 @@ class EnvConfig:
             checked["robots"] = self._checked_team(self.robots)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+        if self.cameras is not None:
+            object.__setattr__(self, "cameras", self._checked_cameras(self.cameras))
         ticks = 1.0 / (self.control_hz * TICK_S)
         if abs(ticks - round(ticks)) > 1e-9:
             raise InvalidConfigError(
@@ -121,6 +140,20 @@ class EnvConfig:
                 f"arms with split={FREE_SPLIT!r}."
             )
         return tuple(robots)
+
+    def _checked_cameras(self, cameras: object) -> tuple[str, ...]:
+        names = camera_names(robot_names(self.team_size))
+        if not isinstance(cameras, list | tuple) or not cameras:
+            raise InvalidConfigError(
+                f"cameras={shown(cameras)} is no choice of cameras. It is a tuple of "
+                f"some of {', '.join(names)}, or None for each robot's own."
+            )
+        chosen = tuple(known("camera", name, names) for name in cameras)
+        if len(set(chosen)) < len(chosen):
+            raise InvalidConfigError(
+                f"cameras={shown(chosen)} names a camera twice. Name each once."
+            )
+        return chosen
 
     @classmethod
     def from_options(cls, options: dict[str, Any]) -> Self:

@@ -99,7 +99,7 @@ class ControlEnv(LemmaEnv):
         if self._settled_s >= SETTLE_S - 0.5 * TICK_S:
             episode.stop()
         episode.conclude()
-        reward = float(episode.is_over and episode.is_success)
+        reward = self.rewards.reward(episode)
         return reward, episode.stopped, episode.out_of_time and not episode.stopped
 
     def _tick(self) -> None:

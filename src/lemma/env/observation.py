@@ -37,9 +37,9 @@ class Contents:
     """What an observation holds beside joints and instruction."""
 
     rgb: bool = False
-    """``pixels``: for each robot's camera, (height, width, 3)."""
+    """``pixels``: for each camera, (height, width, 3)."""
     depth: bool = False
-    """``depth``: for each robot's camera, (height, width) [m] in steps of 0.1 mm; 0
+    """``depth``: for each camera, (height, width) [m] in steps of 0.1 mm; 0
     where nothing is."""
     topdown: bool = False
     """``map``: what all cameras see, from above; see :mod:`lemma.scene.raster`."""
@@ -71,14 +71,19 @@ class Observer:
     """
 
     def __init__(
-        self, mode: str, robots: tuple[int, ...], size: tuple[int, int]
+        self,
+        mode: str,
+        robots: tuple[int, ...],
+        size: tuple[int, int],
+        cameras: tuple[str, ...] | None = None,
     ) -> None:
         """Define the space; OpenGL is started by the first picture.
 
         Args:
             mode: A name in :data:`OBSERVATIONS`.
-            robots: Numbers of the robots that are observed, and whose cameras are used.
+            robots: Numbers of the robots that are observed.
             size: Width and height of camera images [px].
+            cameras: Names of the cameras; those of these robots if None.
 
         Raises:
             UnknownNameError: No such mode.
@@ -90,6 +95,7 @@ class Observer:
         self._robots = robots
         self._size = size
         self._names = tuple(map(robot_name, robots))
+        self.cameras = self._names if cameras is None else cameras
         self._entities = known_entities()
         self.space = spaces.Dict(self._joints())
         for name, space in self._vision().items():
@@ -117,10 +123,10 @@ class Observer:
         found: dict[str, spaces.Space[Any]] = {}
         if self.contents.rgb:
             image = spaces.Box(0, 255, (height, width, 3), np.uint8)
-            found["pixels"] = spaces.Dict(dict.fromkeys(self._names, image))
+            found["pixels"] = spaces.Dict(dict.fromkeys(self.cameras, image))
         if self.contents.depth:
             depth = spaces.Box(0.0, _LARGEST_DEPTH_M, (height, width), np.float32)
-            found["depth"] = spaces.Dict(dict.fromkeys(self._names, depth))
+            found["depth"] = spaces.Dict(dict.fromkeys(self.cameras, depth))
         if self.contents.topdown:
             shape = (RASTER.rows, RASTER.columns)
             ends = RASTER.encode_height((RASTER.floor_m, CEILING_M), np.ones(2, bool))
@@ -180,7 +186,7 @@ class Observer:
 
     def view(self, scene: Scene) -> View:
         """Return what a policy sees now."""
-        return self.rig.look(scene, self._names)
+        return self.rig.look(scene, self._names, self.cameras)
 
     def close(self) -> None:
         """Free what rendering uses."""
@@ -189,9 +195,9 @@ class Observer:
     def _see(self, view: View) -> Observation:
         found: Observation = {}
         if self.contents.rgb:
-            found["pixels"] = {name: view.cameras[name].rgb for name in self._names}
+            found["pixels"] = {name: view.cameras[name].rgb for name in self.cameras}
         if self.contents.depth:
-            found["depth"] = {name: view.cameras[name].depth_m for name in self._names}
+            found["depth"] = {name: view.cameras[name].depth_m for name in self.cameras}
         if self.contents.topdown:
             found["map"] = {
                 "rgb": view.rgb,

@@ -6,6 +6,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from lemma.env.action_spaces import Action, check_keys
+from lemma.env.camera_rig import OVERVIEW_NAME, wrist_name
 from lemma.env.control_env import ControlEnv
 from lemma.env.observation import Observation, Observer
 from lemma.scene.cameras import RgbImage
@@ -40,12 +41,19 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
         config = inner.config
         size = (config.width, config.height)
         self._observers = {
-            name: Observer(config.observation, (i,), size)
+            name: Observer(config.observation, (i,), size, self._cameras_of(name))
             for i, name in enumerate(self.possible_agents)
         }
         self._action_spaces = {
             name: inner.action_layout.row_box() for name in self.possible_agents
         }
+
+    def _cameras_of(self, agent: str) -> tuple[str, ...] | None:
+        """Return which of the chosen cameras an agent sees: its own, and nobody's."""
+        if self.inner.config.cameras is None:
+            return None
+        own = (agent, wrist_name(agent), OVERVIEW_NAME)
+        return tuple(name for name in self.inner.config.cameras if name in own)
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """Return what an agent observes."""

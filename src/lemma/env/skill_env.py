@@ -59,8 +59,8 @@ class SubTaskEnv(LemmaEnv):
         start = episode.elapsed_s
         self.last_result = self._execute(action)
         episode.linger(start)
+        reward = self.rewards.reward(episode)
         info = self.info()
-        reward = float(episode.is_over and info["is_success"])
         truncated = episode.out_of_time and not episode.stopped
         return self.observe(), reward, episode.stopped, truncated, info
 

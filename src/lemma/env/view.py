@@ -39,4 +39,5 @@ class View:
     """Rates of the gripper openings [m/s], (robots,); None if they were not sent."""
     cameras: Mapping[str, CameraImage] = field(default_factory=dict)
     """What each robot's camera sees, with intrinsics and extrinsics, by the names of
-    the robots; empty if it was not sent."""
+    the robots, or what the cameras see that an environment was asked for, by theirs;
+    empty if it was not sent."""

@@ -10,7 +10,7 @@ from PIL import Image
 from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
-from lemma.scene.cameras import CameraImage, DepthImage, FreeCamera, RgbImage
+from lemma.scene.cameras import Camera, CameraImage, DepthImage, FreeCamera, RgbImage
 from lemma.scene.model_cameras import camera_from_model, camera_index
 from lemma.scene.rendering.gl_context import (
     Tessellation,
@@ -20,6 +20,9 @@ from lemma.scene.rendering.gl_context import (
 )
 
 Scalar = TypeVar("Scalar", bound=np.generic)
+
+_NEAR_M = 0.02
+"""What a calibrated camera does not see is nearer than this: fingers are near."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,20 +96,22 @@ class Renderer:
         self._options = _visible()
 
     def rgbd(
-        self, model: mujoco.MjModel, data: mujoco.MjData, camera: str
+        self, model: mujoco.MjModel, data: mujoco.MjData, camera: str | Camera
     ) -> CameraImage:
-        """Render color and depth of a camera of the scene, in one pass.
+        """Render color and depth of a camera, in one pass.
 
         What is transparent (alpha below 1) has color but no depth.
 
         Args:
             model: The scene.
             data: Its state, with derived poses up to date (``mj_forward``).
-            camera: The camera's name.
+            camera: Its name in the scene, or a calibrated camera of this size, which
+                sees from 2 cm on.
 
         Raises:
             UnknownNameError: The scene has no such camera.
-            InvalidConfigError: This quality averages pixels, and depths have no mean.
+            InvalidConfigError: This quality averages pixels, and depths have no mean;
+                or the camera makes images of another size.
             RenderingError: OpenGL does not work here.
         """
         if self.quality.oversampling != 1:
@@ -114,12 +119,23 @@ class Renderer:
                 "Depth cannot be rendered with oversampling: the mean of two depths "
                 "is where nothing is. Use Renderer(quality='sensor')."
             )
-        calibrated = camera_from_model(model, data, camera, self.width, self.height)
+        size = (self.width, self.height)
+        calibrated = (
+            camera_from_model(model, data, camera, *size)
+            if isinstance(camera, str)
+            else camera
+        )
+        lens = calibrated.intrinsics
+        if (lens.width, lens.height) != size:
+            raise InvalidConfigError(
+                f"Camera {calibrated.name!r} makes images of {lens.width} x "
+                f"{lens.height} pixels, but this renderer makes {size[0]} x {size[1]}."
+            )
         rgb = np.empty((self.height, self.width, 3), np.uint8)
         buffer = np.empty((self.height, self.width), np.float32)
         scene = self._draw(model, data, camera, rgb, buffer)
-        lens = scene.camera[0]
-        depth_m = depth_from_buffer(buffer, lens.frustum_near, lens.frustum_far)
+        eye = scene.camera[0]
+        depth_m = depth_from_buffer(buffer, eye.frustum_near, eye.frustum_far)
         return CameraImage(_upright(rgb), _upright(depth_m), calibrated)
 
     def rgb(
@@ -179,7 +195,7 @@ class Renderer:
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
-        view: str | FreeCamera,
+        view: str | Camera | FreeCamera,
         rgb: RgbImage,
         depth: DepthImage | None,
         *,
@@ -206,6 +222,8 @@ class Renderer:
                 for eye in scene.camera:
                     half = eye.frustum_near * np.tan(np.radians(fovy_deg) / 2)
                     eye.frustum_bottom, eye.frustum_top = -half, half
+            if isinstance(view, Camera):
+                _place(scene, view)
             area = mujoco.MjrRect(0, 0, width, height)
             # Several uploads share one context, each with a buffer of its own.
             mujoco.mjr_resizeOffscreen(width, height, drawing)
@@ -214,7 +232,9 @@ class Renderer:
             mujoco.mjr_readPixels(rgb, depth, area, drawing)
         return scene
 
-    def _aim(self, model: mujoco.MjModel, view: str | FreeCamera) -> float | None:
+    def _aim(
+        self, model: mujoco.MjModel, view: str | Camera | FreeCamera
+    ) -> float | None:
         """Point MuJoCo's camera; return a field of view [deg] unlike the scene's."""
         aim = self._view
         if isinstance(view, str):
@@ -222,6 +242,8 @@ class Renderer:
             aim.fixedcamid = camera_index(model, view)
             return None
         aim.type = mujoco.mjtCamera.mjCAMERA_FREE.value
+        if isinstance(view, Camera):
+            return None
         aim.lookat[:] = view.lookat
         aim.distance = view.distance
         aim.azimuth, aim.elevation = view.azimuth_deg, view.elevation_deg
@@ -247,6 +269,18 @@ class Renderer:
         if self._upload is None or self._upload.drawing is None:
             self._upload = upload(model, self.quality.tessellation, width, height)
         return self._scene, self._upload.drawing
+
+
+def _place(scene: mujoco.MjvScene, camera: Camera) -> None:
+    """Look with a calibrated camera: square pixels, and the middle in the middle."""
+    matrix = camera.world_from_camera.matrix()
+    half = _NEAR_M * np.tan(0.5 * camera.intrinsics.fovy_rad)
+    for eye in scene.camera:
+        eye.pos[:] = matrix[:3, 3]
+        eye.forward[:], eye.up[:] = matrix[:3, 2], -matrix[:3, 1]
+        eye.frustum_near = _NEAR_M
+        eye.frustum_bottom, eye.frustum_top = -half, half
+        eye.frustum_center = 0.0
 
 
 def depth_from_buffer(buffer: DepthImage, near_m: float, far_m: float) -> DepthImage:

@@ -1,0 +1,1 @@
+"""What learners ask for: rewards on the way, and flat views."""
