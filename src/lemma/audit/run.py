@@ -25,7 +25,7 @@ for _name in (
     *("control.tilted_move", "control.rake", "control.hand_push"),
     *("control.tilted_stick", "control.tip_off_stick", "control.tower_push"),
     *("control.topple", "control.strike", "control.fling", "control.throw"),
-    *("chain.stick_relay",),
+    *("chain.stick_relay", "chain.cube_chain"),
 ):
     import_module(f"lemma.audit.{_name}")
 

@@ -7,7 +7,7 @@ out, to tip over onto the pad where the lower one is stopped.
 
 import math
 
-from lemma.audit.attack import ATTACKS, Attack, GiveUp
+from lemma.audit.attack import ATTACKS, Attack, GiveUp, Lost
 from lemma.audit.chain.row import (
     GAP_M,
     Line,
@@ -33,16 +33,23 @@ from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, STICK_GRASP_HEIGHT_M
 from lemma.tasks.goal import On
 
-_WAYS = ((-0.17, None), (-0.20, None), (-0.17, 0.016), (-0.20, 0.022))
-"""How far left of the base the line passes, and how far the upper cube of a tower
-stands out, None without one; by attempt [m]."""
+_WAYS: tuple[tuple[float, float | None, bool], ...] = (
+    (-0.17, None, False),
+    (-0.20, None, False),
+    (-0.17, 0.016, False),
+    (-0.17, 0.016, True),
+    (-0.20, 0.022, True),
+)
+"""How far left of the base the line passes [m], how far the upper cube of a tower
+stands out, None without one [m], and whether the last push has a run-up; by attempt."""
 _GRASPS_M = (0.43, 0.25, 0.02)
 """Where along the handle the stick is held, one after the other."""
 _SLOW_M_S = 0.05
-_FAST_M_S = 0.25
-_GENTLE_M_S2 = 0.4
-_RUN_M = 0.10
-"""Over which the last push becomes fast."""
+_FAST_M_S = 1.2
+_RUNS_M_S2 = (0.2, 0.4, 0.7, 1.0, 1.5)
+"""How gently a tower is made faster: its upper cube shall not slide back."""
+_START_M = 0.42
+"""From the base to the hand where such a push begins."""
 _STEP_M = 0.01
 _LOW_M = STICK_GRASP_HEIGHT_M + 0.002
 _LEAST_M = 0.02
@@ -77,7 +84,7 @@ def stick_relay(trial: ControlTrial) -> None:
             spare.append(name)
     if not spare:
         return
-    beside_m, out_m = _WAYS[trial.attempt]
+    beside_m, out_m, runs_up = _WAYS[trial.attempt]
     line = line_to(trial, pad, beside_m)
     row = spare if out_m is not None else [on.top, *spare]
     if not build_row(trial, row, line):
@@ -87,6 +94,9 @@ def stick_relay(trial: ControlTrial) -> None:
         if not set_down(trial, on.top, upper, CUBE_EDGE_M):
             return
     if not _lay_behind(trial, line, row[-1]):
+        return
+    if runs_up:
+        _push_with_run_up(trial, on, line, row[0])
         return
     for _ in range(_PUSHES):
         if _left_m(trial, on, line, row[0]) < _NEAR_M:
@@ -134,10 +144,41 @@ def _push_held(trial: ControlTrial, on: On, line: Line, first: str) -> bool:
     length_m, lean, grasp_m = max(free, key=_worth)
     if length_m < _LEAST_M or not grasp_stick(trial, Pose2(grasp_m, 0.0), lean):
         return False
-    _advance(trial, line, length_m, length_m >= left_m)
+    _advance(trial, line, length_m, 0.0)
     trial.wait(0.6, FINGER_OPENING_M)
     trial.lead([drawn_back(trial.hand(), 0.10)], FINGER_OPENING_M, 0.2)
     return _left_m(trial, on, line, first) + _SLACK_M < left_m - _GAIN_M
+
+
+def _push_with_run_up(trial: ControlTrial, on: On, line: Line, first: str) -> None:
+    """Push ever faster along all that the hand can go, and try how fast.
+
+    The row slides on a little where the hand ends, and the upper cube on the lower.
+    """
+    end = trial.pose(STICK) @ Pose2(_GRASPS_M[-1], 0.0)
+    short_m = _START_M - trial.radius(end)
+    if short_m > 0.0:
+        grasp = Pose2(_GRASPS_M[0], 0.0)
+        length_m, lean = _longest(trial, trial.pose(STICK) @ grasp, short_m)
+        if not grasp_stick(trial, grasp, lean):
+            return
+        _advance(trial, line, length_m, 0.0)
+        trial.wait(0.6, FINGER_OPENING_M)
+        trial.lead([drawn_back(trial.hand(), 0.10)], FINGER_OPENING_M, 0.2)
+    grasp = Pose2(_GRASPS_M[-1], 0.0)
+    most_m = _left_m(trial, on, line, first) + _SLACK_M
+    length_m, lean = _longest(trial, trial.pose(STICK) @ grasp, most_m)
+    if not grasp_stick(trial, grasp, lean):
+        return
+    ready = trial.snapshot()
+    for faster_m_s2 in _RUNS_M_S2:
+        trial.restore(ready)
+        try:
+            _advance(trial, line, length_m, faster_m_s2)
+            # What is held at the end, the stick too, is no success.
+            trial.wait(2.2, FINGER_OPENING_M)
+        except Lost:
+            continue
 
 
 def _push_end_on(trial: ControlTrial, on: On, line: Line, first: str) -> None:
@@ -150,7 +191,7 @@ def _push_end_on(trial: ControlTrial, on: On, line: Line, first: str) -> None:
         return
     if not approach(trial, hand, 0.0):
         return
-    _advance(trial, line, length_m, True)
+    _advance(trial, line, length_m, 0.0)
 
 
 def _longest(trial: ControlTrial, grip: Pose2, most_m: float) -> tuple[float, float]:
@@ -180,14 +221,14 @@ def _free_m(trial: ControlTrial, grip: Pose2, lean: float, most_m: float) -> flo
     return length_m
 
 
-def _advance(trial: ControlTrial, line: Line, length_m: float, fast: bool) -> None:
-    """Lead the hand along the line; in a last push, ever faster to its end."""
+def _advance(
+    trial: ControlTrial, line: Line, length_m: float, faster_m_s2: float
+) -> None:
+    """Lead the hand along the line, ever faster or slowly all the way."""
     yaw, start = line.end.yaw, trial.hand()
     done_m, speed = 0.0, _SLOW_M_S
     while done_m < length_m:
-        # So gently that the upper cube does not slide back on the lower one.
-        if fast and done_m > length_m - _RUN_M:
-            speed = min(_FAST_M_S, speed + _GENTLE_M_S2 * STEP_S)
+        speed = min(_FAST_M_S, speed + faster_m_s2 * STEP_S)
         done_m += speed * STEP_S
         ahead = moved(start, done_m * math.cos(yaw), done_m * math.sin(yaw))
         joints = trial.posture(ahead)
