@@ -31,8 +31,8 @@ class RuleServer(ThreadingHTTPServer):
 
         Args:
             faults: What goes wrong with the first requests, one each: ``"hang"``,
-                ``"drip"``, ``"500"``, ``"400"``, ``"401"``, ``"429"``, ``"html"``,
-                ``"prose"``, ``"list"``, ``"name"``, ``"impossible"``, ``"endless"``.
+                ``"drip"``, ``"html"``, ``"prose"``, ``"list"``, ``"name"``,
+                ``"impossible"``, or a status, such as ``"500"``; ``""`` for none.
         """
         super().__init__(("127.0.0.1", 0), _Handler)
         self.faults = list(faults or [])
@@ -83,6 +83,11 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.ended.wait(30.0)
         elif fault == "drip":
             self._drip()
+        elif fault == "307":
+            self.send_response(307)
+            self.send_header("Location", f"{self.server.url}/elsewhere")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
         elif fault.isdecimal():
             key = self.headers.get("Authorization", "")
             self._send(int(fault), f'{{"error": "as you like it, {key}"}}')

@@ -28,7 +28,7 @@ from lemma.policies.oracle import (
     OraclePlanner,
 )
 from lemma.policies.planners.options import ChatOptions
-from lemma.policies.planners.registry import is_planner, make_planner
+from lemma.policies.planners.registry import asks_model, is_planner, make_planner
 
 ORACLE = "oracle"
 FOREVER_S = 1e6
@@ -69,7 +69,7 @@ class PolicySpec:
     """How a language model is asked, if one is."""
 
     def __post_init__(self) -> None:
-        """Check the names and the time."""
+        """Check the names and the time, and that its planners can be made."""
         if self.planning not in PLANNINGS:
             raise UnknownNameError("way of planning", self.planning, PLANNINGS)
         if not 0.0 <= self.timeout_s < float("inf"):
@@ -77,11 +77,12 @@ class PolicySpec:
                 f"A decision may take {self.timeout_s} s? Valid: a positive number, or "
                 "0 for no limit."
             )
-        if self.chat is not None and not self.planners():
+        if self.chat is not None and not any(map(asks_model, self.parts)):
             raise InvalidConfigError(
                 f"{self.name} asks no language model, so there is no server and no "
                 "cassette for it. Leave these options out, or name llm:MODEL."
             )
+        PolicySpec.planners(self)
 
     def about(self) -> dict[str, Any]:
         """Return the fields that decide what it does; :meth:`planners` say more."""

@@ -75,13 +75,15 @@ def test_what_is_rejected_is_not_asked_again() -> None:
         assert len(server.requests) == 1
 
 
-@pytest.mark.parametrize("fault", ["401", "404", "429"])
+@pytest.mark.parametrize("fault", ["401", "404", "429", "307"])
 def test_a_server_that_refuses_everything_ends_the_run(fault: str) -> None:
     with (
         chat_server(always=fault) as server,
         pytest.raises(PlannerUnavailableError, match=f"HTTP {fault}"),
     ):
         ask(server.url)
+    # Nobody was sent elsewhere, with a key.
+    assert len(server.requests) == (2 if fault == "429" else 1)
 
 
 def test_nobody_there_ends_the_run() -> None:

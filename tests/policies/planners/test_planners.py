@@ -17,6 +17,7 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose
 from lemma.env.camera_rig import CameraRig
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
+from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import (
     Decision,
     Oracle,
@@ -25,7 +26,7 @@ from lemma.policies.interfaces import (
     is_oracle,
     wants_cameras,
 )
-from lemma.policies.oracle import OraclePlanner
+from lemma.policies.oracle import GroundTruthAllocation, OracleGrounder, OraclePlanner
 from lemma.policies.planners.language_model import LanguageModelPlanner
 from lemma.policies.planners.options import ChatOptions
 from lemma.policies.planners.registry import PLANNERS, PlannerRecord
@@ -217,6 +218,20 @@ def test_perception_decides_who_needs_the_truth(tmp_path: Path) -> None:
     assert not PolicySpec("llm:m", chat=chat).blind
 
 
+def test_the_right_robot_replaces_the_models_and_counts_stay() -> None:
+    instance = load_instance("pass", "val", 0)
+    play = Rollout(instance)
+    with chat_server() as server:
+        asks = LanguageModelPlanner("rules", ChatOptions(base_url=server.url))
+        expected, *_ = OraclePlanner().plan([play.given(None, asks)])
+        mended = PlannerWithGrounder(GroundTruthAllocation(asks), OracleGrounder())
+        [decision] = mended.act([play.given(None, mended)])
+    assert decision.subtask == expected
+    assert decision.grounded is not None
+    assert decision.effort is not None
+    assert decision.effort.calls == 1
+
+
 def test_what_cannot_be_asked_is_refused(tmp_path: Path) -> None:
     url = "http://127.0.0.1:1/v1"
     with pytest.raises(InvalidConfigError, match="--base-url"):
@@ -225,6 +240,8 @@ def test_what_cannot_be_asked_is_refused(tmp_path: Path) -> None:
         PolicySpec("llm:", chat=ChatOptions(base_url=url))
     with pytest.raises(InvalidConfigError, match="asks no language model"):
         PolicySpec("reachnet", chat=ChatOptions(base_url=url))
+    with pytest.raises(InvalidConfigError, match="asks no language model"):
+        PolicySpec("greedy-reach", chat=ChatOptions(base_url=url))
     with pytest.raises(InvalidConfigError, match="--planning"):
         PolicySpec("llm:m", "multi-step", chat=ChatOptions(base_url=url)).load()
     with pytest.raises(UnknownNameError, match="strict"):
@@ -326,7 +343,7 @@ def test_a_planner_that_was_added_is_a_policy() -> None:
     def make(argument: str, options: ChatOptions, timeout_s: float) -> AlwaysStops:
         return AlwaysStops(argument)
 
-    PLANNERS.add("stopper", PlannerRecord(make, "stops"), replace=True)
+    PLANNERS.add("stopper", PlannerRecord(make), replace=True)
     spec = PolicySpec("stopper:now")
     assert spec.oracle
     assert spec.blind

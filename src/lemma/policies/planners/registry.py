@@ -34,8 +34,8 @@ class PlannerRecord:
     """Makes it of what follows the colon of its name, if anything does; of how language
     models are asked; and of the time that a request may take [s]. It is called often:
     what takes long should wait until the planner is asked."""
-    summary: str
-    """What it is, for lists."""
+    asks: bool = False
+    """Whether it makes use of how language models are asked."""
 
 
 PLANNERS: Registry[PlannerRecord] = Registry("planner")
@@ -45,6 +45,11 @@ PLANNERS: Registry[PlannerRecord] = Registry("planner")
 def is_planner(part: str) -> bool:
     """Whether a part of a policy's name means a planner of :data:`PLANNERS`."""
     return "://" not in part and part.partition(":")[0] in PLANNERS
+
+
+def asks_model(part: str) -> bool:
+    """Whether a part of a policy's name means a planner that asks a language model."""
+    return is_planner(part) and PLANNERS[part.partition(":")[0]].asks
 
 
 def make_planner(
@@ -94,10 +99,7 @@ def _language_model(argument: str, options: ChatOptions, timeout_s: float) -> Pl
     return LanguageModelPlanner(argument, options, timeout_s)
 
 
-for _name, _make, _summary in (
-    ("random-valid", _random_valid, "any sub-task that the table's grammar allows"),
-    ("greedy-reach", _greedy_reach, "one sub-task ahead, by reach"),
-    ("noisy-oracle", _noisy_oracle, "the expert, wrong with a given probability"),
-    ("llm", _language_model, "a language model behind a chat server"),
-):
-    PLANNERS.add(_name, PlannerRecord(_make, _summary))
+PLANNERS.add("random-valid", PlannerRecord(_random_valid))
+PLANNERS.add("greedy-reach", PlannerRecord(_greedy_reach))
+PLANNERS.add("noisy-oracle", PlannerRecord(_noisy_oracle))
+PLANNERS.add("llm", PlannerRecord(_language_model, asks=True))
