@@ -130,7 +130,7 @@ def failures(rows: list[Row]) -> dict[str, int]:
 
 def play(tmp_path: Path, server: RuleServer, **options: Any) -> list[Row]:
     chat = ChatOptions(base_url=server.url, cassette=tmp_path / "c.jsonl", **options)
-    spec = PolicySpec("llm:rules", chat=chat, timeout_s=2.0)
+    spec = PolicySpec("llm:rules", chat=chat, timeout_s=5.0)
     config = EvaluationConfig(
         out=tmp_path / "out", policy=spec, tasks=("pass",), episodes=4, split="val"
     )
@@ -148,7 +148,7 @@ def test_the_run_goes_on_after_bad_answers(tmp_path: Path) -> None:
     assert good["success"]
     # What failed is on the cassette as well.
     chat = ChatOptions(cassette=tmp_path / "c.jsonl", mode="strict", tries=1)
-    spec = PolicySpec("llm:rules", chat=chat, timeout_s=2.0)
+    spec = PolicySpec("llm:rules", chat=chat, timeout_s=5.0)
     again = EvaluationConfig(
         out=tmp_path / "again", policy=spec, tasks=("pass",), episodes=4, split="val"
     )

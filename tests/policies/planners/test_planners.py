@@ -64,7 +64,7 @@ class Told:
 
 def planner(server: RuleServer, **options: Any) -> LanguageModelPlanner:
     asked = ChatOptions(base_url=server.url, **options)
-    return LanguageModelPlanner("rules", asked, 1.0, perception=Told())
+    return LanguageModelPlanner("rules", asked, perception=Told())
 
 
 def given(sentence: str = "Put the red cube on the blue pad") -> PolicyInput:
