@@ -77,9 +77,23 @@ def test_the_folder_is_that_of_the_command(tmp_path: Path) -> None:
     rows = read_rows(tmp_path)
     assert result == found.result
     check_lines(result, rows, tmp_path / SUMMARY, tmp_path / EPISODES)
-    # What is there is not played again, not even by somebody else of the same name.
-    again = lemma.evaluate(OraclePlanner(), **FEW, out=tmp_path)
-    assert list(again.rows) == list(found.rows)
+    # Another object of that class may be another policy: its lines are not mixed in.
+    with pytest.raises(InvalidConfigError, match="another object"):
+        lemma.evaluate(OraclePlanner(), **FEW, out=tmp_path)
+
+
+def test_a_name_goes_on_in_its_folder(tmp_path: Path) -> None:
+    first = lemma.evaluate("oracle", **FEW, out=tmp_path)
+    again = lemma.evaluate("oracle", **FEW, out=tmp_path)
+    # With the time that they took: nothing was played again.
+    assert list(again.rows) == list(first.rows)
+
+
+def test_a_module_may_be_called_as_a_planner_is() -> None:
+    mine = type("Mine", (Silent,), {"__module__": "llm"})
+    found = lemma.evaluate(mine(), tasks="pass", episodes=1)
+    assert found.success_rate == 0.0
+    assert found.result.about["policy"]["name"] == "llm:Mine"
 
 
 def test_a_level_says_whose_poses_they_are() -> None:
@@ -121,6 +135,11 @@ def test_printed_it_is_a_table_and_says_what_went_wrong() -> None:
         (Silent(), {"planning": "multi-step"}, InvalidConfigError, "multi-step"),
         (Silent(), {"kinds": ("rude",)}, UnknownNameError, "high_level"),
         (Silent(), {"tasks": ("pas",)}, UnknownNameError, "pass"),
+        (Silent(), {"tasks": ()}, InvalidConfigError, "Name a task"),
+        (Silent(), {"kinds": ()}, InvalidConfigError, "kind of instruction"),
+        (Silent, {}, InvalidConfigError, r"Silent\(\.\.\.\)"),
+        ("oracle+oracle", {"level": "plan"}, InvalidConfigError, "has a grounder"),
+        ("greedy-reach", {"level": "skill"}, InvalidConfigError, "in symbols"),
     ],
 )
 def test_what_cannot_be_is_explained(

@@ -11,11 +11,12 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import Engine, ProcessPool
 from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.result import Result, summarise
-from lemma.evaluation.records import SUMMARY, Row, read_about
+from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
 from lemma.evaluation.report.success_tables import rates
 from lemma.evaluation.report.tables import markdown
 from lemma.evaluation.run.evaluate import VERDICTS, EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate as play
+from lemma.policies.planners.registry import is_planner
 from lemma.policies.spec import LEVELS, ORACLE, PLANNINGS, GivenPolicy, PolicySpec
 from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
@@ -59,9 +60,9 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     policy: Any,
     *,
     level: str = "",
-    tasks: Sequence[str] = SUITE,
+    tasks: str | Sequence[str] = SUITE,
     split: str = "",
-    kinds: Sequence[str] = ("high_level",),
+    kinds: str | Sequence[str] = "high_level",
     episodes: int | None = None,
     planning: str = PLANNINGS[0],
     gta: bool = False,
@@ -76,9 +77,8 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
             :mod:`lemma.policies.interfaces`. Or a name, as ``lemma evaluate --policy``
             takes it.
         level: ``"skill"``: it decides with poses; ``"plan"``: in symbols, and the
-            expert adds the poses. By default what the object can do; a name is of a
-            policy at skill level.
-        tasks: Names of tasks.
+            expert adds the poses. By default what it can do.
+        tasks: Name of a task, or names.
         split: Frozen list of instances, ``"test"``; or ``"free"``, which samples them:
             the default with tasks of your own.
         kinds: Of instructions: ``"high_level"``, ``"human"``, ``"unseen"``,
@@ -87,8 +87,9 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         planning: ``"single-step"``, or ``"multi-step"``: from the first image alone.
         gta: Ground-truth allocation: the right robot replaces the planner's choice.
         protocol: ``"both"`` verdicts, or ``"strict"`` alone.
-        out: Folder that keeps lines and summary, as ``lemma evaluate --out`` does; what
-            is there already is not played again. None: nothing is kept.
+        out: Folder that keeps lines and summary, as ``lemma evaluate --out`` does. With
+            a name, what is there already is not played again; an object needs a new
+            folder. None: nothing is kept.
         workers: Processes that play; more than one only with a name.
 
     Returns:
@@ -97,15 +98,18 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     Raises:
         LemmaError: There is no such policy, task, split or kind, or it is none.
     """
+    tasks, kinds = _names(tasks), _names(kinds)
     spec, engine = _policy(policy, level, planning, gta=gta, workers=workers)
+    if out is not None and isinstance(spec, GivenPolicy):
+        _check_new(Path(out))
     frozen = all(map(has_frozen_lists, tasks))
     with TemporaryDirectory() as nowhere:
         config = EvaluationConfig(
             out=Path(out or nowhere),
             policy=spec,
-            tasks=tuple(tasks),
+            tasks=tasks,
             split=split or ("test" if frozen else FREE_SPLIT),
-            kinds=tuple(kinds),
+            kinds=kinds,
             episodes=episodes,
             verdicts=protocol,
         )
@@ -116,6 +120,24 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     return Evaluation(result, tuple(rows))
 
 
+def _names(told: str | Sequence[str]) -> tuple[str, ...]:
+    return (told,) if isinstance(told, str) else tuple(told)
+
+
+def _check_new(folder: Path) -> None:
+    """Check that nothing was evaluated into a folder.
+
+    Raises:
+        InvalidConfigError: Something was. Of an object nobody knows whether it is the
+            one that played before, so its lines are not taken for those of another.
+    """
+    if (folder / ABOUT).exists():
+        raise InvalidConfigError(
+            f"{folder} holds a result already, which may be of another object. Choose "
+            "a new folder; a policy that has a name can go on in its own."
+        )
+
+
 def _policy(
     policy: Any, level: str, planning: str, *, gta: bool, workers: int
 ) -> tuple[PolicySpec, Engine]:
@@ -123,7 +145,7 @@ def _policy(
     if level:
         known("level", level, LEVELS)
     if isinstance(policy, str):
-        name = f"{policy}+{ORACLE}" if level == LEVELS[0] else policy
+        name = _named(policy, level)
         engine: Engine = ProcessPool(workers) if workers > 1 else Serial()
         return PolicySpec(name, planning, gta), engine
     if workers > 1:
@@ -132,3 +154,24 @@ def _policy(
             "workers, or give the policy as a name, such as package.module:Class."
         )
     return GivenPolicy.of(policy, level, planning, gta=gta), Serial()
+
+
+def _named(policy: str, level: str) -> str:
+    """Return the name of a policy at a level.
+
+    Raises:
+        InvalidConfigError: It decides at the other one.
+    """
+    if level == LEVELS[0]:
+        if "+" in policy:
+            raise InvalidConfigError(
+                f"{policy} has a grounder, so it decides with poses. Name the planner "
+                'alone, or take level="skill".'
+            )
+        return f"{policy}+{ORACLE}"
+    if level == LEVELS[1] and is_planner(policy):
+        raise InvalidConfigError(
+            f"{policy} decides in symbols. Name a grounder with it, as in "
+            f'{policy}+cliport, or take level="plan".'
+        )
+    return policy

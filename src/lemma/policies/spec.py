@@ -82,7 +82,8 @@ class PolicySpec:
                 f"{self.name} asks no language model, so there is no server and no "
                 "cassette for it. Leave these options out, or name llm:MODEL."
             )
-        PolicySpec.planners(self)
+        for part in filter(self._is_planner, self.parts):
+            self._planner(part)
 
     def about(self) -> dict[str, Any]:
         """Return the fields that decide what it does; :meth:`planners` say more."""
@@ -94,7 +95,11 @@ class PolicySpec:
         Raises:
             LemmaError: One cannot be made so.
         """
-        return [self._planner(part) for part in self.parts if is_planner(part)]
+        return [self._planner(part) for part in self.parts if self._is_planner(part)]
+
+    def _is_planner(self, part: str) -> bool:
+        """Whether a part is a name of a planner that is registered."""
+        return is_planner(part)
 
     def _planner(self, part: str) -> Any:
         return make_planner(part, self.chat, self.timeout_s or FOREVER_S)
@@ -114,19 +119,19 @@ class PolicySpec:
 
     def _object(self, part: str) -> object:
         """Return what a part means, where that is known without loading it."""
-        return self._planner(part) if is_planner(part) else None
+        return self._planner(part) if self._is_planner(part) else None
 
     @property
     def oracle(self) -> bool:
         """Whether some part of it is given the truth: results say so."""
         # A planner alone is given the expert's poses.
-        alone = "+" not in self.name and is_planner(self.name)
+        alone = "+" not in self.name and self._is_planner(self.name)
         return self.gta or alone or any(map(self._is_oracle, self.parts))
 
     def _is_oracle(self, part: str) -> bool:
         if part == ORACLE:
             return True
-        if is_planner(part):
+        if self._is_planner(part):
             return is_oracle(self._planner(part))
         # The truth travels to no other process.
         if ":" not in part or "://" in part or self.timeout_s > 0.0:
@@ -148,7 +153,7 @@ class PolicySpec:
         """
         load = load or load_part
         first, plus, second = self.name.partition("+")
-        if is_planner(first):
+        if self._is_planner(first):
             return self._with_planner(first, second or ORACLE, load)
         if not plus:
             whole = load(first)
@@ -222,6 +227,11 @@ class GivenPolicy(PolicySpec):
         Raises:
             InvalidConfigError: It is neither, or cannot plan in that way.
         """
+        if isinstance(held, type):
+            raise InvalidConfigError(
+                f"{held.__name__} is a class, not a policy. Make an object of it: "
+                f"{held.__name__}(...)."
+            )
         kind = type(held)
         name = f"{kind.__module__}:{kind.__qualname__}"
         whole = _can(held, Policy) or _can(held, Grounder)
@@ -240,6 +250,10 @@ class GivenPolicy(PolicySpec):
     def load(self, load: Callable[[str], Any] | None = None) -> Policy:
         """Return the policy, ready to act; names are not looked up."""
         return super().load(lambda name: self._held)
+
+    def _is_planner(self, part: str) -> bool:
+        """No: a module may have the name of a planner."""
+        return False
 
     def planners(self) -> list[Any]:
         """Return the object, if it has more to say than others."""

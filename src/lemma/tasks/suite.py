@@ -5,6 +5,7 @@ import json
 from functools import lru_cache
 from importlib import import_module
 from importlib.resources import files
+from keyword import iskeyword
 
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
@@ -29,8 +30,8 @@ FREE_SPLIT = "free"
 """Split of instances that are sampled on demand, numbered by their seed."""
 
 for _name in SUITE:
-    # A keyword cannot name a module.
-    import_module(f"lemma.tasks.library.{'pass_' if _name == 'pass' else _name}")
+    # A keyword, such as pass, cannot name a module.
+    import_module(f"lemma.tasks.library.{_name}{'_' * iskeyword(_name)}")
 
 
 def task_named(name: str) -> Task:

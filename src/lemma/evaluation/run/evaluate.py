@@ -78,6 +78,10 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         """Check the names and the number."""
+        if not (self.tasks and self.kinds):
+            raise InvalidConfigError(
+                "There is nothing to play. Name a task and a kind of instruction."
+            )
         for task in self.tasks:
             check_split(task, self.split)
         for kind in self.kinds:
