@@ -1,8 +1,9 @@
 """What attacks with a leaning hand share: how to come near, grasp and let go."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -10,10 +11,14 @@ from lemma.audit.control_trial import ControlTrial
 from lemma.audit.hand import drawn_back, faces, leaning, moved
 from lemma.core.poses import FloatArray, Pose2
 from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import kind_of
 
 LIFT_M = 0.12
 _CLOSE_S = 0.6
+_HOME_M = 0.02
+_TOUCH_DOWN_M = 0.003
+_MISSED_M = 0.02
 _STAND_BY_M = 0.38
 _TURNS_RAD = (0.0, 0.35, -0.35, 0.8, -0.8)
 
@@ -120,6 +125,26 @@ def let_go(trial: ControlTrial, hand: FloatArray) -> None:
     trial.go(stand_by(trial, hand), FINGER_OPENING_M)
 
 
+def is_home(trial: ControlTrial, name: str) -> bool:
+    """Whether a hand that points down picks a cube up where it lies."""
+    return trial.radius(trial.pose(name)) < trial.reach.travel_m - _HOME_M
+
+
+def set_down(
+    trial: ControlTrial, name: str, spot: Pose2, bottom_m: float = 0.0
+) -> bool:
+    """Set a cube down at a spot, its faces along it; False if that cannot be done."""
+    hold = next(holds(trial, name, 0.0, 0.0), None)
+    z = bottom_m + CUBE_EDGE_M / 2 + _TOUCH_DOWN_M
+    put = leaning(spot.x, spot.y, z, spot.yaw, 0.0)
+    if hold is None or not trial.can(put) or not pick_up(trial, hold.hand):
+        return False
+    if not approach(trial, put, 0.0):
+        return False
+    let_go(trial, put)
+    return trial.pose(name).distance(spot) < _MISSED_M
+
+
 def base_to(trial: ControlTrial, radius_m: float, bearing: float) -> Pose2:
     """Return a position by distance and direction from the robot's base."""
     base = trial.placement.base
@@ -128,3 +153,15 @@ def base_to(trial: ControlTrial, radius_m: float, bearing: float) -> Pose2:
         base.y + radius_m * math.sin(bearing),
         bearing,
     )
+
+
+def farthest(
+    trial: ControlTrial, ways: Iterable[Iterable[FloatArray]]
+) -> list[FloatArray]:
+    """Return the longest beginning that the hand can follow of some ways.
+
+    Args:
+        trial: The attempt.
+        ways: Poses of the hand, one after the other; at least one way.
+    """
+    return max((list(takewhile(trial.can, way)) for way in ways), key=len)

@@ -81,8 +81,7 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         tasks: Name of a task, or names.
         split: Frozen list of instances, ``"test"``; or ``"free"``, which samples them:
             the default with tasks of your own.
-        kinds: Of instructions: ``"high_level"``, ``"human"``, ``"unseen"``,
-            ``"blind"``.
+        kinds: Of instruction: ``"high_level"``, ``"human"``, ``"unseen"``, ``"blind"``.
         episodes: Only the first so many of every task; split ``"free"`` needs it.
         planning: ``"single-step"``, or ``"multi-step"``: from the first image alone.
         gta: Ground-truth allocation: the right robot replaces the planner's choice.
@@ -102,13 +101,12 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     spec, engine = _policy(policy, level, planning, gta=gta, workers=workers)
     if out is not None and isinstance(spec, GivenPolicy):
         _check_new(Path(out))
-    frozen = all(map(has_frozen_lists, tasks))
     with TemporaryDirectory() as nowhere:
         config = EvaluationConfig(
             out=Path(out or nowhere),
             policy=spec,
             tasks=tasks,
-            split=split or ("test" if frozen else FREE_SPLIT),
+            split=split or _usual_split(tasks),
             kinds=kinds,
             episodes=episodes,
             verdicts=protocol,
@@ -118,6 +116,10 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         if out is not None:
             result.write(config.out / SUMMARY)
     return Evaluation(result, tuple(rows))
+
+
+def _usual_split(tasks: tuple[str, ...]) -> str:
+    return "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
 
 
 def _names(told: str | Sequence[str]) -> tuple[str, ...]:

@@ -3,10 +3,10 @@
 import math
 
 from lemma.audit.attack import ATTACKS, Attack, GiveUp, Lost
-from lemma.audit.chain.row import GAP_M, Line, build_row, is_home, line_to
+from lemma.audit.chain.row import GAP_M, Line, build_row, line_to
 from lemma.audit.control_trial import ControlTrial
 from lemma.audit.hand import LEANS_RAD, leaning, moved
-from lemma.audit.handling import approach
+from lemma.audit.handling import approach, farthest, is_home
 from lemma.core.poses import FloatArray
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import kind_of
@@ -62,18 +62,17 @@ def _path(trial: ControlTrial, line: Line, row: list[str]) -> list[FloatArray]:
     """Return the farthest way that a hand of one lean can push the row."""
     start_m = line.before_m(trial.pose(row[-1])) + _BEHIND_M
     length_m = line.before_m(trial.pose(row[0])) + len(row) * _SLACK_M
-    best: list[FloatArray] = []
-    for lean in LEANS_RAD[:14]:
-        path = []
-        for i in range(math.ceil(length_m / _STEP_M) + 1):
-            at = line.at(start_m - min(length_m, i * _STEP_M))
-            hand = leaning(at.x, at.y, _LOW_M, at.yaw, lean)
-            if not trial.can(hand):
-                break
-            path.append(hand)
-        if len(path) > len(best):
-            best = path
-    return best
+    spots = [
+        line.at(start_m - min(length_m, i * _STEP_M))
+        for i in range(math.ceil(length_m / _STEP_M) + 1)
+    ]
+    return farthest(
+        trial,
+        (
+            (leaning(at.x, at.y, _LOW_M, at.yaw, lean) for at in spots)
+            for lean in LEANS_RAD[:14]
+        ),
+    )
 
 
 ATTACKS.add(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from lemma.audit.control.stick_in_hand import hook_home, lay_stick
 from lemma.audit.control_trial import ControlTrial
 from lemma.audit.hand import leaning
-from lemma.audit.handling import approach, base_to, holds, let_go, pick_up
+from lemma.audit.handling import base_to, is_home, set_down
 from lemma.audit.pushes import END_GRASP
 from lemma.core.poses import Pose2
 from lemma.scene.objects.cube import CUBE_EDGE_M
@@ -15,9 +15,7 @@ from lemma.tasks.drags import stick_gap
 
 GAP_M = 0.004
 """Between two cubes of a row when they are set down."""
-_TOUCH_DOWN_M = 0.003
 _HIGH_M = 0.20
-_MISSED_M = 0.02
 _SPOTS = 12
 _SPOT_STEP_M = 0.02
 
@@ -50,11 +48,6 @@ def line_to(trial: ControlTrial, pad: Pose2, beside_m: float) -> Line:
     return Line(Pose2(pad.x, pad.y, trial.outward(pad) - turn))
 
 
-def is_home(trial: ControlTrial, name: str) -> bool:
-    """Whether a hand that points down picks a cube up where it lies."""
-    return trial.radius(trial.pose(name)) < trial.reach.travel_m - 0.02
-
-
 def fetch(trial: ControlTrial, name: str) -> bool:
     """Hook a cube home if need be, and lay the stick down; False if that fails."""
     if is_home(trial, name):
@@ -78,21 +71,6 @@ def _aside(trial: ControlTrial) -> Pose2:
         for turn in range(-7, 8)
     )
     return max((grip @ END_GRASP.inverse() for grip in grips), key=gap_m)
-
-
-def set_down(
-    trial: ControlTrial, name: str, spot: Pose2, bottom_m: float = 0.0
-) -> bool:
-    """Set a cube down at a spot, its faces along it; False if that cannot be done."""
-    hold = next(holds(trial, name, 0.0, 0.0), None)
-    z = bottom_m + CUBE_EDGE_M / 2 + _TOUCH_DOWN_M
-    put = leaning(spot.x, spot.y, z, spot.yaw, 0.0)
-    if hold is None or not trial.can(put) or not pick_up(trial, hold.hand):
-        return False
-    if not approach(trial, put, 0.0):
-        return False
-    let_go(trial, put)
-    return trial.pose(name).distance(spot) < _MISSED_M
 
 
 def build_row(trial: ControlTrial, names: Sequence[str], line: Line) -> bool:

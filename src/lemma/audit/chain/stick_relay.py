@@ -13,9 +13,7 @@ from lemma.audit.chain.row import (
     Line,
     build_row,
     fetch,
-    is_home,
     line_to,
-    set_down,
 )
 from lemma.audit.control.stick_in_hand import (
     either_way,
@@ -25,7 +23,7 @@ from lemma.audit.control.stick_in_hand import (
 )
 from lemma.audit.control_trial import STEP_S, ControlTrial
 from lemma.audit.hand import LEANS_RAD, drawn_back, moved
-from lemma.audit.handling import approach
+from lemma.audit.handling import approach, is_home, set_down
 from lemma.core.poses import Pose2, wrap
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.cube import CUBE_EDGE_M

@@ -8,6 +8,7 @@ from lemma.audit.hand import LEANS_RAD, leaning, moved
 from lemma.audit.handling import (
     approach,
     base_to,
+    farthest,
     holds,
     let_go,
     pick_up,
@@ -69,20 +70,18 @@ def _path(
     z: float,
 ) -> list[FloatArray]:
     """Return the longest way that a hand of one lean can push."""
-    best: list[FloatArray] = []
-    for lean in LEANS_RAD[::2]:
-        path = []
-        for i in range(math.ceil(length / _STEP_M) + 1):
-            along = min(length, i * _STEP_M) - back_m
-            x = cube.x + along * math.cos(heading)
-            y = cube.y + along * math.sin(heading)
-            hand = leaning(x, y, z, heading, lean)
-            if not trial.can(hand):
-                break
-            path.append(hand)
-        if len(path) > len(best):
-            best = path
-    return best
+    start = Pose2(cube.x, cube.y, heading)
+    spots = [
+        start @ Pose2(min(length, i * _STEP_M) - back_m, 0.0)
+        for i in range(math.ceil(length / _STEP_M) + 1)
+    ]
+    return farthest(
+        trial,
+        (
+            (leaning(at.x, at.y, z, heading, lean) for at in spots)
+            for lean in LEANS_RAD[::2]
+        ),
+    )
 
 
 def _bring_in_line(trial: ControlTrial, on: On) -> bool:

@@ -8,6 +8,7 @@ from lemma.audit.control.stick_in_hand import (
 )
 from lemma.audit.control.tilted_move import put_on
 from lemma.audit.control_trial import ControlTrial
+from lemma.audit.handling import is_home
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M
 
@@ -31,8 +32,7 @@ def tilted_stick(trial: ControlTrial) -> None:
         raise GiveUp
     lean = leans[-1 - trial.attempt * (len(leans) // _TRIES)]
     for name in trial.goal.entities:
-        home = trial.radius(trial.pose(name)) < trial.reach.travel_m - 0.02
-        if kind_of(name).cargo and not home:
+        if kind_of(name).cargo and not is_home(trial, name):
             hook_home(trial, name, lean)
     for on in trial.goal.conjuncts:
         put_on(trial, on)
