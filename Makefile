@@ -21,7 +21,7 @@ CHECKED := src tests examples scripts docs
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help setup setup-dev demo bench test lint types layers docs tests \
-	test-lerobot format clean
+	test-lerobot test-warp format clean
 
 help: ## Say what the targets do.
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -69,6 +69,20 @@ $(LEROBOT_VENV)/stamp: pyproject.toml
 	@echo "Installing lerobot into $(LEROBOT_VENV) ..."
 	@$(LEROBOT_PYTHON) -m venv --clear $(LEROBOT_VENV)
 	@$(LEROBOT_VENV)/bin/python -m pip install -qq -e '.[lerobot]' pytest
+	@touch $@
+
+# Only the parity of renderers needs MuJoCo Warp (0.5 GB); a CPU will do.
+WARP_VENV := .venv-warp
+
+test-warp: $(WARP_VENV)/stamp ## MuJoCo Warp sees what OpenGL sees.
+	$(WARP_VENV)/bin/python -m pytest -q -p no:cacheprovider \
+		tests/scene/test_ray_tracer.py
+
+$(WARP_VENV)/stamp: pyproject.toml constraints.txt
+	@echo "Installing MuJoCo Warp into $(WARP_VENV) ..."
+	@$(PYTHON) -m venv --clear $(WARP_VENV)
+	@$(WARP_VENV)/bin/python -m pip install -qq -c constraints.txt -e '.[warp]' \
+		hypothesis pytest
 	@touch $@
 
 format: setup-dev ## Format the code and fix what can be fixed.

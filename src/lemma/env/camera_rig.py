@@ -30,7 +30,7 @@ from lemma.scene.cameras import (
 )
 from lemma.scene.model_cameras import camera_from_model
 from lemma.scene.raster import LARGEST, RASTER, UNIT_M, MapImage
-from lemma.scene.rendering.renderer import Renderer
+from lemma.scene.rendering.batch import BATCH_RENDERERS, Pictures
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
 
@@ -79,7 +79,10 @@ class CameraRig:
     """
 
     def __init__(
-        self, width: int = CAMERA_WIDTH_PX, height: int = CAMERA_HEIGHT_PX
+        self,
+        width: int = CAMERA_WIDTH_PX,
+        height: int = CAMERA_HEIGHT_PX,
+        renderer: str = "opengl",
     ) -> None:
         """Prepare; OpenGL is started by the first picture.
 
@@ -87,11 +90,14 @@ class CameraRig:
             width: Width of camera images [px]. Maps are fused from them, so policies
                 should see with the size that they were trained with.
             height: Height of camera images [px].
+            renderer: A name in :data:`lemma.scene.rendering.batch.BATCH_RENDERERS`.
 
         Raises:
             InvalidConfigError: The size is impossible.
+            UnknownNameError: There is no such renderer.
+            RenderingError: It is not installed.
         """
-        self._renderer = Renderer(width, height)
+        self._renderer = BATCH_RENDERERS[renderer](width, height)
         self._size = (width, height)
 
     def look(
@@ -141,15 +147,53 @@ class CameraRig:
         Raises:
             RenderingError: OpenGL does not work here.
         """
+        pictures = self.film(scene, qpos[None], cameras)
+        assert pictures.depth_m is not None
         data = scene.posed(qpos)
-        found = {}
-        for name in cameras:
-            own = name in scene.spec.robot_names
-            camera = f"{name}/camera" if own else self.calibrated(scene, data, name)
-            image = self._renderer.rgbd(scene.model, data, camera)
-            round_depth(image.depth_m)
-            found[name] = image
-        return found
+        return {
+            name: CameraImage(rgb, depth_m, self.calibrated(scene, data, name))
+            for name, rgb, depth_m in zip(
+                cameras, pictures.rgb[0], pictures.depth_m[0], strict=True
+            )
+        }
+
+    def film(
+        self,
+        scene: Scene,
+        qpos: FloatArray,
+        cameras: Sequence[str],
+        *,
+        depth: bool = True,
+    ) -> Pictures:
+        """Render some cameras in many states, with depths as they are stored.
+
+        Args:
+            scene: The scene; its own state is left alone.
+            qpos: The positions of all its joints in each state, (states, nq).
+            cameras: Names of the cameras, see :func:`camera_names`.
+            depth: Whether to render depth too.
+
+        Raises:
+            RenderingError: The renderer does not work here.
+        """
+
+        def aim(data: mujoco.MjData) -> list[str | Camera]:
+            return [
+                f"{name}/camera"
+                if name in scene.spec.robot_names
+                else self.calibrated(scene, data, name)
+                for name in cameras
+            ]
+
+        pictures = self._renderer.render(scene, qpos, aim, depth=depth)
+        if pictures.depth_m is not None:
+            for image in pictures.depth_m.reshape(-1, *pictures.depth_m.shape[-2:]):
+                round_depth(image)
+        return pictures
+
+    def describe(self) -> str:
+        """Return what draws, and on what."""
+        return self._renderer.describe()
 
     def calibrated(self, scene: Scene, data: mujoco.MjData, name: str) -> Camera:
         """Return intrinsics and extrinsics of a camera.

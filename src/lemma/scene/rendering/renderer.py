@@ -125,12 +125,7 @@ class Renderer:
             if isinstance(camera, str)
             else camera
         )
-        lens = calibrated.intrinsics
-        if (lens.width, lens.height) != size:
-            raise InvalidConfigError(
-                f"Camera {calibrated.name!r} makes images of {lens.width} x "
-                f"{lens.height} pixels, but this renderer makes {size[0]} x {size[1]}."
-            )
+        self._check_size(calibrated)
         rgb = np.empty((self.height, self.width, 3), np.uint8)
         buffer = np.empty((self.height, self.width), np.float32)
         scene = self._draw(model, data, camera, rgb, buffer)
@@ -139,19 +134,26 @@ class Renderer:
         return CameraImage(_upright(rgb), _upright(depth_m), calibrated)
 
     def rgb(
-        self, model: mujoco.MjModel, data: mujoco.MjData, view: str | FreeCamera
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        view: str | Camera | FreeCamera,
     ) -> RgbImage:
         """Render color only, shape (height, width, 3).
 
         Args:
             model: The scene.
             data: Its state, with derived poses up to date (``mj_forward``).
-            view: A camera's name in the scene, or a free camera.
+            view: A camera's name in the scene, a calibrated camera of this size, or a
+                free camera.
 
         Raises:
             UnknownNameError: The scene has no such camera.
+            InvalidConfigError: The camera makes images of another size.
             RenderingError: OpenGL does not work here.
         """
+        if isinstance(view, Camera):
+            self._check_size(view)
         factor = self.quality.oversampling
         pixels = np.empty((self.height * factor, self.width * factor, 3), np.uint8)
         self._draw(model, data, view, pixels, None)
@@ -190,6 +192,19 @@ class Renderer:
     def close(self) -> None:
         """Forget the last scene; the renderer can still be used afterwards."""
         self._model = self._scene = self._upload = None
+
+    def _check_size(self, camera: Camera) -> None:
+        """Check that a camera makes images of this size.
+
+        Raises:
+            InvalidConfigError: It does not.
+        """
+        lens = camera.intrinsics
+        if (lens.width, lens.height) != (self.width, self.height):
+            raise InvalidConfigError(
+                f"Camera {camera.name!r} makes images of {lens.width} x {lens.height} "
+                f"pixels, but this renderer makes {self.width} x {self.height}."
+            )
 
     def _draw(
         self,

@@ -1,0 +1,168 @@
+"""Color and depth of many states of a scene: one protocol, and who speaks it.
+
+``opengl`` draws one picture after the other, as environments do. ``warp`` traces the
+rays of hundreds of states at once on an NVIDIA GPU, see
+:mod:`lemma.scene.rendering.ray_tracer`. Both see the same to within a step of 8-bit
+color and a micrometre of depth, except where an edge runs through a pixel.
+"""
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.engine import mujoco
+from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import FloatArray
+from lemma.core.registry import Registry
+from lemma.scene.cameras import Camera
+from lemma.scene.rendering.gl_backend import choose_backend
+from lemma.scene.rendering.renderer import Renderer
+from lemma.scene.scene import Scene
+
+AUTO = "auto"
+"""The name that stands for the fastest one that works here."""
+_MOST_STATES = 256
+_MOST_PIXELS = 2**23
+
+Aim = Callable[[mujoco.MjData], Sequence[str | Camera]]
+"""Says which cameras look at a state, whose derived poses are up to date: names in the
+scene, or calibrated cameras, which may move from state to state."""
+
+
+class Pictures(NamedTuple):
+    """What some cameras see in some states."""
+
+    rgb: NDArray[np.uint8]
+    """Color, shape (states, cameras, height, width, 3)."""
+    depth_m: NDArray[np.float32] | None
+    """Distance along the camera's z axis [m], shape (states, cameras, height, width);
+    0: nothing. None if it was not asked for."""
+
+
+class BatchRenderer(Protocol):
+    """Renders many states of one scene. Make one per process and keep it."""
+
+    def render(
+        self, scene: Scene, qpos: FloatArray, aim: Aim, *, depth: bool
+    ) -> Pictures:
+        """Render some states.
+
+        Args:
+            scene: What to look at; its own state is left alone.
+            qpos: The positions of all joints in each state, shape (states, nq).
+            aim: Says which cameras look; as many for every state.
+            depth: Whether to render depth too.
+
+        Raises:
+            UnknownNameError: The scene has no such camera.
+            RenderingError: It does not work here.
+        """
+        ...
+
+    def describe(self) -> str:
+        """Return what draws, and on what: part of what decides the bytes."""
+        ...
+
+    def close(self) -> None:
+        """Forget the last scene; the renderer can still be used afterwards."""
+        ...
+
+
+class OpenGLRenderer:
+    """One picture after the other; on a GPU where EGL finds one, else in software."""
+
+    def __init__(self, width: int, height: int) -> None:
+        """Prepare; OpenGL is started by the first picture.
+
+        Raises:
+            InvalidConfigError: The size is impossible.
+        """
+        self._renderer = Renderer(width, height)
+
+    def render(
+        self, scene: Scene, qpos: FloatArray, aim: Aim, *, depth: bool
+    ) -> Pictures:
+        """Render some states; see :class:`BatchRenderer`."""
+        colors, depths = [], []
+        for row in qpos:
+            data = scene.posed(row)
+            for camera in aim(data):
+                if depth:
+                    image = self._renderer.rgbd(scene.model, data, camera)
+                    depths.append(image.depth_m)
+                    colors.append(image.rgb)
+                else:
+                    colors.append(self._renderer.rgb(scene.model, data, camera))
+        size = (len(qpos), -1, self._renderer.height, self._renderer.width)
+        return Pictures(
+            np.array(colors).reshape(*size, 3),
+            np.array(depths).reshape(size) if depth else None,
+        )
+
+    def describe(self) -> str:
+        """Return the name of what draws."""
+        return choose_backend().renderer
+
+    def close(self) -> None:
+        """Forget the last scene."""
+        self._renderer.close()
+
+
+def _make_ray_tracer(width: int, height: int) -> BatchRenderer:
+    from lemma.scene.rendering.ray_tracer import RayTracer  # noqa: PLC0415
+
+    return RayTracer(width, height)
+
+
+BATCH_RENDERERS: Registry[Callable[[int, int], BatchRenderer]] = Registry("renderer")
+"""What makes a renderer of pictures of a width and height [px], by name."""
+BATCH_RENDERERS.add("opengl", OpenGLRenderer)
+BATCH_RENDERERS.add("warp", _make_ray_tracer)
+
+
+def choose_renderer(name: str) -> str:
+    """Return the name of a renderer that is to be used here.
+
+    Args:
+        name: A name in :data:`BATCH_RENDERERS`, or ``"auto"``: ``warp`` where it is
+            installed and there is a GPU for it, else ``opengl``.
+
+    Raises:
+        UnknownNameError: There is no such renderer.
+        RenderingError: It is not installed.
+    """
+    if name == AUTO:
+        return "warp" if _has_gpu_for_warp() else "opengl"
+    # A missing package is known before any worker starts.
+    BATCH_RENDERERS[name](1, 1)
+    return name
+
+
+def _has_gpu_for_warp() -> bool:
+    if importlib.util.find_spec("mujoco_warp") is None:
+        return False
+    from lemma.scene.rendering.ray_tracer import has_gpu  # noqa: PLC0415
+
+    return has_gpu()
+
+
+def states_at_once(width: int, height: int, cameras: int) -> int:
+    """Return how many states to render together: memory is bounded by pixels.
+
+    Args:
+        width: Of every picture [px].
+        height: Of every picture [px].
+        cameras: How many look at each state.
+
+    Raises:
+        InvalidConfigError: There is nothing to render.
+    """
+    if min(width, height, cameras) < 1:
+        raise InvalidConfigError(
+            f"{cameras} cameras of {width} x {height} pixels see nothing. All three "
+            "must be at least 1."
+        )
+    return max(1, min(_MOST_STATES, _MOST_PIXELS // (width * height * cameras)))

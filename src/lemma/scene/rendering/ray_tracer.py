@@ -1,0 +1,256 @@
+"""MuJoCo Warp's ray tracer: hundreds of states of a scene in one launch on a GPU.
+
+The optional packages ``mujoco-warp`` and ``warp-lang`` are imported by whoever makes
+one. They also run on a CPU, slower than OpenGL, for tests.
+
+MuJoCo itself computes the poses, in double precision; the GPU gets where every geom,
+camera and lamp is and traces one ray per pixel. That keeps the simulation of MuJoCo
+Warp out of it: its ray tracer alone is compiled, once per machine and kinds of geoms.
+"""
+
+import hashlib
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.metadata import version
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from lemma.core.engine import mujoco
+from lemma.core.errors import InvalidConfigError, RenderingError
+from lemma.core.poses import FloatArray, matrix_from_quaternion
+from lemma.scene.cameras import Camera
+from lemma.scene.model_cameras import camera_from_model
+from lemma.scene.rendering.batch import Aim, Pictures, states_at_once
+from lemma.scene.scene import Scene
+
+_VISIBLE_GROUPS = [0, 1, 2]
+_KEPT_CONTEXTS = 4
+"""Kept on the GPU: their meshes and trees serve every scene of the same shapes."""
+_LARGEST_PX = 8192
+# What a context is made of, beside what is handed over with every launch.
+_SHAPES = (
+    *("geom_type", "geom_group", "light_type", "light_attenuation"),
+    *("mesh_vert", "mesh_face", "mesh_faceadr", "mesh_vertadr"),
+    *("mesh_normal", "mesh_facenormal"),
+)
+
+
+@cache
+def _packages() -> tuple[ModuleType, ModuleType]:
+    """Return warp and mujoco_warp.
+
+    Raises:
+        RenderingError: One is not installed.
+    """
+    try:
+        import mujoco_warp  # noqa: PLC0415
+        import warp  # noqa: PLC0415
+    except ImportError as error:
+        raise RenderingError(
+            "The renderer 'warp' needs MuJoCo Warp, which is not installed: pip "
+            "install 'lemma-bench[warp]', or '.[warp]' in a checkout. The renderer "
+            "'opengl' needs nothing more."
+        ) from error
+    warp.config.quiet = True
+    warp.init()
+    return warp, mujoco_warp
+
+
+def has_gpu() -> bool:
+    """Return whether Warp finds a GPU.
+
+    Raises:
+        RenderingError: MuJoCo Warp is not installed.
+    """
+    return bool(_packages()[0].is_cuda_available())
+
+
+@dataclass(slots=True)
+class _Poses:
+    """Where everything is in each state: what a launch reads of MuJoCo Warp's data."""
+
+    nworld: int
+    geom_xpos: Any
+    geom_xmat: Any
+    cam_xpos: Any
+    cam_xmat: Any
+    light_xpos: Any
+    light_xdir: Any
+    flexvert_xpos: Any
+
+
+class RayTracer:
+    """Renders many states at once; see :mod:`lemma.scene.rendering.batch`."""
+
+    def __init__(self, width: int, height: int) -> None:
+        """Prepare.
+
+        Args:
+            width: Width of every picture [px].
+            height: Height of every picture [px].
+
+        Raises:
+            InvalidConfigError: The size is impossible.
+            RenderingError: MuJoCo Warp is not installed.
+        """
+        if not (1 <= width <= _LARGEST_PX and 1 <= height <= _LARGEST_PX):
+            raise InvalidConfigError(
+                f"A picture of {width} x {height} pixels cannot be rendered. Both "
+                f"sides must be from 1 to {_LARGEST_PX}."
+            )
+        _packages()
+        self._size = (width, height)
+        self._contexts: OrderedDict[tuple[object, ...], Any] = OrderedDict()
+        self._scene: Scene | None = None
+        self._model: Any = None
+        self._shapes = ""
+
+    def render(
+        self, scene: Scene, qpos: FloatArray, aim: Aim, *, depth: bool
+    ) -> Pictures:
+        """Render some states: see the protocol ``BatchRenderer``."""
+        self._take(scene)
+        places, cameras = [], []
+        for row in qpos:
+            data = scene.posed(row)
+            seen = [
+                camera_from_model(scene.model, data, camera, *self._size)
+                if isinstance(camera, str)
+                else camera
+                for camera in aim(data)
+            ]
+            places.append(_places(data))
+            cameras.append([_eye(camera) for camera in seen])
+        eyes = np.array(cameras)
+        together = states_at_once(*self._size, eyes.shape[1])
+        parts = [
+            self._trace(places[i : i + together], eyes[i : i + together], depth=depth)
+            for i in range(0, len(qpos), together)
+        ]
+        rgb = np.concatenate([part.rgb for part in parts])
+        depths = [part.depth_m for part in parts if part.depth_m is not None]
+        return Pictures(rgb, np.concatenate(depths) if depth else None)
+
+    def describe(self) -> str:
+        """Return versions and device."""
+        warp, _ = _packages()
+        return f"MuJoCo Warp {version('mujoco-warp')}, {warp.get_device().name}"
+
+    def close(self) -> None:
+        """Forget everything that is held on the device."""
+        self._contexts.clear()
+        self._scene = self._model = None
+
+    def _take(self, scene: Scene) -> None:
+        """Bring a scene's colors, sizes and lamps to the device, if it is another."""
+        if self._scene is scene:
+            return
+        model = scene.model
+        digest = hashlib.sha256()
+        for name in _SHAPES:
+            digest.update(np.ascontiguousarray(getattr(model, name)).tobytes())
+        view, lamp = model.vis.map, model.vis.headlight
+        for value in (
+            *(view.znear, view.zfar, model.stat.extent, lamp.active),
+            *(*lamp.ambient, *lamp.diffuse, *lamp.specular),
+        ):
+            digest.update(np.float64(value).tobytes())
+        self._shapes = digest.hexdigest()
+        self._model = _packages()[1].put_model(model)
+        self._scene = scene
+
+    def _trace(
+        self, places: list[tuple[FloatArray, ...]], eyes: FloatArray, *, depth: bool
+    ) -> Pictures:
+        """Render states that fit into one launch."""
+        warp, tracer = _packages()
+        states, cameras = eyes.shape[:2]
+        context = self._context(states, cameras, depth=depth)
+        geoms, turns, lamps, beams = (
+            np.array(part) for part in zip(*places, strict=True)
+        )
+
+        def put(array: FloatArray, kind: Any) -> Any:
+            return warp.array(np.ascontiguousarray(array, np.float32), dtype=kind)
+
+        poses = _Poses(
+            nworld=states,
+            geom_xpos=put(geoms, warp.vec3),
+            geom_xmat=put(turns.reshape(*turns.shape[:2], 3, 3), warp.mat33),
+            cam_xpos=put(eyes[..., :3], warp.vec3),
+            cam_xmat=put(eyes[..., 3:12].reshape(states, cameras, 3, 3), warp.mat33),
+            light_xpos=put(lamps, warp.vec3),
+            light_xdir=put(beams, warp.vec3),
+            flexvert_xpos=warp.empty((states, 0), dtype=warp.vec3),
+        )
+        model = replace(
+            self._model,
+            cam_projection=warp.zeros(cameras, dtype=int),
+            cam_fovy=put(eyes[..., 12], float),
+            cam_sensorsize=warp.zeros(cameras, dtype=warp.vec2),
+            cam_intrinsic=warp.zeros((1, cameras), dtype=warp.vec4),
+        )
+        tracer.refit_bvh(model, poses, context)
+        tracer.render(model, poses, context)
+        width, height = self._size
+        packed = context.rgb_data[:states].numpy()
+        channels = packed.view(np.uint8).reshape(states, cameras, height, width, 4)
+        # Bytes are blue, green, red and opacity.
+        rgb = np.ascontiguousarray(channels[..., 2::-1])
+        if not depth:
+            return Pictures(rgb, None)
+        depth_m = context.depth_data[:states].numpy()
+        return Pictures(rgb, depth_m.reshape(states, cameras, height, width).copy())
+
+    def _context(self, states: int, cameras: int, *, depth: bool) -> Any:
+        """Return buffers and trees for scenes of these shapes."""
+        warp, tracer = _packages()
+        # Episodes differ in length, and share contexts if there is room for more.
+        room = 1 << (states - 1).bit_length()
+        key = (self._shapes, room, cameras, depth)
+        context = self._contexts.pop(key, None)
+        if context is None:
+            assert self._scene is not None
+            context = tracer.create_render_context(
+                self._scene.model,
+                nworld=room,
+                cam_res=[self._size] * cameras,
+                # Which one is no matter: poses and lenses come with every launch.
+                cam_active=[0] * cameras,
+                render_rgb=[True] * cameras,
+                render_depth=[depth] * cameras,
+                render_seg=[False] * cameras,
+                use_textures=False,
+                use_precomputed_rays=False,
+                enabled_geom_groups=_VISIBLE_GROUPS,
+            )
+            context.cam_id_map = warp.array(np.arange(cameras), dtype=int)
+        self._contexts[key] = context
+        if len(self._contexts) > _KEPT_CONTEXTS:
+            self._contexts.popitem(last=False)
+        return context
+
+
+def _places(data: mujoco.MjData) -> tuple[FloatArray, ...]:
+    """Return poses of geoms, and places and directions of lamps."""
+    return (
+        data.geom_xpos.copy(),
+        data.geom_xmat.copy(),
+        data.light_xpos.copy(),
+        data.light_xdir.copy(),
+    )
+
+
+def _eye(camera: Camera) -> FloatArray:
+    """Return position, rotation (as MuJoCo's: y up, z backward) and field of view.
+
+    Returns:
+        Shape (13,): position [m], rows of the rotation, vertical field of view [deg].
+    """
+    pose = camera.world_from_camera
+    rotation = matrix_from_quaternion(pose.quaternion) * np.array([1.0, -1.0, -1.0])
+    fovy_deg = np.degrees(camera.intrinsics.fovy_rad)
+    return np.array([*pose.position, *rotation.ravel(), fovy_deg])
