@@ -16,12 +16,12 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	2>/dev/null && echo $$p && break; done)
 INSTALL := $(BIN)/python -m pip install -qq -c constraints.txt
 INPUTS := pyproject.toml constraints.txt Makefile scripts/prepare_system.py
-CHECKED := src tests examples scripts docs
+CHECKED := src tests examples scripts docs integrations
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help setup setup-dev demo bench test lint types layers docs tests \
-	test-lerobot test-warp format clean
+	test-lerobot test-warp test-vla-eval format clean
 
 help: ## Say what the targets do.
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -83,6 +83,20 @@ $(WARP_VENV)/stamp: pyproject.toml constraints.txt
 	@$(PYTHON) -m venv --clear $(WARP_VENV)
 	@$(WARP_VENV)/bin/python -m pip install -qq -c constraints.txt -e '.[warp]' \
 		hypothesis pytest
+
+# vla-eval is needed for its own test alone (1.3 GB).
+VLA_EVAL_VENV := .venv-vla-eval
+
+test-vla-eval: $(VLA_EVAL_VENV)/stamp ## The real vla-eval plays LEMMA.
+	$(VLA_EVAL_VENV)/bin/python -m pytest -q -p no:cacheprovider \
+		-c tests/vla_eval/pytest.ini --confcutdir=tests/vla_eval \
+		tests/vla_eval/check_vla_eval.py
+
+$(VLA_EVAL_VENV)/stamp: pyproject.toml constraints.txt integrations/vla_eval/pyproject.toml
+	@echo "Installing vla-eval into $(VLA_EVAL_VENV) ..."
+	@$(PYTHON) -m venv --clear $(VLA_EVAL_VENV)
+	@$(VLA_EVAL_VENV)/bin/python -m pip install -qq -c constraints.txt \
+		-e '.[serve]' -e integrations/vla_eval pytest
 	@touch $@
 
 format: setup-dev ## Format the code and fix what can be fixed.

@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 PYTHON_FILES = SOURCES + sorted(
     path
-    for folder in ("tests", "examples", "scripts", "docs")
+    for folder in ("tests", "examples", "scripts", "docs", "integrations")
     for path in (ROOT / folder).rglob("*.py")
 )
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -37,7 +37,7 @@ MAX_MODULES = 12
 VERBS = "src/lemma/cli"
 """Has a file for each verb of the command, however many there are."""
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "misc", "common"}
-TOP_FOLDERS = ("src", "tests", "examples", "docs", "scripts", ".ci")
+TOP_FOLDERS = ("src", "tests", "examples", "docs", "scripts", "integrations", ".ci")
 
 
 def relative(path: Path) -> str:

@@ -1,0 +1,266 @@
+"""The messages of vla-eval, version 1 of its protocol: motor commands over a WebSocket.
+
+Harness and model servers of the package ``vla-eval`` talk so. Each message is a msgpack
+map of ``type``, ``payload``, ``seq`` and ``timestamp``; an answer has the ``seq`` of
+its question. Nothing of that package is needed here.
+"""
+
+import io
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from importlib import import_module
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.errors import InvalidConfigError, shown
+from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
+
+VERSION = 1
+"""Version of the protocol: both sides say it, and ours compare it."""
+_ARRAY, _IMAGE = "__ndarray__", "__image__"
+_NUMBERS = "biuf"
+_FORMATS = ("png", "jpeg", "raw")
+_DEEPEST = 16
+
+
+class Kind(StrEnum):
+    """What a message is."""
+
+    HELLO = "hello"
+    """The first of a connection; its answer says what the server is."""
+    EPISODE_START = "episode_start"
+    """An episode begins; there is no answer but an error."""
+    OBSERVATION = "observation"
+    """What is seen now; the answer is an action."""
+    ACTION = "action"
+    EPISODE_END = "episode_end"
+    """What became of the episode; there is no answer."""
+    ERROR = "error"
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message."""
+
+    kind: Kind
+    payload: Mapping[str, Any]
+    seq: int = 0
+    timestamp: float = field(default_factory=time.time)
+
+
+def pack(message: Message) -> bytes:
+    """Return a message as bytes; arrays travel as they are, images uncompressed.
+
+    Raises:
+        ProtocolError: It holds what cannot be sent.
+    """
+    raw = {
+        "type": message.kind.value,
+        "payload": message.payload,
+        "seq": message.seq,
+        "timestamp": message.timestamp,
+    }
+    try:
+        return msgspec.msgpack.encode(raw, enc_hook=_plain)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise ProtocolError(f"A message cannot be sent: {error}.") from error
+
+
+def unpack(data: bytes | str) -> Message:
+    """Return the message that bytes mean, with arrays and images as arrays.
+
+    Raises:
+        ProtocolError: They are none.
+    """
+    if isinstance(data, str):
+        raise ProtocolError("Messages are binary frames of msgpack, not text.")
+    try:
+        raw = msgspec.msgpack.decode(data)
+    except (msgspec.DecodeError, RecursionError, ValueError) as error:
+        raise ProtocolError(f"A message is no msgpack: {error}.") from error
+    fields = ("type", "payload", "seq", "timestamp")
+    if not isinstance(raw, dict) or not raw.keys() >= set(fields):
+        raise ProtocolError(
+            f"A message is {shown(raw)}; one of vla-eval is a map of "
+            f"{', '.join(fields)}."
+        )
+    if raw["type"] not in set(Kind):
+        raise ProtocolError(
+            f"A message has the type {shown(raw['type'])}. Valid: {', '.join(Kind)}."
+        )
+    payload, seq, stamp = raw["payload"], raw["seq"], raw["timestamp"]
+    if not (
+        isinstance(payload, dict)
+        and type(seq) is int
+        and isinstance(stamp, int | float)
+    ):
+        raise ProtocolError(
+            f"The {raw['type']} has a payload, seq and timestamp of other types than "
+            "a map and two numbers."
+        )
+    return Message(Kind(raw["type"]), _read(payload), seq, float(stamp))
+
+
+def hello(**fields: Any) -> dict[str, Any]:
+    """Return the payload of a hello.
+
+    Args:
+        fields: What else it says.
+    """
+    return {"harness_version": "lemma-bench", "protocol_version": VERSION, **fields}
+
+
+def check_version(payload: Mapping[str, Any], who: str) -> None:
+    """Check that the other side speaks this protocol.
+
+    Args:
+        payload: Of its hello.
+        who: What it is, for messages to people.
+
+    Raises:
+        ProtocolError: It speaks another version, or does not say which.
+    """
+    found = payload.get("protocol_version")
+    if found != VERSION:
+        raise ProtocolError(
+            f"{who} speaks version {shown(found)} of vla-eval's protocol, and this is "
+            f"version {VERSION}. Install vla-eval 0.8 there."
+        )
+
+
+def observation(
+    images: Mapping[str, NDArray[np.uint8]], sentence: str, state: NDArray[Any] | None
+) -> dict[str, Any]:
+    """Return what is observed as vla-eval's model servers take it.
+
+    Args:
+        images: By name of the camera, (height, width, 3).
+        sentence: What shall be done.
+        state: Joints and whatever else robots feel, (n,); None to leave it out.
+    """
+    found: dict[str, Any] = {"images": dict(images), "task_description": sentence}
+    if state is not None:
+        found["states"] = np.asarray(state, np.float32)
+    return found
+
+
+def read_action(payload: Mapping[str, Any], names: tuple[str, ...]) -> NDArray[Any]:
+    """Return the action of an answer, (n,) float64.
+
+    Args:
+        payload: Of the answer.
+        names: What each number means: ``"robot_0.shoulder_pan"``.
+
+    Raises:
+        PolicyFailedError: There is none, it has another shape, or it is not finite.
+    """
+    key = next((key for key in ("actions", "action") if key in payload), None)
+    if key is None:
+        keys = ", ".join(map(shown, payload)) or "nothing"
+        raise _malformed(f"It holds {keys}, and no 'actions'", names)
+    try:
+        values = np.asarray(payload[key])
+    except (TypeError, ValueError) as error:
+        raise _malformed(f"Its {key!r} are no array: {error}", names) from error
+    if values.dtype.kind not in "fiu":
+        raise _malformed(f"Its {key!r} are {values.dtype}, no numbers", names)
+    row = values[0] if values.ndim == 2 and len(values) == 1 else values
+    if row.shape != (len(names),):
+        chunk = row.ndim == 2 and row.shape[1] == len(names)
+        hint = (
+            f" That is a chunk: have the server give it out action by action, with "
+            f"chunk_size={len(row)}."
+            if chunk
+            else ""
+        )
+        raise _malformed(f"Its {key!r} have shape {values.shape}", names, hint)
+    if not np.isfinite(row).all():
+        wrong = int(np.flatnonzero(~np.isfinite(row))[0])
+        raise PolicyFailedError(
+            FaultKind.NOT_FINITE, f"In the action, {names[wrong]} is {row[wrong]}."
+        )
+    return row.astype(np.float64)
+
+
+def format_of(control: str) -> str:
+    """Return what specs of vla-eval call the actions of a control mode."""
+    return f"lemma_{control}"
+
+
+def _malformed(what: str, names: tuple[str, ...], hint: str = "") -> PolicyFailedError:
+    return PolicyFailedError(
+        FaultKind.MALFORMED,
+        f"The policy's answer cannot be used. {what}. Valid: 'actions' of shape "
+        f"({len(names)},), from {names[0]} to {names[-1]}.{hint}",
+    )
+
+
+def _plain(value: object) -> object:
+    """Return an array, or a number of NumPy's, as what msgpack has."""
+    if isinstance(value, np.ndarray) and value.dtype.kind in _NUMBERS:
+        whole = np.ascontiguousarray(value)
+        return {
+            _ARRAY: True,
+            "data": whole.tobytes(),
+            "dtype": whole.dtype.str,
+            "shape": list(value.shape),
+        }
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"a {type(value).__name__} cannot be sent")
+
+
+def _read(value: Any, depth: int = 0) -> Any:
+    """Return plain data with arrays where they were before they were sent."""
+    if depth > _DEEPEST:
+        raise ProtocolError(f"A message is more than {_DEEPEST} levels deep.")
+    if isinstance(value, dict):
+        if _IMAGE in value:
+            return _read_image(value)
+        if _ARRAY in value:
+            return _read_array(value)
+        return {key: _read(part, depth + 1) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_read(part, depth + 1) for part in value]
+    return value
+
+
+def _read_array(sent: dict[Any, Any]) -> NDArray[Any]:
+    try:
+        dtype, shape = np.dtype(sent["dtype"]), tuple(sent["shape"])
+        if dtype.kind not in _NUMBERS or min(shape, default=0) < 0:
+            raise ValueError(f"{dtype} of shape {shape}")
+        wanted = math.prod(shape) * dtype.itemsize
+        if wanted != len(sent["data"]):
+            raise ValueError(f"{len(sent['data'])} bytes instead of {wanted}")
+        return np.frombuffer(sent["data"], dtype).reshape(shape).copy()
+    except (KeyError, TypeError, ValueError) as error:
+        raise ProtocolError(f"An array cannot be read: {error}.") from error
+
+
+def _read_image(sent: dict[Any, Any]) -> NDArray[Any]:
+    if sent.get("format") == "raw":
+        return _read_array(sent)
+    if sent.get("format") not in _FORMATS:
+        raise ProtocolError(
+            f"An image has the format {shown(sent.get('format'))}. Valid: "
+            f"{', '.join(_FORMATS)}."
+        )
+    try:
+        pillow = import_module("PIL.Image")
+    except ImportError as error:
+        raise InvalidConfigError(
+            "The package pillow is not installed, without which compressed images "
+            "cannot be read. Install it with: pip install pillow"
+        ) from error
+    try:
+        return np.array(pillow.open(io.BytesIO(sent["data"]), formats=("PNG", "JPEG")))
+    except Exception as error:
+        # Damaged files raise whatever they do, of many kinds.
+        raise ProtocolError(f"An image cannot be read: {error}.") from error
