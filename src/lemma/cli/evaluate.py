@@ -1,5 +1,6 @@
 """`lemma evaluate`: a policy on a frozen split, with a table of success rates."""
 
+import json
 from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -51,6 +52,12 @@ class EvaluateOptions:
     does by default with tasks of your own. Split free needs --episodes."""
     episodes: Number = None
     """Only the first so many of every task."""
+    level: Literal["auto", "plan", "skill", "control"] = "auto"
+    """What the policy decides: sub-tasks in symbols, which get the expert's poses, or
+    with poses, which auto tells by its name; or motor commands."""
+    policy_args: Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")] = ""
+    """What a class of your own is called with; values are numbers, true, false or
+    text."""
     planning: Literal["single-step", "multi-step"] = "single-step"
     """Look before every sub-task, or plan from the first image alone."""
     gta: Flag = False
@@ -154,6 +161,7 @@ def _config(
     policy: str, out: Path, ask: EvaluateOptions, model: LanguageModelOptions
 ) -> "EvaluationConfig":
     """Return what the options mean."""
+    from lemma.evaluation.evaluation import named_at
     from lemma.evaluation.run.evaluate import EvaluationConfig
     from lemma.policies.spec import PolicySpec
     from lemma.tasks.language.blind import kinds_of
@@ -165,7 +173,10 @@ def _config(
     return EvaluationConfig(
         out=out,
         policy=PolicySpec(
-            policy, ask.planning, ask.gta, ask.timeout_s, _chat(policy, model)
+            policy if ask.level == "control" else named_at(policy, ask.level),
+            *(ask.planning, ask.gta, ask.timeout_s, _chat(policy, model)),
+            level="control" if ask.level == "control" else "",
+            arguments=_arguments(ask.policy_args),
         ),
         tasks=tasks,
         split=split,
@@ -175,6 +186,33 @@ def _config(
         perturb_start=ask.perturb_start,
         verdicts=ask.protocol,
     )
+
+
+def _arguments(text: str) -> tuple[tuple[str, Any], ...]:
+    """Return names and values.
+
+    Raises:
+        InvalidConfigError: An equals sign is missing.
+    """
+    from lemma.core.errors import InvalidConfigError
+
+    found = []
+    for part in filter(None, text.split(",")):
+        name, equals, value = part.partition("=")
+        if not equals or not name.isidentifier():
+            raise InvalidConfigError(
+                f"{part!r} is no argument. Write NAME=VALUE,..., as in "
+                "--policy-args checkpoint=model.pt,chunk=8."
+            )
+        found.append((name, _value(value)))
+    return tuple(found)
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
 
 
 def _chat(policy: str, model: LanguageModelOptions) -> "ChatOptions | None":

@@ -17,7 +17,14 @@ from lemma.evaluation.report.tables import markdown
 from lemma.evaluation.run.evaluate import VERDICTS, EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate as play
 from lemma.policies.planners.registry import is_planner
-from lemma.policies.spec import LEVELS, ORACLE, PLANNINGS, GivenPolicy, PolicySpec
+from lemma.policies.spec import (
+    CONTROL,
+    LEVELS,
+    ORACLE,
+    PLANNINGS,
+    GivenPolicy,
+    PolicySpec,
+)
 from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
 
@@ -77,7 +84,8 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
             :mod:`lemma.policies.interfaces`. Or a name, as ``lemma evaluate --policy``
             takes it.
         level: ``"skill"``: it decides with poses; ``"plan"``: in symbols, and the
-            expert adds the poses. By default what it can do.
+            expert adds the poses; ``"control"``: by motor commands. By default what it
+            can do, except the last: see :mod:`lemma.policies.control.interfaces`.
         tasks: Name of a task, or names.
         split: Frozen list of instances, ``"test"``; or ``"free"``, which samples them:
             the default with tasks of your own.
@@ -102,15 +110,11 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     if out is not None and isinstance(spec, GivenPolicy):
         _check_new(Path(out))
     with TemporaryDirectory() as nowhere:
+        where, split = Path(out or nowhere), split or _usual_split(tasks)
         config = EvaluationConfig(
-            out=Path(out or nowhere),
-            policy=spec,
-            tasks=tasks,
-            split=split or _usual_split(tasks),
-            kinds=kinds,
-            episodes=episodes,
-            verdicts=protocol,
-        )
+            out=where, policy=spec, tasks=tasks, split=split,
+            kinds=kinds, episodes=episodes, verdicts=protocol,
+        )  # fmt: skip
         rows = play(config, engine)
         result = summarise(rows, read_about(config.out), config.command())
         if out is not None:
@@ -147,9 +151,10 @@ def _policy(
     if level:
         known("level", level, LEVELS)
     if isinstance(policy, str):
-        name = _named(policy, level)
+        name = policy if level == CONTROL else named_at(policy, level)
         engine: Engine = ProcessPool(workers) if workers > 1 else Serial()
-        return PolicySpec(name, planning, gta), engine
+        own = level if level == CONTROL else ""
+        return PolicySpec(name, planning, gta, level=own), engine
     if workers > 1:
         raise InvalidConfigError(
             f"An object plays in this process, not in {workers} others. Leave out "
@@ -158,8 +163,12 @@ def _policy(
     return GivenPolicy.of(policy, level, planning, gta=gta), Serial()
 
 
-def _named(policy: str, level: str) -> str:
+def named_at(policy: str, level: str) -> str:
     """Return the name of a policy at a level.
+
+    Args:
+        policy: Its name.
+        level: ``"plan"`` or ``"skill"``; anything else for what it can do.
 
     Raises:
         InvalidConfigError: It decides at the other one.

@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -122,6 +122,28 @@ class _Planning(msgspec.Struct):
     replans: int
 
 
+class _Event(msgspec.Struct):
+    time_s: float
+    robot: str
+    event: Literal["grasped", "released"]
+    object: str
+
+
+class _Control(msgspec.Struct):
+    """What is told of an episode at control level."""
+
+    mode: str
+    hz: float
+    actions: int
+    """Control steps."""
+    asked: int
+    """How often the policy was."""
+    events: list[_Event]
+    touched: list[str]
+    """Cubes that the goal moves and that a hand or the stick has touched."""
+    fallen: list[str]
+
+
 class _Lenient(msgspec.Struct):
     """What became of an episode that went on after its strict end."""
 
@@ -162,6 +184,8 @@ class _Line(msgspec.Struct):
     left: int | None
     lenient: _Lenient | None
     """None if it was played strictly alone."""
+    control: _Control | None = None
+    """There for policies at control level alone."""
     planning: _Planning | None = None
     """What the decisions took; there for policies alone that count it."""
 
@@ -170,6 +194,7 @@ class _Policy(msgspec.Struct):
     name: str
     planning: str
     gta: bool
+    level: str = ""
 
 
 class _Weights(msgspec.Struct):

@@ -1,5 +1,6 @@
 """Classes by path: ``"package.module:Class"``."""
 
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
@@ -25,20 +26,27 @@ def class_of(name: str) -> Any:
         ) from error
 
 
-def instance_of(name: str) -> Any:
-    """Return an object of a class, made without arguments.
+def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
+    """Return an object of a class.
 
     Args:
         name: ``"package.module:Class"``.
+        arguments: That it is called with, by name.
 
     Raises:
         InvalidConfigError: There is no such class, or it cannot be made.
     """
     make = class_of(name)
     try:
-        return make()
+        return make(**(arguments or {}))
     except Exception as error:
         raise InvalidConfigError(
             f"{name} could not be made: {type(error).__name__}: {error}. It is called "
-            "without arguments."
+            f"{_with(arguments)}."
         ) from error
+
+
+def _with(arguments: Mapping[str, Any] | None) -> str:
+    if not arguments:
+        return "without arguments"
+    return "with " + ", ".join(f"{name}={value!r}" for name, value in arguments.items())

@@ -1,7 +1,8 @@
 """Policies by name: what ``--policy`` takes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from inspect import signature
 from typing import Any
 
@@ -13,6 +14,7 @@ from lemma.policies.compose import (
     RetryingPlanner,
     RetryingPolicy,
 )
+from lemma.policies.control.oracle import ExpertControl
 from lemma.policies.interfaces import (
     TIMEOUT_S,
     Grounder,
@@ -34,8 +36,9 @@ ORACLE = "oracle"
 FOREVER_S = 1e6
 """What stands for any time [s]."""
 PLANNINGS = ("single-step", "multi-step")
-LEVELS = ("plan", "skill")
-"""What a policy decides: sub-tasks in symbols, or with poses."""
+LEVELS = ("plan", "skill", "control")
+"""What a policy decides: sub-tasks in symbols, or with poses, or motor commands."""
+CONTROL = LEVELS[2]
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class PolicySpec:
     - a planner of :data:`lemma.policies.planners.registry.PLANNERS`, such as
       ``"greedy-reach"`` or ``"llm:MODEL"``, with a grounder or, alone, with the
       expert's poses;
-    - anybody's own class: ``"package.module:Class"``, called without arguments;
+    - anybody's own class: ``"package.module:Class"``, called with ``arguments``;
     - a policy behind a socket: ``"http://127.0.0.1:8000"``.
 
     Models are names of weights that ship, or paths of weights.
@@ -67,9 +70,14 @@ class PolicySpec:
     the same process."""
     chat: ChatOptions | None = None
     """How a language model is asked, if one is."""
+    level: str = ""
+    """``"control"`` if it answers motor commands; else its name tells the level."""
+    arguments: tuple[tuple[str, Any], ...] = ()
+    """Names and values that its class is called with; of one's own class alone."""
 
     def __post_init__(self) -> None:
         """Check the names and the time, and that its planners can be made."""
+        self._check_level()
         if self.planning not in PLANNINGS:
             raise UnknownNameError("way of planning", self.planning, PLANNINGS)
         if not 0.0 <= self.timeout_s < float("inf"):
@@ -85,9 +93,32 @@ class PolicySpec:
         for part in filter(self._is_planner, self.parts):
             self._planner(part)
 
+    def _check_level(self) -> None:
+        if self.level not in ("", CONTROL):
+            raise UnknownNameError("level of a policy", self.level, (CONTROL,))
+        if self.controls and (self.gta or self.planning != PLANNINGS[0]):
+            raise InvalidConfigError(
+                "Motor commands are no sub-tasks, so neither multi-step planning nor "
+                "ground-truth allocation applies to them."
+            )
+        own = ":" in self.name and "://" not in self.name
+        if self.arguments and (not own or any(map(self._is_planner, self.parts))):
+            raise InvalidConfigError(
+                f"{self.name} takes no arguments. Classes do: package.module:Class."
+            )
+
+    @property
+    def controls(self) -> bool:
+        """Whether it answers motor commands."""
+        return self.level == CONTROL
+
     def about(self) -> dict[str, Any]:
         """Return the fields that decide what it does; :meth:`planners` say more."""
-        return {name: told for name, told in asdict(self).items() if name != "chat"}
+        told = {name: told for name, told in asdict(self).items() if name != "chat"}
+        for name in ("level", "arguments"):
+            if not told[name]:
+                del told[name]
+        return told
 
     def planners(self) -> list[Any]:
         """Return the planners of :data:`~lemma.policies.planners.registry.PLANNERS`.
@@ -139,8 +170,11 @@ class PolicySpec:
         found = class_of(part)
         return isinstance(found, type) and issubclass(found, Oracle)
 
-    def load(self, load: Callable[[str], Any] | None = None) -> Policy:
+    def load(self, load: Callable[[str], Any] | None = None) -> Any:
         """Return the policy, ready to act.
+
+        It is a :class:`Policy`; at control level, a
+        :class:`~lemma.policies.control.interfaces.ControlPolicy`.
 
         Args:
             load: Returns the planner, grounder or policy of a name; :func:`load_part`
@@ -151,7 +185,9 @@ class PolicySpec:
                 the way that is asked for.
             LemmaError: Its weights are missing or damaged.
         """
-        load = load or load_part
+        load = load or partial(load_part, arguments=dict(self.arguments))
+        if self.controls:
+            return self._controller(load)
         first, plus, second = self.name.partition("+")
         if self._is_planner(first):
             return self._with_planner(first, second or ORACLE, load)
@@ -178,6 +214,14 @@ class PolicySpec:
         if not _can(planner, Planner):
             raise InvalidConfigError(f"{first} cannot plan; it has no plan(inputs).")
         return self._compose(planner, _grounder(second, load))
+
+    def _controller(self, load: Callable[[str], Any]) -> Any:
+        found = ExpertControl() if self.name == ORACLE else load(self.name)
+        if not _can(found, Policy):
+            raise InvalidConfigError(
+                f"{self.name} is no policy at control level: it has no act(inputs)."
+            )
+        return found
 
     def _with_planner(
         self, first: str, second: str, load: Callable[[str], Any]
@@ -234,10 +278,15 @@ class GivenPolicy(PolicySpec):
             )
         kind = type(held)
         name = f"{kind.__module__}:{kind.__qualname__}"
+        if level == CONTROL:
+            return cls._holding(held, cls(name, planning, gta, level=level))
         whole = _can(held, Policy) or _can(held, Grounder)
         if level == LEVELS[0] or (not level and _can(held, Planner) and not whole):
             name += f"+{ORACLE}"
-        found = cls(name, planning, gta)
+        return cls._holding(held, cls(name, planning, gta))
+
+    @staticmethod
+    def _holding(held: object, found: "GivenPolicy") -> "GivenPolicy":
         object.__setattr__(found, "_held", held)
         found.load()
         return found
@@ -247,7 +296,7 @@ class GivenPolicy(PolicySpec):
         """Whether some part of it is given the truth: results say so."""
         return is_oracle(self.load())
 
-    def load(self, load: Callable[[str], Any] | None = None) -> Policy:
+    def load(self, load: Callable[[str], Any] | None = None) -> Any:
         """Return the policy, ready to act; names are not looked up."""
         return super().load(lambda name: self._held)
 
@@ -310,8 +359,12 @@ def _can(part: Any, interface: type[Any]) -> bool:
     return True
 
 
-def load_part(name: str) -> Any:
+def load_part(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
     """Return the planner, grounder or policy of a name.
+
+    Args:
+        name: Of it.
+        arguments: That its class is called with.
 
     Raises:
         LemmaError: There is none, or its weights are missing or damaged.
@@ -319,7 +372,7 @@ def load_part(name: str) -> Any:
     if name == ORACLE:
         return None
     if ":" in name:
-        return instance_of(name)
+        return instance_of(name, arguments)
     # torch is an extra, which the oracle and other people's policies do without.
     from lemma.policies.weights import load_model  # noqa: PLC0415
 

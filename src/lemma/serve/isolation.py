@@ -6,6 +6,7 @@ a process of its own can be killed and begun again, whatever its policy does.
 
 import sys
 import threading
+from collections.abc import Mapping
 from contextlib import suppress
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection
@@ -24,28 +25,32 @@ _START_S = 300.0
 _END_S = 1.0
 
 
-def isolate(name: str, timeout_s: float) -> Remote:
+def isolate(
+    name: str, timeout_s: float, arguments: Mapping[str, Any] | None = None
+) -> Remote:
     """Return a policy that lives in another process, which this one may kill.
 
     Args:
         name: Of its class, ``"package.module:Class"``.
         timeout_s: For one decision [s].
+        arguments: That it is called with, by name.
 
     Raises:
         InvalidConfigError: There is no such class, or it cannot be made.
     """
     mode = ProtocolMode(timeout_s, patience_s=0.0, first_patience_s=0.0, deaths=1)
-    return remote(Conversation(name, lambda: ProcessChannel(name), mode))
+    return remote(Conversation(name, lambda: ProcessChannel(name, arguments), mode))
 
 
 class ProcessChannel:
     """A process with a policy, and the pipe to it."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, arguments: Mapping[str, Any] | None = None) -> None:
         """Start the process and wait until its policy is there.
 
         Args:
             name: Of the policy's class.
+            arguments: That it is called with, by name.
 
         Raises:
             OSError: It died, or takes too long.
@@ -54,7 +59,10 @@ class ProcessChannel:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
-            target=host, args=(theirs, name), daemon=True, name=f"policy {name}"
+            target=host,
+            args=(theirs, name, arguments),
+            daemon=True,
+            name=f"policy {name}",
         )
         self._process.start()
         theirs.close()
@@ -100,17 +108,20 @@ class ProcessChannel:
             self._pipe.close()
 
 
-def host(pipe: "Connection[Any, Any]", name: str) -> None:
+def host(
+    pipe: "Connection[Any, Any]", name: str, arguments: Mapping[str, Any] | None
+) -> None:
     """Make a policy and answer for it until nobody asks any more.
 
     Args:
         pipe: To whoever asks.
         name: Of the policy's class.
+        arguments: That it is called with, by name.
     """
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         load_plugins()
-        session = Session(instance_of(name))
+        session = Session(instance_of(name, arguments))
     except LemmaError as error:
         pipe.send_bytes(encode(Error(kind="request", message=str(error))))
         return

@@ -41,7 +41,8 @@ class Cause(StrEnum):
     of the pad or cube, or, in the shared region and with tools, where no single pose is
     right, it is out of reach, or the motion was carried out and did not help."""
     FELL = "fell"
-    """The mistake is the expert's sub-task, and in it something fell off the table."""
+    """The mistake is the expert's sub-task, and in it something fell off the table; at
+    control level, anything fell."""
     EXECUTION = "execution"
     """The mistake is the expert's sub-task with good poses, and the motion failed:
     dropped, collided, did not end. Also where nothing was left to do, and the goal does
@@ -50,6 +51,12 @@ class Cause(StrEnum):
     """No mistake, or the time was over during the first one."""
     STOPPED_EARLY = "stopped_early"
     """No mistake, and ``stop`` while there was something left to do."""
+    UNTOUCHED = "untouched"
+    """Control level: no hand and no tool touched a cube that the goal moves."""
+    UNGRASPED = "ungrasped"
+    """Control level: such a cube was touched, and none was ever between two fingers."""
+    MISPLACED = "misplaced"
+    """Control level: such a cube was grasped, and the goal does not hold at the end."""
     POLICY_ERROR = "policy_error"
     """The policy raised, hung, or answered what is no decision: its own fault, named in
     the line."""
@@ -73,12 +80,24 @@ def cause_of(row: Mapping[str, Any]) -> Cause | None:
         return None
     if row["failure"] == POLICY_ERROR:
         return Cause.POLICY_ERROR
+    if row.get("control"):
+        return _of_control(row["control"])
     mistake = mistake_of(row)
     if mistake is not None:
         return _of_mistake(row["subtasks"][mistake])
     if row["failure"] == Outcome.OUT_OF_TIME:
         return Cause.OUT_OF_TIME
     return Cause.STOPPED_EARLY if _number(row["left"]) else Cause.EXECUTION
+
+
+def _of_control(told: Mapping[str, Any]) -> Cause:
+    """Return what contacts and grasps tell."""
+    if told["fallen"]:
+        return Cause.FELL
+    if not told["touched"]:
+        return Cause.UNTOUCHED
+    grasped = {each["object"] for each in told["events"]}
+    return Cause.MISPLACED if grasped & {*told["touched"]} else Cause.UNGRASPED
 
 
 def mistake_of(row: Mapping[str, Any]) -> int | None:

@@ -34,6 +34,7 @@ from lemma.evaluation.records import (
     read_rows,
     write_rows,
 )
+from lemma.evaluation.run.control.rollout import load_player
 from lemma.evaluation.run.expert_feedback import count_steps
 from lemma.evaluation.run.expert_times import TIMED_SPLITS, expert_s, perturbed_start
 from lemma.evaluation.run.language_controls import FULL, LANGUAGES, control_of
@@ -148,6 +149,11 @@ class EvaluationConfig:
             words.append(f"--tasks {','.join(self.tasks)}")
         if self.episodes is not None:
             words.append(f"--episodes {self.episodes}")
+        if self.policy.level:
+            words.append(f"--level {self.policy.level}")
+        if self.policy.arguments:
+            told = (f"{name}={value}" for name, value in self.policy.arguments)
+            words.append(f"--policy-args {','.join(told)}")
         if self.policy.planning != PLANNINGS[0]:
             words.append(f"--planning {self.policy.planning}")
         if self.policy.gta:
@@ -263,7 +269,7 @@ def play_group(
     for index in indices:
         instance = start_of(task, config.split, index, moved=config.perturb_start)
         control = control_of(config.language, instance, kind)
-        rollouts.append(Rollout(instance, kind, control=control))
+        rollouts.append(player.begin(instance, kind, control))
     rows: list[Row] = []
     start = perf_counter()
     lenient = config.verdicts == VERDICTS[0]
@@ -279,7 +285,7 @@ def play_group(
 @lru_cache(maxsize=1)
 def _player(spec: PolicySpec) -> Player:
     """Return the policy of this process: loading one takes long."""
-    player = Player.load(spec)
+    player = load_player(spec)
     if parent_process() is not None and "torch" in sys.modules:
         # There is a process per core; more threads would fight for them.
         sys.modules["torch"].set_num_threads(1)
@@ -323,6 +329,7 @@ def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
         },
         "subtasks": taken,
         "left": strict.left,
+        **rollout.told(),
         **asked,
         "lenient": {**_judged(end), "subtasks": further, **later} if lenient else None,
         "wall_s": round(wall_s, 3),

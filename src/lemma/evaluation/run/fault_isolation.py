@@ -14,6 +14,7 @@ import numpy as np
 
 from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_names
+from lemma.policies.control.interfaces import Actions, ControlInput, ControlPolicy
 from lemma.policies.interfaces import Decision, Effort, Policy, PolicyInput
 from lemma.policies.planners.options import PlannerUnavailableError
 from lemma.scene.objects.entity import SHARED, known_entities
@@ -48,12 +49,12 @@ class Fault:
 class IsolatedPolicy:
     """Asks a policy about many episodes and believes nothing."""
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self, policy: Policy | ControlPolicy) -> None:
         """Keep the policy."""
-        self._policy = policy
+        self._policy: Any = policy
         self._one_by_one = False
 
-    def decide(self, inputs: Sequence[PolicyInput]) -> list[Decision | Fault]:
+    def decide(self, inputs: Sequence[Any]) -> list[Any]:
         """Return the next decision of each episode, or why there is none.
 
         When the policy fails at all episodes together, it is asked about each alone,
@@ -77,11 +78,11 @@ class IsolatedPolicy:
             self._one_by_one = answers.kind is FaultKind.TIMEOUT
         return [self._decide_one(given) for given in inputs]
 
-    def _decide_one(self, given: PolicyInput) -> Decision | Fault:
+    def _decide_one(self, given: Any) -> Any:
         answers = self._ask([given])
         return answers if isinstance(answers, Fault) else check(answers[0], given)
 
-    def _ask(self, inputs: Sequence[PolicyInput]) -> list[object] | Fault:
+    def _ask(self, inputs: Sequence[Any]) -> list[object] | Fault:
         try:
             answers: object = self._policy.act(inputs)
         except (PolicyUnreachableError, PlannerUnavailableError):
@@ -114,7 +115,7 @@ class _FaultError(Exception):
         self.fault = Fault(kind, _cut(explanation), effort)
 
 
-def check(answer: object, given: PolicyInput) -> Decision | Fault:
+def check(answer: Any, given: PolicyInput | ControlInput) -> Decision | Actions | Fault:
     """Return a decision in plain Python types, or what is wrong with it.
 
     An entity that is not on this table and a pose that the robot cannot reach are
@@ -126,9 +127,30 @@ def check(answer: object, given: PolicyInput) -> Decision | Fault:
         given: What it was given.
     """
     try:
+        if isinstance(given, ControlInput):
+            return _checked_actions(answer)
         return _checked(answer, len(given.robots))
     except _FaultError as error:
         return error.fault
+
+
+def _checked_actions(answer: Any) -> Actions:
+    """Return actions; whether they fit is known to the environment alone."""
+    found = answer if isinstance(answer, Actions) else Actions(answer)
+    try:
+        rows = np.asarray(found.rows)
+    except (TypeError, ValueError) as error:
+        raise _malformed(f"The actions are no array of numbers: {error}") from error
+    if rows.dtype.kind not in "fiu":
+        kind = type(found.rows).__name__
+        raise _malformed(
+            f"The actions are a {kind} of {rows.dtype}, no array of numbers"
+        )
+    if not np.isfinite(rows).all():
+        raise _FaultError(
+            FaultKind.NOT_FINITE, "The actions are not finite: NaN or infinite."
+        )
+    return Actions(rows, found.memory)
 
 
 def _checked(answer: object, robots: int) -> Decision:

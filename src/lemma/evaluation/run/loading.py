@@ -5,7 +5,7 @@ from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import sha256_of
-from lemma.policies.interfaces import Policy, is_oracle
+from lemma.policies.interfaces import is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
 from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part
 from lemma.policies.weights import find_weights, published_weights
@@ -14,7 +14,7 @@ from lemma.serve.client.websocket import connect, is_address
 from lemma.serve.isolation import isolate
 
 
-def load_policy(spec: PolicySpec) -> Policy:
+def load_policy(spec: PolicySpec) -> Any:
     """Return a policy that may be asked without fear.
 
     Servers are asked over their sockets. Classes of other people live in processes of
@@ -33,8 +33,8 @@ def load_policy(spec: PolicySpec) -> Policy:
         if is_address(name):
             return connect(name, ProtocolMode(spec.timeout_s or FOREVER_S))
         if ":" in name and spec.timeout_s > 0.0:
-            return isolate(name, spec.timeout_s)
-        return load_part(name)
+            return isolate(name, spec.timeout_s, dict(spec.arguments))
+        return load_part(name, dict(spec.arguments))
 
     found = spec.load(load)
     if is_oracle(found) and not spec.oracle:

@@ -10,6 +10,7 @@ depend on what follows, not even by the company that a batch is decided in.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress, islice
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,6 @@ from lemma.policies.interfaces import (
     Effort,
     OracleInput,
     PastStep,
-    Policy,
     PolicyInput,
     is_oracle,
     wants_cameras,
@@ -119,9 +119,12 @@ class Rollout:
 
     def __post_init__(self) -> None:
         """Set the table."""
-        self.episode = Episode(self.instance, horizon_s=self.horizon_s)
+        self.episode = self._begin()
         self.clearance = ClearanceWatch(self.episode.simulation)
         self._phrases = robot_phrases(self.instance.scene.robots)
+
+    def _begin(self) -> Episode:
+        return Episode(self.instance, horizon_s=self.horizon_s)
 
     @property
     def instruction(self) -> str:
@@ -194,6 +197,10 @@ class Rollout:
             return OracleInput(*given, episode=self.episode)
         return PolicyInput(*given)
 
+    def told(self) -> dict[str, Any]:
+        """Return what its line says beside what every line does."""
+        return {}
+
     def fail(self, fault: Fault) -> None:
         """End the episode for a fault of its policy."""
         self.fault = fault
@@ -255,7 +262,8 @@ def _refuse(episode: Episode, decision: Decision) -> SkillResult:
 class Player:
     """A policy, and what it sees with."""
 
-    policy: Policy
+    policy: Any
+    """A :class:`~lemma.policies.interfaces.Policy`, or one at control level."""
     rig: CameraRig | None = None
     """None for a policy that needs no images."""
 
@@ -267,6 +275,16 @@ class Player:
             LemmaError: There is no such policy, or its weights are damaged.
         """
         return cls(load_policy(spec), None if spec.blind else CameraRig())
+
+    def begin(
+        self, instance: Instance, kind: str, control: LanguageControl = OWN_SENTENCE
+    ) -> Rollout:
+        """Set the table for an episode."""
+        return Rollout(instance, kind, control=control)
+
+    def given(self, rollout: Rollout) -> Any:
+        """Return what the policy is given of an episode now."""
+        return rollout.given(self.rig, self.policy)
 
 
 def roll_out(
@@ -330,8 +348,7 @@ class _Play:
 
     def _go_on(self, running: Sequence[Rollout]) -> None:
         """Let the policy decide once for every rollout."""
-        rig, policy = self.player.rig, self.player.policy
-        inputs = [rollout.given(rig, policy) for rollout in running]
+        inputs = [self.player.given(rollout) for rollout in running]
         decisions = self.guard.decide(inputs)
         for rollout, given, decision in zip(running, inputs, decisions, strict=True):
             if isinstance(decision, Fault):

@@ -8,7 +8,7 @@ so one may be asked again on a new connection, where nothing is known.
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count
+from itertools import count as counting
 from typing import Any, Protocol, TypeVar
 
 from lemma.env.view import View
@@ -22,6 +22,8 @@ from lemma.serve.protocol.faults import (
 from lemma.serve.protocol.messages import (
     PROTOCOL,
     Act,
+    Control,
+    ControlMessage,
     Error,
     Ground,
     Hello,
@@ -105,7 +107,7 @@ class Conversation:
         self._connect = connect
         self.mode = mode
         self._channel: Channel | None = None
-        self._numbers = count()
+        self._numbers = counting()
         self._sent: dict[View, int] = {}
         self.welcome = self._open(mode.first_patience_s)
 
@@ -137,20 +139,46 @@ class Conversation:
             PolicyUnreachableError: Nobody answers any more.
             ProtocolError: The other side did not understand.
         """
-        allowed_s = self.mode.timeout_s * len(inputs)
+        return self._decide(
+            lambda: self._request(method, inputs, subtasks), len(inputs), wanted
+        )
+
+    def control(self, inputs: Sequence[ControlMessage], wanted: type[R]) -> R:
+        """Return the answer to a question about motor commands.
+
+        Args:
+            inputs: One per episode.
+            wanted: The answer that belongs to it.
+
+        Raises:
+            PolicyFailedError: As :meth:`decide`.
+            PolicyUnreachableError: Nobody answers any more.
+            ProtocolError: The other side did not understand.
+        """
+        request = Control(inputs=list(inputs))
+        return self._decide(lambda: (request, {}), len(inputs), wanted)
+
+    def _decide(
+        self,
+        make: Callable[[], tuple[Request, dict[View, int]]],
+        count: int,
+        wanted: type[R],
+    ) -> R:
+        """Return the answer to a request about so many episodes."""
+        allowed_s = self.mode.timeout_s * count
         for _ in range(self.mode.deaths):
             if self._channel is None:
                 self._open(self.mode.patience_s)
             try:
                 end = time.monotonic() + allowed_s
-                request, views = self._request(method, inputs, subtasks)
+                request, views = make()
                 reply = self._ask(request, wanted, end - time.monotonic())
             except TimeoutError as error:
                 self.close()
                 raise PolicyFailedError(
                     FaultKind.TIMEOUT,
                     f"The policy did not decide within {allowed_s:g} s "
-                    f"({len(inputs)} decisions of {self.mode.timeout_s:g} s).",
+                    f"({count} decisions of {self.mode.timeout_s:g} s).",
                 ) from error
             except OSError as error:
                 self.close()

@@ -1,12 +1,21 @@
 """Policies in other processes behind the interfaces of policies."""
 
 from collections.abc import Sequence
+from itertools import count
 from typing import Any, TypeVar
 
+from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.serve.client.conversation import Conversation
+from lemma.serve.protocol.control import written
 from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
-from lemma.serve.protocol.messages import METHODS, Decisions, Poses, SubTasks
+from lemma.serve.protocol.messages import (
+    METHODS,
+    Commands,
+    Decisions,
+    Poses,
+    SubTasks,
+)
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 T = TypeVar("T")
@@ -30,14 +39,45 @@ class Remote:
 
 
 class _Acts(Remote):
-    """Decides on everything."""
+    """Decides on everything, or on motor commands."""
 
-    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        """Return the next decision of each episode.
+    def __init__(self, conversation: Conversation) -> None:
+        """Keep the connection."""
+        super().__init__(conversation)
+        self._episodes = count()
+
+    @property
+    def control_options(self) -> dict[str, Any]:
+        """In which environment it acts, at control level."""
+        return dict(self.about.get("control_options", {}))
+
+    def act(
+        self, inputs: Sequence[PolicyInput] | Sequence[ControlInput]
+    ) -> list[Decision] | list[Actions]:
+        """Return the next decision of each episode, or its next actions.
 
         Raises:
             PolicyFailedError: It has none.
         """
+        controls = [given for given in inputs if isinstance(given, ControlInput)]
+        if controls:
+            return self._control(controls)
+        plain = [given for given in inputs if isinstance(given, PolicyInput)]
+        return self._act(plain)
+
+    def _control(self, inputs: Sequence[ControlInput]) -> list[Actions]:
+        # What it remembers stays where it is: here its number is remembered.
+        episodes = [
+            next(self._episodes) if given.memory is None else given.memory
+            for given in inputs
+        ]
+        asked = [written(*each) for each in zip(inputs, episodes, strict=True)]
+        reply = self.conversation.control(asked, Commands)
+        rows = [array.read_any("actions") for array in reply.actions]
+        answers = _counted(rows, "actions", len(inputs))
+        return [Actions(*each) for each in zip(answers, episodes, strict=True)]
+
+    def _act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         reply = self.conversation.decide("act", inputs, Decisions)
         return _counted(reply.decisions, "decisions", len(inputs))
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lemma.env.view import View
 from lemma.policies.interfaces import Decision
+from lemma.scene.cameras import Camera
 from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
@@ -33,6 +34,10 @@ VIEW_ARRAYS = {
 """Type and number of dimensions of every array of a view that travels."""
 
 
+ARRAY_TYPES = ("bool", "int8", "uint8", "int64", "float32", "float64")
+"""Types of numbers that travel."""
+
+
 class Array(msgspec.Struct):
     """An array, little-endian, last index fastest."""
 
@@ -47,7 +52,7 @@ class Array(msgspec.Struct):
         return cls(dtype, list(plain.shape), memoryview(plain.tobytes()))
 
     def read(self, name: str) -> NDArray[Any]:
-        """Return the array, read-only.
+        """Return an array of a view, read-only.
 
         Args:
             name: Which array of a view it is.
@@ -61,7 +66,20 @@ class Array(msgspec.Struct):
                 f"The array {name!r} of a view is {self.dtype!r:.40} with "
                 f"{len(self.shape)} dimensions, not {dtype} with {dimensions}."
             )
-        stored = np.dtype(dtype).newbyteorder("<")
+        return self.read_any(name)
+
+    def read_any(self, name: str) -> NDArray[Any]:
+        """Return an array of numbers of any type and shape, read-only.
+
+        Raises:
+            ProtocolError: It is none, or damaged.
+        """
+        if self.dtype not in ARRAY_TYPES:
+            raise ProtocolError(
+                f"The array {name!r} is of {self.dtype!r:.40}. Valid: "
+                f"{', '.join(ARRAY_TYPES)}."
+            )
+        stored = np.dtype(self.dtype).newbyteorder("<")
         wanted = math.prod(self.shape) * stored.itemsize
         if min(self.shape) < 0 or wanted != self.data.nbytes:
             raise ProtocolError(
@@ -117,6 +135,21 @@ class InputMessage(msgspec.Struct):
     past: list[StepMessage] = []
 
 
+class ControlMessage(msgspec.Struct):
+    """What a policy at control level is given of an episode."""
+
+    episode: int
+    """Number of the episode on this connection; what the policy remembers of it stays
+    on its side."""
+    step: int
+    time_s: float
+    instruction: str
+    robots: list[str]
+    arrays: dict[str, Array]
+    """What is observed: ``agent_pos``, ``pixels/robot_0``."""
+    cameras: dict[str, Camera] = {}
+
+
 class _Tagged(msgspec.Struct, tag_field="type", kw_only=True):
     """A message that says what it is."""
 
@@ -145,6 +178,12 @@ class Ground(Act, tag="ground"):
     subtasks: list[SubTask]
 
 
+class Control(_Tagged, tag="control"):
+    """Asks for motor commands."""
+
+    inputs: list[ControlMessage]
+
+
 class Welcome(_Tagged, tag="hello"):
     """Answers the first message."""
 
@@ -158,6 +197,12 @@ class Decisions(_Tagged, tag="decisions"):
     """Answers ``act``."""
 
     decisions: list[Decision]
+
+
+class Commands(_Tagged, tag="commands"):
+    """Answers ``control``: an action or a chunk of actions for each input."""
+
+    actions: list[Array]
 
 
 class SubTasks(_Tagged, tag="subtasks"):
@@ -179,8 +224,8 @@ class Error(_Tagged, tag="error"):
     message: str
 
 
-Request = Hello | Act | Plan | Ground
-Reply = Welcome | Decisions | SubTasks | Poses | Error
+Request = Hello | Act | Plan | Ground | Control
+Reply = Welcome | Decisions | SubTasks | Poses | Commands | Error
 
 M = TypeVar("M")
 

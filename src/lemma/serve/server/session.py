@@ -6,11 +6,15 @@ from typing import Any
 from lemma.core.version import VERSION as __version__
 from lemma.env.view import View
 from lemma.policies.interfaces import PastStep, PolicyInput, is_oracle
+from lemma.serve.protocol.control import read, sent
 from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.serve.protocol.messages import (
     METHODS,
     PROTOCOL,
     Act,
+    Commands,
+    Control,
+    ControlMessage,
     Decisions,
     Error,
     Ground,
@@ -27,6 +31,11 @@ from lemma.serve.protocol.messages import (
 
 Call = Callable[[Callable[[], Any]], Any]
 """Runs something that asks the policy, and returns what it returned."""
+
+
+_MEMORIES = 1024
+"""Episodes of which a session keeps what its policy remembers: more than are played at
+a time."""
 
 
 class Session:
@@ -62,8 +71,11 @@ class Session:
             )
         self._policy: Any = policy
         self._about = {"name": type(policy).__name__, **(about or {})}
+        if hasattr(policy, "control_options"):
+            self._about["control_options"] = dict(policy.control_options)
         self._call = call
         self._views: dict[int, View] = {}
+        self._memories: dict[int, Any] = {}
 
     def answer(self, data: bytes | str) -> bytes:
         """Return the answer to a message; what goes wrong is an answer as well."""
@@ -91,6 +103,22 @@ class Session:
             case Act() as asked:
                 inputs, act = self._inputs(asked), self._method("act")
                 return Decisions(decisions=self._call(lambda: act(inputs)))
+            case Control(inputs=asked):
+                return self._control(asked)
+
+    def _control(self, asked: list[ControlMessage]) -> Commands:
+        """Return motor commands, and keep what the policy remembers."""
+        act = self._method("act")
+        inputs = [
+            read(each, self._memories.get(each.episode) if each.step else None)
+            for each in asked
+        ]
+        answers = list(self._call(lambda: act(inputs)))
+        for each, answer in zip(asked, answers, strict=False):
+            self._memories[each.episode] = getattr(answer, "memory", None)
+        while len(self._memories) > _MEMORIES:
+            del self._memories[next(iter(self._memories))]
+        return Commands(actions=[sent(answer) for answer in answers])
 
     def _welcome(self, version: int) -> Welcome:
         if version != PROTOCOL:

@@ -1,0 +1,245 @@
+"""Episodes at control level: a policy's motor commands, many episodes at once.
+
+They are played by the same loop as those at skill level, and yield the same verdicts.
+There is no protective stop: what an arm cannot do, its motors do not do.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lemma.core.errors import (
+    InvalidActionError,
+    InvalidConfigError,
+    PhysicsError,
+    UnknownNameError,
+)
+from lemma.env.config import EnvConfig
+from lemma.env.control_env import ControlEnv
+from lemma.env.episode import Episode
+from lemma.env.observation import OBSERVATIONS, Observer, write_text
+from lemma.evaluation.run.control.handling import HandlingWatch
+from lemma.evaluation.run.fault_isolation import Fault
+from lemma.evaluation.run.language_controls import OWN_SENTENCE, LanguageControl
+from lemma.evaluation.run.loading import load_policy
+from lemma.evaluation.run.rollout import Player, Rollout
+from lemma.policies.control.interfaces import (
+    ControlInput,
+    ControlPolicy,
+    chunk_of,
+)
+from lemma.policies.control.oracle import OracleControlInput
+from lemma.policies.interfaces import is_oracle
+from lemma.policies.spec import PolicySpec
+from lemma.serve.protocol.faults import FaultKind
+from lemma.tasks.instance import Instance
+from lemma.tasks.suite import FREE_SPLIT
+
+CONTROL_OPTIONS = (
+    *("control", "control_hz", "clip_actions", "delta_position_m"),
+    *("delta_rotation_rad", "observation", "width", "height", "cameras"),
+)
+"""Options of :class:`~lemma.env.config.EnvConfig` that a policy chooses."""
+_DEFAULTS = {"control": "joint_position", "control_hz": 20.0, "observation": "rgb"}
+
+
+def control_config(
+    policy: object, task: str, split: str, horizon_s: float
+) -> EnvConfig:
+    """Return the environment that a policy acts in.
+
+    Args:
+        policy: Anything that acts at control level.
+        task: Name of the task.
+        split: Where its instances come from.
+        horizon_s: Simulated time after which an episode ends [s].
+
+    Raises:
+        LemmaError: It asks for what does not exist, or for what others decide.
+    """
+    asked = getattr(policy, "control_options", {})
+    if not isinstance(asked, Mapping):
+        raise InvalidConfigError(
+            f"control_options of the policy is a {type(asked).__name__}. Valid: a "
+            'dictionary, such as {"control": "delta_ee_pose", "control_hz": 10}.'
+        )
+    for name in asked:
+        if name not in CONTROL_OPTIONS:
+            raise UnknownNameError("option of a policy", name, CONTROL_OPTIONS)
+    return EnvConfig(
+        task=task, split=split, horizon_s=horizon_s, **{**_DEFAULTS, **asked}
+    )
+
+
+def check_fair(config: EnvConfig, *, oracle: bool) -> None:
+    """Check that only an oracle observes the truth.
+
+    Raises:
+        InvalidConfigError: Somebody else would.
+    """
+    if OBSERVATIONS[config.observation].truth and not oracle:
+        fair = (name for name in OBSERVATIONS if not OBSERVATIONS[name].truth)
+        raise InvalidConfigError(
+            f"observation={config.observation!r} holds the truth. Valid: "
+            f"{', '.join(fair)}; or derive the policy from "
+            "lemma.policies.interfaces.Oracle, and its result says so."
+        )
+
+
+@dataclass(kw_only=True)
+class ControlRollout(Rollout):
+    """One episode that is played by motor commands."""
+
+    config: EnvConfig
+    """The environment that the policy asks for."""
+    actions: int = 0
+    """Control steps so far."""
+    asked: int = 0
+    """How often the policy was asked."""
+    memory: Any = None
+    """What the policy remembers of the episode."""
+
+    def _begin(self) -> Episode:
+        self.env = ControlEnv(self.config)
+        self.env.set_table(options={"instance": self.instance})
+        self.handling = HandlingWatch(self.env.episode)
+        return self.env.episode
+
+    def look(self, observer: Observer, *, oracle: bool) -> ControlInput:
+        """Return what a policy is given now: copies, from which nothing leads back.
+
+        Args:
+            observer: What it sees with.
+            oracle: Whether it is given the truth as well.
+
+        Raises:
+            RenderingError: OpenGL does not work here.
+        """
+        observation = observer.observe(self.episode, self.kind)
+        observation["instruction"] = write_text(self.instruction)
+        scene = self.episode.simulation.scene
+        cameras = {}
+        if observer.contents.renders:
+            scene.refresh()
+            cameras = {
+                name: observer.rig.calibrated(scene, scene.data, name)
+                for name in observer.cameras
+            }
+        given: dict[str, Any] = {
+            "instruction": self.instruction,
+            "robots": self._phrases,
+            "observation": _copied(observation),
+            "cameras": cameras,
+            "step": self.actions,
+            "time_s": self.episode.elapsed_s,
+            "memory": self.memory,
+        }
+        if oracle:
+            return OracleControlInput(**given, env=self.env)
+        return ControlInput(**given)
+
+    def take(self, given: object, decision: Any) -> None:
+        """Carry out an answer, to its end or to that of the episode."""
+        self.asked += 1
+        self.memory = decision.memory
+        layout = self.env.action_layout
+        try:
+            chunk = chunk_of(decision.rows, layout.shape)
+        except ValueError as error:
+            what = (
+                f"{error}; rows {', '.join(layout.rows)}, {', '.join(layout.columns)}."
+            )
+            self.fail(Fault(FaultKind.MALFORMED, what))
+            return
+        for row in chunk:
+            try:
+                _, terminated, truncated = self.env.advance(row)
+            except InvalidActionError as error:
+                self.fail(Fault(FaultKind.MALFORMED, str(error)))
+                return
+            except PhysicsError as error:
+                self.fail(Fault(FaultKind.RAISED, str(error)))
+                return
+            self.actions += 1
+            self.handling.look()
+            if terminated or truncated:
+                return
+
+    def fail(self, fault: Fault) -> None:
+        """End the episode for a fault of its policy; its robots stand still."""
+        self.fault = fault
+        self.episode.stop()
+
+    def told(self) -> dict[str, Any]:
+        """Return what its line says beside what every line does."""
+        return {
+            "control": {
+                "mode": self.config.control,
+                "hz": self.config.control_hz,
+                "actions": self.actions,
+                "asked": self.asked,
+                **self.handling.told(),
+            }
+        }
+
+
+def _copied(observation: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: _copied(value) if isinstance(value, dict) else np.array(value)
+        for name, value in observation.items()
+    }
+
+
+class ControlPlayer(Player):
+    """A policy at control level, and what it sees with."""
+
+    def __init__(self, policy: ControlPolicy) -> None:
+        """Prepare; OpenGL is started by the first picture.
+
+        Args:
+            policy: Decides.
+        """
+        super().__init__(policy)
+        self._oracle = is_oracle(policy)
+        self._observers: dict[int, Observer] = {}
+
+    def begin(
+        self, instance: Instance, kind: str, control: LanguageControl = OWN_SENTENCE
+    ) -> Rollout:
+        """Set the table for an episode.
+
+        Raises:
+            LemmaError: The policy asks for an environment that does not exist.
+        """
+        config = control_config(
+            self.policy, instance.task, FREE_SPLIT, Rollout.horizon_s
+        )
+        check_fair(config, oracle=self._oracle)
+        return ControlRollout(instance, kind, control=control, config=config)
+
+    def given(self, rollout: Rollout) -> ControlInput:
+        """Return what the policy is given of an episode now."""
+        assert isinstance(rollout, ControlRollout)
+        robots = len(rollout.instance.scene.robots)
+        if robots not in self._observers:
+            config = rollout.config
+            self._observers[robots] = Observer(
+                config.observation,
+                tuple(range(robots)),
+                (config.width, config.height),
+                config.cameras,
+            )
+        return rollout.look(self._observers[robots], oracle=self._oracle)
+
+
+def load_player(spec: PolicySpec) -> Player:
+    """Load a policy of any level by name.
+
+    Raises:
+        LemmaError: There is no such policy, or its weights are damaged.
+    """
+    if spec.controls:
+        return ControlPlayer(load_policy(spec))
+    return Player.load(spec)

@@ -1,0 +1,1 @@
+"""Policies at control level: their interface, and the expert behind it."""

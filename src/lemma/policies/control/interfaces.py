@@ -1,0 +1,87 @@
+"""The interface of policies at control level: camera images in, motor commands out.
+
+What a policy is given is what its environment observes, :class:`ControlEnv` with the
+options that the policy asks for, and the cameras' calibration. It answers one action or
+a chunk of them, and whatever it wants to remember of the episode.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lemma.scene.cameras import Camera
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ControlInput:
+    """All that a policy may know of an episode when it is asked for actions."""
+
+    instruction: str
+    robots: tuple[str, ...]
+    """How people name the robots, in the order of an action's rows."""
+    observation: Mapping[str, Any]
+    """What :class:`~lemma.env.control_env.ControlEnv` observes with the policy's
+    options: ``agent_pos`` and more, ``pixels`` and ``depth`` by camera. Copies."""
+    cameras: Mapping[str, Camera] = field(default_factory=dict)
+    """Intrinsics and extrinsics of the cameras in ``observation``, by name."""
+    step: int = 0
+    """Control steps since the episode began."""
+    time_s: float = 0.0
+    """Simulated time since then [s]."""
+    memory: Any = None
+    """What the policy returned for this episode last time; None at the beginning."""
+
+
+@dataclass(frozen=True, eq=False)
+class Actions:
+    """What a policy answers for one episode."""
+
+    rows: ArrayLike
+    """One action, (robots, numbers), or a chunk of them, (steps, robots, numbers), all
+    of which are carried out before the policy is asked again."""
+    memory: Any = None
+    """Comes back as ``memory`` of the next input of the same episode."""
+
+
+@runtime_checkable
+class ControlPolicy(Protocol):
+    """Decides on motor commands.
+
+    An attribute ``control_options``, a dictionary, says in which environment it acts,
+    see :data:`lemma.evaluation.run.control.rollout.CONTROL_OPTIONS`. Without it: joint
+    positions at 20 Hz, RGB of each robot's camera.
+    """
+
+    def act(
+        self, inputs: Sequence[ControlInput]
+    ) -> Sequence[Actions | ArrayLike]:  # pragma: no cover - a protocol
+        """Return the next action or chunk of actions for each episode.
+
+        Args:
+            inputs: One per episode; at least one.
+        """
+        ...
+
+
+def chunk_of(rows: ArrayLike, shape: tuple[int, int]) -> list[Any]:
+    """Return the actions of an answer, oldest first.
+
+    Args:
+        rows: One action of a shape, or several.
+        shape: (robots, numbers).
+
+    Raises:
+        ValueError: It is neither.
+    """
+    values = np.asarray(rows)
+    if values.shape == shape:
+        return [values]
+    if values.ndim != 3 or values.shape[1:] != shape or not len(values):
+        raise ValueError(
+            f"The actions have shape {values.shape}. Valid: {shape}, or (steps, "
+            f"{shape[0]}, {shape[1]}) for a chunk"
+        )
+    return list(values)
