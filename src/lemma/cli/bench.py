@@ -8,6 +8,7 @@ from rich.table import Table
 
 from lemma.bench.control import HZ, ControlFigures, measure_control
 from lemma.bench.expert_loop import ExpertLoopFigures, measure_expert_loop
+from lemma.bench.filming import FilmingFigures, measure_filming
 from lemma.bench.machine import describe_machine
 from lemma.bench.policy import PolicyFigures, measure_policy
 from lemma.bench.speed import (
@@ -76,6 +77,7 @@ def bench(
     policy: Annotated[
         str | None, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")
     ] = None,
+    rendering: Flag = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Measure speed, memory and, if asked to, the expert's success.
@@ -84,9 +86,10 @@ def bench(
         tasks: Tasks to measure with; all eight if none is named.
         expert: Measure the expert's success as well, which takes minutes.
         episodes: Frozen instances per task, and as many fresh ones, for the expert.
-        workers: Processes for the expert; one per core by default.
+        workers: Processes for the expert and for --rendering; one per core by default.
         policy: Measure instead how fast this policy decides, and how much memory it
             needs.
+        rendering: Measure instead how fast recorded episodes become pictures.
         as_json: Print one JSON object on the output, and the progress elsewhere.
     """
     names = tuple(dict.fromkeys(tasks)) or SUITE
@@ -102,6 +105,10 @@ def bench(
     machine = describe_machine()
     if policy is not None:
         _bench_policy(machine, policy, instances, as_json)
+        return 0
+    if rendering:
+        first = instances[::each]
+        _bench_rendering(machine, first, workers or usable_cores(), as_json)
         return 0
     with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
         speed = measure_speed(instances)
@@ -135,6 +142,19 @@ def _bench_policy(
         print_json({"machine": machine, "policy": found.to_dict()})
     else:
         _print_policy(machine, found, policy)
+
+
+def _bench_rendering(
+    machine: dict[str, Any], instances: list[Instance], workers: int, as_json: bool
+) -> None:
+    with messages().status(f"Filming with {workers} processes ..."):
+        found = measure_filming(instances, workers)
+    if as_json:
+        rows = [figures.to_dict() for figures in found]
+        print_json({"machine": machine, "rendering": rows})
+    else:
+        _print_machine(machine)
+        _print_rendering(found)
 
 
 def report(
@@ -188,6 +208,31 @@ def _print_expert(figures: dict[str, ExpertFigures]) -> None:
 def _print_policy(machine: dict[str, Any], found: PolicyFigures, policy: str) -> None:
     _print_machine(machine)
     output().print(_figures(f"Policy {policy}", found, _POLICY_TARGETS))
+
+
+def _print_rendering(found: list[FilmingFigures]) -> None:
+    title = f"Episodes at 10 Hz, two cameras, color; {found[0].workers} processes"
+    table = Table(title=title, title_justify="left")
+    for heading in ("renderer", "size"):
+        table.add_column(heading)
+    for heading in (
+        *("replay, ms a state", "render, ms a picture", "encode, ms a picture"),
+        *("pictures/s of all", "min for all episodes"),
+    ):
+        table.add_column(heading, justify="right")
+    for one in found:
+        table.add_row(
+            one.renderer,
+            f"{one.width}x{one.height}",
+            f"{one.replay_ms:.2f}",
+            f"{one.render_ms:.2f}",
+            f"{one.encode_ms:.2f}",
+            f"{one.images_per_s:.0f}",
+            f"{one.all_minutes:.0f}",
+        )
+    output().print(table)
+    for name, drawn_by in {one.renderer: one.drawn_by for one in found}.items():
+        output().print(f"{name}: {drawn_by}")
 
 
 def _print_machine(machine: dict[str, Any]) -> None:

@@ -1,0 +1,186 @@
+"""The figures of `lemma bench --rendering`: how fast episodes become pictures.
+
+Worker processes do what an export does, all at the same time: execute an episode again,
+render its states, encode a video of each camera. Each stage is timed by itself.
+"""
+
+import io
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.workers.pool import ProcessPool
+from lemma.dataset.recipe.record import record_episode
+from lemma.dataset.recipe.schema import EpisodeRecord
+from lemma.dataset.rendered.film import Filming, cameras_of, rig_of
+from lemma.dataset.rendered.steps import iterate_steps
+from lemma.scene.rendering.batch import choose_renderer, states_at_once
+from lemma.tasks.instance import Instance
+
+SIZES = ((128, 128), (224, 224), (640, 480))
+"""Width and height of the pictures [px]."""
+ALL_IMAGES = 3_000_000
+"""About what all 6,400 episodes have at 10 Hz, of two cameras."""
+_LEAST_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class FilmingFigures:
+    """How fast episodes become pictures with one renderer, at one size."""
+
+    renderer: str
+    drawn_by: str
+    """What draws, and on what."""
+    width: int
+    height: int
+    workers: int
+    replay_ms: float
+    """To execute an episode again, per state: a picture of each of two cameras."""
+    render_ms: float
+    """To render color and no depth, per picture."""
+    encode_ms: float
+    """To encode H.264, per picture."""
+    images_per_s: float
+    """Pictures of all workers together, rendered and encoded [1/s]."""
+    all_minutes: float
+    """For :data:`ALL_IMAGES` at this rate [min]."""
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data, ready for JSON."""
+        return {
+            name: round(value, 3) if isinstance(value, float) else value
+            for name, value in asdict(self).items()
+        }
+
+
+@dataclass(slots=True)
+class _Times:
+    """What one worker needed for each stage [s]."""
+
+    drawn_by: str = ""
+    states: int = 0
+    images: int = 0
+    replay_s: float = 0.0
+    render_s: float = 0.0
+    encode_s: float = 0.0
+
+    @property
+    def total_s(self) -> float:
+        return self.replay_s + self.render_s + self.encode_s
+
+
+def measure_filming(
+    instances: Sequence[Instance],
+    workers: int,
+    sizes: Sequence[tuple[int, int]] = SIZES,
+    least_s: float = _LEAST_S,
+) -> list[FilmingFigures]:
+    """Measure every renderer that makes sense here: OpenGL, and what is chosen.
+
+    Args:
+        instances: Episodes; the expert solves them first.
+        workers: Processes.
+        sizes: Width and height of the pictures [px].
+        least_s: Time that each worker goes on for [s].
+
+    Raises:
+        RenderingError: Nothing renders here.
+    """
+    records = [record_episode(instance) for instance in instances]
+    found = []
+    for renderer in dict.fromkeys(("opengl", choose_renderer("auto"))):
+        for width, height in sizes:
+            how = Filming(width=width, height=height, renderer=renderer)
+            jobs = [(records[n % len(records) :], how, least_s) for n in range(workers)]
+            times = list(ProcessPool(workers).run(time_filming, jobs))
+            found.append(_figures(how, times))
+    return found
+
+
+def _figures(how: Filming, times: Sequence[_Times]) -> FilmingFigures:
+    images = sum(one.images for one in times)
+    rate = sum(one.images / one.total_s for one in times)
+    states = sum(one.states for one in times)
+    return FilmingFigures(
+        renderer=how.renderer,
+        drawn_by=times[0].drawn_by,
+        width=how.width,
+        height=how.height,
+        workers=len(times),
+        replay_ms=1000.0 * sum(one.replay_s for one in times) / states,
+        render_ms=1000.0 * sum(one.render_s for one in times) / images,
+        encode_ms=1000.0 * sum(one.encode_s for one in times) / images,
+        images_per_s=rate,
+        all_minutes=ALL_IMAGES / rate / 60.0,
+    )
+
+
+def time_filming(
+    records: Sequence[EpisodeRecord], how: Filming, least_s: float
+) -> _Times:
+    """Film episodes, one after the other and then again, for some time.
+
+    Args:
+        records: The episodes.
+        how: How to film them.
+        least_s: How long to go on [s].
+    """
+    rig = rig_of(how.width, how.height, how.renderer)
+    times = _Times(drawn_by=rig.describe())
+    # What is compiled or started once is no part of it.
+    _film_once(records[0], how, _Times())
+    number = 0
+    while times.total_s < least_s:
+        _film_once(records[number % len(records)], how, times)
+        number += 1
+    return times
+
+
+def _film_once(record: EpisodeRecord, how: Filming, times: _Times) -> None:
+    """Film an episode and add what each stage took."""
+    cameras = cameras_of(record, how.cameras)
+    rig = rig_of(how.width, how.height, how.renderer)
+    start = time.perf_counter()
+    states, scene = [], None
+    for step in iterate_steps(record, how.hz):
+        scene = step.scene
+        states.append(scene.data.qpos.copy())
+    assert scene is not None
+    times.replay_s += time.perf_counter() - start
+    times.states += len(states)
+    together = states_at_once(how.width, how.height, len(cameras))
+    for first in range(0, len(states), together):
+        start = time.perf_counter()
+        chunk = np.array(states[first : first + together])
+        rgb = rig.film(scene, chunk, cameras, depth=how.depth).rgb
+        middle = time.perf_counter()
+        for camera in range(len(cameras)):
+            encode(rgb[:, camera], how.hz)
+        times.encode_s += time.perf_counter() - middle
+        times.render_s += middle - start
+        times.images += rgb.shape[0] * rgb.shape[1]
+
+
+def encode(frames: NDArray[np.uint8], hz: int) -> bytes:
+    """Return a video, encoded by one thread, as exports are.
+
+    Args:
+        frames: Color, shape (frames, height, width, 3); both sides even.
+        hz: Frames per second.
+    """
+    file = io.BytesIO()
+    with av.open(file, "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=hz)
+        stream.height, stream.width = frames.shape[1:3]
+        stream.pix_fmt = "yuv420p"
+        stream.options = {"preset": "veryfast", "crf": "27", "bf": "0", "g": "5"}
+        stream.codec_context.thread_count = 1
+        for frame in frames:
+            image = av.VideoFrame.from_ndarray(frame, format="rgb24")
+            container.mux(stream.encode(image))
+        container.mux(stream.encode())
+    return file.getvalue()
