@@ -92,9 +92,7 @@ def bench(
         rendering: Measure instead how fast recorded episodes become pictures.
         as_json: Print one JSON object on the output, and the progress elsewhere.
     """
-    names = tuple(dict.fromkeys(tasks)) or SUITE
-    for name in names:
-        task_named(name)
+    names = tuple(task_named(name).name for name in dict.fromkeys(tasks)) or SUITE
     if not 1 <= episodes <= SPLITS[_SPLIT] or (workers is not None and workers < 1):
         raise InvalidConfigError(
             f"--episodes goes from 1 to {SPLITS[_SPLIT]}, the length of the frozen "
@@ -107,8 +105,7 @@ def bench(
         _bench_policy(machine, policy, instances, as_json)
         return 0
     if rendering:
-        first = instances[::each]
-        _bench_rendering(machine, first, workers or usable_cores(), as_json)
+        _bench_rendering(machine, instances[::each], workers, as_json)
         return 0
     with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
         speed = measure_speed(instances)
@@ -145,8 +142,9 @@ def _bench_policy(
 
 
 def _bench_rendering(
-    machine: dict[str, Any], instances: list[Instance], workers: int, as_json: bool
+    machine: dict[str, Any], instances: list[Instance], asked: Number, as_json: bool
 ) -> None:
+    workers = asked or usable_cores()
     with messages().status(f"Filming with {workers} processes ..."):
         found = measure_filming(instances, workers)
     if as_json:
