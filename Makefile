@@ -57,18 +57,25 @@ tests: setup-dev ## The tests alone.
 
 # lerobot asks for Python 3.12 and for other versions of torch and NumPy than anybody
 # needs who works on this package: it has an environment of its own (6 GB).
-LEROBOT_PYTHON ?= python3.12
+# Where no Python 3.12 or 3.13 is found, `make LEROBOT_PYTHON=/path/to/python` says it.
+LEROBOT_PYTHON ?= $(shell for p in python3.12 python3.13 python3 \
+	$(wildcard $(HOME)/.pyenv/versions/3.12.*/bin/python); do \
+	$$p -c 'import sys; sys.exit(not (3, 12) <= sys.version_info < (3, 14))' \
+	2>/dev/null && echo $$p && break; done)
 LEROBOT_VENV := .venv-lerobot
+LEROBOT_PLUGIN := integrations/lerobot_env_lemma
 
-test-lerobot: $(LEROBOT_VENV)/stamp ## The real lerobot writes an export and reads it.
+test-lerobot: $(LEROBOT_VENV)/stamp ## The real lerobot exports, trains and evaluates.
 	$(LEROBOT_VENV)/bin/python -m pytest -q -p no:cacheprovider \
-		-c tests/lerobot/pytest.ini --confcutdir=tests/lerobot \
-		tests/lerobot/check_lerobot.py
+		-c tests/lerobot/pytest.ini --confcutdir=tests/lerobot tests/lerobot
 
-$(LEROBOT_VENV)/stamp: pyproject.toml
-	@echo "Installing lerobot into $(LEROBOT_VENV) ..."
+$(LEROBOT_VENV)/stamp: pyproject.toml $(LEROBOT_PLUGIN)/pyproject.toml
+	@if [ -z "$(LEROBOT_PYTHON)" ]; then \
+		echo "No Python 3.12 or 3.13 was found. Say where it is:" \
+		"make test-lerobot LEROBOT_PYTHON=/path/to/python" >&2; exit 1; fi
+	@echo "Installing lerobot into $(LEROBOT_VENV) (6 GB, some minutes) ..."
 	@$(LEROBOT_PYTHON) -m venv --clear $(LEROBOT_VENV)
-	@$(LEROBOT_VENV)/bin/python -m pip install -qq -e '.[lerobot]' pytest
+	@$(LEROBOT_VENV)/bin/python -m pip install -qq -e '.[lerobot]' -e $(LEROBOT_PLUGIN) pytest
 	@touch $@
 
 # Only the parity of renderers needs MuJoCo Warp (0.5 GB); a CPU will do.

@@ -10,10 +10,11 @@ from lemma.cli import render as verb
 from lemma.cli.main import main
 from lemma.cli.render import RenderOptions, choose_form
 from lemma.cli.workers import Workers
-from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.serial import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig
+from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
+from lemma.tasks.language.template import KINDS
 
 FORMS = ("keyframes", "lerobot")
 
@@ -65,7 +66,9 @@ def test_every_form_works_where_it_is_told_and_can_be_interrupted(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--form", "keyframes", "--no-depth"), "cannot leave depth out"),
+        (("--form", "keyframes", "--no-depth"), "--no-depth is for --form lerobot"),
+        (("--fps", "20"), "keyframes have no rate"),
+        (("--form", "lerobot", "--instructions", "poem"), "Unknown kind of instr"),
         (("--form", "lerobot", "--size", "63x48"), "must be even"),
         (("--form", "lerobot", "--size", "large"), "is no size"),
         (("--form", "lerobot", "--fps", "30"), "Choose one of 1, 2"),
@@ -84,18 +87,34 @@ def test_what_cannot_be_is_refused_before_anything_is_written(
     assert not (tmp_path / "set").exists()
 
 
-def test_depth_is_filmed_unless_it_is_left_out(
+def test_a_data_set_is_filmed_as_the_options_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    orders: list[bool] = []
+    styles: list[Style] = []
 
     def keep(order: LeRobotConfig, *rest: object) -> None:
-        orders.append(order.style.depth)
+        styles.append(order.style)
 
     monkeypatch.setattr(verb, "write_dataset", keep)
     order = RenderConfig(recipe=tmp_path, out=tmp_path / "set")
-    for look in (RenderOptions(), RenderOptions(no_depth=True)):
+    other = RenderOptions(
+        size="160x120",
+        fps=20,
+        no_depth=True,
+        cameras="overview,robot_1_wrist",
+        instructions="high-level,human",
+    )
+    for look in (RenderOptions(), other, RenderOptions(instructions="all")):
         choose_form("lerobot", order, look)(Serial(), lambda count: None)
-    assert orders == [True, False]
-    with pytest.raises(InvalidConfigError):
-        choose_form("keyframes", order, RenderOptions(no_depth=True))
+    assert styles == [
+        Style(),
+        Style(
+            fps=20,
+            width_px=160,
+            height_px=120,
+            depth=False,
+            cameras=("overview", "robot_1_wrist"),
+            instructions=("high_level", "human"),
+        ),
+        Style(instructions=KINDS),
+    ]

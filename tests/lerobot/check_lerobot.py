@@ -5,6 +5,7 @@ import math
 import os
 from functools import cache
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -13,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from small_recipe import SPLITS, TASKS, recipe
 
 import lemma
 from lemma.cli.main import main
 from lemma.core.workers.serial import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset, write_shard
 from lemma.dataset.lerobot.frames import Style
-from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.labels import label
 from lemma.dataset.rendered.render import RenderConfig
@@ -33,19 +34,7 @@ STYLE = Style(fps=FPS, width_px=320, height_px=240)
 EVERY = 17
 """Frames from one picture that is compared to the next."""
 ROBOTS = ("robot_0", "robot_1")
-EPISODES = tuple(
-    (task, split) for split in ("train", "val") for task in ("pass", "stack")
-)
-
-
-@cache
-def recipe() -> Path:
-    out = Path(mkdtemp(prefix="lemma-lerobot-"))
-    order = GenerateConfig(
-        out=out, tasks=("pass", "stack"), splits=("train", "val"), episodes=1
-    )
-    generate(order, Serial())
-    return out
+EPISODES = tuple((task, split) for split in SPLITS for task in TASKS)
 
 
 @cache
@@ -150,6 +139,9 @@ def test_states_actions_and_sentences(episode: int) -> None:
             assert np.array_equal(
                 row[key].numpy(), arrays[name][number].astype(np.float32)
             )
+        for part, robot in product(("state", "action"), range(2)):
+            theirs = arrays[part][number].reshape(2, 7)[robot].astype(np.float32)
+            assert np.array_equal(row[f"robot_{robot}.{part}"].numpy(), theirs)
         assert row["frame_index"] == number
         assert row["episode_index"] == episode
         assert row["timestamp"].item() == pytest.approx(number / FPS, abs=1e-5)

@@ -17,6 +17,7 @@ from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.dataset.rendered.render import render as render_form
+from lemma.tasks.language.template import KINDS
 
 _AT_INTERRUPT = (
     "{done} of {total} episodes are made. The same command goes on from there."
@@ -44,13 +45,21 @@ class RenderOptions:
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "640x480"
     """Size of camera images [px]."""
     fps: int = 10
-    """Frames per simulated second; keyframes have none."""
+    """LeRobotDataset: frames per simulated second, such as 10 or 20."""
     no_depth: Flag = False
-    """Leave depth out of a LeRobotDataset."""
+    """LeRobotDataset: leave depth out."""
+    cameras: Annotated[str, tyro.conf.arg(metavar="CAMERA,...")] = ""
+    """LeRobotDataset: which cameras film, such as robot_0,robot_1,robot_0_wrist or
+    overview; each robot's own if none is named."""
+    instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
+    """LeRobotDataset: kinds of instructions, high-level, human, unseen, or all; for
+    each of them there is an episode of which it is the task."""
 
 
 EVERYTHING = RenderOptions()
 """All episodes, at the usual size and rate."""
+_FILMED = ("fps", "no_depth", "cameras", "instructions")
+"""What is of LeRobotDatasets alone."""
 
 LookOptions = Annotated[RenderOptions, tyro.conf.arg(name="")]
 """The fields as options of a verb."""
@@ -96,17 +105,26 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
     """Return what makes the form that a user asked for.
 
     Raises:
-        InvalidConfigError: Its size or rate is impossible, or depth cannot be left out.
+        InvalidConfigError: Its size or rate is impossible, or an option is not its.
+        UnknownNameError: No such kind of instructions.
     """
-    if look.no_depth and name != "lerobot":
-        raise InvalidConfigError(
-            f"--no-depth is for --form lerobot; {name} cannot leave depth out."
-        )
     width, height = parse_size(look.size)
     if name == "keyframes":
+        for field in _FILMED:
+            if getattr(look, field) != getattr(EVERYTHING, field):
+                raise InvalidConfigError(
+                    f"--{field.replace('_', '-')} is for --form lerobot; keyframes "
+                    "have no rate, and always hold depth, each robot's camera and "
+                    "every instruction. Leave it out."
+                )
         return partial(render_form, order, KeyframeForm(width, height))
     style = Style(
-        fps=look.fps, width_px=width, height_px=height, depth=not look.no_depth
+        fps=look.fps,
+        width_px=width,
+        height_px=height,
+        depth=not look.no_depth,
+        cameras=words(look.cameras) if look.cameras else (),
+        instructions=words(look.instructions.replace("-", "_")) or KINDS,
     )
     return partial(write_dataset, LeRobotConfig(source=order, style=style))
 

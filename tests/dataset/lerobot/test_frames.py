@@ -11,6 +11,7 @@ from rendered_sets import TASKS, recipe, recipe_folder
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.dataset.lerobot.export import LeRobotConfig
 from lemma.dataset.lerobot.frames import (
+    AGENT_PARTS,
     Style,
     describe_episode,
     features,
@@ -38,6 +39,10 @@ def test_frames_are_the_steps_of_the_episode() -> None:
         assert np.array_equal(state[:, :6], step.joints.astype(np.float32))
         assert np.array_equal(state[:, 6], step.opening_m.astype(np.float32))
         assert np.array_equal(frame["action"], step.action.ravel().astype(np.float32))
+        for number in range(2):
+            own = {part: frame[f"robot_{number}.{part}"] for part in AGENT_PARTS}
+            assert np.array_equal(own["state"], state[number])
+            assert np.array_equal(own["action"], frame["action"].reshape(2, 7)[number])
         assert frame["next.done"].tolist() == [step.is_done]
         assert frame["next.reward"].tolist() == [step.reward]
         if step.subtask != NO_SUBTASK:
@@ -63,19 +68,44 @@ def test_features_are_what_frames_hold(depth: bool) -> None:
             is_color = name.endswith(("robot_0", "robot_1"))
             kind = "uint8" if is_color else feature["dtype"]
             assert frame[name].dtype == kind.replace("video", "float32")
-    assert (len(holds) == 13) == depth
+    assert (len(holds) == 17) == depth
+    # What learners take for observed, or for what is to be done, is one row of each.
+    rows = {name for name in holds if name.startswith(("observation.", "action"))}
+    assert {name for name in rows if "images" not in name} == {
+        "observation.state",
+        "action",
+    }
 
 
 @pytest.mark.render
 def test_another_sentence_can_be_the_task() -> None:
-    style = Style(fps=2, width_px=64, height_px=48, instruction="human")
-    assert next(frames(recipe()[0], style))["task"] == recipe()[0].human
+    assert next(frames(recipe()[0], STYLE, "human"))["task"] == recipe()[0].human
+
+
+@pytest.mark.render
+def test_other_cameras_can_film() -> None:
+    style = Style(
+        fps=2, width_px=64, height_px=48, cameras=("overview", "robot_1_wrist")
+    )
+    frame = next(frames(recipe()[0], style))
+    holds = features(robots_of(recipe()[0]), style)
+    assert {name for name in holds if "images" in name} == {
+        f"observation.images.{camera}{more}"
+        for camera in style.cameras
+        for more in ("", "_depth")
+    }
+    assert set(frame) == {*holds, "task"}
+    told = describe_episode(recipe()[0], style, "human", 7)
+    assert tuple(told["cameras"]) == style.cameras
+    with pytest.raises(UnknownNameError, match="robot_0_wrist"):
+        features(robots_of(recipe()[0]), Style(cameras=("robot_2",)))
 
 
 def test_what_the_format_has_no_place_for_is_described() -> None:
-    told = describe_episode(recipe()[0], STYLE, 7)
+    told = describe_episode(recipe()[0], STYLE, "human", 7)
     assert told["key"] == recipe()[0].key
     assert told["length"] == 7
+    assert told["instruction"] == "human"
     assert set(told["cameras"]) == {"robot_0", "robot_1"}
     matrix = np.array(told["cameras"]["robot_0"]["world_from_camera"])
     # It looks down at the table.
@@ -89,7 +119,8 @@ def test_what_the_format_has_no_place_for_is_described() -> None:
         ({"fps": 30}, InvalidConfigError),
         ({"width_px": 63}, InvalidConfigError),
         ({"height_px": 16}, InvalidConfigError),
-        ({"instruction": "poem"}, UnknownNameError),
+        ({"instructions": ("poem",)}, UnknownNameError),
+        ({"cameras": ("overview", "overview")}, InvalidConfigError),
     ],
 )
 def test_styles_that_cannot_be(changes: dict[str, Any], error: type[Exception]) -> None:
@@ -109,3 +140,6 @@ def test_shards_hold_every_episode_once_and_training_first(tmp_path: Path) -> No
     together = LeRobotConfig(source=source).shards()
     assert sum(len(shard.rows) for shard in together) == len(shards)
     assert len(together) < len(shards)
+    twice = Style(instructions=("high_level", "human"))
+    halves = LeRobotConfig(source=source, style=twice, per_video=2).shards()
+    assert [len(shard.rows) for shard in halves] == [1] * len(shards)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from shutil import copyfile, rmtree
 from time import perf_counter
@@ -77,6 +78,11 @@ class LeRobotConfig:
     0.1 ms: a video should be shorter than 1000 s."""
 
     @property
+    def per_shard(self) -> int:
+        """Episodes of the recipe that share a video: each is there in every kind."""
+        return max(1, self.per_video // len(self.style.instructions))
+
+    @property
     def out(self) -> Path:
         """Folder of the data set."""
         return self.source.out
@@ -91,9 +97,9 @@ class LeRobotConfig:
         groups = sorted(self.source.groups(), key=lambda group: _rank(*group[:2]))
         every = [
             # Absolute, because a worker may be at home elsewhere.
-            (path.absolute(), group, rows[first : first + self.per_video])
+            (path.absolute(), group, rows[first : first + self.per_shard])
             for path, group, rows in groups
-            for first in range(0, len(rows), self.per_video)
+            for first in range(0, len(rows), self.per_shard)
         ]
         folder = (self.out / _SHARDS).absolute()
         return [
@@ -146,25 +152,16 @@ def write_dataset(
         DatasetError: The lerobot package is not installed, the recipe cannot be read
             here, what is there was made from another one or otherwise, something cannot
             be written, or sentences that are held out would be those of training.
-        UnknownNameError: The recipe has no such task or split.
+        UnknownNameError: The recipe has no such task or split, or no such camera.
         RenderingError: OpenGL does not work here.
     """
     start = perf_counter()
     shards = order.shards()
     files = list(dict.fromkeys(shard.path for shard in shards))
-    check_recorded(order.style.instruction, [path.parent.name for path in files])
-    for path in files:
-        found = open_table(path)[1]
-        check_versions(found)
-        if perturbed_as(found):
-            raise DatasetError(
-                f"{order.source.recipe} holds perturbed executions, in which what was "
-                "done is not what is right, and a LeRobotDataset says what was done. "
-                "Render keyframes, whose labels are the expert's, or a recipe of "
-                "demonstrations."
-            )
-    check_files(order.source.recipe, partial=True)
+    _check_recipe(order, files)
     check_installed()
+    for shard in shards[:1]:
+        features(robots_of(read_group(shard.path, shard.group)[0]), order.style)
     total = sum(len(shard.rows) for shard in shards)
     with only_writer(order.out):
         clear_drafts(order.out)
@@ -183,6 +180,27 @@ def write_dataset(
     count = read_json(order.out / INFO)["total_frames"]
     size = sum(path.stat().st_size for path in order.out.rglob("*") if path.is_file())
     return RenderSummary(total, count, made, perf_counter() - start, size / 1e6)
+
+
+def _check_recipe(order: LeRobotConfig, files: Sequence[Path]) -> None:
+    """Check that the recipe can be exported here and as it was asked for.
+
+    Raises:
+        DatasetError: It cannot.
+    """
+    for kind in order.style.instructions:
+        check_recorded(kind, [path.parent.name for path in files])
+    for path in files:
+        found = open_table(path)[1]
+        check_versions(found)
+        if perturbed_as(found):
+            raise DatasetError(
+                f"{order.source.recipe} holds perturbed executions, in which what was "
+                "done is not what is right, and a LeRobotDataset says what was done. "
+                "Render keyframes, whose labels are the expert's, or a recipe of "
+                "demonstrations."
+            )
+    check_files(order.source.recipe, partial=True)
 
 
 def check_installed() -> None:
@@ -213,7 +231,10 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
         "form": "lerobot",
         "versions": {**versions(BENCHMARK_VERSION), "lerobot": version("lerobot")},
         "renderer": choose_backend().renderer,
-        **asdict(order.style),
+        **{
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in asdict(order.style).items()
+        },
         "per_video": order.per_video,
         "recipe": {_name_in_recipe(path): sha256_of(path) for path in files},
     }
@@ -234,7 +255,7 @@ def _name_in_recipe(path: Path) -> str:
 
 
 def write_shard(shard: Shard, style: Style) -> int:
-    """Write some episodes as a LeRobotDataset; return how many they are.
+    """Write some episodes as a LeRobotDataset; return how many are in the recipe.
 
     Args:
         shard: The episodes.
@@ -250,13 +271,13 @@ def write_shard(shard: Shard, style: Style) -> int:
     rmtree(draft, ignore_errors=True)
     dataset = _create(draft, features(robots_of(records[0]), style), style)
     known = []
-    for record in records:
+    for record, kind in product(records, style.instructions):
         length = 0
-        for frame in frames(record, style):
+        for frame in frames(record, style, kind):
             dataset.add_frame(frame)
             length += 1
         dataset.save_episode()
-        known.append(describe_episode(record, style, length))
+        known.append(describe_episode(record, style, kind, length))
     dataset.finalize()
     write_json(draft / EPISODES, {"episodes": known})
     draft.rename(shard.folder)

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.arguments import known
+from lemma.core.errors import InvalidConfigError
 from lemma.core.robot_names import robot_names
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.labels import label
@@ -20,15 +21,16 @@ from lemma.dataset.rendered.steps import (
     iterate_steps,
     ticks_per_step,
 )
-from lemma.env.camera_rig import CameraRig
+from lemma.env.camera_rig import CameraRig, camera_names
 from lemma.env.episode import Episode
 from lemma.env.view import View
 from lemma.robots.ur.build import JOINTS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
-from lemma.scene.model_cameras import camera_from_model
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS
 
+AGENT_PARTS = ("state", "action")
+"""What of each robot has a column of its own: ``robot_0.state``."""
 _SMALLEST_PX = 32
 
 
@@ -44,8 +46,11 @@ class Style:
     """Height of the pictures [px]; even."""
     depth: bool = True
     """Whether depth is filmed too."""
-    instruction: str = "high_level"
-    """Which of the three instructions is the ``task`` of a frame."""
+    cameras: tuple[str, ...] = ()
+    """Names of the cameras, as an environment knows them; each robot's own if none."""
+    instructions: tuple[str, ...] = ("high_level",)
+    """Which of the three instructions is the ``task`` of a frame: for each of these
+    kinds there is an episode."""
 
     def __post_init__(self) -> None:
         """Check that it can be done."""
@@ -56,18 +61,30 @@ class Style:
                 f"Pictures of {self.width_px} x {self.height_px} pixels cannot be "
                 f"encoded. Both sides must be even and at least {_SMALLEST_PX}."
             )
-        if self.instruction not in KINDS:
-            raise UnknownNameError("kind of instruction", self.instruction, KINDS)
+        for kind in self.instructions:
+            known("kind of instruction", kind, KINDS)
+        for listed in (self.cameras, self.instructions):
+            if len(set(listed)) < len(listed):
+                raise InvalidConfigError(f"{listed} names one twice. Name each once.")
+
+    def cameras_of(self, robots: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names of the cameras that film a team.
+
+        Raises:
+            UnknownNameError: The team has no such camera.
+        """
+        valid = camera_names(robots)
+        return tuple(known("camera", name, valid) for name in self.cameras or robots)
 
 
-def image_key(robot: str) -> str:
-    """Return the name of a robot's camera as a feature."""
-    return f"observation.images.{robot}"
+def image_key(camera: str) -> str:
+    """Return the name of a camera's pictures as a feature."""
+    return f"observation.images.{camera}"
 
 
-def depth_key(robot: str) -> str:
-    """Return the name of the depth of a robot's camera as a feature."""
-    return f"observation.images.{robot}_depth"
+def depth_key(camera: str) -> str:
+    """Return the name of a camera's depth as a feature."""
+    return f"observation.images.{camera}_depth"
 
 
 def robots_of(record: EpisodeRecord) -> tuple[str, ...]:
@@ -81,12 +98,22 @@ def features(robots: tuple[str, ...], style: Style) -> dict[str, dict[str, Any]]
     Args:
         robots: Names of the robots.
         style: How they are filmed.
+
+    Raises:
+        UnknownNameError: They have no such camera.
     """
-    motors = [f"{robot}.{motor}" for robot in robots for motor in (*JOINTS, "gripper")]
+    own = [*JOINTS, "gripper"]
+    motors = [f"{robot}.{motor}" for robot in robots for motor in own]
     sides = (style.height_px, style.width_px)
+    cameras = style.cameras_of(robots)
     found = {
         "observation.state": _feature("float32", (len(motors),), motors),
         "action": _feature("float32", (len(motors),), motors),
+        **{
+            f"{robot}.{part}": _feature("float32", (len(own),), own)
+            for robot in robots
+            for part in AGENT_PARTS
+        },
         "next.reward": _feature("float32"),
         "next.done": _feature("bool"),
         "next.success": _feature("bool"),
@@ -94,11 +121,11 @@ def features(robots: tuple[str, ...], style: Style) -> dict[str, dict[str, Any]]
         **{f"annotation.instruction.{kind}": _feature("string") for kind in KINDS},
     }
     axes = ["height", "width", "channels"]
-    for robot in robots:
-        found[image_key(robot)] = _feature("video", (*sides, 3), axes)
-    for robot in robots if style.depth else ():
+    for camera in cameras:
+        found[image_key(camera)] = _feature("video", (*sides, 3), axes)
+    for camera in cameras if style.depth else ():
         depth = _feature("video", (*sides, 1), axes)
-        found[depth_key(robot)] = {**depth, "info": {"is_depth_map": True}}
+        found[depth_key(camera)] = {**depth, "info": {"is_depth_map": True}}
     return found
 
 
@@ -108,27 +135,30 @@ def _feature(
     return {"dtype": dtype, "shape": shape, "names": names}
 
 
-def frames(record: EpisodeRecord, style: Style) -> Iterator[dict[str, Any]]:
+def frames(
+    record: EpisodeRecord, style: Style, kind: str = "high_level"
+) -> Iterator[dict[str, Any]]:
     """Yield the frames of an episode, each with its ``task``.
 
     Args:
         record: The episode; its sub-tasks are executed again.
         style: How to film it.
+        kind: Which of its instructions is the task.
 
     Raises:
         DatasetError: The motion is not the recorded one.
         RenderingError: OpenGL does not work here.
     """
     rig = _rig(style.width_px, style.height_px)
-    said = {f"annotation.instruction.{kind}": getattr(record, kind) for kind in KINDS}
-    task = getattr(record, style.instruction)
+    cameras = style.cameras_of(robots_of(record))
+    said = {f"annotation.instruction.{one}": getattr(record, one) for one in KINDS}
     for step in iterate_steps(record, style.fps):
-        view = rig.look(step.scene)
+        view = rig.look(step.scene, cameras=cameras)
         yield {
             **_numbers(record, step, view),
-            **_images(view, robots_of(record), style),
+            **_images(view, style),
             **said,
-            "task": task,
+            "task": getattr(record, kind),
         }
 
 
@@ -140,12 +170,19 @@ def _rig(width_px: int, height_px: int) -> CameraRig:
 
 def _numbers(record: EpisodeRecord, step: DenseStep, view: View) -> dict[str, Any]:
     state = np.concatenate([view.joints, view.opening_m[:, None]], axis=1)
+    state, action = state.astype(np.float32), step.action.astype(np.float32)
+    agents = {
+        f"{robot}.{part}": row
+        for part, rows in zip(AGENT_PARTS, (state, action), strict=True)
+        for robot, row in zip(robots_of(record), rows, strict=True)
+    }
     last = len(record.subtasks)
     number = last if step.subtask == NO_SUBTASK else step.subtask
     is_success = step.is_done and record.success
     return {
-        "observation.state": state.ravel().astype(np.float32),
-        "action": step.action.ravel().astype(np.float32),
+        "observation.state": state.ravel(),
+        "action": action.ravel(),
+        **agents,
         "next.reward": np.array([step.reward], np.float32),
         "next.done": np.array([step.is_done]),
         "next.success": np.array([is_success]),
@@ -153,34 +190,34 @@ def _numbers(record: EpisodeRecord, step: DenseStep, view: View) -> dict[str, An
     }
 
 
-def _images(view: View, robots: tuple[str, ...], style: Style) -> dict[str, Any]:
+def _images(view: View, style: Style) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for robot in robots:
-        image = view.cameras[robot]
-        found[image_key(robot)] = image.rgb
+    for camera, image in view.cameras.items():
+        found[image_key(camera)] = image.rgb
         if style.depth:
-            found[depth_key(robot)] = image.depth_m[..., None]
+            found[depth_key(camera)] = image.depth_m[..., None]
     return found
 
 
 def describe_episode(
-    record: EpisodeRecord, style: Style, length: int
+    record: EpisodeRecord, style: Style, kind: str, length: int
 ) -> dict[str, Any]:
     """Return what the format has no place for: where an episode comes from, cameras.
 
     Args:
         record: The episode.
         style: How it was filmed.
+        kind: Which of its instructions is the task.
         length: How many frames it has.
     """
     cameras = {}
     scene = Episode(Instance.from_dict(record.instance_data())).simulation.scene
     scene.refresh()
-    for robot in robots_of(record):
-        size = (style.width_px, style.height_px)
-        camera = camera_from_model(scene.model, scene.data, f"{robot}/camera", *size)
+    rig = _rig(style.width_px, style.height_px)
+    for name in style.cameras_of(robots_of(record)):
+        camera = rig.calibrated(scene, scene.data, name)
         lens = camera.intrinsics
-        cameras[robot] = {
+        cameras[name] = {
             "intrinsics_px": [lens.fx, lens.fy, lens.cx, lens.cy],
             "world_from_camera": camera.world_from_camera.matrix().tolist(),
         }
@@ -193,6 +230,7 @@ def describe_episode(
         "distractors": record.distractors,
         "success": record.success,
         "length": length,
+        "instruction": kind,
         "instructions": {kind: getattr(record, kind) for kind in KINDS},
         "subtasks": [row.instruction for row in record.subtasks],
         "cameras": cameras,

@@ -1,0 +1,23 @@
+"""LEMMA Bench for EnvHub: what a repository on the Hub holds, besides a README.
+
+It needs ``pip install lemma-bench lerobot_env_lemma``.
+"""
+
+from typing import Any
+
+from lerobot_env_lemma import LemmaEnvConfig
+
+
+def make_env(
+    n_envs: int = 1, use_async_envs: bool = False, cfg: Any = None
+) -> dict[str, dict[int, Any]]:
+    """Return a vector of environments for each task: ``{task: {0: vector}}``.
+
+    Args:
+        n_envs: Environments in a vector.
+        use_async_envs: Whether each has a process of its own.
+        cfg: A configuration; its tasks are chosen if it is not one of LEMMA's.
+    """
+    if not isinstance(cfg, LemmaEnvConfig):
+        cfg = LemmaEnvConfig(task=getattr(cfg, "task", None))
+    return cfg.create_envs(n_envs, use_async_envs)

@@ -1,0 +1,151 @@
+"""LEMMA Bench as an environment of lerobot: ``lerobot-eval --env.type=lemma``.
+
+Observations, states and actions are those of ``lemma render --form lerobot``, so that a
+policy that was trained on such a data set is evaluated without renaming anything.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.envs.configs import EnvConfig
+from lerobot.envs.utils import _LazyAsyncVectorEnv, freeze_after_episode_end
+from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
+
+import lemma
+from lemma.env.learning.flat_view import FlatView
+from lemma.env.learning.harness_episodes import HarnessEpisodes
+from lemma.env.simulation import HORIZON_S
+from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.tasks.names import SUITE
+
+STATE = "agent_pos"
+"""What lerobot calls the state in an environment's observation."""
+NUMBERS = 14
+"""Of a state and of an action: six joint angles and an opening for each robot."""
+FIRST_SEED = 1000
+"""With which lerobot-eval begins: there it is the first instance."""
+
+
+class LeRobotNames(gym.ObservationWrapper):
+    """A flat view's observation under the names that lerobot looks for."""
+
+    def __init__(self, env: FlatView) -> None:
+        """Rename the spaces as well."""
+        super().__init__(env)
+        named = self.observation(env.observation_space)
+        pixels = gym.spaces.Dict(named["pixels"])
+        self.observation_space = gym.spaces.Dict({**named, "pixels": pixels})
+
+    def observation(self, observation: Any) -> dict[str, Any]:
+        """Return the state, and pictures by the names of their cameras."""
+        prefix = f"{OBS_IMAGES}."
+        pixels = {
+            name.removeprefix(prefix): observation[name]
+            for name in observation
+            if name.startswith(prefix)
+        }
+        return {STATE: observation[OBS_STATE], "pixels": pixels}
+
+
+def make_one(task: str, options: dict[str, Any]) -> gym.Env:
+    """Return one environment for one episode after the other.
+
+    Args:
+        task: Name of the task.
+        options: Fields of :class:`lemma.env.config.EnvConfig`.
+    """
+    env = lemma.make(
+        task,
+        level="control",
+        control="joint_position",
+        observation="rgb",
+        render_mode="rgb_array",
+        clip_actions=True,
+        **options,
+    )
+    return LeRobotNames(FlatView(HarnessEpisodes(env, FIRST_SEED)))
+
+
+@EnvConfig.register_subclass("lemma")
+@dataclass
+class LemmaEnvConfig(EnvConfig):
+    """What ``--env.NAME=...`` sets."""
+
+    task: str | None = "all"
+    """Names of tasks, separated by commas, or all."""
+    fps: int = 10
+    """Actions per simulated second: those of the training data."""
+    split: str = "test"
+    """Where instances come from, one after the other: seed 1000 is the first."""
+    instruction: str = "high_level"
+    """Which sentence is said: high_level, human, unseen or blind."""
+    cameras: str = "robot_0,robot_1"
+    """Names of cameras, separated by commas: also overview, robot_0_wrist."""
+    width: int = CAMERA_WIDTH_PX
+    """Width of camera images [px]: that of the training data."""
+    height: int = CAMERA_HEIGHT_PX
+    """Height of camera images [px]."""
+    render_width: int = 320
+    """Width of the pictures of videos [px]; drawn at every step."""
+    render_height: int = 180
+    """Height of the pictures of videos [px]."""
+    horizon_s: float = HORIZON_S
+    """Simulated time after which an episode ends [s]."""
+    features: dict[str, PolicyFeature] = field(default_factory=dict)
+    """Filled in from what is above."""
+    features_map: dict[str, str] = field(default_factory=dict)
+    """Filled in as well."""
+
+    def __post_init__(self) -> None:
+        """Say what is observed and what an action is."""
+        row = (NUMBERS,)
+        image = (self.height, self.width, 3)
+        self.features = {
+            ACTION: PolicyFeature(FeatureType.ACTION, row),
+            STATE: PolicyFeature(FeatureType.STATE, row),
+            **{
+                f"{OBS_IMAGES}.{name}": PolicyFeature(FeatureType.VISUAL, image)
+                for name in _listed(self.cameras)
+            },
+        }
+        self.features_map = {name: name for name in self.features} | {STATE: OBS_STATE}
+
+    @property
+    def gym_kwargs(self) -> dict[str, Any]:
+        """Options of an environment, besides its task."""
+        return {
+            "control_hz": float(self.fps),
+            "split": self.split,
+            "instruction": self.instruction,
+            "cameras": _listed(self.cameras),
+            "width": self.width,
+            "height": self.height,
+            "render_width": self.render_width,
+            "render_height": self.render_height,
+            "horizon_s": self.horizon_s,
+        }
+
+    def create_envs(
+        self, n_envs: int, use_async_envs: bool = False
+    ) -> dict[str, dict[int, gym.vector.VectorEnv]]:
+        """Return a vector of environments for each task: ``{task: {0: vector}}``.
+
+        An environment whose episode has ended stands still until the next rollout.
+        """
+        found = {}
+        for task in SUITE if self.task in (None, "all") else _listed(self.task):
+            makers = [partial(make_one, task, self.gym_kwargs)] * n_envs
+            if use_async_envs and n_envs > 1:
+                # Processes start when their task's turn comes.
+                found[task] = {0: _LazyAsyncVectorEnv(makers)}
+            else:
+                frozen = [freeze_after_episode_end(maker) for maker in makers]
+                found[task] = {0: gym.vector.SyncVectorEnv(frozen)}
+        return found
+
+
+def _listed(names: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in names.split(",") if name.strip())

@@ -1,0 +1,134 @@
+"""The plugin names what this package names; `make test-lerobot` runs it in lerobot."""
+
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from packaging.requirements import Requirement
+
+from lemma.dataset.lerobot.frames import Style, features
+from lemma.env.config import EnvConfig
+from lemma.env.learning.flat_view import FlatView
+from lemma.tasks.names import SUITE
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "integrations/lerobot_env_lemma"
+TEAM = ("robot_0", "robot_1")
+SMALL = {"width": 48, "height": 32}
+
+
+class Registry:
+    """What the plugin's configuration is derived from, without lerobot's fields."""
+
+    @staticmethod
+    def register_subclass(name: str) -> Callable[[type], type]:
+        assert name == "lemma"
+        return lambda cls: cls
+
+
+@dataclass
+class PolicyFeature:
+    type: str
+    shape: tuple[int, ...]
+
+
+STAND_INS: dict[str, dict[str, Any]] = {
+    "lerobot": {},
+    "lerobot.configs": {
+        "FeatureType": SimpleNamespace(ACTION="action", STATE="state", VISUAL="image"),
+        "PolicyFeature": PolicyFeature,
+    },
+    "lerobot.envs": {},
+    "lerobot.envs.configs": {"EnvConfig": Registry},
+    "lerobot.envs.utils": {
+        "_LazyAsyncVectorEnv": list,
+        "freeze_after_episode_end": lambda maker: maker,
+    },
+    "lerobot.utils": {},
+    "lerobot.utils.constants": {
+        "ACTION": "action",
+        "OBS_IMAGES": "observation.images",
+        "OBS_STATE": "observation.state",
+    },
+}
+
+
+@pytest.fixture
+def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    for name, holds in STAND_INS.items():
+        module = ModuleType(name)
+        vars(module).update(holds)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.syspath_prepend(str(FOLDER))
+    yield import_module(FOLDER.name)
+    del sys.modules[FOLDER.name]
+
+
+def test_it_is_found_by_its_name_and_goes_with_the_lerobot_that_exports() -> None:
+    project = tomllib.loads((FOLDER / "pyproject.toml").read_text())["project"]
+    assert project["name"] == FOLDER.name
+    assert FOLDER.name.startswith("lerobot_env_")
+    assert (FOLDER / f"{FOLDER.name}.py").exists()
+    ours = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    (exports,) = map(Requirement, ours["optional-dependencies"]["lerobot"])
+    needs = {need.name: need for need in map(Requirement, project["dependencies"])}
+    assert needs["lerobot"].specifier == exports.specifier
+    assert ours["name"] in needs
+
+
+def test_what_is_observed_and_commanded_is_what_data_sets_hold(plugin: Any) -> None:
+    cameras = ("robot_1", "overview")
+    for options, style in (
+        ({}, Style(depth=False)),
+        (
+            {**SMALL, "cameras": ",".join(cameras)},
+            Style(width_px=48, height_px=32, depth=False, cameras=cameras),
+        ),
+    ):
+        config = plugin.LemmaEnvConfig(**options)
+        held = {
+            name: feature["shape"]
+            for name, feature in features(TEAM, style).items()
+            if name.startswith(("observation.", "action"))
+        }
+        named = {config.features_map[name]: it for name, it in config.features.items()}
+        assert {name: it.shape for name, it in named.items()} == held
+    assert plugin.LemmaEnvConfig().fps == Style().fps
+
+
+def test_options_are_those_of_an_environment_and_have_its_defaults(plugin: Any) -> None:
+    defaults = {field.name: field.default for field in fields(EnvConfig)}
+    options = plugin.LemmaEnvConfig().gym_kwargs
+    assert set(options) <= set(defaults)
+    same = ("instruction", "width", "height", "horizon_s")
+    assert [options[name] for name in same] == [defaults[name] for name in same]
+
+
+@pytest.mark.render
+def test_vectors_are_made_of_each_task(plugin: Any) -> None:
+    config = plugin.LemmaEnvConfig(task="pass, hook", **SMALL)
+    made = config.create_envs(n_envs=1)
+    assert list(made) == ["pass", "hook"]
+    env = made["hook"][0]
+    observation, info = env.reset(seed=[plugin.FIRST_SEED + 2])
+    assert info["instance"][0] == "v2/hook/test/2"
+    assert observation["agent_pos"].shape == env.action_space.shape == (1, 14)
+    shapes = {name: image.shape for name, image in observation["pixels"].items()}
+    assert shapes == dict.fromkeys(TEAM, (1, 32, 48, 3))
+    # Every network overshoots: what is out of bounds is clipped.
+    assert np.isfinite(env.step(np.full((1, 14), 99.0, np.float32))[1])
+    view = env.envs[0].env
+    assert isinstance(view, FlatView)
+    held = features(TEAM, Style())["observation.state"]["names"]
+    assert list(view.state_names) == held
+    assert tuple(plugin.LemmaEnvConfig().create_envs(1)) == SUITE
+    lazy = config.create_envs(n_envs=2, use_async_envs=True)["hook"][0]
+    assert len(lazy) == 2
+    env.close()
