@@ -5,9 +5,11 @@ from typing import Any
 import gymnasium
 
 from lemma.core.errors import InvalidConfigError
+from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
 from lemma.env.skill_env import SkillEnv
 from lemma.expert.expert import Expert
+from lemma.expert.joint_motion import MODE, JointMotion, Rows
 from lemma.expert.plan_env import PlanEnv
 
 
@@ -26,22 +28,27 @@ class ExpertPolicy:
         """Watch an environment.
 
         Args:
-            env: At skill or plan level, with or without wrappers.
+            env: Of any level, with or without wrappers; at control level it must be
+                commanded by joint positions.
 
         Raises:
             InvalidConfigError: It is of another level.
         """
         inner = env.unwrapped
-        if not isinstance(inner, SkillEnv | PlanEnv):
+        led = isinstance(inner, ControlEnv) and inner.config.control == MODE
+        if not led and not isinstance(inner, SkillEnv | PlanEnv):
             raise InvalidConfigError(
-                f"The expert decides on sub-tasks, but {type(inner).__name__} takes "
-                'other actions. Make the environment with level="skill" or "plan".'
+                f"The expert decides on sub-tasks or joint positions, but "
+                f"{type(inner).__name__} takes other actions. Make the environment "
+                f'with level="skill" or "plan", or with control="{MODE}".'
             )
-        self._env = inner
+        self._env: Any = inner
         self._episode: Episode | None = None
         self._expert: Expert | None = None
+        self._motion: JointMotion | None = None
+        self._rows: list[Rows] = []
 
-    def act(self, observation: Any = None) -> dict[str, Any]:
+    def act(self, observation: Any = None) -> Any:
         """Return the next action.
 
         Args:
@@ -52,6 +59,8 @@ class ExpertPolicy:
         """
         del observation
         episode = self._env.episode
+        if isinstance(self._env, ControlEnv):
+            return self._row(self._env)
         if self._expert is None or self._episode is not episode:
             self._expert = Expert(episode.simulation.scene, episode.instance.goal)
             self._episode = episode
@@ -61,3 +70,11 @@ class ExpertPolicy:
         if isinstance(self._env, PlanEnv):
             return self._env.encode(subtask)
         return self._env.encode(grounded)
+
+    def _row(self, env: ControlEnv) -> Rows:
+        if self._motion is None or self._episode is not env.episode:
+            self._motion, self._rows = JointMotion(env), []
+            self._episode = env.episode
+        if not self._rows:
+            self._rows = list(self._motion.next_chunk())
+        return self._rows.pop(0)
