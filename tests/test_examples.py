@@ -1,5 +1,7 @@
 """Every example runs, silently apart from what it prints, and does what it says."""
 
+import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -28,12 +30,17 @@ RENDERS = ("00", "04")
 
 
 def run(name: str, *arguments: str) -> str:
+    return python("-W", "error", str(EXAMPLES / name), *arguments)
+
+
+def python(*words: str, **variables: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-W", "error", str(EXAMPLES / name), *arguments],
+        [sys.executable, *words],
         capture_output=True,
         text=True,
         check=False,
         timeout=300,
+        env=os.environ | variables,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr.replace(NOTICE, "") == ""
@@ -53,6 +60,19 @@ def test_every_example_is_run_here() -> None:
 )
 def test_example_runs(name: str) -> None:
     assert CASES[name] in run(name, *SHORT.get(name, ()))
+
+
+@pytest.mark.render
+def test_the_notebook_runs_from_top_to_bottom() -> None:
+    notebook = json.loads((EXAMPLES / "first_steps.ipynb").read_text())
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    # Nothing that was printed is kept: it would be out of date.
+    assert not any(cell["outputs"] for cell in cells)
+    code = "\n".join("".join(cell["source"]) for cell in cells)
+    printed = python("-c", code, MPLBACKEND="Agg")
+    assert "success: True" in printed
+    assert "| pass |" in printed
+    assert "'event': 'grasped'" in printed
 
 
 @pytest.mark.render
