@@ -13,7 +13,7 @@ from model_server import HELLO, array, model_server, pack
 from PIL import Image
 
 from lemma.core.errors import InvalidConfigError
-from lemma.serve.client import vla_eval as client
+from lemma.policies.control.interfaces import is_model_server
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.client.vla_eval import ModelServer
 from lemma.serve.protocol import vla_eval as protocol
@@ -299,5 +299,5 @@ def test_what_cannot_be_sent_is_an_error() -> None:
 
 
 def test_names_of_servers_are_told_from_others() -> None:
-    assert client.is_model_server("vla-eval://127.0.0.1:8001")
-    assert not client.is_model_server("http://127.0.0.1:8001")
+    assert is_model_server("vla-eval://127.0.0.1:8001")
+    assert not is_model_server("http://127.0.0.1:8001")

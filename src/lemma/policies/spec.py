@@ -14,6 +14,7 @@ from lemma.policies.compose import (
     RetryingPlanner,
     RetryingPolicy,
 )
+from lemma.policies.control.interfaces import is_model_server
 from lemma.policies.control.oracle import ExpertControl
 from lemma.policies.interfaces import (
     TIMEOUT_S,
@@ -54,7 +55,9 @@ class PolicySpec:
       ``"greedy-reach"`` or ``"llm:MODEL"``, with a grounder or, alone, with the
       expert's poses;
     - anybody's own class: ``"package.module:Class"``, called with ``arguments``;
-    - a policy behind a socket: ``"http://127.0.0.1:8000"``.
+    - a policy behind a socket: ``"http://127.0.0.1:8000"``;
+    - a model server of vla-eval: ``"vla-eval://127.0.0.1:8001"``, whose ``arguments``
+      choose the environment.
 
     Models are names of weights that ship, or paths of weights.
     """
@@ -73,7 +76,7 @@ class PolicySpec:
     level: str = ""
     """``"control"`` if it answers motor commands; else its name tells the level."""
     arguments: tuple[tuple[str, Any], ...] = ()
-    """Names and values that its class is called with; of one's own class alone."""
+    """Names and values that its class is called with."""
 
     def __post_init__(self) -> None:
         """Check the names and the time, and that its planners can be made."""
@@ -101,16 +104,24 @@ class PolicySpec:
                 "Motor commands are no sub-tasks, so neither multi-step planning nor "
                 "ground-truth allocation applies to them."
             )
-        own = ":" in self.name and "://" not in self.name
+        own = is_model_server(self.name) or (
+            ":" in self.name and "://" not in self.name
+        )
+        if is_model_server(self.name) and "+" in self.name:
+            raise InvalidConfigError(
+                f"{self.name} answers motor commands, so there is nothing to combine "
+                "it with, nor another level. Name the address alone."
+            )
         if self.arguments and (not own or any(map(self._is_planner, self.parts))):
             raise InvalidConfigError(
-                f"{self.name} takes no arguments. Classes do: package.module:Class."
+                f"{self.name} takes no arguments. Classes do, package.module:Class, "
+                "and model servers, vla-eval://HOST:PORT."
             )
 
     @property
     def controls(self) -> bool:
         """Whether it answers motor commands."""
-        return self.level == CONTROL
+        return self.level == CONTROL or is_model_server(self.name)
 
     def about(self) -> dict[str, Any]:
         """Return the fields that decide what it does; :meth:`planners` say more."""

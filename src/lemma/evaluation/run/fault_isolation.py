@@ -136,6 +136,8 @@ def check(answer: Any, given: PolicyInput | ControlInput) -> Decision | Actions 
 
 def _checked_actions(answer: Any) -> Actions:
     """Return actions; whether they fit is known to the environment alone."""
+    if isinstance(answer, PolicyFailedError):
+        raise _FaultError(answer.kind, str(answer))
     found = answer if isinstance(answer, Actions) else Actions(answer)
     try:
         rows = np.asarray(found.rows)

@@ -5,6 +5,8 @@ from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import sha256_of
+from lemma.evaluation.run.control.model_server import ask_model_server
+from lemma.policies.control.interfaces import is_model_server
 from lemma.policies.interfaces import is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
 from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part
@@ -31,7 +33,9 @@ def load_policy(spec: PolicySpec) -> Any:
 
     def load(name: str) -> Any:
         if is_address(name):
-            return connect(name, ProtocolMode(spec.timeout_s or FOREVER_S))
+            return connect(name, _mode(spec))
+        if is_model_server(name):
+            return ask_model_server(name, _mode(spec), dict(spec.arguments))
         if ":" in name and spec.timeout_s > 0.0:
             return isolate(name, spec.timeout_s, dict(spec.arguments))
         return load_part(name, dict(spec.arguments))
@@ -53,11 +57,19 @@ def served_parts(spec: PolicySpec) -> dict[str, Any]:
     """
     found = {}
     for name in spec.parts:
-        if is_address(name):
-            part = connect(name, ProtocolMode(spec.timeout_s or FOREVER_S))
+        if is_address(name) or is_model_server(name):
+            part: Any
+            if is_address(name):
+                part = connect(name, _mode(spec))
+            else:
+                part = ask_model_server(name, _mode(spec), dict(spec.arguments))
             found[name] = part.about
             part.close()
     return found
+
+
+def _mode(spec: PolicySpec) -> ProtocolMode:
+    return ProtocolMode(spec.timeout_s or FOREVER_S)
 
 
 Weights = dict[str, dict[str, Any]]

@@ -14,6 +14,19 @@ from numpy.typing import ArrayLike
 
 from lemma.scene.cameras import Camera
 
+CONTROL_OPTIONS = (
+    *("control", "control_hz", "clip_actions", "delta_position_m"),
+    *("delta_rotation_rad", "observation", "width", "height", "cameras"),
+)
+"""Options of :class:`~lemma.env.config.EnvConfig` that a policy chooses."""
+MODEL_SERVER = "vla-eval"
+"""What the address of a model server of vla-eval begins with, before ``://``."""
+
+
+def is_model_server(name: str) -> bool:
+    """Whether a policy's name is the address of a model server of vla-eval."""
+    return name.lower().startswith(f"{MODEL_SERVER}://")
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ControlInput:
@@ -51,8 +64,8 @@ class ControlPolicy(Protocol):
     """Decides on motor commands.
 
     An attribute ``control_options``, a dictionary, says in which environment it acts,
-    see :data:`lemma.evaluation.run.control.rollout.CONTROL_OPTIONS`. Without it: joint
-    positions at 20 Hz, RGB of each robot's camera.
+    see :data:`CONTROL_OPTIONS`. Without it: joint positions at 20 Hz, RGB of each
+    robot's camera.
     """
 
     def act(

@@ -13,6 +13,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from lemma.core.errors import InvalidConfigError, shown
+from lemma.policies.control.interfaces import MODEL_SERVER, is_model_server
 from lemma.serve.client.conversation import Channel, ProtocolMode
 from lemma.serve.client.websocket import WebSocketChannel, websocket_address
 from lemma.serve.protocol.faults import (
@@ -32,15 +33,9 @@ from lemma.serve.protocol.vla_eval import (
     unpack,
 )
 
-SCHEME = "vla-eval"
 _PAUSE_S = 0.5
 _HELLO_S = 30.0
 _BENCHMARK = "lemma_vla_eval:LemmaBenchmark"
-
-
-def is_model_server(name: str) -> bool:
-    """Whether a policy's name is the address of a model server of vla-eval."""
-    return name.lower().startswith(f"{SCHEME}://")
 
 
 def _address(url: str) -> str:
@@ -51,12 +46,12 @@ def _address(url: str) -> str:
     """
     try:
         # As any other scheme it is refused.
-        plain = url[len(SCHEME) :] if is_model_server(url) else url
+        plain = url[len(MODEL_SERVER) :] if is_model_server(url) else url
         return websocket_address(f"ws{plain}")
     except InvalidConfigError as error:
         raise InvalidConfigError(
             f"{shown(url)} is no address of a model server. Write it as in "
-            f"{SCHEME}://127.0.0.1:8001."
+            f"{MODEL_SERVER}://127.0.0.1:8001."
         ) from error
 
 

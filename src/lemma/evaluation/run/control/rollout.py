@@ -26,6 +26,7 @@ from lemma.evaluation.run.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.run.loading import load_policy
 from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.policies.control.interfaces import (
+    CONTROL_OPTIONS,
     ControlInput,
     ControlPolicy,
     chunk_of,
@@ -37,11 +38,6 @@ from lemma.serve.protocol.faults import FaultKind
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import FREE_SPLIT
 
-CONTROL_OPTIONS = (
-    *("control", "control_hz", "clip_actions", "delta_position_m"),
-    *("delta_rotation_rad", "observation", "width", "height", "cameras"),
-)
-"""Options of :class:`~lemma.env.config.EnvConfig` that a policy chooses."""
 _DEFAULTS = {"control": "joint_position", "control_hz": 20.0, "observation": "rgb"}
 
 

@@ -1,0 +1,74 @@
+"""Which environment a model server of vla-eval acts in."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
+from lemma.core.robot_names import robot_names
+from lemma.env.control.modes import CONTROLS
+from lemma.env.learning.flat_view import STATES
+from lemma.policies.control.interfaces import CONTROL_OPTIONS
+from lemma.serve.client.conversation import ProtocolMode
+from lemma.serve.client.model_server import ModelServerPolicy
+from lemma.serve.client.vla_eval import ModelServer
+
+DEFAULTS: dict[str, Any] = {
+    "control": "joint_position",
+    "control_hz": 20.0,
+    "observation": "rgb",
+    "clip_actions": True,
+    "width": 224,
+    "height": 224,
+}
+"""As in the benchmark for vla-eval's own harness."""
+STATE = "state"
+
+
+def ask_model_server(
+    url: str, mode: ProtocolMode, asked: Mapping[str, Any]
+) -> ModelServerPolicy:
+    """Return a model server as a policy.
+
+    What it acts in is what was asked for, else what the server asks for in its
+    ``observation_params``, else the default.
+
+    Args:
+        url: Such as ``"vla-eval://127.0.0.1:8001"``.
+        mode: How patient to be.
+        asked: Options, of :data:`lemma.policies.control.interfaces.CONTROL_OPTIONS`,
+            and ``state``: what the state consists of.
+
+    Raises:
+        LemmaError: There is no such option, nobody answers there, or its actions are
+            others.
+    """
+    valid = (*CONTROL_OPTIONS, STATE)
+    for name in asked:
+        if name not in valid:
+            raise UnknownNameError("option of a model server", name, valid)
+    server = ModelServer(url, mode)
+    params = server.welcome.get("observation_params")
+    wanted = params if isinstance(params, Mapping) else {}
+    options = {
+        **DEFAULTS,
+        **{name: value for name, value in wanted.items() if name in valid},
+        **asked,
+    }
+    state = _names(options.pop(STATE, STATES[:1]))
+    if "cameras" in options:
+        options["cameras"] = _names(options["cameras"])
+    if not state or not set(state) <= set(STATES):
+        raise InvalidConfigError(
+            f"state={shown(state)} is impossible. Valid: some of {', '.join(STATES)}, "
+            "joined by +."
+        )
+    columns = CONTROLS[options["control"]].columns
+    # Teams of the benchmark have two robots; of others the environment tells.
+    names = [f"{robot}.{column}" for robot in robot_names(2) for column in columns]
+    server.check_actions(options["control"], names)
+    return ModelServerPolicy(server, options, columns, state)
+
+
+def _names(told: Any) -> tuple[str, ...]:
+    """Return several names, also of a command line, where ``+`` is between them."""
+    return tuple(told.split("+") if isinstance(told, str) else told)
