@@ -45,6 +45,7 @@ class LemmaBenchmark(StepBenchmark):
         tasks: Sequence[str] = SUITE,
         split: str = "test",
         control: str = "joint_position",
+        control_hz: float = 20.0,
         cameras: Sequence[str] | None = None,
         width: int = 224,
         height: int = 224,
@@ -58,6 +59,7 @@ class LemmaBenchmark(StepBenchmark):
             tasks: Names of tasks.
             split: Frozen list of instances.
             control: What an action commands, see ``lemma.env.control.modes.CONTROLS``.
+            control_hz: Actions per simulated second [Hz].
             cameras: Names of the cameras; each robot's own if None.
             width: Of images [px].
             height: Of images [px].
@@ -65,7 +67,7 @@ class LemmaBenchmark(StepBenchmark):
                 ``lemma.env.learning.flat_view.STATES``.
             send_state: Whether the state is sent.
             options: Other options of :class:`lemma.env.config.EnvConfig`, such as
-                ``instruction`` and ``control_hz``.
+                ``instruction`` and ``horizon_s``.
 
         Raises:
             LemmaError: There is no such task, split, camera or option.
@@ -80,6 +82,7 @@ class LemmaBenchmark(StepBenchmark):
             "observation": "rgb",
             "split": split,
             "control": control,
+            "control_hz": control_hz,
             "cameras": None if cameras is None else tuple(cameras),
             "width": width,
             "height": height,

@@ -16,6 +16,7 @@ from expert_commands import expert_commands
 from vla_eval.model_servers.predict import PredictModelServer
 from vla_eval.specs import IMAGE_RGB, LANGUAGE, RAW
 
+import lemma
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.client.vla_eval import ModelServer
 from lemma.serve.protocol.faults import PolicyFailedError
@@ -171,6 +172,34 @@ def test_other_control_modes_and_cameras(control: str, numbers: int) -> None:
     )
     assert [episode["steps"] for episode in episodes] == [3, 3]
     assert all("failure_reason" not in episode for episode in episodes)
+
+
+class Asks(Own):
+    """Repeats the expert's motion in one instance, and asks for an environment."""
+
+    def __init__(self, commands: Any) -> None:
+        super().__init__(chunk_size=len(commands))
+        self.commands = commands
+
+    def get_observation_params(self) -> dict[str, Any]:
+        return {**SIZE, "send_state": True, "cameras": ["overview"]}
+
+    def predict(self, obs: Any, ctx: Any) -> Any:
+        assert {name: one.shape for name, one in obs["images"].items()} == {
+            "overview": (48, 64, 3)
+        }
+        return {"actions": self.commands}
+
+
+def test_its_servers_play_episodes_of_lemma_evaluate() -> None:
+    server = Asks(expert_commands("pass", "test", 0))
+    with vla_eval.serve_background(server) as handle:
+        url = handle.url.replace("ws://", "vla-eval://")
+        found = lemma.evaluate(url, tasks=["pass"], episodes=2)
+    # What opens one door does not open the next.
+    assert [row["success"] for row in found.rows] == [True, False]
+    assert found.errors == ()
+    assert found.rows[0]["control"]["asked"] == found.rows[0]["control"]["actions"]
 
 
 def test_its_servers_are_asked_by_our_client() -> None:

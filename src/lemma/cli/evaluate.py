@@ -56,8 +56,8 @@ class EvaluateOptions:
     """What the policy decides: sub-tasks in symbols, which get the expert's poses, or
     with poses, which auto tells by its name; or motor commands."""
     policy_args: Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")] = ""
-    """What a class of your own is called with; values are numbers, true, false or
-    text."""
+    """What a class of your own is called with, or the environment of a model server;
+    values are numbers, true, false or text."""
     planning: Literal["single-step", "multi-step"] = "single-step"
     """Look before every sub-task, or plan from the first image alone."""
     gta: Flag = False
@@ -125,8 +125,9 @@ def evaluate(
 
     Args:
         policy: oracle; a model; PLANNER+GROUNDER; package.module:Class; the address of
-            a server, http://HOST:PORT; or a planner alone, llm:MODEL, greedy-reach,
-            random-valid or noisy-oracle:0.1, which is given the expert's poses.
+            a server, http://HOST:PORT or vla-eval://HOST:PORT; or a planner alone,
+            llm:MODEL, greedy-reach, random-valid or noisy-oracle:0.1, which is given
+            the expert's poses.
         out: Folder of the result: one line per episode in episodes.jsonl, counts and
             causes of failure in summary.json.
         ask: What is asked of the policy.
