@@ -24,8 +24,8 @@ from lemma.scene.scene import Scene
 
 AUTO = "auto"
 """The name that stands for the fastest one that works here."""
-_MOST_STATES = 256
-_MOST_PIXELS = 2**23
+_MOST_STATES = 64
+_MOST_PIXELS = 2**22
 
 Aim = Callable[[mujoco.MjData], Sequence[str | Camera]]
 """Says which cameras look at a state, whose derived poses are up to date: names in the

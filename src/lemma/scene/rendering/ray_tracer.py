@@ -168,7 +168,7 @@ class RayTracer:
         """Render states that fit into one launch."""
         warp, tracer = _packages()
         states, cameras = eyes.shape[:2]
-        context = self._context(states, cameras, depth=depth)
+        context = self._context(cameras, depth=depth)
         geoms, turns, lamps, beams = (
             np.array(part) for part in zip(*places, strict=True)
         )
@@ -205,18 +205,19 @@ class RayTracer:
         depth_m = context.depth_data[:states].numpy()
         return Pictures(rgb, depth_m.reshape(states, cameras, height, width).copy())
 
-    def _context(self, states: int, cameras: int, *, depth: bool) -> Any:
-        """Return buffers and trees for scenes of these shapes."""
+    def _context(self, cameras: int, *, depth: bool) -> Any:
+        """Return buffers and trees for scenes of these shapes, of any number of states.
+
+        There is always room for as many as fit into one launch: fewer cost no more.
+        """
         warp, tracer = _packages()
-        # Episodes differ in length, and share contexts if there is room for more.
-        room = 1 << (states - 1).bit_length()
-        key = (self._shapes, room, cameras, depth)
+        key = (self._shapes, cameras, depth)
         context = self._contexts.pop(key, None)
         if context is None:
             assert self._scene is not None
             context = tracer.create_render_context(
                 self._scene.model,
-                nworld=room,
+                nworld=states_at_once(*self._size, cameras),
                 cam_res=[self._size] * cameras,
                 # Which one is no matter: poses and lenses come with every launch.
                 cam_active=[0] * cameras,
