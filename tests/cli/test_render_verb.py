@@ -68,6 +68,8 @@ def test_every_form_works_where_it_is_told_and_can_be_interrupted(
     [
         (("--form", "keyframes", "--no-depth"), "--no-depth is for --form lerobot"),
         (("--fps", "20"), "keyframes have no rate"),
+        (("--renderer", "warp"), "drawn by OpenGL"),
+        (("--form", "lerobot", "--renderer", "vulkan"), "opengl"),
         (("--form", "lerobot", "--instructions", "poem"), "Unknown kind of instr"),
         (("--form", "lerobot", "--size", "63x48"), "must be even"),
         (("--form", "lerobot", "--size", "large"), "is no size"),
@@ -96,6 +98,7 @@ def test_a_data_set_is_filmed_as_the_options_say(
         styles.append(order.style)
 
     monkeypatch.setattr(verb, "write_dataset", keep)
+    monkeypatch.setattr(verb, "choose_renderer", lambda name: f"chosen {name}")
     order = RenderConfig(recipe=tmp_path, out=tmp_path / "set")
     other = RenderOptions(
         size="160x120",
@@ -103,11 +106,12 @@ def test_a_data_set_is_filmed_as_the_options_say(
         no_depth=True,
         cameras="overview,robot_1_wrist",
         instructions="high-level,human",
+        renderer="opengl",
     )
     for look in (RenderOptions(), other, RenderOptions(instructions="all")):
         choose_form("lerobot", order, look)(Serial(), lambda count: None)
     assert styles == [
-        Style(),
+        Style(renderer="chosen auto"),
         Style(
             fps=20,
             width_px=160,
@@ -115,6 +119,7 @@ def test_a_data_set_is_filmed_as_the_options_say(
             depth=False,
             cameras=("overview", "robot_1_wrist"),
             instructions=("high_level", "human"),
+            renderer="chosen opengl",
         ),
-        Style(instructions=KINDS),
+        Style(instructions=KINDS, renderer="chosen auto"),
     ]

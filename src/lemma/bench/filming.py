@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lemma.core.workers.pool import ProcessPool
 from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.schema import EpisodeRecord
-from lemma.dataset.rendered.film import Filming, cameras_of, rig_of
+from lemma.dataset.rendered.film import Filming, cameras_of, rig_of, robots_of
 from lemma.dataset.rendered.steps import iterate_steps
 from lemma.scene.rendering.batch import choose_renderer, states_at_once
 from lemma.tasks.instance import Instance
@@ -142,7 +142,7 @@ def time_filming(
 
 def _film_once(record: EpisodeRecord, how: Filming, times: _Times) -> None:
     """Film an episode and add what each stage took."""
-    cameras = cameras_of(record, how.cameras)
+    cameras = cameras_of(robots_of(record))
     rig = rig_of(how.width, how.height, how.renderer)
     start = time.perf_counter()
     states, scene = [], None

@@ -17,6 +17,7 @@ from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.dataset.rendered.render import render as render_form
+from lemma.scene.rendering.batch import choose_renderer
 from lemma.tasks.language.template import KINDS
 
 _AT_INTERRUPT = (
@@ -54,11 +55,14 @@ class RenderOptions:
     instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
     """LeRobotDataset: kinds of instructions, high-level, human, unseen, or all; for
     each of them there is an episode of which it is the task."""
+    renderer: str = "auto"
+    """LeRobotDataset: what draws: opengl, or warp, which auto means where MuJoCo Warp
+    is installed and finds a GPU."""
 
 
 EVERYTHING = RenderOptions()
 """All episodes, at the usual size and rate."""
-_FILMED = ("fps", "no_depth", "cameras", "instructions")
+_FILMED = ("fps", "no_depth", "cameras", "instructions", "renderer")
 """What is of LeRobotDatasets alone."""
 
 LookOptions = Annotated[RenderOptions, tyro.conf.arg(name="")]
@@ -106,6 +110,7 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
 
     Raises:
         InvalidConfigError: Its size or rate is impossible, or an option is not its.
+        RenderingError: The renderer that was asked for is not installed.
         UnknownNameError: No such kind of instructions.
     """
     width, height = parse_size(look.size)
@@ -114,8 +119,8 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
             if getattr(look, field) != getattr(EVERYTHING, field):
                 raise InvalidConfigError(
                     f"--{field.replace('_', '-')} is for --form lerobot; keyframes "
-                    "have no rate, and always hold depth, each robot's camera and "
-                    "every instruction. Leave it out."
+                    "have no rate, are drawn by OpenGL, and always hold depth, each "
+                    "robot's camera and every instruction. Leave it out."
                 )
         return partial(render_form, order, KeyframeForm(width, height))
     style = Style(
@@ -125,6 +130,7 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
         depth=not look.no_depth,
         cameras=words(look.cameras) if look.cameras else (),
         instructions=words(look.instructions.replace("-", "_")) or KINDS,
+        renderer=choose_renderer(look.renderer),
     )
     return partial(write_dataset, LeRobotConfig(source=order, style=style))
 

@@ -37,18 +37,17 @@ from lemma.dataset.lerobot.frames import (
     describe_episode,
     features,
     frames,
-    robots_of,
 )
 from lemma.dataset.recipe.files import open_table, versions
 from lemma.dataset.recipe.reader import read_group
 from lemma.dataset.recipe.replay import check_versions
 from lemma.dataset.recipe.schema import perturbed_as
+from lemma.dataset.rendered.film import rig_of, robots_of
 from lemma.dataset.rendered.render import (
     RenderConfig,
     RenderSummary,
     check_made_alike,
 )
-from lemma.scene.rendering.gl_backend import choose_backend
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.names import task_rank
 
@@ -230,11 +229,11 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
     about = {
         "form": "lerobot",
         "versions": {**versions(BENCHMARK_VERSION), "lerobot": version("lerobot")},
-        "renderer": choose_backend().renderer,
         **{
             name: list(value) if isinstance(value, tuple) else value
             for name, value in asdict(order.style).items()
         },
+        "renderer": rig_of(*order.style.rig).describe(),
         "per_video": order.per_video,
         "recipe": {_name_in_recipe(path): sha256_of(path) for path in files},
     }

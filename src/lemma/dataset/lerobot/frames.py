@@ -5,25 +5,24 @@ Nothing here needs the lerobot package.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError
-from lemma.core.robot_names import robot_names
 from lemma.dataset.recipe.schema import EpisodeRecord
-from lemma.dataset.rendered.labels import label
-from lemma.dataset.rendered.steps import (
-    NO_SUBTASK,
-    DenseStep,
-    iterate_steps,
-    ticks_per_step,
+from lemma.dataset.rendered.film import (
+    Filming,
+    Frame,
+    cameras_of,
+    film,
+    rig_of,
+    robots_of,
 )
-from lemma.env.camera_rig import CameraRig, camera_names
+from lemma.dataset.rendered.labels import label
+from lemma.dataset.rendered.steps import NO_SUBTASK, DenseStep, ticks_per_step
 from lemma.env.episode import Episode
-from lemma.env.view import View
 from lemma.robots.ur.build import JOINTS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.tasks.instance import Instance
@@ -51,6 +50,8 @@ class Style:
     instructions: tuple[str, ...] = ("high_level",)
     """Which of the three instructions is the ``task`` of a frame: for each of these
     kinds there is an episode."""
+    renderer: str = "opengl"
+    """A name in :data:`lemma.scene.rendering.batch.BATCH_RENDERERS`."""
 
     def __post_init__(self) -> None:
         """Check that it can be done."""
@@ -73,8 +74,23 @@ class Style:
         Raises:
             UnknownNameError: The team has no such camera.
         """
-        valid = camera_names(robots)
-        return tuple(known("camera", name, valid) for name in self.cameras or robots)
+        return cameras_of(robots, self.cameras)
+
+    @property
+    def rig(self) -> tuple[int, int, str]:
+        """What :func:`lemma.dataset.rendered.film.rig_of` is asked for."""
+        return self.width_px, self.height_px, self.renderer
+
+    def filming(self) -> Filming:
+        """Return how episodes are filmed."""
+        return Filming(
+            hz=self.fps,
+            width=self.width_px,
+            height=self.height_px,
+            cameras=self.cameras,
+            depth=self.depth,
+            renderer=self.renderer,
+        )
 
 
 def image_key(camera: str) -> str:
@@ -85,11 +101,6 @@ def image_key(camera: str) -> str:
 def depth_key(camera: str) -> str:
     """Return the name of a camera's depth as a feature."""
     return f"observation.images.{camera}_depth"
-
-
-def robots_of(record: EpisodeRecord) -> tuple[str, ...]:
-    """Return the names of an episode's robots."""
-    return robot_names(len(record.instance_data()["robots"]))
 
 
 def features(robots: tuple[str, ...], style: Style) -> dict[str, dict[str, Any]]:
@@ -149,27 +160,19 @@ def frames(
         DatasetError: The motion is not the recorded one.
         RenderingError: OpenGL does not work here.
     """
-    rig = _rig(style.width_px, style.height_px)
     cameras = style.cameras_of(robots_of(record))
     said = {f"annotation.instruction.{one}": getattr(record, one) for one in KINDS}
-    for step in iterate_steps(record, style.fps):
-        view = rig.look(step.scene, cameras=cameras)
+    for frame in film(record, style.filming()):
         yield {
-            **_numbers(record, step, view),
-            **_images(view, style),
+            **_numbers(record, frame.step),
+            **_images(cameras, frame),
             **said,
             "task": getattr(record, kind),
         }
 
 
-@lru_cache(maxsize=1)
-def _rig(width_px: int, height_px: int) -> CameraRig:
-    """Return the cameras of this process: starting them takes longer than a picture."""
-    return CameraRig(width_px, height_px)
-
-
-def _numbers(record: EpisodeRecord, step: DenseStep, view: View) -> dict[str, Any]:
-    state = np.concatenate([view.joints, view.opening_m[:, None]], axis=1)
+def _numbers(record: EpisodeRecord, step: DenseStep) -> dict[str, Any]:
+    state = np.concatenate([step.joints, step.opening_m[:, None]], axis=1)
     state, action = state.astype(np.float32), step.action.astype(np.float32)
     agents = {
         f"{robot}.{part}": row
@@ -190,12 +193,11 @@ def _numbers(record: EpisodeRecord, step: DenseStep, view: View) -> dict[str, An
     }
 
 
-def _images(view: View, style: Style) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for camera, image in view.cameras.items():
-        found[image_key(camera)] = image.rgb
-        if style.depth:
-            found[depth_key(camera)] = image.depth_m[..., None]
+def _images(cameras: tuple[str, ...], frame: Frame) -> dict[str, Any]:
+    found: dict[str, Any] = dict(zip(map(image_key, cameras), frame.rgb, strict=True))
+    if frame.depth_m is not None:
+        depths = frame.depth_m[..., None]
+        found.update(zip(map(depth_key, cameras), depths, strict=True))
     return found
 
 
@@ -213,7 +215,7 @@ def describe_episode(
     cameras = {}
     scene = Episode(Instance.from_dict(record.instance_data())).simulation.scene
     scene.refresh()
-    rig = _rig(style.width_px, style.height_px)
+    rig = rig_of(*style.rig)
     for name in style.cameras_of(robots_of(record)):
         camera = rig.calibrated(scene, scene.data, name)
         lens = camera.intrinsics

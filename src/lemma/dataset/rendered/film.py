@@ -4,7 +4,7 @@ Nothing is kept but the states that are rendered together, so memory is bounded 
 the length of an episode.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
@@ -67,7 +67,7 @@ def film(record: EpisodeRecord, how: Filming) -> Iterator[Frame]:
         UnknownNameError: There is no such camera or renderer.
         RenderingError: The renderer does not work here.
     """
-    cameras = cameras_of(record, how.cameras)
+    cameras = cameras_of(robots_of(record), how.cameras)
     rig = rig_of(how.width, how.height, how.renderer)
     together = states_at_once(how.width, how.height, len(cameras))
     steps = iterate_steps(record, how.hz)
@@ -84,15 +84,21 @@ def film(record: EpisodeRecord, how: Filming) -> Iterator[Frame]:
             yield Frame(step, seen.rgb[number], depth_m)
 
 
-def cameras_of(record: EpisodeRecord, chosen: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return names of cameras of an episode: those chosen, or each robot's own.
+def cameras_of(
+    robots: tuple[str, ...], chosen: tuple[str, ...] = ()
+) -> tuple[str, ...]:
+    """Return names of the cameras that film a team: those chosen, or each robot's own.
 
     Raises:
         UnknownNameError: The team has no such camera.
     """
-    robots = robot_names(len(record.instance_data()["robots"]))
     valid = camera_names(robots)
     return tuple(known("camera", name, valid) for name in chosen or robots)
+
+
+def robots_of(record: EpisodeRecord) -> tuple[str, ...]:
+    """Return the names of an episode's robots."""
+    return robot_names(len(record.instance_data()["robots"]))
 
 
 @lru_cache(maxsize=1)
