@@ -178,7 +178,7 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "throw": lambda: pad_out_of_reach(0.45, "rug"),
     "strike": lambda: pad_out_of_reach(0.25, "mat"),
     "topple": lambda: pad_out_of_reach(0.25, "mat"),
-    "cube_chain": lambda: pad_out_of_reach(0.16, "mat"),
+    "cube_chain": lambda: pad_out_of_reach(0.30),
     "stick_relay": lambda: pad_out_of_reach(0.95, "mat"),
     "tower_push": lambda: pad_out_of_reach(0.25),
 }

@@ -31,6 +31,7 @@ from lemma.tasks.drags import (
     grasp_on_stick,
     heading_from,
 )
+from lemma.tasks.goal import Goal
 from lemma.tasks.placement import Board, PlacementError
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.zones import Territory, Zone
@@ -152,7 +153,8 @@ def test_no_point_of_the_stick_is_another_robots(seed: int) -> None:
         assert heading_from(TEAM[which].base, pose) <= LARGEST_HEADING_RAD
         half = STICK_SECTION_M / 2
         handle = [(HANDLE_LENGTH_M * k / 30, 0.0) for k in range(31)]
-        hook = [(HANDLE_LENGTH_M - half, HOOK_LENGTH_M * k / 10) for k in range(11)]
+        tip = HOOK_LENGTH_M - half
+        hook = [(HANDLE_LENGTH_M - half, tip * k / 10) for k in range(11)]
         for u, v in (*handle, *hook):
             at = pose @ Pose2(u, v)
             nearest = distance(1 - which, at) - half
@@ -240,9 +242,11 @@ def test_what_one_alone_can_hook_is_farther_than_a_stick_from_the_other(
 def test_check_finds_what_was_put_in_the_way_later() -> None:
     table = board(1)
     robot, partner = 1, 0
-    table.cube(table.tool_only(Primitive.HOOK, robot, partner))
+    cube_name = table.cube(table.tool_only(Primitive.HOOK, robot, partner))
+    pad_name = table.pad(table.only(partner))
+    goal = Goal.from_pairs(((cube_name, pad_name),))
     cube = table.objects[0].pose
-    table.check()
+    table.check(goal)
     base = TEAM[robot].base
     # A ring of pads around the cube leaves no way for the stick.
     colors = list(OBJECT_COLORS)
@@ -251,7 +255,45 @@ def test_check_finds_what_was_put_in_the_way_later() -> None:
         table.objects.append(ObjectPlacement("pad", color, away))
     assert base.distance(cube) > reach_of("ur10").grasp_m
     with pytest.raises(PlacementError, match="hook"):
-        table.check()
+        table.check(goal)
+
+
+def straight_ahead(radius_m: float) -> Zone:
+    """A place before the first robot, where the second alone works."""
+    base = TEAM[0].base
+    around = Zone.where(lambda pose: abs(base.distance(pose) - radius_m) < 0.01)
+    return Zone(around.sift, around.check, barred=(0,))
+
+
+@pytest.mark.parametrize(
+    ("beyond_m", "spare", "ok"),
+    [(0.05, False, True), (0.05, True, False), (0.40, True, True)],
+)
+def test_check_finds_a_tower_that_could_be_pushed(
+    beyond_m: float, spare: bool, ok: bool
+) -> None:
+    far_m = could_of(TEAM[0].arm).touch_m + PAD.disc_m + beyond_m
+    table = board(3)
+    goal = Goal.from_pairs(
+        ((table.cube(table.only(0)), table.pad(straight_ahead(far_m))),)
+    )
+    if spare:
+        table.cube(table.only(0))
+    if ok:
+        table.check(goal)
+        return
+    with pytest.raises(PlacementError, match="tower"):
+        table.check(goal)
+
+
+def test_a_spare_cube_of_the_other_robot_builds_no_tower() -> None:
+    far_m = could_of(TEAM[0].arm).touch_m + PAD.disc_m + 0.05
+    table = board(3)
+    goal = Goal.from_pairs(
+        ((table.cube(table.only(0)), table.pad(straight_ahead(far_m))),)
+    )
+    table.cube(table.only(1))
+    table.check(goal)
 
 
 def test_discs_cover_bases_and_objects_but_not_the_stick() -> None:

@@ -195,6 +195,40 @@ def test_two_robots_are_needed_for_what_each_alone_reaches(task: str) -> None:
         assert sorted(owners) == [[0], [1]]
 
 
+@pytest.mark.parametrize("task", ["pass", "stack", "hook", "hook_stack"])
+def test_who_has_the_top_cannot_push_it_to_its_bottom_on_another_cube(
+    task: str,
+) -> None:
+    towers = 0
+    for instance in of_test_split(task):
+        ((top, bottom),) = instance.goal.pairs
+        with_stick = task.startswith("hook")
+        (user,) = able(instance, STICK if with_stick else top)
+        robot = instance.scene.robots[user]
+        farthest_m = could_of(robot.arm).touch_m
+        farthest_m += HANDLE_LENGTH_M if with_stick else 0.0
+
+        def away_m(placed: ObjectPlacement, base: Pose2 = robot.base) -> float:
+            return base.distance(placed.pose)
+
+        spare = [
+            placed
+            for placed in instance.scene.objects
+            if placed.kind == "cube"
+            and placed.name not in (top, bottom)
+            and away_m(placed) < farthest_m + CUBE_EDGE_M / 2
+        ]
+        target = instance.scene.placement(bottom)
+        half_m = CUBE_EDGE_M / 2 if target.kind == "cube" else PAD_RADIUS_M
+        # A row of them is pushed until it slides on by itself. Its first carries the
+        # top, which stands out by half of itself.
+        row_m = len(spare) * CUBE_EDGE_M + CUBE_EDGE_M / 2
+        towers += bool(spare)
+        if spare:
+            assert away_m(target) - half_m > farthest_m + row_m + 0.15
+    assert towers
+
+
 @pytest.mark.parametrize("task", ["pass2", "stack2"])
 def test_both_directions_occur(task: str) -> None:
     for instance in of_test_split(task):

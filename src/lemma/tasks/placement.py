@@ -33,6 +33,7 @@ from lemma.tasks.drags import (
     heading_from,
     stick_gap,
 )
+from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.zones import FROM_EDGE_M, Mask, Territory, Zone, ZoneLike
 
@@ -86,6 +87,7 @@ class Board:
         self.anywhere = self.territory.anywhere
         self._free = {kind: self._shuffled() for kind in _KINDS}
         self._drags: list[tuple[Primitive, int, int, int]] = []
+        self._zones: dict[str, Zone] = {}
         drawn = order if order is not None else rng.permutation(len(robots))
         self.order: tuple[int, ...] = tuple(int(i) for i in drawn)
         """The robots in random order: who plays which role."""
@@ -135,6 +137,7 @@ class Board:
             free.remove(chosen)
         placed = ObjectPlacement(kind, chosen, pose)
         self.objects.append(placed)
+        self._zones[placed.name] = wanted
         return placed.name
 
     def has_colors(self, kind: str) -> bool:
@@ -224,7 +227,7 @@ class Board:
             )
 
         self._drags.append((primitive, robot, receiver, len(self.objects)))
-        return Zone(sift, check)
+        return Zone(sift, check, (partner,) if alone else (), tool=alone)
 
     def can_drag(
         self,
@@ -241,11 +244,12 @@ class Board:
             find_drag(primitive, by, to, pose, obstacles, kind, self.gap_m) is not None
         )
 
-    def check(self) -> None:
-        """Check that what was put later left every needed drag possible.
+    def check(self, goal: Goal) -> None:
+        """Check what depends on all that was put.
 
         Raises:
-            PlacementError: Something is in the way.
+            PlacementError: Something is in the way of a needed drag, or a robot could
+                do alone, with cubes that happen to be around, what takes two.
         """
         for primitive, robot, receiver, which in self._drags:
             cube = self.objects[which]
@@ -253,6 +257,39 @@ class Board:
             drag = (primitive, robot, receiver)
             if not self.can_drag(*drag, cube.pose, others, kind):
                 raise PlacementError(f"{primitive} {cube.name}")
+        for robot in range(len(self.robots)):
+            if self._could_push_towers(robot, goal):
+                raise PlacementError(f"robot {robot} and a tower")
+
+    def _could_push_towers(self, robot: int, goal: Goal) -> bool:
+        """Whether a robot alone may reach a goal by pushing towers; see `keeps_off`."""
+        named = {placed.name: placed for placed in self.objects}
+        barred = [on for on in goal.conjuncts if robot in self._zones[on.bottom].barred]
+        tool = any(self._zones[on.bottom].tool for on in barred)
+        # Nothing is dragged home across a gap.
+        fetches = tool and self.gap_m is None
+
+        def could_get(placed: ObjectPlacement) -> bool:
+            kind, at = placed.entity.kind, placed.pose
+            x, y = np.array([at.x]), np.array([at.y])
+            return not self.territory.cannot(robot, kind, x, y, tool=fetches)[0]
+
+        if not barred or not all(could_get(named[on.top]) for on in goal.conjuncts):
+            return False
+        for on in barred:
+            spare = [
+                placed.entity.kind.side_m
+                for placed in self.objects
+                if placed.entity.kind.cargo
+                and placed.name not in (on.top, on.bottom)
+                and could_get(placed)
+            ]
+            row_m = 2.0 * sum(spare) + named[on.top].entity.kind.side_m
+            if not spare or self.territory.keeps_off(
+                robot, named[on.bottom], row_m, tool=self._zones[on.bottom].tool
+            ):
+                return False
+        return True
 
     def discs(self, but: str = "") -> list[Disc]:
         """Return what lies on the table and the bases, without the stick, as discs."""

@@ -81,7 +81,7 @@ def sample(
         try:
             goal = task.arrange(board)
             extra = tuple(_distract(board) for _ in range(distractors))
-            board.check()
+            board.check(goal)
         except PlacementError:
             continue
         shuffled = [board.objects[int(i)] for i in rng.permutation(len(board.objects))]

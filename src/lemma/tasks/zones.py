@@ -19,7 +19,7 @@ from lemma.scene.camera_mounts import CameraFootprint
 from lemma.scene.objects.kind import ObjectKind
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M
 from lemma.scene.raster import RASTER
-from lemma.scene.spec import RobotPlacement
+from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.scene.table import TABLE_HALF_Y_M, Gap, tops
 
 INSIDE_M = 0.03
@@ -29,6 +29,9 @@ OUTSIDE_M = 0.03
 
 FROM_EDGE_M = 0.01
 """Between the disc around an object and the table's edge, at least."""
+SLIDE_M = 0.15
+"""How far what a hand has pushed slides on, at most: two cubes that lie on each other
+slow down alike, so that a tower slides as one."""
 STICK_DIAGONAL_M = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M)
 """How much farther the stick lets a robot do anything, however it is held."""
 _MAP_EDGE_M = 0.06
@@ -52,6 +55,10 @@ class Zone:
     """Looks at many positions at once."""
     check: Callable[[Pose2], bool] | None = None
     """Looks at one that was not sifted out; None if nothing is left to check."""
+    barred: tuple[int, ...] = ()
+    """Robots that could do nothing there. See :meth:`Territory.keeps_off`."""
+    tool: bool = False
+    """Whether they could do nothing even with the stick in their hand."""
 
     @classmethod
     def where(cls, check: Callable[[Pose2], bool]) -> "Zone":
@@ -95,15 +102,15 @@ class Territory:
             tool: Whether the others could do nothing even with the stick in their
                 hand, such as to carry a cube there on it.
         """
+        others = tuple(r for r in range(len(self.robots)) if r != robot)
 
         def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
             found = self.works(robot, x, y)
-            for other in range(len(self.robots)):
-                if other != robot:
-                    found &= self.cannot(other, kind, x, y, tool=tool)
+            for other in others:
+                found &= self.cannot(other, kind, x, y, tool=tool)
             return found
 
-        return Zone(sift)
+        return Zone(sift, barred=others, tool=tool)
 
     def nobody(self) -> Zone:
         """Where no robot could do anything."""
@@ -161,9 +168,31 @@ class Territory:
             y: World positions, (n,) [m].
             tool: Whether with the stick in its hand, held by either end.
         """
-        least = self.could(robot).radius_m(kind.disc_m, kind.support_m or 0.0)
-        least += OUTSIDE_M + (STICK_DIAGONAL_M if tool else 0.0)
-        return self.distance(robot, x, y) >= least
+        return self.distance(robot, x, y) >= self._safe_m(robot, kind, tool=tool)
+
+    def keeps_off(
+        self, robot: int, placed: ObjectPlacement, row_m: float, *, tool: bool = False
+    ) -> bool:
+        """Return whether a robot cannot even push a tower to a thing.
+
+        A cube is put upon something out of reach if it is the upper one of two that
+        are pushed there: where the lower one is stopped, it slides or tips over. So the
+        distance must be more than a row of cubes is long, and than it slides on.
+
+        Args:
+            robot: Which.
+            placed: The thing.
+            row_m: Length of a row of all that it could push.
+            tool: Whether with the stick in its hand.
+        """
+        kind, at = placed.entity.kind, placed.pose
+        safe_m = self._safe_m(robot, kind, tool=tool) + row_m + SLIDE_M
+        return self.robots[robot].base.distance(at) >= safe_m
+
+    def _safe_m(self, robot: int, kind: ObjectKind, *, tool: bool) -> float:
+        """Return the distance from which on a robot could do nothing to a thing."""
+        safe_m = self.could(robot).radius_m(kind.disc_m, kind.support_m or 0.0)
+        return safe_m + OUTSIDE_M + (STICK_DIAGONAL_M if tool else 0.0)
 
     def on_table(self, x: FloatArray, y: FloatArray, edge_m: float) -> Mask:
         """Return which positions are on a table top, so far from its edges [m]."""

@@ -89,3 +89,11 @@ def build_row(trial: ControlTrial, names: Sequence[str], line: Line) -> bool:
         set_down(trial, names[i], line.at(first_m + i * (CUBE_EDGE_M + GAP_M)))
         for i in range(len(names))
     )
+
+
+def put_on_first(
+    trial: ControlTrial, name: str, first: str, line: Line, out_m: float
+) -> bool:
+    """Put a cube on the first of a row, standing out ahead; False if that fails."""
+    upper = line.at(line.before_m(trial.pose(first)) - out_m)
+    return set_down(trial, name, upper, CUBE_EDGE_M)

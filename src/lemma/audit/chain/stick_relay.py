@@ -14,6 +14,7 @@ from lemma.audit.chain.row import (
     build_row,
     fetch,
     line_to,
+    put_on_first,
 )
 from lemma.audit.control.stick_in_hand import (
     either_way,
@@ -23,7 +24,7 @@ from lemma.audit.control.stick_in_hand import (
 )
 from lemma.audit.control_trial import STEP_S, ControlTrial
 from lemma.audit.hand import LEANS_RAD, drawn_back, moved
-from lemma.audit.handling import approach, is_home, set_down
+from lemma.audit.handling import approach, is_home
 from lemma.core.poses import Pose2, wrap
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.cube import CUBE_EDGE_M
@@ -87,10 +88,8 @@ def stick_relay(trial: ControlTrial) -> None:
     row = spare if out_m is not None else [on.top, *spare]
     if not build_row(trial, row, line):
         return
-    if out_m is not None:
-        upper = line.at(line.before_m(trial.pose(row[0])) - out_m)
-        if not set_down(trial, on.top, upper, CUBE_EDGE_M):
-            return
+    if out_m is not None and not put_on_first(trial, on.top, row[0], line, out_m):
+        return
     if not _lay_behind(trial, line, row[-1]):
         return
     if runs_up:
