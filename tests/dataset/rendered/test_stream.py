@@ -120,10 +120,17 @@ def test_another_epoch_has_another_order() -> None:
     orders = set()
     for seed, epoch in product(range(3), range(3)):
         noting = Noting()
-        assert list(stream(seed=seed, engine=noting).episodes(epoch)) == []
+        assert list(stream(seed=seed, engine=noting).episodes([epoch])) == []
         assert sorted(noting.keys) == sorted(record.key for record in recipe())
         orders.add(tuple(noting.keys))
     assert len(orders) > 3
+
+
+def test_epochs_follow_one_another() -> None:
+    both, first, second = Noting(), Noting(), Noting()
+    for noting, epochs in ((both, range(2)), (first, [0]), (second, [1])):
+        list(stream(engine=noting).episodes(epochs))
+    assert both.keys == first.keys + second.keys
 
 
 @pytest.mark.render

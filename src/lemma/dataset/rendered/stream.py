@@ -50,11 +50,11 @@ class FrameStream:
     seed: int = 0
     """Of the orders of episodes and frames."""
 
-    def episodes(self, epoch: int = 0) -> Iterator[Sample]:
-        """Yield whole episodes, in an order drawn for the epoch.
+    def episodes(self, epochs: Sequence[int] = (0,)) -> Iterator[Sample]:
+        """Yield whole episodes, in an order drawn for each epoch.
 
         Args:
-            epoch: A new one gives a new order.
+            epochs: Numbers of the epochs; each has an order of its own.
 
         Yields:
             ``rgb`` (frames, cameras, height, width, 3) uint8; with depth, ``depth_m``
@@ -71,17 +71,23 @@ class FrameStream:
             RenderingError: The renderer does not work here.
         """
         chosen = self._chosen()
-        order = random_stream("frames", self.seed, epoch).permutation(len(chosen))
         how = replace(self.how, renderer=choose_renderer(self.how.renderer))
-        jobs = [(chosen[n], how, self.language, epoch) for n in order.tolist()]
+        jobs = [
+            (chosen[n], how, self.language, epoch)
+            for epoch in epochs
+            for n in random_stream("frames", self.seed, epoch).permutation(len(chosen))
+        ]
         yield from run_in_order(self.engine, film_episode, jobs)
 
-    def batches(self, size: int, epoch: int = 0, mix: int = 8) -> Iterator[Sample]:
-        """Yield batches of frames, in an order drawn for the epoch.
+    def batches(
+        self, size: int, epochs: Sequence[int] = (0,), mix: int = 8
+    ) -> Iterator[Sample]:
+        """Yield batches of frames, in an order drawn for each epoch.
 
         Args:
             size: Frames of a batch; the last one may have fewer.
-            epoch: A new one gives a new order.
+            epochs: Numbers of the epochs. Workers go on from one to the next, and a
+                batch may hold the end of one and the beginning of the next.
             mix: Episodes whose frames are shuffled together. All of them are in memory.
 
         Yields:
@@ -99,11 +105,10 @@ class FrameStream:
                 f"Batches of {size} frames of {mix} episodes are none. Both numbers "
                 "are 1 or more."
             )
-        draws = random_stream("batches", self.seed, epoch)
+        draws = random_stream("batches", self.seed, *epochs)
         held: list[Sample] = []
         left: list[tuple[Sample, int]] = []
-        episodes = self.episodes(epoch)
-        for episode in episodes:
+        for episode in self.episodes(epochs):
             held.append(episode)
             if len(held) == mix:
                 left = yield from _drawn(left, held, size, draws)

@@ -46,15 +46,17 @@ def _packages() -> tuple[ModuleType, ModuleType]:
         RenderingError: One is not installed.
     """
     try:
-        import mujoco_warp  # noqa: PLC0415
         import warp  # noqa: PLC0415
+
+        # It speaks of devices and of everything that it compiles, from every worker.
+        warp.config.log_level = warp.LOG_WARNING
+        import mujoco_warp  # noqa: PLC0415
     except ImportError as error:
         raise RenderingError(
             "The renderer 'warp' needs MuJoCo Warp, which is not installed: pip "
             "install 'lemma-bench[warp]', or '.[warp]' in a checkout. The renderer "
             "'opengl' needs nothing more."
         ) from error
-    warp.config.quiet = True
     warp.init()
     return warp, mujoco_warp
 
