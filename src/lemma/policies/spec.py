@@ -126,10 +126,13 @@ class PolicySpec:
     def about(self) -> dict[str, Any]:
         """Return the fields that decide what it does; :meth:`planners` say more."""
         told = {name: told for name, told in asdict(self).items() if name != "chat"}
-        for name in ("level", "arguments"):
-            if not told[name]:
-                del told[name]
-        return told
+        # As JSON has it: what is read back must be equal.
+        told["arguments"] = dict(self.arguments)
+        return {
+            name: value
+            for name, value in told.items()
+            if value or name not in ("level", "arguments")
+        }
 
     def planners(self) -> list[Any]:
         """Return the planners of :data:`~lemma.policies.planners.registry.PLANNERS`.

@@ -15,7 +15,7 @@ from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.evaluation.analysis.failure_causes import Cause, cause_of
 from lemma.evaluation.evaluation import Evaluation
-from lemma.evaluation.records import WALL_CLOCK, Row, read_rows
+from lemma.evaluation.records import EPISODES, WALL_CLOCK, Row, read_rows
 from lemma.evaluation.run.control.rollout import ControlPlayer, ControlRollout
 from lemma.policies.control.interfaces import Actions
 from lemma.policies.control.oracle import ExpertControl
@@ -114,6 +114,10 @@ def test_a_class_in_another_process_gives_the_same(tmp_path: Path) -> None:
     out = tmp_path / "there"
     assert command_line("control_policies:Stays", out, *words) == 0
     assert without_clock(read_rows(out)) == without_clock(here)
+    # The same command goes on: there is nothing left to play.
+    lines = (out / EPISODES).read_bytes()
+    assert command_line("control_policies:Stays", out, *words) == 0
+    assert (out / EPISODES).read_bytes() == lines
 
 
 def command_line(policy: str, out: Path, *words: str) -> int:

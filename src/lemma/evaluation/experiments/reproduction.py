@@ -1,7 +1,7 @@
 """Experiments carried out: from weights to the files that tables are made from."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lemma.core.errors import DatasetError
@@ -82,7 +82,7 @@ class Reproduction:
         config, seed = self.config(experiment)
         rows = evaluate(config, engine, advance)
         # Names of weights, not where they lay on this machine.
-        about = read_json(config.out / ABOUT) | {"policy": asdict(experiment.policy)}
+        about = read_json(config.out / ABOUT) | {"policy": experiment.policy.about()}
         command = self._command(experiment, seed)
         path = experiment.summary_path(self.out, seed)
         summarise(rows, about, command, experiment.name).write(path)

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from statistics import fmean, stdev
@@ -202,6 +202,10 @@ def title_of(result: Result) -> str:
     policy = result.about["policy"]
     parts = [policy["name"], policy["planning"] * (policy["planning"] != "single-step")]
     parts += ["GTA" * policy["gta"]]
+    if policy.get("level"):
+        parts.append(f"{policy['level']} level")
+    arguments = policy.get("arguments", {})
+    parts += [f"{name}={value}" for name, value in arguments.items()]
     if result.about["language"] != FULL:
         parts.append(f"language {result.about['language']}")
     if starts_perturbed(result):
@@ -240,7 +244,7 @@ def _row_of(result: Result) -> str:
         return result.experiment
     for name in EXPERIMENTS:
         one = EXPERIMENTS[name]
-        wanted = (asdict(one.policy), one.language, one.perturb_start)
+        wanted = (one.policy.about(), one.language, one.perturb_start)
         about = result.about
         if wanted == (about["policy"], about["language"], starts_perturbed(result)):
             return name
