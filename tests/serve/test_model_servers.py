@@ -9,7 +9,7 @@ import msgpack
 import numpy as np
 import pytest
 from faulty_policies import Scripted
-from model_server import HELLO, array, model_server, pack
+from model_server import HELLO, array, model_server, pack, wait_for
 from PIL import Image
 
 from lemma.core.errors import InvalidConfigError
@@ -59,6 +59,7 @@ def test_an_episode_is_told_and_observed_as_its_servers_expect() -> None:
         episode.end({"success": True})
         again = server.begin({**TASK, "episode_idx": 4}, NAMES)
         again.end({"success": False})
+        wait_for(log, "episode_end", 2)
         server.close()
     kinds = [message["type"] for message in log]
     between = ["episode_start", "observation", "observation", "episode_end"]
@@ -165,6 +166,7 @@ def test_a_server_that_hangs_is_hung_up_on_and_may_play_the_next_episode() -> No
         assert isinstance(found, PolicyFailedError)
         assert found.kind is FaultKind.TIMEOUT
         assert "within 0.2 s" in str(found)
+        server.mode = SOON
         [found] = server.act([server.begin(TASK, NAMES)], [seen(0)])
         assert isinstance(found, np.ndarray)
         server.close()

@@ -3,6 +3,7 @@
 Nothing of this package is used, so that both sides cannot err alike.
 """
 
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -58,6 +59,14 @@ def unpack(data: Any) -> dict[str, Any]:
     return found
 
 
+def wait_for(log: list[dict[str, Any]], kind: str, count: int) -> None:
+    """Wait until so many messages of a kind have come in; nobody answers some."""
+    end = time.monotonic() + 10.0
+    while sum(message["type"] == kind for message in log) < count:
+        assert time.monotonic() < end, f"no {count} messages of kind {kind}"
+        time.sleep(0.01)
+
+
 @contextmanager
 def model_server(
     predict: Predict,
@@ -88,7 +97,10 @@ def model_server(
                     frame = pack("action", payload, message["seq"])
                 connection.send(frame)
 
+    connections = []
+
     def talk(connection: Any) -> None:
+        connections.append(connection)
         step = 0
         with suppress(ConnectionClosed):
             for frame in connection:
@@ -110,5 +122,13 @@ def model_server(
     with serve(talk, "127.0.0.1", 0, compression=None, max_size=None) as own:
         thread = threading.Thread(target=own.serve_forever)
         thread.start()
-        yield f"vla-eval://127.0.0.1:{own.socket.getsockname()[1]}"
-    thread.join()
+        try:
+            yield f"vla-eval://127.0.0.1:{own.socket.getsockname()[1]}"
+        finally:
+            own.shutdown()
+            thread.join()
+            # Those that are being talked on outlive the server, and clients would not
+            # see that it is gone.
+            for connection in connections:
+                with suppress(OSError):
+                    connection.socket.shutdown(socket.SHUT_RDWR)

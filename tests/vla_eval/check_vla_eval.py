@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import vla_eval
 from expert_commands import expert_commands
+from vla_eval.api import run, serve_background
 from vla_eval.model_servers.predict import PredictModelServer
 from vla_eval.specs import IMAGE_RGB, LANGUAGE, RAW
 
@@ -71,7 +71,7 @@ class Recorded(Own):
 
 def test_vla_eval_run_plays_and_the_experts_motion_succeeds(tmp_path: Path) -> None:
     server = Recorded()
-    with vla_eval.serve_background(server) as handle:
+    with serve_background(server) as handle:
         command = [
             *(str(Path(sys.executable).parent / "vla-eval"), "run", "--no-docker"),
             *("--config", str(CONFIG), "--server-url", handle.url),
@@ -99,7 +99,7 @@ def test_vla_eval_run_plays_and_the_experts_motion_succeeds(tmp_path: Path) -> N
         assert seen["states"].shape == (14,)
 
 
-def run(server: Any, **params: Any) -> list[dict[str, Any]]:
+def few_steps(server: Any, **params: Any) -> list[dict[str, Any]]:
     """Return episodes of a few steps."""
     overrides = {
         "episodes_per_task": 2,
@@ -107,8 +107,8 @@ def run(server: Any, **params: Any) -> list[dict[str, Any]]:
         "params": {**SIZE, "tasks": ["stack"], **params},
     }
     config = str(CONFIG)
-    with vla_eval.serve_background(server) as handle:
-        [result] = vla_eval.run(
+    with serve_background(server) as handle:
+        [result] = run(
             config,
             server_url=handle.url,
             no_save=True,
@@ -143,7 +143,7 @@ class Wrong(Own):
     ],
 )
 def test_what_is_wrong_is_said_and_the_run_goes_on(answer: Any, words: str) -> None:
-    first, second = run(Wrong(answer))
+    first, second = few_steps(Wrong(answer))
     assert first["failure_reason"] == "env_step"
     assert words in first["failure_detail"]
     assert "failure_reason" not in second
@@ -164,7 +164,7 @@ def test_other_control_modes_and_cameras(control: str, numbers: int) -> None:
             row = [0.0] * 7 if control == "delta_ee_pose" else down
             return {"actions": np.array([*row, *row])}
 
-    episodes = run(
+    episodes = few_steps(
         Still(),
         control=control,
         cameras=["overview", "robot_1_wrist"],
@@ -193,7 +193,7 @@ class Asks(Own):
 
 def test_its_servers_play_episodes_of_lemma_evaluate() -> None:
     server = Asks(expert_commands("pass", "test", 0))
-    with vla_eval.serve_background(server) as handle:
+    with serve_background(server) as handle:
         url = handle.url.replace("ws://", "vla-eval://")
         found = lemma.evaluate(url, tasks=["pass"], episodes=2)
     # What opens one door does not open the next.
@@ -212,7 +212,7 @@ def test_its_servers_are_asked_by_our_client() -> None:
     names = tuple(f"number {n}" for n in range(14))
     state = np.linspace(0.0, 1.0, 14)
     image = np.zeros((48, 64, 3), np.uint8)
-    with vla_eval.serve_background(Fails()) as handle:
+    with serve_background(Fails()) as handle:
         url = handle.url.replace("ws://", "vla-eval://")
         client = ModelServer(url, ProtocolMode(10.0))
         assert client.about["model_server"] == "Fails"
