@@ -11,20 +11,25 @@ from importlib import import_module
 from itertools import product
 from pathlib import Path
 from tempfile import mkdtemp
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from small_recipe import TASKS, recipe
 
 import lemma
 from lemma.cli.main import main
+from lemma.core.errors import InvalidConfigError
+from lemma.evaluation.run.rollout import Rollout
+from lemma.policies.control.interfaces import ControlInput, chunk_of
 
 WIDTH, HEIGHT = 64, 48
 ROOT = Path(__file__).parents[2]
 KINDS = ("high_level", "human")
 EVALUATED = ("pass", "stack", "poke", "hook")
-STEPS = 4
+STEPS, CHUNK = 4, 10
 EPISODES = 2
 """Of each task, evaluated."""
 EXPECTED = (
@@ -92,8 +97,8 @@ def checkpoint() -> Path:
         "--policy.device=cpu",
         "--policy.push_to_hub=false",
         "--policy.pretrained_backbone_weights=null",
-        "--policy.chunk_size=10",
-        "--policy.n_action_steps=10",
+        f"--policy.chunk_size={CHUNK}",
+        f"--policy.n_action_steps={CHUNK}",
         "--policy.dim_model=64",
         "--policy.n_heads=2",
         "--policy.dim_feedforward=64",
@@ -218,3 +223,85 @@ def test_the_hub_makes_the_same_environments() -> None:
     every = made["hook_stack"][0]
     assert every.single_action_space.shape == (plugin().NUMBERS,)
     utils.close_envs(made)
+
+
+def test_lemma_evaluate_plays_the_checkpoint(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Rollout, "horizon_s", 2.0)
+    found = lemma.evaluate(
+        f"lerobot:{checkpoint()}", tasks="stack", split="val", episodes=2
+    )
+    assert not found.errors
+    for row in found.rows:
+        assert row["control"]["hz"] == 10.0
+        assert (row["control"]["actions"], row["control"]["asked"]) == (20, 2)
+
+
+@pytest.mark.parametrize("one_by_one", [False, True])
+def test_it_acts_as_in_lerobots_evaluation(one_by_one: bool) -> None:
+    """Many episodes at once, and with queues of their own, as one after the other."""
+    module = import_module("lemma.policies.control.lerobot")
+    policy = module.LeRobotPolicy(str(checkpoint()))
+    policy._one_by_one = one_by_one
+    options = dict(policy.control_options)
+    assert (options["width"], options["height"]) == (WIDTH, HEIGHT)
+    envs = [
+        lemma.make("pass", split="val", index=index, **options) for index in range(2)
+    ]
+    observations = [env.reset()[0] for env in envs]
+    robots = ("red robot", "white robot")
+    memories = [None, None]
+    rows: list[list[Any]] = [[], []]
+    while len(rows[0]) < CHUNK:
+        answers = policy.act(
+            [
+                ControlInput(instruction="", robots=robots, observation=o, memory=m)
+                for o, m in zip(observations, memories, strict=True)
+            ]
+        )
+        memories = [answer.memory for answer in answers]
+        for own, answer in zip(rows, answers, strict=True):
+            own.extend(chunk_of(answer.rows, (2, 7)))
+    for observation, own in zip(observations, rows, strict=True):
+        expected = as_lerobot(policy, observation)
+        assert np.allclose(np.array(own).reshape(CHUNK, 14), expected, atol=1e-4)
+    assert not np.allclose(rows[0], rows[1], atol=1e-4)
+
+
+def as_lerobot(policy: Any, observation: Any) -> NDArray[Any]:
+    """Return what the rollout of lerobot-eval would do with one observation."""
+    utils = import_module("lerobot.envs.utils")
+    policy._policy.reset()
+    found = []
+    for _ in range(CHUNK):
+        seen = {name: observation[name] for name in ("pixels", "agent_pos")}
+        batch = utils.preprocess_observation(seen)
+        action = policy._policy.select_action(policy._before({**batch, "task": [""]}))
+        found.append(policy._after(action).detach().numpy()[0])
+    return np.array(found)
+
+
+STATE_AND_ACTION = {"observation.state": (14,), "action": (14,)}
+
+
+@pytest.mark.parametrize(
+    ("shapes", "message"),
+    [
+        (STATE_AND_ACTION, "sees {}"),
+        (STATE_AND_ACTION | {"observation.images.top": (3, 48, 64)}, "robot_0_wrist"),
+        (
+            STATE_AND_ACTION
+            | {"observation.images.robot_0": (3, 48, 64)}
+            | {"observation.images.robot_1": (3, 32, 64)},
+            "all of one size",
+        ),
+        ({"observation.state": (6,), "action": (6,)}, "14 numbers"),
+    ],
+)
+def test_policies_that_were_made_for_something_else_are_refused(
+    shapes: dict[str, tuple[int, ...]], message: str
+) -> None:
+    module = import_module("lemma.policies.control.lerobot")
+    made = {name: SimpleNamespace(shape=shape) for name, shape in shapes.items()}
+    config = SimpleNamespace(input_features=made, output_features={})
+    with pytest.raises(InvalidConfigError, match=message):
+        module.control_options(config, 10.0)

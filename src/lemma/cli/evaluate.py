@@ -124,10 +124,10 @@ def evaluate(
     What is there already is kept, so the same command goes on where it was stopped.
 
     Args:
-        policy: oracle; a model; PLANNER+GROUNDER; package.module:Class; the address of
-            a server, http://HOST:PORT or vla-eval://HOST:PORT; or a planner alone,
-            llm:MODEL, greedy-reach, random-valid or noisy-oracle:0.1, which is given
-            the expert's poses.
+        policy: oracle; a model; PLANNER+GROUNDER; package.module:Class; what LeRobot
+            trained, lerobot:CHECKPOINT; the address of a server, http://HOST:PORT or
+            vla-eval://HOST:PORT; or a planner alone, llm:MODEL, greedy-reach,
+            random-valid or noisy-oracle:0.1, which is given the expert's poses.
         out: Folder of the result: one line per episode in episodes.jsonl, counts and
             causes of failure in summary.json.
         ask: What is asked of the policy.

@@ -1,4 +1,4 @@
-"""Classes by path: ``"package.module:Class"``."""
+"""Classes by path: ``"package.module:Class"``; and those of ours with a short name."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -6,37 +6,46 @@ from typing import Any
 
 from lemma.core.errors import InvalidConfigError
 
+LEROBOT = "lerobot:"
+"""Begins the name of a checkpoint of LeRobot, ``"lerobot:CHECKPOINT"``."""
+_LEROBOT_CLASS = "lemma.policies.control.lerobot:LeRobotPolicy"
+
 
 def class_of(name: str) -> Any:
     """Return a class, or whatever else makes an object when it is called.
 
     Args:
-        name: ``"package.module:Class"``.
+        name: ``"package.module:Class"``, or ``"lerobot:CHECKPOINT"``.
 
     Raises:
         InvalidConfigError: There is no such class.
     """
-    module, _, attribute = name.partition(":")
+    path = _LEROBOT_CLASS if name.startswith(LEROBOT) else name
+    module, _, attribute = path.partition(":")
     try:
         return getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
-        raise InvalidConfigError(
-            f"There is no {name}: {error}. Name a class of a module that can be "
-            "imported here, as in mypackage.mymodule:MyPolicy."
-        ) from error
+        valid = "Name a class of a module that can be imported here, as in "
+        valid += "mypackage.mymodule:MyPolicy."
+        if path != name:
+            valid = "It needs the lerobot package: pip install 'lemma-bench[lerobot]', "
+            valid += "in an environment with Python 3.12 or newer."
+        raise InvalidConfigError(f"There is no {name}: {error}. {valid}") from error
 
 
 def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
     """Return an object of a class.
 
     Args:
-        name: ``"package.module:Class"``.
+        name: ``"package.module:Class"``, or ``"lerobot:CHECKPOINT"``.
         arguments: That it is called with, by name.
 
     Raises:
         InvalidConfigError: There is no such class, or it cannot be made.
     """
     make = class_of(name)
+    if name.startswith(LEROBOT):
+        arguments = {"checkpoint": name.removeprefix(LEROBOT), **(arguments or {})}
     try:
         return make(**(arguments or {}))
     except Exception as error:

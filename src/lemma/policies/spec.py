@@ -7,7 +7,7 @@ from inspect import signature
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.policies.class_path import class_of, instance_of
+from lemma.policies.class_path import LEROBOT, class_of, instance_of
 from lemma.policies.compose import (
     MultiStep,
     PlannerWithGrounder,
@@ -55,6 +55,7 @@ class PolicySpec:
       ``"greedy-reach"`` or ``"llm:MODEL"``, with a grounder or, alone, with the
       expert's poses;
     - anybody's own class: ``"package.module:Class"``, called with ``arguments``;
+    - a policy that LeRobot trained: ``"lerobot:CHECKPOINT"``;
     - a policy behind a socket: ``"http://127.0.0.1:8000"``;
     - a model server of vla-eval: ``"vla-eval://127.0.0.1:8001"``, whose ``arguments``
       choose the environment.
@@ -74,12 +75,15 @@ class PolicySpec:
     chat: ChatOptions | None = None
     """How a language model is asked, if one is."""
     level: str = ""
-    """``"control"`` if it answers motor commands; else its name tells the level."""
+    """``"control"`` if it answers motor commands; else its name tells the level, as
+    that of a policy of LeRobot does."""
     arguments: tuple[tuple[str, Any], ...] = ()
     """Names and values that its class is called with."""
 
     def __post_init__(self) -> None:
         """Check the names and the time, and that its planners can be made."""
+        if self.name.startswith(LEROBOT):
+            object.__setattr__(self, "level", self.level or CONTROL)
         self._check_level()
         if self.planning not in PLANNINGS:
             raise UnknownNameError("way of planning", self.planning, PLANNINGS)

@@ -1,0 +1,154 @@
+"""Policies of LeRobot as policies at control level: ``--policy lerobot:CHECKPOINT``.
+
+It needs the lerobot package, which ``lemma-bench[lerobot]`` brings.
+"""
+
+from collections.abc import Mapping, Sequence
+from copy import copy, deepcopy
+from typing import Any
+
+import numpy as np
+import torch
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.policies import get_policy_class, make_pre_post_processors
+from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.robot_names import robot_names
+from lemma.env.camera_rig import camera_names
+from lemma.policies.control.interfaces import Actions, ControlInput
+
+TEAM = robot_names(2)
+NUMBERS = 7
+"""Of each robot in a state and in an action: six joint angles and an opening."""
+_SHARED = ("_parameters", "_buffers", "_modules")
+"""What all episodes have in common of a policy: its network."""
+
+
+class LeRobotPolicy:
+    """A checkpoint that lerobot saved, trained on ``lemma render --form lerobot``.
+
+    It sees what it was trained with: cameras and their size are read off its
+    configuration. Chunks of actions are carried out as long as in ``lerobot-eval``;
+    policies with a history of observations are asked at every step.
+    """
+
+    def __init__(self, checkpoint: str, hz: float = 10.0, device: str = "cpu") -> None:
+        """Load a policy and its processors.
+
+        Args:
+            checkpoint: A folder, ``.../checkpoints/last/pretrained_model``, or a name
+                on the Hub.
+            hz: Actions per second: the frames per second of its training data.
+            device: Where it is computed: ``"cuda"``.
+
+        Raises:
+            InvalidConfigError: It observes or commands what there is not here.
+            OSError: There is no such checkpoint.
+        """
+        config = PreTrainedConfig.from_pretrained(checkpoint)
+        config.pretrained_path = checkpoint
+        config.device = device
+        self.control_options = control_options(config, hz)
+        self._config = config
+        self._policy = get_policy_class(config.type).from_pretrained(
+            checkpoint, config=config
+        )
+        self._policy.eval()
+        self._before, self._after = make_pre_post_processors(
+            config,
+            pretrained_path=checkpoint,
+            preprocessor_overrides={"device_processor": {"device": device}},
+        )
+        ensembles = getattr(config, "temporal_ensemble_coeff", None) is not None
+        self._one_by_one = config.n_obs_steps > 1 or ensembles
+
+    @torch.no_grad()
+    def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
+        """Return the next action or chunk of actions for each episode."""
+        if self._one_by_one:
+            return [self._step(given) for given in inputs]
+        batch = self._before(self._batch(inputs))
+        chunks = self._policy.predict_action_chunk(batch)
+        chunks = chunks[:, : self._config.n_action_steps]
+        return [Actions(rows) for rows in self._rows(chunks)]
+
+    def _step(self, given: ControlInput) -> Actions:
+        policy = self._fresh() if given.memory is None else given.memory
+        action = policy.select_action(self._before(self._batch([given])))
+        return Actions(self._rows(action)[0], policy)
+
+    def _fresh(self) -> Any:
+        """Return the policy with queues of its own, for a new episode."""
+        found = copy(self._policy)
+        own = {name: it for name, it in vars(found).items() if name not in _SHARED}
+        vars(found).update(deepcopy(own))
+        found.reset()
+        return found
+
+    def _batch(self, inputs: Sequence[ControlInput]) -> dict[str, Any]:
+        seen = [given.observation for given in inputs]
+        state = np.stack([each["agent_pos"] for each in seen])
+        found: dict[str, Any] = {
+            OBS_STATE: torch.from_numpy(state).float(),
+            "task": [given.instruction for given in inputs],
+        }
+        for camera in self.control_options["cameras"]:
+            images = np.stack([each["pixels"][camera] for each in seen])
+            found[f"{OBS_IMAGES}.{camera}"] = (
+                torch.from_numpy(images).permute(0, 3, 1, 2).float() / 255.0
+            )
+        return found
+
+    def _rows(self, actions: torch.Tensor) -> Any:
+        """Return actions (..., 14) as rows of the team, (..., 2, 7)."""
+        values = self._after(actions).cpu().numpy()
+        return values.reshape(*values.shape[:-1], len(TEAM), NUMBERS)
+
+
+def control_options(config: Any, hz: float) -> dict[str, Any]:
+    """Return the environment that a policy was made for.
+
+    Args:
+        config: Configuration of a policy of lerobot.
+        hz: Actions per second.
+
+    Raises:
+        InvalidConfigError: It observes or commands what there is not here.
+    """
+    shapes: Mapping[str, tuple[int, ...]] = {
+        name: tuple(feature.shape)
+        for name, feature in {**config.input_features, **config.output_features}.items()
+    }
+    numbers = {
+        name: shape
+        for name, shape in shapes.items()
+        if not name.startswith(f"{OBS_IMAGES}.")
+    }
+    row = (len(TEAM) * NUMBERS,)
+    if numbers != {OBS_STATE: row, ACTION: row}:
+        raise InvalidConfigError(
+            f"The policy has {numbers} beside its images. Valid: {OBS_STATE} and "
+            f"{ACTION} of {row[0]} numbers, as lemma render --form lerobot writes them."
+        )
+    images = {
+        name.removeprefix(f"{OBS_IMAGES}."): shape
+        for name, shape in shapes.items()
+        if name not in numbers
+    }
+    valid = camera_names(TEAM)
+    if not images or set(images) - set(valid) or len(set(images.values())) > 1:
+        raise InvalidConfigError(
+            f"The policy sees {images}. Valid: one or more of "
+            f"{', '.join(f'{OBS_IMAGES}.{name}' for name in valid)}, all of one size."
+        )
+    _, height, width = next(iter(images.values()))
+    return {
+        "control": "joint_position",
+        "control_hz": hz,
+        "clip_actions": True,
+        "observation": "rgb",
+        "cameras": tuple(images),
+        "width": width,
+        "height": height,
+    }
