@@ -75,15 +75,12 @@ class PolicySpec:
     chat: ChatOptions | None = None
     """How a language model is asked, if one is."""
     level: str = ""
-    """``"control"`` if it answers motor commands; else its name tells the level, as
-    that of a policy of LeRobot does."""
+    """``"control"`` if it answers motor commands; else its name tells the level."""
     arguments: tuple[tuple[str, Any], ...] = ()
     """Names and values that its class is called with."""
 
     def __post_init__(self) -> None:
         """Check the names and the time, and that its planners can be made."""
-        if self.name.startswith(LEROBOT):
-            object.__setattr__(self, "level", self.level or CONTROL)
         self._check_level()
         if self.planning not in PLANNINGS:
             raise UnknownNameError("way of planning", self.planning, PLANNINGS)
@@ -125,7 +122,8 @@ class PolicySpec:
     @property
     def controls(self) -> bool:
         """Whether it answers motor commands."""
-        return self.level == CONTROL or is_model_server(self.name)
+        known = is_model_server(self.name) or self.name.startswith(LEROBOT)
+        return known or self.level == CONTROL
 
     def about(self) -> dict[str, Any]:
         """Return the fields that decide what it does; :meth:`planners` say more."""
