@@ -20,7 +20,7 @@ CHECKED := src tests examples scripts docs integrations
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup setup-dev demo bench test lint types layers docs tests \
+.PHONY: help setup setup-dev play demo bench test lint types layers docs tests \
 	test-lerobot test-warp test-vla-eval format clean
 
 help: ## Say what the targets do.
@@ -29,6 +29,9 @@ help: ## Say what the targets do.
 setup: $(VENV)/core.stamp ## Make .venv with what the `lemma` command needs.
 
 setup-dev: $(VENV)/dev.stamp ## Add what the tests and the documentation need.
+
+play: $(VENV)/play.stamp ## A page in the browser: say something, watch two robots do it.
+	$(BIN)/lemma play
 
 demo: setup ## The expert solves one instance of each task; videos in out/demo.
 	$(BIN)/lemma demo --out $(OUT)/demo
@@ -123,6 +126,11 @@ $(VENV)/core.stamp: $(INPUTS)
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	@echo "Installing the packages into $(VENV) ..."
 	@$(INSTALL) -e .
+	@touch $@
+
+$(VENV)/play.stamp: $(VENV)/core.stamp
+	@echo "Installing the page, and what reads sentences, into $(VENV) ..."
+	@$(INSTALL) -e '.[play,learn]'
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/core.stamp

@@ -15,6 +15,7 @@ from lemma.core.version import VERSION as __version__
 
 VERBS = {
     "tasks": "List the eight tasks of the suite, and those of plugins.",
+    "play": "Open a page in the browser: say something, and watch two robots do it.",
     "demo": "Let a policy solve one instance of each task; write videos and a page.",
     "show": "Draw an instance: cameras, depth, map, reach, goal and instructions, "
     "in one PNG.",
@@ -54,7 +55,13 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 BAD_INPUT = 2
 """Exit code for what the user can put right; argument errors use it as well."""
-_EXTRAS = {"torch": "learn", "safetensors": "learn", "tensorboard": "learn"}
+_EXTRAS = {
+    "torch": "learn",
+    "safetensors": "learn",
+    "tensorboard": "learn",
+    "viser": "play",
+    "trimesh": "play",
+}
 """The extra of this package with which a module comes."""
 
 

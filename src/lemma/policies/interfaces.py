@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from lemma.core.robot_names import robot_number
 from lemma.env.view import View
-from lemma.tasks.language.bank import sub_instruction
+from lemma.tasks.language.bank import GoalPairs, sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 if TYPE_CHECKING:
@@ -220,5 +220,23 @@ class Policy(Protocol):
 
         Args:
             inputs: One per episode; at least one.
+        """
+        ...
+
+
+@runtime_checkable
+class Reader(Protocol):
+    """A policy that can say what a sentence asks for, before it acts."""
+
+    def understand(
+        self, inputs: Sequence[PolicyInput]
+    ) -> list[tuple[GoalPairs, float]]:
+        """Return the (top, bottom) pairs that each sentence asks for.
+
+        Args:
+            inputs: One per episode; at least one.
+
+        Returns:
+            The likeliest pairs, none if there is none, and how likely they are.
         """
         ...

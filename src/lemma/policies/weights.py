@@ -91,10 +91,9 @@ def find_published(name: str) -> Path:
     published = published_weights()
     if name not in published:
         raise UnknownNameError("published weights", name, published)
-    entry, told = published[name], os.environ.get(FOLDER_VARIABLE)
-    for folder in (Path(told) if told else None, CHECKOUT):
-        if folder is not None and (path := folder / entry["file"]).is_file():
-            return _checked(path, entry)
+    entry = published[name]
+    if (found := _local(entry)) is not None:
+        return _checked(found, entry)
     if entry["revision"] is None:
         raise WeightsError(
             f"The weights {name!r} are not on this machine, and not on a hub yet. They "
@@ -114,6 +113,20 @@ def find_published(name: str) -> Path:
             f"{entry['file']} with {FOLDER_VARIABLE}=FOLDER. ({error})"
         ) from error
     return _checked(path, entry)
+
+
+def are_here(name: str) -> bool:
+    """Return whether published weights lie in a folder of this machine, unchecked."""
+    entry = published_weights().get(name)
+    return entry is not None and _local(entry) is not None
+
+
+def _local(entry: dict[str, Any]) -> Path | None:
+    told = os.environ.get(FOLDER_VARIABLE)
+    for folder in (Path(told) if told else None, CHECKOUT):
+        if folder is not None and (path := Path(folder, entry["file"])).is_file():
+            return path
+    return None
 
 
 def _checked(path: Path, entry: dict[str, Any]) -> Path:

@@ -128,24 +128,27 @@ def record(
 
 def describe_step(step: TakenStep, instance: Instance) -> RecordedStep:
     """Put an executed sub-task into words."""
-    robots = instance.scene.robots
     number = instance.scene.robot_names.index(step.subtask.robot)
-    robot = robot_phrases(robots)[number]
-    subtask = step.subtask
-    # A model that acts from end to end names no objects.
-    named = subtask.pick and subtask.place
     return RecordedStep(
         robot=robot_titles(instance)[number],
-        subtask=subtask,
-        words=sub_instruction(robot, subtask.primitive, subtask.pick, subtask.place)
-        if named
-        else f"{robot}: {subtask.primitive}",
+        subtask=step.subtask,
+        words=describe_subtask(step.subtask, instance),
         outcome=str(step.result.outcome),
         explanation=step.result.explanation,
         ok=step.result.ok,
         start_s=step.start_s,
         duration_s=step.result.duration_s,
     )
+
+
+def describe_subtask(subtask: SubTask, instance: Instance) -> str:
+    """Put a sub-task into words: ``"red robot: hook the blue cube ..."``."""
+    number = instance.scene.robot_names.index(subtask.robot)
+    robot = robot_phrases(instance.scene.robots)[number]
+    # A model that acts from end to end names no objects.
+    if subtask.pick and subtask.place:
+        return sub_instruction(robot, subtask.primitive, subtask.pick, subtask.place)
+    return f"{robot}: {subtask.primitive}"
 
 
 def robot_titles(instance: Instance) -> tuple[str, ...]:

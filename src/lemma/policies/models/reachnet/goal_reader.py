@@ -139,18 +139,25 @@ class GoalReader(nn.Module):
                 others are less likely: who says "on the red one" means one that is
                 there.
         """
+        return self.weigh(texts, present)[0]
+
+    @torch.no_grad()
+    def weigh(
+        self, texts: Sequence[str], present: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Return the likeliest goals, as :meth:`read`, and their likelihoods, (B,)."""
         told = self.sentences.read(texts, self.alike.device)
         scores, first = self._scores(told)
         if present is not None:
             missing = F.pad(~present[:, : self.targets], (0, 1)).float() * _ABSENT
             scores = scores + missing[:, self.goals].sum((2, 3))
-        best = self.goals[scores.argmax(-1)]
+        likely, number = scores.softmax(-1).max(-1)
+        best = self.goals[number]
         # Behind everything else comes what is none.
         places = F.pad(first, (0, 1), value=2 * self.config.max_words)
         place = places.gather(1, best.flatten(1) % (self.targets + 1))
         order = place.view_as(best).amin(-1).argsort(dim=1, stable=True)
-        found: Tensor = best.gather(1, order[:, :, None].expand_as(best))
-        return found
+        return best.gather(1, order[:, :, None].expand_as(best)), likely
 
     def _scores(self, told: Sentences) -> tuple[Tensor, Tensor]:
         """Return each goal's score, and where each entity is first named, (B, T)."""

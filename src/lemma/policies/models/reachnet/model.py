@@ -34,7 +34,7 @@ from lemma.policies.models.reachnet.goal_reader import (
     ReaderConfig,
     goal_numbers,
 )
-from lemma.policies.models.reachnet.grounder import ReachNetGrounder, dragged
+from lemma.policies.models.reachnet.grounder import ReachNetGrounder
 from lemma.policies.models.reachnet.perception import (
     Marks,
     Perception,
@@ -59,15 +59,17 @@ from lemma.policies.models.reachnet.scene_table import (
     turned,
     turned_numbers,
 )
-from lemma.policies.models.reachnet.scores import score_decisions, score_eye
+from lemma.policies.models.reachnet.scores import (
+    demonstrated_reach,
+    score_decisions,
+    score_eye,
+)
 from lemma.scene.raster import RASTER, Raster
+from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _AT_ONCE = 32
 _REACH_POINTS = 128
-_REACH_EDGE_M = 0.006
-_TIGHT = 0.2
-_DEMONSTRATED = 0.3
 _LOUDEST = 25.0
 
 
@@ -197,7 +199,7 @@ class ReachNet(Model):
             ) * (batch.raster.cell_m / 2)
             share = torch.rand(len(batch), _REACH_POINTS, 2, device=self.device) * 2 - 1
             return {"reach": reach_loss(seen, known, seen.bases, share * half)}
-        return {"reach": _demonstrated_reach(seen, labels)}
+        return {"reach": demonstrated_reach(seen, labels)}
 
     def _table_terms(
         self, truth: SceneTable, seen: SceneTable | None, goal: Tensor, batch: Batch
@@ -299,6 +301,22 @@ class ReachNet(Model):
                     found.append(Decision(subtask, poses, why))
         return found
 
+    def understand(
+        self, inputs: Sequence[PolicyInput]
+    ) -> list[tuple[GoalPairs, float]]:
+        """Return what each sentence asks for on its table, and how likely that is."""
+        found: list[tuple[GoalPairs, float]] = []
+        with self.deciding():
+            for batch, _ in self._batches(inputs):
+                marks, coarse = self.eye(batch)
+                present = self.eye.table(marks, coarse, batch).present
+                goals, likely = self.reader.weigh(batch.instructions, present)
+                names = batch.entities.places
+                for rows, share in zip(goals.tolist(), likely.tolist(), strict=True):
+                    pairs = [(names[a], names[b]) for a, b in rows if a != NOBODY]
+                    found.append((tuple(pairs), share))
+        return found
+
     @contextmanager
     def deciding(self) -> Iterator[None]:
         """Switch training off for a while."""
@@ -356,32 +374,6 @@ class ReachNet(Model):
                 )
             )
         return found
-
-
-def _demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
-    """Return how unlikely it is, by reach alone, that these robots did it.
-
-    The robot that acted reached both ends, and of the robots it was the likelier one.
-    Where else a robot reaches nobody shows: the smallest ring that holds all that was
-    done is the likeliest, as of points drawn evenly from it.
-    """
-    robot = labels.decision[:, 0].clamp(min=0)
-    ends = torch.stack([labels.pick_pose[:, :2], labels.place_pose[:, :2]], 1)
-    ends = ends.nan_to_num()
-    drags = dragged(labels.decision[:, 1])[:, None]
-    margins = seen.margins(ends)
-    # What was lifted elsewhere is let go of low.
-    held = seen.margins(ends[:, 1], low=True)
-    margins = torch.stack(
-        [margins[..., 0], torch.where(drags, held, margins[..., 1])], -1
-    )
-    logs = F.logsigmoid(margins / _REACH_EDGE_M).sum(-1)
-    rows = torch.arange(len(robot), device=robot.device)
-    likely = logs.log_softmax(1)[rows, robot] + logs[rows, robot]
-    acts = labels.decision[:, 0] != NOBODY
-    unlikely = torch.where(acts, -likely, 0.0).sum() / acts.sum().clamp(min=1)
-    area = seen.rings[..., 1:].square() - seen.rings[..., :1].square()
-    return _DEMONSTRATED * (unlikely + _TIGHT * area.log().mean())
 
 
 def _named(decision: Tensor, count: int) -> Tensor:

@@ -1,12 +1,14 @@
-"""How good ReachNet's decisions are, frame by frame."""
+"""How good ReachNet's decisions are, frame by frame, and how likely its reach is."""
 
 import math
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from lemma.policies.batch import NOBODY, PRIMITIVES, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, traits_of
+from lemma.policies.models.reachnet.grounder import dragged
 from lemma.policies.models.reachnet.scene_table import SceneTable
 from lemma.scene.raster import Raster
 
@@ -15,6 +17,9 @@ _YAW_RAD, _BEARING_RAD = math.radians(10.0), math.radians(4.0)
 _LENGTH_M = 0.03
 _EDGE_M = 0.05
 _LEAST_RAD = 1e-3
+_REACH_EDGE_M = 0.006
+_TIGHT = 0.2
+_DEMONSTRATED = 0.3
 _PREPARE = (PRIMITIVES.index("prehook"), PRIMITIVES.index("prepoke"))
 _USE = (PRIMITIVES.index("hook"), PRIMITIVES.index("poke"))
 
@@ -128,3 +133,29 @@ def _off(yaw: Tensor, wanted: Tensor, turn: float) -> Tensor:
     """Return the difference of angles of something that a turn makes the same."""
     off = yaw - wanted
     return (off - turn * torch.round(off / turn)).abs()
+
+
+def demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
+    """Return how unlikely it is, by reach alone, that these robots did it.
+
+    The robot that acted reached both ends, and of the robots it was the likelier one.
+    Where else a robot reaches nobody shows: the smallest ring that holds all that was
+    done is the likeliest, as of points drawn evenly from it.
+    """
+    robot = labels.decision[:, 0].clamp(min=0)
+    ends = torch.stack([labels.pick_pose[:, :2], labels.place_pose[:, :2]], 1)
+    ends = ends.nan_to_num()
+    drags = dragged(labels.decision[:, 1])[:, None]
+    margins = seen.margins(ends)
+    # What was lifted elsewhere is let go of low.
+    held = seen.margins(ends[:, 1], low=True)
+    margins = torch.stack(
+        [margins[..., 0], torch.where(drags, held, margins[..., 1])], -1
+    )
+    logs = F.logsigmoid(margins / _REACH_EDGE_M).sum(-1)
+    rows = torch.arange(len(robot), device=robot.device)
+    likely = logs.log_softmax(1)[rows, robot] + logs[rows, robot]
+    acts = labels.decision[:, 0] != NOBODY
+    unlikely = torch.where(acts, -likely, 0.0).sum() / acts.sum().clamp(min=1)
+    area = seen.rings[..., 1:].square() - seen.rings[..., :1].square()
+    return _DEMONSTRATED * (unlikely + _TIGHT * area.log().mean())

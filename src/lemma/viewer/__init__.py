@@ -1,0 +1,1 @@
+"""A page in the browser: a table, two robots, and a sentence that they follow."""

@@ -1,0 +1,235 @@
+"""The panel of the page: what can be chosen, pressed and read."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+
+from lemma.core.errors import LemmaError
+from lemma.env.camera_rig import camera_names
+from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.suite import FREE_SPLIT
+from lemma.tasks.task import TASKS
+from lemma.viewer.pictures import MAP, NO_PICTURE
+from lemma.viewer.play import Play
+from lemma.viewer.session import Session
+from lemma.viewer.stage import OVERLAYS
+from lemma.viewer.transport import SPEEDS
+from lemma.viewer.wish import LONGEST, OWN_WORDS, SAYINGS, Phase, Status, Wish
+from lemma.viewer.words import complaint_html, status_html, timeline_html
+
+PLAY, PAUSE, STEP, RESTART = MOVES = ("Play", "Pause", "Step", "Restart")
+"""What can be pressed while an episode is played."""
+_MOST = 100_000
+_SLIDER_S = 0.1
+_ANY = np.zeros((3, 4, 3), np.uint8)
+
+
+class Panel:
+    """Widgets of a page, bound to a session.
+
+    The page calls :meth:`refresh` again and again; everything else is called by users,
+    in threads of the server.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        session: Session,
+        overlays: set[str],
+        set_overlay: Callable[[str, bool], None],
+    ) -> None:
+        """Make the widgets.
+
+        Args:
+            server: The page.
+            session: What it commands.
+            overlays: What is laid over the scene at first.
+            set_overlay: Shows or hides it.
+        """
+        self._session, self._gui = session, server.gui
+        self._status: Status | None = None
+        self._timeline = ""
+        self._instance: Instance | None = None
+        self._complaint = ""
+        wish = session.play.wish
+        self._add_choices(wish)
+        self._add_transport()
+        self._add_overlays(overlays, set_overlay)
+
+    def _add_choices(self, wish: Wish) -> None:
+        gui = self._gui
+        self.status = gui.add_html("")
+        self.text = gui.add_text(
+            "Say", wish.text, multiline=True, hint="Type anything, then press Do it."
+        )
+        self.policy = gui.add_dropdown(
+            "Policy", self._session.policies, initial_value=wish.policy
+        )
+        self.do = gui.add_button("Do it", color="blue")
+        self.do.on_click(lambda _: self.act())
+        self.text.on_update(self._typed)
+        with gui.add_folder("Table"):
+            names = tuple(TASKS)
+            self.task = gui.add_dropdown("Task", names, initial_value=wish.task)
+            self.index = gui.add_number("Instance", wish.index, min=0, max=_MOST)
+            self.split = gui.add_dropdown(
+                "Split", (*SPLITS, FREE_SPLIT), initial_value=wish.split
+            )
+            self.saying = gui.add_dropdown(
+                "Sentence", SAYINGS, initial_value=wish.saying
+            )
+        for widget in (self.task, self.index, self.split, self.saying):
+            widget.on_update(self._chosen)
+
+    def _add_transport(self) -> None:
+        gui = self._gui
+        with gui.add_folder("Episode"):
+            self.moves = gui.add_button_group("", MOVES)
+            self.moves.on_click(lambda event: self.move(event.target.value))
+            speeds = tuple(f"{speed:g} ×" for speed in SPEEDS)
+            self.speed = gui.add_dropdown("Speed", speeds, initial_value="1 ×")
+            self.time = gui.add_slider("Time [s]", 0.0, 1.0, _SLIDER_S / 2, 0.0)
+            self.timeline = gui.add_html(timeline_html((), 0.0))
+        self.speed.on_update(lambda _: self._set_speed())
+        self.time.on_update(self._sought)
+
+    def _add_overlays(
+        self, overlays: set[str], set_overlay: Callable[[str, bool], None]
+    ) -> None:
+        gui = self._gui
+
+        def bind(widget: Any, name: str) -> None:
+            widget.on_update(lambda _: set_overlay(name, bool(widget.value)))
+
+        self.overlays = {}
+        with gui.add_folder("Show"):
+            for name, hint in OVERLAYS.items():
+                found = gui.add_checkbox(name.capitalize(), name in overlays, hint=hint)
+                self.overlays[name] = found
+                bind(found, name)
+            self.picture = gui.add_dropdown("Picture", (NO_PICTURE,))
+            self.image = gui.add_image(_ANY, format="jpeg", visible=False)
+            self.dark = gui.add_checkbox("Dark", False)
+        self.dark.on_update(lambda _: set_theme(gui, dark=self.dark.value))
+
+    def wish(self) -> Wish:
+        """Return what is chosen now.
+
+        Raises:
+            LemmaError: That cannot be.
+        """
+        return Wish(
+            self.task.value,
+            self.split.value,
+            self.index.value,
+            self.saying.value,
+            self.text.value.strip() if self.saying.value == OWN_WORDS else "",
+            self.policy.value,
+        )
+
+    def act(self, *, steps: bool = False) -> None:
+        """Set the table that is chosen, and act on it.
+
+        Args:
+            steps: Whether to stop after the first sub-task.
+        """
+        self._ask(acts=True, steps=steps)
+
+    def move(self, what: str) -> None:
+        """Play, pause, step or restart, as if it were pressed."""
+        play = self._session.play
+        if what == PAUSE:
+            play.transport.pause()
+        elif what == RESTART:
+            self._session.restart()
+        elif not play.acts:
+            self.act(steps=what == STEP)
+        elif what == PLAY:
+            play.transport.play()
+        elif what == STEP:
+            play.transport.step()
+
+    def set_table(self) -> None:
+        """Set the table that is chosen, and wait."""
+        self._ask(acts=False)
+
+    def _ask(self, *, acts: bool, steps: bool = False) -> None:
+        try:
+            self._session.ask(self.wish(), acts=acts, steps=steps)
+            self._complaint = ""
+        except LemmaError as error:
+            self._complaint = str(error)
+            self.status.content = complaint_html(self._complaint)
+
+    def _chosen(self, event: Any) -> None:
+        if event.client_id is not None:
+            self.set_table()
+
+    def _typed(self, event: Any) -> None:
+        if event.client_id is not None:
+            _set(self.saying, OWN_WORDS)
+            if len(self.text.value) > LONGEST:
+                _set(self.text, self.text.value[:LONGEST])
+
+    def _sought(self, event: Any) -> None:
+        if event.client_id is not None:
+            self._session.play.transport.seek(self.time.value)
+
+    def _set_speed(self) -> None:
+        speeds = {f"{speed:g} ×": speed for speed in SPEEDS}
+        if self.speed.value in speeds:
+            self._session.set_speed(speeds[self.speed.value])
+
+    def refresh(self, play: Play) -> None:
+        """Say how an episode stands; what has not changed is not sent again."""
+        status, transport = play.status, play.transport
+        if play.instance is not None and play.instance != self._instance:
+            self._show_instance(play)
+        if status is not self._status and not self._complaint:
+            self._status = status
+            self.status.content = status_html(status)
+            own = play.wish.saying == OWN_WORDS
+            if status.phase is Phase.READY and not own:
+                _set(self.text, status.said)
+        end_s, now_s = transport.end_s, transport.cursor_s
+        if end_s > self.time.max or end_s < self.time.max - 1.0:
+            self.time.max = max(1.0, end_s)
+        if abs(now_s - self.time.value) >= _SLIDER_S or transport.at_end:
+            _set(self.time, round(now_s, 2))
+        timeline = timeline_html(status.lines, now_s)
+        if timeline != self._timeline:
+            self._timeline = self.timeline.content = timeline
+
+    def _show_instance(self, play: Play) -> None:
+        assert play.instance is not None
+        self._instance = play.instance
+        names = camera_names(play.instance.scene.robot_names)
+        options = (NO_PICTURE, MAP, *names)
+        if self.picture.options != options:
+            self.picture.options = options
+
+    def show_picture(self, picture: Any | None) -> None:
+        """Show a picture, (H, W, 3) uint8; None for none."""
+        if picture is not None:
+            self.image.image = picture
+        if self.image.visible != (picture is not None):
+            self.image.visible = picture is not None
+
+
+def _set(widget: Any, value: object) -> None:
+    """Set the value of a widget, which type checkers take for one that is read."""
+    widget.value = value
+
+
+def set_theme(gui: Any, *, dark: bool) -> None:
+    """Set how the page looks."""
+    gui.configure_theme(
+        dark_mode=dark,
+        control_layout="collapsible",
+        control_width="large",
+        show_logo=False,
+        show_share_button=False,
+        brand_color=(34, 110, 190),
+    )

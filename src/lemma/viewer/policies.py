@@ -1,0 +1,31 @@
+"""Which policies a page offers."""
+
+from importlib.util import find_spec
+
+from lemma.policies.spec import ORACLE, PolicySpec
+from lemma.policies.weights import are_here
+
+_LEARNED = ("reachnet", "episodic-transformer+cliport", "m-cliport")
+
+
+def choices(wanted: str | None = None) -> tuple[str, ...]:
+    """Return names of policies that can be loaded here, the best one first.
+
+    Args:
+        wanted: One that shall be among them, checked when it is loaded.
+
+    Raises:
+        LemmaError: The name of that one means no policy.
+    """
+    found = [*_installed(), ORACLE]
+    if wanted is not None and wanted not in found:
+        PolicySpec(wanted)
+        found.append(wanted)
+    return tuple(found)
+
+
+def _installed() -> list[str]:
+    """Return learned policies whose weights are on this machine."""
+    if find_spec("torch") is None:
+        return []
+    return [name for name in _LEARNED if all(map(are_here, name.split("+")))]

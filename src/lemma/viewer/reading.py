@@ -1,0 +1,80 @@
+"""What a policy understands of a sentence, asked before it acts."""
+
+from typing import Any
+
+from lemma.core.errors import LemmaError
+from lemma.policies.interfaces import Composite, PolicyInput, Reader
+from lemma.tasks.goal import Goal
+from lemma.tasks.instance import Instance
+from lemma.tasks.language.bank import parse, phrase
+from lemma.tasks.language.template import GoalPairs
+from lemma.viewer.wish import Reading
+
+LEAST_CERTAIN = 0.5
+"""A reader that holds its best goal for less likely than this has not understood."""
+
+
+def parse_goal(text: str, instance: Instance) -> Reading:
+    """Return what the templates of the benchmark make of a sentence.
+
+    Args:
+        text: Anything.
+        instance: Whose table it is about.
+    """
+    found = parse(text)
+    if found is None:
+        return Reading(
+            None,
+            "The expert reads the sentences of the benchmark alone, and this is none "
+            "of them. Choose a policy that reads, such as reachnet.",
+            acts=False,
+        )
+    return _possible(tuple(sorted(found)), instance)
+
+
+def ask_reader(policy: object, given: PolicyInput, instance: Instance) -> Reading:
+    """Return what a policy's own reader makes of a sentence.
+
+    Args:
+        policy: Whoever shall act.
+        given: What it is given before its first decision.
+        instance: Whose table it is.
+    """
+    reader = find_reader(policy)
+    if reader is None:
+        return Reading(None, "This policy does not say what it understood.")
+    pairs, certainty = reader.understand([given])[0]
+    if certainty < LEAST_CERTAIN or not pairs:
+        best = f"; at best {say_goal(pairs)}, {certainty:.0%} sure" if pairs else ""
+        return Reading(None, f"The sentence could not be read{best}.", acts=False)
+    found = _possible(pairs, instance)
+    return Reading(found.pairs, found.note or f"{certainty:.0%} sure", found.acts)
+
+
+def find_reader(policy: Any) -> Reader | None:
+    """Return the part of a policy that says what it reads, if there is one."""
+    if isinstance(policy, Composite):
+        found = (find_reader(part) for part in policy.parts)
+        return next((reader for reader in found if reader is not None), None)
+    return policy if isinstance(policy, Reader) else None
+
+
+def say_goal(pairs: GoalPairs) -> str:
+    """Return a goal in words: ``"the red cube on the white pad"``."""
+    return " and ".join(
+        f"the {phrase(top)} on the {phrase(bottom)}" for top, bottom in pairs
+    )
+
+
+def _possible(pairs: GoalPairs, instance: Instance) -> Reading:
+    """Return a reading of a goal, if it can be one of this table."""
+    names = instance.scene.object_names
+    absent = [name for pair in pairs for name in pair if name not in names]
+    if absent:
+        missing = " and no ".join(dict.fromkeys(map(phrase, absent)))
+        return Reading(pairs, f"There is no {missing} on this table.", acts=False)
+    try:
+        Goal.from_pairs(pairs)
+    except LemmaError as error:
+        return Reading(pairs, str(error), acts=False)
+    return Reading(pairs)

@@ -1,0 +1,181 @@
+"""Play, pause, seek: how far the viewer is, and how far the simulation may go.
+
+The simulation runs in a thread of its own and leaves a state every :data:`FRAME_S`. A
+cursor moves over these states at real time times the speed; the simulation waits where
+it is :attr:`Transport.lead_s` ahead of it. So whoever pauses stops both, whoever seeks
+back looks at what has happened, and nothing of it changes what will.
+"""
+
+import threading
+
+import numpy as np
+
+from lemma.core.poses import FloatArray
+
+FRAME_S = 0.05
+"""Simulated time from one recorded state to the next [s]."""
+SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""How many times real time an episode may be played."""
+_LEAD_S = 0.1
+
+
+class AbandonedError(Exception):
+    """Nobody looks at this episode any more."""
+
+
+class Transport:
+    """A cursor over the states of an episode; safe to use from any thread."""
+
+    def __init__(self, speed: float = 1.0) -> None:
+        """Begin paused, without any state."""
+        self._changed = threading.Condition()
+        self._frames: list[FloatArray] = []
+        self._marks: list[float] = []
+        self._until: float | None = None
+        self._cursor_s = 0.0
+        self._playing = self._over = self._abandoned = False
+        self._speed = speed
+
+    @property
+    def cursor_s(self) -> float:
+        """Simulated time that is looked at [s]."""
+        return self._cursor_s
+
+    @property
+    def end_s(self) -> float:
+        """Simulated time of the last state [s]."""
+        return max(0, len(self._frames) - 1) * FRAME_S
+
+    @property
+    def playing(self) -> bool:
+        """Whether the cursor moves, or would if the simulation were further."""
+        return self._playing
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the episode is over and its end is looked at."""
+        return self._over and self._cursor_s >= self.end_s
+
+    @property
+    def speed(self) -> float:
+        """How many times real time it is played."""
+        return self._speed
+
+    @property
+    def lead_s(self) -> float:
+        """How far the simulation may be ahead of the cursor [s].
+
+        Two moves of the cursor, so that it never waits for a simulation that is fast.
+        """
+        return _LEAD_S * (1.0 + self._speed)
+
+    def qpos(self) -> FloatArray | None:
+        """Return the joints' positions at the cursor, (nq,); None before the first."""
+        with self._changed:
+            if not self._frames:
+                return None
+            return self._frames[self._frame_at(self._cursor_s)]
+
+    def _frame_at(self, time_s: float) -> int:
+        # A time that was written with two digits is not below that of its state.
+        return min(int(time_s / FRAME_S + 1e-6), len(self._frames) - 1)
+
+    def play(self) -> None:
+        """Let the cursor move; from the beginning if it stands at the end."""
+        with self._changed:
+            if self.at_end:
+                self._cursor_s = 0.0
+            self._until, self._playing = None, True
+            self._changed.notify_all()
+
+    def pause(self) -> None:
+        """Stop the cursor."""
+        with self._changed:
+            self._until, self._playing = None, False
+
+    def step(self) -> None:
+        """Let the cursor move until the next end of a sub-task."""
+        with self._changed:
+            if not self.at_end:
+                self._until, self._playing = self._cursor_s, True
+                self._changed.notify_all()
+
+    def seek(self, time_s: float) -> None:
+        """Look at another moment of what has happened, and stay there."""
+        with self._changed:
+            self._cursor_s = float(np.clip(time_s, 0.0, self.end_s))
+            self._until, self._playing = None, False
+
+    def set_speed(self, speed: float) -> None:
+        """Set how many times real time it is played."""
+        with self._changed:
+            self._speed = float(np.clip(speed, SPEEDS[0], SPEEDS[-1]))
+            self._changed.notify_all()
+
+    def advance(self, real_s: float) -> None:
+        """Move the cursor.
+
+        Args:
+            real_s: Real time that has passed [s].
+        """
+        with self._changed:
+            if not self._playing:
+                return
+            time_s = min(self._cursor_s + real_s * self._speed, self.end_s)
+            mark = self._mark()
+            if mark is not None and time_s >= mark:
+                time_s, self._until, self._playing = mark, None, False
+            elif self._over and time_s >= self.end_s:
+                self._until, self._playing = None, False
+            self._cursor_s = time_s
+            self._changed.notify_all()
+
+    def _mark(self) -> float | None:
+        """Return the end of the sub-task at which to stop, if it is known."""
+        if self._until is None:
+            return None
+        later = (mark for mark in self._marks if mark > self._until + 1e-6)
+        return next(later, None)
+
+    def record(self, qpos: FloatArray, time_s: float) -> None:
+        """Keep a state if its time has come, and wait while it is too far ahead.
+
+        Args:
+            qpos: The joints' positions, (nq,).
+            time_s: Simulated time [s].
+
+        Raises:
+            AbandonedError: Nobody looks any more.
+        """
+        with self._changed:
+            if time_s > len(self._frames) * FRAME_S - 1e-6:
+                self._frames.append(qpos.copy())
+            while not self._abandoned and time_s > self._cursor_s + self.lead_s:
+                self._changed.wait()
+            if self._abandoned:
+                raise AbandonedError
+
+    def mark(self, time_s: float) -> None:
+        """Say that a sub-task has ended.
+
+        Args:
+            time_s: Simulated time [s].
+        """
+        with self._changed:
+            self._marks.append(min(time_s, self.end_s))
+
+    def finish(self) -> None:
+        """Say that nothing follows."""
+        with self._changed:
+            self._over = True
+
+    def abandon(self) -> None:
+        """End the simulation where it next asks."""
+        with self._changed:
+            self._abandoned = True
+            self._changed.notify_all()
+
+    @property
+    def abandoned(self) -> bool:
+        """Whether nobody looks any more."""
+        return self._abandoned

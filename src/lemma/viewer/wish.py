@@ -1,0 +1,106 @@
+"""What a user asks for, and how an episode stands: plain data between threads."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.policies.spec import ORACLE
+from lemma.tasks.instance import SPLITS
+from lemma.tasks.language.template import KINDS, GoalPairs
+from lemma.tasks.suite import FREE_SPLIT, SUITE
+
+OWN_WORDS = "your own words"
+SAYINGS = (*KINDS, OWN_WORDS)
+"""What may be said: a kind of sentence of the instance, or anything."""
+LONGEST = 300
+"""Characters of a sentence that are read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """An instance, a sentence, and who shall follow it."""
+
+    task: str = SUITE[0]
+    split: str = "test"
+    index: int = 0
+    saying: str = SAYINGS[0]
+    """One of :data:`SAYINGS`."""
+    text: str = ""
+    """What is said in one's own words."""
+    policy: str = ORACLE
+
+    def __post_init__(self) -> None:
+        """Check what can be checked without looking anything up.
+
+        Raises:
+            UnknownNameError: No such split or kind of sentence.
+            InvalidConfigError: The sentence is too long.
+        """
+        splits = (*SPLITS, FREE_SPLIT)
+        if self.split not in splits:
+            raise UnknownNameError("split", self.split, splits)
+        if self.saying not in SAYINGS:
+            raise UnknownNameError("kind of sentence", self.saying, SAYINGS)
+        if len(self.text) > LONGEST:
+            raise InvalidConfigError(
+                f"The sentence has {len(self.text)} characters; say it in {LONGEST}."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What was understood of a sentence."""
+
+    pairs: GoalPairs | None
+    """(top, bottom) pairs that shall hold; None where nothing says."""
+    note: str = ""
+    """What else there is to say of it, in a sentence."""
+    acts: bool = True
+    """Whether somebody who read this should act."""
+
+
+class Phase(StrEnum):
+    """What happens."""
+
+    SETTING = "Setting the table"
+    READY = "Ready"
+    LOADING = "Loading the policy"
+    READING = "Reading the sentence"
+    DECIDING = "Deciding"
+    ACTING = "Acting"
+    SOLVED = "Done"
+    FAILED = "Not done"
+    ENDED = "Ended"
+    BROKEN = "Stopped"
+
+
+ENDS = (Phase.SOLVED, Phase.FAILED, Phase.ENDED, Phase.BROKEN)
+"""Phases that do not end by themselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One sub-task of the timeline."""
+
+    words: str
+    start_s: float
+    """Simulated time at which it began [s]."""
+    end_s: float | None = None
+    """Simulated time at which it ended [s]; None while it runs."""
+    outcome: str = ""
+    explanation: str = ""
+    ok: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How an episode stands, in words."""
+
+    phase: Phase = Phase.SETTING
+    said: str = ""
+    """The sentence."""
+    policy: str = ""
+    note: str = ""
+    """Why it is so, or what came of it."""
+    reading: Reading | None = None
+    lines: tuple[Line, ...] = ()

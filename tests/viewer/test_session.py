@@ -1,0 +1,168 @@
+"""Plays without a page: what is done, understood and said, and that nothing breaks."""
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+from looked_at import SAID, STACK, Reads, own, player_of, session_of, until
+
+from lemma.core.errors import UnknownNameError
+from lemma.evaluation.run.rollout import Player, Rollout, roll_out
+from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.spec import PolicySpec
+from lemma.scene.palette import BENCHMARK_COLORS
+from lemma.tasks.suite import load_instance
+from lemma.viewer.play import Play
+from lemma.viewer.wish import Phase, Wish
+
+INSTANCE = load_instance("stack", "test", 0)
+ABSENT = [c for c in BENCHMARK_COLORS if f"{c}_cube" not in INSTANCE.scene.object_names]
+
+
+def played(wish: Wish, **policies: object) -> Play:
+    play = Play(wish, player_of(**policies), acts=True)
+    until(lambda: play.wait(0.0), play)
+    return play
+
+
+@pytest.fixture(scope="module")
+def solved() -> Play:
+    return played(STACK)
+
+
+def test_expert_solves_and_says_so(solved: Play) -> None:
+    status = solved.status
+    assert status.phase is Phase.SOLVED
+    assert [line.outcome for line in status.lines] == ["success", "success"]
+    assert all(line.ok and line.end_s for line in status.lines)
+    assert status.reading is not None
+    assert status.reading.pairs == INSTANCE.goal.pairs
+
+
+def test_page_changes_no_bit(solved: Play) -> None:
+    alone = Rollout(INSTANCE)
+    for _ in roll_out([alone], Player.load(PolicySpec())):
+        pass
+    assert solved.rollout is not None
+    looked_at = solved.rollout.episode.simulation.scene.state_hash()
+    assert looked_at == alone.episode.simulation.scene.state_hash()
+
+
+def test_states_cover_the_episode(solved: Play) -> None:
+    assert solved.rollout is not None
+    end_s = solved.rollout.episode.simulation.time_s
+    assert solved.transport.end_s == pytest.approx(end_s, abs=0.06)
+
+
+def test_expert_follows_another_goal_that_it_can_parse() -> None:
+    ((top, bottom),) = INSTANCE.goal.pairs
+    said = f"Place the {bottom} on top of the {top}".replace("_", " ")
+    play = Play(own(said), player_of(), acts=True)
+    until(lambda: play.status.phase is Phase.ACTING)
+    assert play.status.reading is not None
+    assert play.status.reading.pairs == ((bottom, top),)
+    assert play.instance is not None
+    assert play.instance.goal.pairs == ((bottom, top),)
+    assert play.leave(20.0)
+
+
+@pytest.mark.parametrize(
+    ("wish", "says"),
+    [
+        (own("fetch me a coffee"), "none of them"),
+        (
+            own(f"Place the {ABSENT[0]} cube on top of the {ABSENT[1]} cube"),
+            "There is no",
+        ),
+        (own(SAID, "vague"), "could not be read"),
+    ],
+)
+def test_what_is_not_understood_is_not_acted_on(wish: Wish, says: str) -> None:
+    play = played(wish, vague=Reads((("red_cube", "blue_pad"),), 0.2))
+    assert play.status.phase is Phase.FAILED
+    assert play.status.reading is not None
+    assert says in play.status.reading.note
+    assert not play.status.lines
+    assert play.rollout is not None
+    assert play.rollout.episode.elapsed_s == 0.0
+
+
+def test_goal_that_was_read_is_what_is_judged() -> None:
+    reader = Reads(INSTANCE.goal.pairs, 0.9)
+    play = played(own(SAID, "reader"), reader=reader)
+    assert play.status.phase is Phase.FAILED
+    assert play.status.reading is not None
+    assert play.status.reading.pairs == INSTANCE.goal.pairs
+    assert play.rollout is not None
+    assert play.rollout.asked_holds is False
+
+
+class Raises:
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        raise ValueError("<b>oh no</b>")
+
+
+class Hangs:
+    def __init__(self) -> None:
+        self.asked, self.released = threading.Event(), threading.Event()
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        self.asked.set()
+        self.released.wait()
+        raise RuntimeError("too late")
+
+
+def test_policy_that_raises_is_said_to_have_failed() -> None:
+    play = played(replace(STACK, policy="raises"), raises=Raises())
+    assert play.status.phase is Phase.BROKEN
+    assert "oh no" in play.status.note
+
+
+def test_policy_that_hangs_is_left_behind() -> None:
+    hangs = Hangs()
+    session = session_of(replace(STACK, policy="hangs"), hangs=hangs)
+    session.ask(replace(STACK, policy="hangs"), acts=True)
+    assert hangs.asked.wait(60.0)
+    left = session.play
+    session.ask(STACK, acts=True)
+    assert session.play is not left
+    until(lambda: bool(session.play.status.lines), session.play)
+    hangs.released.set()
+    assert left.wait(20.0)
+    session.close()
+
+
+def test_broken_wishes_leave_the_session_alive() -> None:
+    session = session_of()
+    session.ask(replace(STACK, index=10**6), acts=False)
+    until(lambda: session.play.status.phase is Phase.BROKEN)
+    assert "index" in session.play.status.note
+    with pytest.raises(UnknownNameError):
+        session.ask(replace(STACK, policy="os:system"), acts=True)
+    session.ask(STACK, acts=False)
+    until(lambda: session.play.status.phase is Phase.READY)
+    session.close()
+
+
+def test_closing_ends_the_thread() -> None:
+    before = threading.active_count()
+    session = session_of()
+    session.ask(STACK, acts=True)
+    until(lambda: session.play.status.phase is Phase.ACTING)
+    session.close()
+    until(lambda: threading.active_count() <= before)
+
+
+def test_pause_stops_the_simulation() -> None:
+    play = Play(STACK, player_of(), acts=True)
+    until(lambda: bool(play.status.lines), play)
+    play.transport.pause()
+    assert play.rollout is not None
+    time.sleep(0.2)
+    before = play.rollout.episode.elapsed_s
+    play.transport.advance(5.0)
+    time.sleep(0.1)
+    assert play.rollout.episode.elapsed_s == before
+    play.leave(20.0)
