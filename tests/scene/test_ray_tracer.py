@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lemma.core.errors import InvalidConfigError
+from lemma.core.errors import InvalidConfigError, RenderingError
 from lemma.core.poses import FloatArray
 from lemma.env.camera_rig import CameraRig, camera_names
 from lemma.env.episode import Episode
@@ -112,6 +112,18 @@ def test_scenes_of_the_same_shapes_share_a_context() -> None:
     assert "MuJoCo Warp" in tracer.describe()
     tracer.close()
     assert not tracer._contexts
+
+
+def test_a_device_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracer = ray_tracer.RayTracer(*SIZE)
+
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("Failed to allocate 1 bytes on device 'cuda:0'.")
+
+    monkeypatch.setattr(tracer, "_context", fail)
+    state = scene("pass").data.qpos[None]
+    with pytest.raises(RenderingError, match=r"Failed to allocate.* fewer worker"):
+        tracer.render(scene("pass"), state, lambda _: ["robot_0/camera"], depth=True)
 
 
 def test_impossible_sizes_are_refused() -> None:

@@ -27,10 +27,16 @@ def stream(**changes: Any) -> FrameStream:
     fields: dict[str, Any] = {
         "recipe": recipe_folder(),
         "split": SPLIT,
+        "tasks": TASKS[:1],
         "how": HOW,
         "engine": Serial(),
     }
     return FrameStream(**{**fields, **changes})
+
+
+def keys() -> list[str]:
+    """Return those of the stream's episodes, in the recipe's order."""
+    return [record.key for record in recipe().select(task=TASKS[0])]
 
 
 @cache
@@ -61,7 +67,7 @@ def test_frames_are_what_the_renderer_sees(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.render
 def test_episodes_are_those_of_the_recipe() -> None:
-    assert {one["key"] for one in episodes()} == {one.key for one in recipe()}
+    assert sorted(one["key"] for one in episodes()) == sorted(keys())
     for one in episodes():
         record = next(record for record in recipe() if record.key == one["key"])
         length = len(one["index"])
@@ -76,7 +82,7 @@ def test_episodes_are_those_of_the_recipe() -> None:
 
 @pytest.mark.render
 def test_every_frame_is_in_one_batch() -> None:
-    batches = list(stream(how=Filming(hz=1, width=24, height=16)).batches(10, mix=3))
+    batches = list(stream(how=Filming(hz=1, width=24, height=16)).batches(10, mix=2))
     assert [len(one["index"]) for one in batches[:-1]] == [10] * (len(batches) - 1)
     found = [
         (key, index)
@@ -84,8 +90,8 @@ def test_every_frame_is_in_one_batch() -> None:
         for key, index in zip(one["key"], one["index"].tolist(), strict=True)
     ]
     assert len(found) == len(set(found))
-    assert {key for key, _ in found} == {one.key for one in recipe()}
-    assert len({*batches[0]["key"]}) > 1
+    assert {key for key, _ in found} == set(keys())
+    assert set(batches[0]["key"]) == set(keys())
     assert batches[0]["rgb"].shape == (10, 2, 16, 24, 3)
     assert "depth_m" not in batches[0]
 
@@ -120,7 +126,7 @@ def test_another_epoch_has_another_order() -> None:
     orders = set()
     for seed, epoch in product(range(3), range(3)):
         noting = Noting()
-        assert list(stream(seed=seed, engine=noting).episodes([epoch])) == []
+        assert list(stream(tasks=(), seed=seed, engine=noting).episodes([epoch])) == []
         assert sorted(noting.keys) == sorted(record.key for record in recipe())
         orders.add(tuple(noting.keys))
     assert len(orders) > 3
@@ -136,9 +142,9 @@ def test_epochs_follow_one_another() -> None:
 @pytest.mark.render
 def test_tasks_and_sentences_are_chosen() -> None:
     few = Filming(hz=1, width=4, height=4, cameras=("overview",))
-    only = stream(how=few, tasks=TASKS[:1], language=Language(kind="human"))
+    only = stream(how=few, tasks=TASKS[1:], language=Language(kind="human"))
     found = list(only.episodes())
-    assert {one["task"] for one in found} == {TASKS[0]}
+    assert {one["task"] for one in found} == {TASKS[1]}
     humans = {record.human for record in recipe()}
     assert {one["instruction"] for one in found} <= humans
     assert found[0]["rgb"].shape[1:] == (1, 4, 4, 3)

@@ -113,7 +113,12 @@ class RayTracer:
     def render(
         self, scene: Scene, qpos: FloatArray, aim: Aim, *, depth: bool
     ) -> Pictures:
-        """Render some states: see the protocol ``BatchRenderer``."""
+        """Render some states: see the protocol ``BatchRenderer``.
+
+        Raises:
+            UnknownNameError: The scene has no such camera.
+            RenderingError: The device could not do it.
+        """
         self._take(scene)
         places, cameras = [], []
         for row in qpos:
@@ -128,10 +133,19 @@ class RayTracer:
             cameras.append([_eye(camera) for camera in seen])
         eyes = np.array(cameras)
         together = states_at_once(*self._size, eyes.shape[1])
-        parts = [
-            self._trace(places[i : i + together], eyes[i : i + together], depth=depth)
-            for i in range(0, len(qpos), together)
-        ]
+        try:
+            parts = [
+                self._trace(
+                    places[i : i + together], eyes[i : i + together], depth=depth
+                )
+                for i in range(0, len(qpos), together)
+            ]
+        except RuntimeError as error:
+            raise RenderingError(
+                f"{self.describe()} could not render: {error} If there is too little "
+                "memory, use fewer worker processes, which share it; the renderer "
+                "'opengl' works without."
+            ) from error
         rgb = np.concatenate([part.rgb for part in parts])
         depths = [part.depth_m for part in parts if part.depth_m is not None]
         return Pictures(rgb, np.concatenate(depths) if depth else None)
