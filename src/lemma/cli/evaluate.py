@@ -1,6 +1,5 @@
 """`lemma evaluate`: a policy on a frozen split, with a table of success rates."""
 
-import json
 from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,11 +10,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from lemma.cli.options import (
+    Arguments,
     File,
     Flag,
     JsonFlag,
     Number,
     Word,
+    arguments,
     complain,
     output,
     print_json,
@@ -55,7 +56,7 @@ class EvaluateOptions:
     level: Literal["auto", "plan", "skill", "control"] = "auto"
     """What the policy decides: sub-tasks in symbols, which get the expert's poses, or
     with poses, which auto tells by its name; or motor commands."""
-    policy_args: Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")] = ""
+    policy_args: Arguments = ""
     """What a class of your own is called with, or the environment of a model server;
     values are numbers, true, false or text."""
     planning: Literal["single-step", "multi-step"] = "single-step"
@@ -177,7 +178,7 @@ def _config(
             policy if ask.level == "control" else named_at(policy, ask.level),
             *(ask.planning, ask.gta, ask.timeout_s, _chat(policy, model)),
             level="control" if ask.level == "control" else "",
-            arguments=_arguments(ask.policy_args),
+            arguments=arguments(ask.policy_args),
         ),
         tasks=tasks,
         split=split,
@@ -187,33 +188,6 @@ def _config(
         perturb_start=ask.perturb_start,
         verdicts=ask.protocol,
     )
-
-
-def _arguments(text: str) -> tuple[tuple[str, Any], ...]:
-    """Return names and values.
-
-    Raises:
-        InvalidConfigError: An equals sign is missing.
-    """
-    from lemma.core.errors import InvalidConfigError
-
-    found = []
-    for part in filter(None, text.split(",")):
-        name, equals, value = part.partition("=")
-        if not equals or not name.isidentifier():
-            raise InvalidConfigError(
-                f"{part!r} is no argument. Write NAME=VALUE,..., as in "
-                "--policy-args checkpoint=model.pt,chunk=8."
-            )
-        found.append((name, _value(value)))
-    return tuple(found)
-
-
-def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
 
 
 def _chat(policy: str, model: LanguageModelOptions) -> "ChatOptions | None":

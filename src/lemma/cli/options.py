@@ -8,6 +8,8 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
+from lemma.core.errors import InvalidConfigError
+
 # The hint would repeat "(default: None)" where the help says what happens.
 Flag = Annotated[
     bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")
@@ -25,6 +27,8 @@ TaskName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")]
 """Exactly one task."""
 Word = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 """An optional name."""
+Arguments = Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")]
+"""What a policy is called with; see :func:`arguments`."""
 Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
 """An optional number."""
 Team = Annotated[str | None, tyro.conf.arg(metavar="ARM,ARM", help_behavior_hint="")]
@@ -53,3 +57,31 @@ def complain(text: str) -> None:
 def print_json(document: Any) -> None:
     """Print a document for programs."""
     sys.stdout.write(json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+
+
+def arguments(text: str) -> tuple[tuple[str, Any], ...]:
+    """Return names and values.
+
+    Args:
+        text: What was given.
+
+    Raises:
+        InvalidConfigError: An equals sign is missing.
+    """
+    found = []
+    for part in filter(None, text.split(",")):
+        name, equals, value = part.partition("=")
+        if not equals or not name.isidentifier():
+            raise InvalidConfigError(
+                f"{part!r} is no argument. Write NAME=VALUE,..., as in "
+                "--policy-args checkpoint=model.pt,chunk=8."
+            )
+        found.append((name, _value(value)))
+    return tuple(found)
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text

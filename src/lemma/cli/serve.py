@@ -1,10 +1,18 @@
 """`lemma serve`: a policy behind a socket; or one question whose answer is known."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from lemma.cli.options import Flag, JsonFlag, Word, output, print_json
+from lemma.cli.options import (
+    Arguments,
+    Flag,
+    JsonFlag,
+    Word,
+    arguments,
+    output,
+    print_json,
+)
 from lemma.core.errors import InvalidConfigError
 
 _HOST = "127.0.0.1"
@@ -16,6 +24,7 @@ def serve(
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = _HOST,
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = _PORT,
     planning: Literal["single-step", "multi-step"] = "single-step",
+    policy_args: Arguments = "",
     check: Annotated[
         str | None, tyro.conf.arg(metavar="URL", help_behavior_hint="")
     ] = None,
@@ -28,6 +37,8 @@ def serve(
         host: Address to listen at. There is no password: keep it at this machine.
         port: Port to listen at; 0 for any that is free.
         planning: Look before every sub-task, or plan from the first image alone.
+        policy_args: What a class is called with; or, with --check, the environment of
+            a model server.
         check: Ask this server for one decision whose right answer is known.
         as_json: With --check, print one JSON object.
 
@@ -45,8 +56,8 @@ def serve(
             "server, to test it."
         )
     if check is not None:
-        return _check(check, as_json)
-    spec = PolicySpec(str(policy), planning)
+        return _check(check, policy_args, as_json)
+    spec = PolicySpec(str(policy), planning, arguments=arguments(policy_args))
     if ORACLE in spec.parts:
         raise InvalidConfigError(
             "The oracle cannot be served: it needs the truth, which never travels. "
@@ -66,30 +77,37 @@ def _announce(url: str) -> None:
     output().print(f"Ready: lemma evaluate --policy {url} --out DIR", soft_wrap=True)
 
 
-def _check(url: str, as_json: Flag) -> int:
+def _check(url: str, policy_args: str, as_json: Flag) -> int:
+    from lemma.evaluation.run.control.check import check_control
+    from lemma.evaluation.run.loading import load_policy
     from lemma.evaluation.run.server_check import check_server
+    from lemma.policies.control.interfaces import is_model_server
+    from lemma.policies.spec import PolicySpec
 
-    found = check_server(url)
-    grounded = None if found.grounded is None else found.grounded.to_dict()
+    answer: dict[str, Any]
+    if is_model_server(url):
+        policy = load_policy(PolicySpec(url, arguments=arguments(policy_args)))
+        try:
+            command = check_control(policy)
+        finally:
+            policy.close()
+        ok, asked, mistakes = command.ok, command.instruction, command.mistakes
+        answer = {"action": {n: round(v, 4) for n, v in command.action.items()}}
+    else:
+        found = check_server(url)
+        ok, asked, mistakes = found.ok, found.instruction, found.mistakes
+        grounded = None if found.grounded is None else found.grounded.to_dict()
+        answer = {"subtask": found.subtask.to_dict(), "grounded": grounded}
     if as_json:
-        print_json(
-            {
-                "ok": found.ok,
-                "instruction": found.instruction,
-                "subtask": found.subtask.to_dict(),
-                "grounded": grounded,
-                "mistakes": found.mistakes,
-            }
-        )
-        return 0 if found.ok else 1
+        print_json({"ok": ok, "instruction": asked, **answer, "mistakes": mistakes})
+        return 0 if ok else 1
     console = output()
     lines = [
-        f"asked:    {found.instruction}",
-        f"answered: {found.subtask}",
-        f"poses:    {grounded or 'none'}",
-        *(f"WRONG {name}: {text}" for name, text in found.mistakes.items()),
+        f"asked: {asked}",
+        *(f"{name}: {told or 'none'}" for name, told in answer.items()),
+        *(f"WRONG {name}: {text}" for name, text in mistakes.items()),
     ]
     console.print("\n".join(lines), markup=False, soft_wrap=True)
-    if found.ok:
+    if ok:
         console.print("Nothing is wrong with it.", style="green")
-    return 0 if found.ok else 1
+    return 0 if ok else 1
