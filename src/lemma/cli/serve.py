@@ -79,18 +79,18 @@ def _announce(url: str) -> None:
 
 def _check(url: str, policy_args: str, as_json: Flag) -> int:
     from lemma.evaluation.run.control.check import check_control
-    from lemma.evaluation.run.loading import load_policy
+    from lemma.evaluation.run.loading import connected
     from lemma.evaluation.run.server_check import check_server
-    from lemma.policies.control.interfaces import is_model_server
     from lemma.policies.spec import PolicySpec
 
     answer: dict[str, Any]
-    if is_model_server(url):
-        policy = load_policy(PolicySpec(url, arguments=arguments(policy_args)))
-        try:
-            command = check_control(policy)
-        finally:
-            policy.close()
+    part = connected(PolicySpec(url, arguments=arguments(policy_args)), url)
+    controls = bool(getattr(part, "control_options", None))
+    try:
+        command = check_control(part) if controls else None
+    finally:
+        part.close()
+    if command is not None:
         ok, asked, mistakes = command.ok, command.instruction, command.mistakes
         answer = {"action": {n: round(v, 4) for n, v in command.action.items()}}
     else:

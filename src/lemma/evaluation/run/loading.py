@@ -32,10 +32,8 @@ def load_policy(spec: PolicySpec) -> Any:
     """
 
     def load(name: str) -> Any:
-        if is_address(name):
-            return connect(name, _mode(spec))
-        if is_model_server(name):
-            return ask_model_server(name, _mode(spec), dict(spec.arguments))
+        if is_address(name) or is_model_server(name):
+            return connected(spec, name)
         if ":" in name and spec.timeout_s > 0.0:
             return isolate(name, spec.timeout_s, dict(spec.arguments))
         return load_part(name, dict(spec.arguments))
@@ -58,18 +56,26 @@ def served_parts(spec: PolicySpec) -> dict[str, Any]:
     found = {}
     for name in spec.parts:
         if is_address(name) or is_model_server(name):
-            part: Any
-            if is_address(name):
-                part = connect(name, _mode(spec))
-            else:
-                part = ask_model_server(name, _mode(spec), dict(spec.arguments))
+            part = connected(spec, name)
             found[name] = part.about
             part.close()
     return found
 
 
-def _mode(spec: PolicySpec) -> ProtocolMode:
-    return ProtocolMode(spec.timeout_s or FOREVER_S)
+def connected(spec: PolicySpec, address: str) -> Any:
+    """Return what is behind an address.
+
+    Args:
+        spec: How long it may take, and in which environment it shall act.
+        address: Of ``lemma serve`` or of a model server.
+
+    Raises:
+        LemmaError: Nobody answers there, or in another language.
+    """
+    mode = ProtocolMode(spec.timeout_s or FOREVER_S)
+    if is_model_server(address):
+        return ask_model_server(address, mode, dict(spec.arguments))
+    return connect(address, mode)
 
 
 Weights = dict[str, dict[str, Any]]
