@@ -93,18 +93,20 @@ def _check(url: str, policy_args: str, as_json: Flag) -> int:
     if command is not None:
         ok, asked, mistakes = command.ok, command.instruction, command.mistakes
         answer = {"action": {n: round(v, 4) for n, v in command.action.items()}}
+        shown = answer
     else:
         found = check_server(url)
         ok, asked, mistakes = found.ok, found.instruction, found.mistakes
         grounded = None if found.grounded is None else found.grounded.to_dict()
         answer = {"subtask": found.subtask.to_dict(), "grounded": grounded}
+        shown = {"answered": found.subtask, "poses": grounded or "none"}
     if as_json:
         print_json({"ok": ok, "instruction": asked, **answer, "mistakes": mistakes})
         return 0 if ok else 1
     console = output()
     lines = [
         f"asked: {asked}",
-        *(f"{name}: {told or 'none'}" for name, told in answer.items()),
+        *(f"{name}: {told}" for name, told in shown.items()),
         *(f"WRONG {name}: {text}" for name, text in mistakes.items()),
     ]
     console.print("\n".join(lines), markup=False, soft_wrap=True)
