@@ -36,8 +36,9 @@ _KEYS = {"Tab": 9, "Enter": 13, "ArrowDown": 40}
 class Page:
     """One page of a browser."""
 
-    def __init__(self, socket: Any) -> None:
+    def __init__(self, socket: Any, tabs: str = "") -> None:
         self._socket = socket
+        self._tabs = tabs
         self._last = 0
         self.events: list[dict[str, Any]] = []
 
@@ -53,6 +54,17 @@ class Page:
                 result: dict[str, Any] = answer["result"]
                 return result
             self.events.append(answer)
+
+    @contextmanager
+    def tab(self) -> Iterator["Page"]:
+        """Open another tab of the same browser."""
+        target = self.ask("Target.createTarget", url="about:blank")["targetId"]
+        with _page_at(self._tabs, target) as page:
+            yield page
+
+    def type(self, text: str) -> None:
+        """Type into what has the focus, all at once."""
+        self.ask("Input.insertText", text=text)
 
     def run(self, expression: str) -> Any:
         """Return the value of an expression of JavaScript."""
@@ -138,11 +150,7 @@ def page_in_chromium(folder: Path) -> Iterator[Page]:
             root = Page(socket)
             found = root.ask("Target.getTargets")["targetInfos"]
             target = next(one["targetId"] for one in found if one["type"] == "page")
-            address = f"ws://127.0.0.1:{port}/devtools/page/{target}"
-            with client.connect(address, **_WIDE) as own:
-                page = Page(own)
-                for domain in ("Page", "Runtime", "Network"):
-                    page.ask(f"{domain}.enable")
+            with _page_at(f"ws://127.0.0.1:{port}/devtools/page", target) as page:
                 yield page
     finally:
         process.terminate()
@@ -151,6 +159,16 @@ def page_in_chromium(folder: Path) -> Iterator[Page]:
         if process.poll() is None:
             process.kill()
             process.wait()
+
+
+@contextmanager
+def _page_at(tabs: str, target: str) -> Iterator[Page]:
+    client = pytest.importorskip("websockets.sync.client")
+    with client.connect(f"{tabs}/{target}", **_WIDE) as socket:
+        page = Page(socket, tabs)
+        for domain in ("Page", "Runtime", "Network"):
+            page.ask(f"{domain}.enable")
+        yield page
 
 
 _WIDE: dict[str, Any] = {"max_size": None, "proxy": None, "compression": None}

@@ -41,6 +41,7 @@ class Page:
         with contextlib.redirect_stdout(io.StringIO()):
             self._server = _Server(host, port, label="LEMMA Bench", verbose=False)
         set_theme(self._server.gui, dark=False)
+        self._server.gui.main_panel.dock_right()
         self.port = self._server.get_port()
         self.address = f"http://{host}:{self.port}"
         self.stage = Stage(self._server, _LOOK_AT_FIRST)

@@ -69,7 +69,7 @@ class Panel:
         )
         self.do = gui.add_button("Do it", color="blue")
         self.do.on_click(lambda _: self.act())
-        self.text.on_update(self._typed)
+        self.text.on_update(self.typed)
         with gui.add_folder("Table"):
             names = tuple(TASKS)
             self.task = gui.add_dropdown("Task", names, initial_value=wish.task)
@@ -81,7 +81,7 @@ class Panel:
                 "Sentence", SAYINGS, initial_value=wish.saying
             )
         for widget in (self.task, self.index, self.split, self.saying):
-            widget.on_update(self._chosen)
+            widget.on_update(self.chosen)
 
     def _add_transport(self) -> None:
         gui = self._gui
@@ -93,7 +93,7 @@ class Panel:
             self.time = gui.add_slider("Time [s]", 0.0, 1.0, _SLIDER_S / 2, 0.0)
             self.timeline = gui.add_html(timeline_html((), 0.0))
         self.speed.on_update(lambda _: self._set_speed())
-        self.time.on_update(self._sought)
+        self.time.on_update(self.sought)
 
     def _add_overlays(
         self, overlays: set[str], set_overlay: Callable[[str, bool], None]
@@ -143,6 +143,7 @@ class Panel:
         if what == PAUSE:
             play.transport.pause()
         elif what == RESTART:
+            self._complaint = ""
             self._session.restart()
         elif not play.acts:
             self.act(steps=what == STEP)
@@ -163,17 +164,20 @@ class Panel:
             self._complaint = str(error)
             self.status.content = complaint_html(self._complaint)
 
-    def _chosen(self, event: Any) -> None:
+    def chosen(self, event: Any) -> None:
+        """Set the table when a visitor has chosen another."""
         if event.client_id is not None:
             self.set_table()
 
-    def _typed(self, event: Any) -> None:
+    def typed(self, event: Any) -> None:
+        """Take what a visitor types for a sentence of their own."""
         if event.client_id is not None:
             _set(self.saying, OWN_WORDS)
             if len(self.text.value) > LONGEST:
                 _set(self.text, self.text.value[:LONGEST])
 
-    def _sought(self, event: Any) -> None:
+    def sought(self, event: Any) -> None:
+        """Look at the moment that a visitor has moved the slider to."""
         if event.client_id is not None:
             self._session.play.transport.seek(self.time.value)
 
@@ -227,7 +231,6 @@ def set_theme(gui: Any, *, dark: bool) -> None:
     """Set how the page looks."""
     gui.configure_theme(
         dark_mode=dark,
-        control_layout="collapsible",
         control_width="large",
         show_logo=False,
         show_share_button=False,

@@ -48,9 +48,11 @@ class Stage:
             visible: Those of :data:`OVERLAYS` that are to be seen.
         """
         self._server, self._visible = server, set(visible)
-        self._bodies: dict[int, Any] = {}
+        self.bodies: dict[int, Any] = {}
+        """Nodes by number of the body."""
         self._shown: dict[int, FloatArray] = {}
-        self._overlays: dict[str, list[Any]] = {name: [] for name in OVERLAYS}
+        self.overlays: dict[str, list[Any]] = {name: [] for name in OVERLAYS}
+        """Nodes of each overlay."""
         self._data: mujoco.MjData | None = None
         self._scene: Scene | None = None
         self._contacts: Any = None
@@ -72,10 +74,10 @@ class Stage:
             return
         with self._server.atomic():
             self._server.scene.reset()
-            self._bodies, self._shown = {}, {}
+            self.bodies, self._shown = {}, {}
             self._light()
             self._draw_bodies(scene)
-            for handles in self._overlays.values():
+            for handles in self.overlays.values():
                 handles.clear()
             self._draw_names(instance)
             self._draw_reach(instance)
@@ -102,8 +104,8 @@ class Stage:
         model, root = scene.model, self._server.scene
         for number, shape in enumerate(shapes_of(model)):
             name = f"/world/{model.body(shape.body).name}"
-            if shape.body not in self._bodies:
-                self._bodies[shape.body] = root.add_frame(name, show_axes=False)
+            if shape.body not in self.bodies:
+                self.bodies[shape.body] = root.add_frame(name, show_axes=False)
             root.add_mesh_simple(
                 f"{name}/part_{number}",
                 shape.vertices,
@@ -163,12 +165,12 @@ class Stage:
         self._keep("contacts", self._contacts)
 
     def _keep(self, overlay: str, handle: Any) -> None:
-        self._overlays[overlay].append(handle)
+        self.overlays[overlay].append(handle)
 
     def set_visible(self, overlay: str, visible: bool) -> None:
         """Show or hide one of :data:`OVERLAYS`."""
         (self._visible.add if visible else self._visible.discard)(overlay)
-        for handle in self._overlays[overlay]:
+        for handle in self.overlays[overlay]:
             handle.visible = visible
 
     def show(self, qpos: FloatArray) -> int:
@@ -186,7 +188,7 @@ class Stage:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         with self._server.atomic():
-            for body, handle in self._bodies.items():
+            for body, handle in self.bodies.items():
                 pose = np.concatenate([data.xpos[body], data.xquat[body]])
                 shown = self._shown.get(body)
                 if shown is None or np.abs(shown - pose).max() > _MOVED_M:

@@ -1,0 +1,122 @@
+"""The page in a real browser: what visitors do, and what they see of it."""
+
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+from browser import Page as Browser
+from browser import page_in_chromium
+from looked_at import STACK, session_of, until
+
+from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.viewer.page import Page
+from lemma.viewer.wish import OWN_WORDS, Phase
+
+pytestmark = pytest.mark.slow
+
+EVIL = "<img src=x onerror=window.evil=1>"
+SHOWS = "document.body.innerText.includes({!r})"
+PRESS = (
+    "[...document.querySelectorAll('button')]"
+    ".find(button => button.innerText.trim() == {!r}).click()"
+)
+
+
+class Raises:
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        raise ValueError(EVIL)
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    page = Page(session_of(STACK, broken=Raises()), "127.0.0.1", 18080)
+    loop = threading.Thread(target=page.run)
+    loop.start()
+    yield page
+    page.close()
+    loop.join(10.0)
+
+
+@pytest.fixture(scope="module")
+def browser(page: Page, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with page_in_chromium(tmp_path_factory.mktemp("profile")) as found:
+        # What is drawn in software costs time by its size.
+        found.resize(900, 320)
+        found.open(page.address)
+        found.wait_for(SHOWS.format("Ready"))
+        yield found
+
+
+def until_phase(page: Page, phase: Phase) -> None:
+    until(lambda: page.session.play.status.phase is phase)
+
+
+def say(browser: Browser, text: str) -> None:
+    browser.run("document.querySelector('textarea').select()")
+    browser.run("document.querySelector('textarea').focus()")
+    browser.type(text)
+
+
+def test_expert_is_played_to_success_and_looked_at_again(
+    browser: Browser, page: Page
+) -> None:
+    page.session.set_speed(8.0)
+    browser.run(PRESS.format("Do it"))
+    browser.wait_for("document.querySelectorAll('.subtask').length == 2")
+    browser.run(PRESS.format("Pause"))
+    until(lambda: not page.session.play.transport.playing)
+    browser.run(PRESS.format("Play"))
+    browser.wait_for("document.querySelector('[data-phase=SOLVED]')")
+    until(lambda: page.session.play.transport.at_end)
+    slider = "document.querySelector('[role=slider]')"
+    browser.run(f"{slider}.focus()")
+    for _ in range(3):
+        browser.press("ArrowLeft")
+    until(lambda: not page.session.play.transport.at_end)
+    assert page.session.play.transport.cursor_s > 10.0
+
+
+def test_what_is_typed_is_shown_as_it_is(browser: Browser, page: Page) -> None:
+    say(browser, f"Fetch me a {EVIL}")
+    until(lambda: page.panel.saying.value == OWN_WORDS)
+    browser.run(PRESS.format("Do it"))
+    browser.wait_for("document.querySelector('[data-phase=FAILED]')")
+    assert browser.run(SHOWS.format("none of them"))
+    assert browser.run(SHOWS.format(EVIL))
+    assert browser.run("window.evil") is None
+
+
+def test_two_tabs_see_the_same(browser: Browser, page: Page) -> None:
+    with browser.tab() as other:
+        other.resize(500, 300)
+        other.open(page.address)
+        other.wait_for("document.querySelector('[data-phase]')")
+        page.panel.saying.value = "high_level"
+        page.panel.set_table()
+        until_phase(page, Phase.READY)
+        assert page.session.play.instance is not None
+        said = page.session.play.instance.instructions["high_level"]
+        for tab in (browser, other):
+            tab.wait_for(SHOWS.format(said))
+
+
+def test_policy_that_breaks_leaves_the_page_alive(browser: Browser, page: Page) -> None:
+    page.panel.policy.value = "broken"
+    browser.run(PRESS.format("Do it"))
+    browser.wait_for("document.querySelector('[data-phase=BROKEN]')")
+    assert browser.run(SHOWS.format("The policy failed"))
+    assert browser.run("window.evil") is None
+    page.panel.policy.value = "oracle"
+    browser.run(PRESS.format("Step"))
+    browser.run(PRESS.format("Do it"))
+    browser.wait_for(SHOWS.format("Understood"))
+
+
+def test_page_is_there_at_the_width_of_a_phone(
+    browser: Browser, tmp_path: Path
+) -> None:
+    browser.resize(390, 640)
+    wide = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
+    browser.wait_for("document.querySelector('canvas').clientWidth <= 390")
+    assert not browser.run(wide)
