@@ -181,7 +181,7 @@ def test_action_clipped_in_single_precision_is_in_bounds() -> None:
         ({"instruction": "robot"}, UnknownNameError, "high_level"),
         ({"robots": ("ur5", "ur7")}, UnknownNameError, "ur10"),
         ({"robots": ("ur5",)}, InvalidConfigError, "'ur5', 'ur10'"),
-        ({"render_mode": "human"}, UnknownNameError, "rgb_array"),
+        ({"render_mode": "video"}, UnknownNameError, "rgb_array, human"),
         ({"control_hz": 30}, InvalidConfigError, "Try 10, 20, 25 or 50"),
         ({"control_hz": 0}, InvalidConfigError, "from 0.1 to 100"),
         ({"horizon_s": -1.0}, InvalidConfigError, "at least 0.01"),

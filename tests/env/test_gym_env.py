@@ -93,7 +93,7 @@ def test_every_step_says_what_conventions_ask_for(level: str) -> None:
         assert ("outcome" in found) == (level != "control")
     assert env.get_wrapper_attr("task") == "stack"
     assert env.get_wrapper_attr("_max_episode_steps") > 0
-    assert env.metadata["render_modes"] == ["rgb_array"]
+    assert env.metadata["render_modes"] == ["rgb_array", "human"]
 
 
 def test_instance_depends_on_split_and_index_alone() -> None:

@@ -28,6 +28,7 @@ from lemma.env.observation import (
 from lemma.env.view import View
 from lemma.scene.cameras import Camera, RgbImage
 from lemma.scene.rendering.renderer import Renderer
+from lemma.scene.rendering.window import Window
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.blind import instruction
 from lemma.tasks.suite import task_named
@@ -59,15 +60,18 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
 
         Args:
             config: The options.
-            render_mode: ``"rgb_array"`` for :meth:`render`, or None.
+            render_mode: ``"rgb_array"`` for :meth:`render`, ``"human"`` for a window
+                of MuJoCo's viewer, or None.
 
         Raises:
             UnknownNameError: No such render mode.
+            RenderingError: There is no display for a window.
         """
-        self.metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
+        self.metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 20}
         if render_mode is not None:
             known("render_mode", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
+        self._window = Window() if render_mode == "human" else None
         self.config = config
         self.task = config.task
         self._instances = InstanceSource(config)
@@ -145,6 +149,10 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         """Take a new episode."""
         self._episode = episode
         self.rewards.begin(episode)
+        if self._window is not None:
+            window, simulation = self._window, episode.simulation
+            window.show(simulation.scene)
+            simulation.observers.append(lambda: window.follow(simulation.scene))
 
     def _running(self) -> Episode:
         """Return the episode, which must not be over.
@@ -199,7 +207,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         }
 
     def render(self) -> RgbImage | None:
-        """Return a picture for people; None without a render mode.
+        """Return a picture for people; None without a render mode, or in a window.
 
         Returns:
             Colors, (``render_height``, ``render_width``, 3).
@@ -214,6 +222,8 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
                 'render_mode="rgb_array".'
             )
             return None
+        if self._window is not None:
+            return None
         if self._renderer is None:
             size = (self.config.render_width, self.config.render_height)
             self._renderer = Renderer(*size, quality="video")
@@ -224,6 +234,8 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
     def close(self) -> None:
         """Free what rendering uses."""
         self._observer.close()
+        if self._window is not None:
+            self._window.close()
         if self._renderer is not None:
             self._renderer.close()
 

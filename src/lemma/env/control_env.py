@@ -34,7 +34,7 @@ class ControlEnv(LemmaEnv):
 
         Args:
             config: The options.
-            render_mode: ``"rgb_array"`` for :meth:`render`, or None.
+            render_mode: ``"rgb_array"`` for :meth:`render`, ``"human"``, or None.
 
         Raises:
             UnknownNameError: No such control mode or render mode.

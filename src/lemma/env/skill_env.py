@@ -23,7 +23,7 @@ class SubTaskEnv(LemmaEnv):
 
         Args:
             config: The options.
-            render_mode: ``"rgb_array"`` for :meth:`render`, or None.
+            render_mode: ``"rgb_array"`` for :meth:`render`, ``"human"``, or None.
 
         Raises:
             UnknownNameError: No such render mode.
@@ -90,7 +90,7 @@ class SkillEnv(SubTaskEnv):
 
         Args:
             config: The options.
-            render_mode: ``"rgb_array"`` for :meth:`render`, or None.
+            render_mode: ``"rgb_array"`` for :meth:`render`, ``"human"``, or None.
         """
         super().__init__(config, render_mode)
         self.action_space = skill_space(len(self.robot_names))

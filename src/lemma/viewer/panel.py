@@ -57,10 +57,14 @@ class Panel:
         self._add_choices(wish)
         self._add_transport()
         self._add_overlays(overlays, set_overlay)
+        self._add_details(wish)
 
     def _add_choices(self, wish: Wish) -> None:
         gui = self._gui
         self.status = gui.add_html("")
+        names = tuple(TASKS)
+        self.task = gui.add_dropdown("Task", names, initial_value=wish.task)
+        self.index = gui.add_number("Instance", wish.index, min=0, max=_MOST)
         self.text = gui.add_text(
             "Say", wish.text, multiline=True, hint="Type anything, then press Do it."
         )
@@ -70,17 +74,21 @@ class Panel:
         self.do = gui.add_button("Do it", color="blue")
         self.do.on_click(lambda _: self.act())
         self.text.on_update(self.typed)
-        with gui.add_folder("Table"):
-            names = tuple(TASKS)
-            self.task = gui.add_dropdown("Task", names, initial_value=wish.task)
-            self.index = gui.add_number("Instance", wish.index, min=0, max=_MOST)
+        for widget in (self.task, self.index):
+            widget.on_update(self.chosen)
+
+    def _add_details(self, wish: Wish) -> None:
+        gui = self._gui
+        with gui.add_folder("More", expand_by_default=False):
             self.split = gui.add_dropdown(
                 "Split", (*SPLITS, FREE_SPLIT), initial_value=wish.split
             )
             self.saying = gui.add_dropdown(
                 "Sentence", SAYINGS, initial_value=wish.saying
             )
-        for widget in (self.task, self.index, self.split, self.saying):
+            self.dark = gui.add_checkbox("Dark", False)
+        self.dark.on_update(lambda _: set_theme(gui, dark=self.dark.value))
+        for widget in (self.split, self.saying):
             widget.on_update(self.chosen)
 
     def _add_transport(self) -> None:
@@ -111,8 +119,6 @@ class Panel:
                 bind(found, name)
             self.picture = gui.add_dropdown("Picture", (NO_PICTURE,))
             self.image = gui.add_image(_ANY, format="jpeg", visible=False)
-            self.dark = gui.add_checkbox("Dark", False)
-        self.dark.on_update(lambda _: set_theme(gui, dark=self.dark.value))
 
     def wish(self) -> Wish:
         """Return what is chosen now.

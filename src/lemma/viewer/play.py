@@ -158,7 +158,7 @@ class Play:
             reading = ask_reader(player.policy, given, rollout.instance)
         self._tell(reading=reading)
         if not reading.acts:
-            self._tell(Phase.FAILED, note="Nothing was done.")
+            self._tell(Phase.FAILED)
             return False
         own = self.wish.saying == OWN_WORDS
         if own and reading.pairs and not is_oracle(player.policy):

@@ -14,7 +14,7 @@ from lemma.core.poses import FloatArray
 
 _VISIBLE_GROUPS = 3
 """Geoms of this group and above are for collisions."""
-_PLANE_M = 6.0
+_PLANE_M = 15.0
 """Half the side of what stands for an endless plane [m]."""
 _SMOOTH_RAD = 0.7
 """Faces that meet at a smaller angle are shaded as one [rad]."""

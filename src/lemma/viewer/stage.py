@@ -28,8 +28,8 @@ _TARGET_M = np.array([0.0, -0.05, 0.05])
 _FROM = np.array([0.0, -0.81, 0.59])
 _FOV_RAD = math.radians(40.0)
 _PHONE_PX, _PANEL_PX = 800, 390
-_HALF_WIDTH_M, _HALF_HEIGHT_M = 1.35, 0.85
-"""What shall be seen at least, on either side [m]."""
+_HALF_HEIGHT_M, _BESIDE_M = 0.9, 0.5
+"""What shall be seen at least on either side, and beside each robot [m]."""
 _MOVED_M = 1e-5
 _POINTS = 96
 _OVER_TABLE_M = 0.004
@@ -56,10 +56,11 @@ class Stage:
         self._data: mujoco.MjData | None = None
         self._scene: Scene | None = None
         self._contacts: Any = None
-        server.initial_camera.position = eye_for(1.5)
+        self._half_width_m = 1.0
+        server.initial_camera.position = eye_for(1.5, self._half_width_m)
         server.initial_camera.look_at = _TARGET_M
         server.initial_camera.fov = _FOV_RAD
-        server.on_client_connect(_step_back)
+        server.on_client_connect(self._step_back)
 
     def set_scene(self, scene: Scene, instance: Instance) -> None:
         """Show another scene; what is the same table stays as it is.
@@ -82,6 +83,21 @@ class Stage:
             self._draw_names(instance)
             self._draw_reach(instance)
             self._draw_contacts()
+        half_m = max(abs(r.base.x) for r in instance.scene.robots) + _BESIDE_M
+        if half_m > self._half_width_m or half_m < self._half_width_m - _BESIDE_M:
+            self._half_width_m = half_m
+            for client in self._server.get_clients().values():
+                self._step_back(client)
+
+    def _step_back(self, client: viser.ClientHandle) -> None:
+        """Let a visitor see all robots, however narrow the window."""
+        width, height = client.camera.image_width, client.camera.image_height
+        if width > _PHONE_PX:
+            # The panel docks later.
+            width -= _PANEL_PX
+        eye = eye_for(width / max(height, 1), self._half_width_m)
+        client.camera.position = eye
+        client.camera.look_at = _TARGET_M
 
     def _light(self) -> None:
         scene = self._server.scene
@@ -90,14 +106,14 @@ class Stage:
             "/light/sky",
             sky_color=(255, 255, 255),
             ground_color=(170, 175, 185),
-            intensity=1.1,
+            intensity=0.8,
         )
         # Looks along its negative z axis from where it is to the origin.
         scene.add_light_directional(
-            "/light/sun", intensity=1.7, cast_shadow=True, position=(-1.2, -1.6, 3.2)
+            "/light/sun", intensity=1.25, cast_shadow=True, position=(-1.2, -1.6, 3.2)
         )
         scene.add_light_directional(
-            "/light/fill", intensity=0.35, position=(2.5, 1.0, 2.0)
+            "/light/fill", intensity=0.3, position=(2.5, 1.0, 2.0)
         )
 
     def _draw_bodies(self, scene: Scene) -> None:
@@ -205,26 +221,17 @@ class Stage:
         self._contacts.points = np.asarray(points, np.float32).reshape(-1, 3)
 
 
-def eye_for(aspect: float) -> FloatArray:
+def eye_for(aspect: float, half_width_m: float) -> FloatArray:
     """Return where to stand to see the table, (3,) [m].
 
     Args:
         aspect: Width of the window, in heights.
+        half_width_m: What shall be seen at least to the left and right [m].
     """
     half = math.tan(_FOV_RAD / 2.0)
-    away = max(_HALF_HEIGHT_M, _HALF_WIDTH_M / max(aspect, 0.2)) / half
+    away = max(_HALF_HEIGHT_M, half_width_m / max(aspect, 0.2)) / half
     eye: FloatArray = _TARGET_M + away * _FROM
     return eye
-
-
-def _step_back(client: viser.ClientHandle) -> None:
-    """Let a new visitor see the whole table, however narrow the window."""
-    width, height = client.camera.image_width, client.camera.image_height
-    if width > _PHONE_PX:
-        # The panel docks later.
-        width -= _PANEL_PX
-    client.camera.position = eye_for(width / max(height, 1))
-    client.camera.look_at = _TARGET_M
 
 
 def _ring(x: float, y: float, radius_m: float, every: int) -> FloatArray:

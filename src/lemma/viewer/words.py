@@ -6,7 +6,7 @@ from html import escape
 from lemma.viewer.reading import say_goal
 from lemma.viewer.wish import ENDS, Line, Phase, Status
 
-_FRAME = '<div style="padding:0 1em;font-size:0.9em;line-height:1.45">{}</div>'
+_FRAME = '<div style="padding:0 1em 0.5em;font-size:0.9em;line-height:1.45">{}</div>'
 _GOOD, _BAD, _FAINT = "#1f9d55", "#d64545", "#8a8f98"
 _COLOR = {
     Phase.SOLVED: _GOOD,
@@ -19,14 +19,15 @@ def status_html(status: Status) -> str:
     """Return what is said, what was understood, and how it stands."""
     color = _COLOR.get(status.phase, "inherit")
     dots = "" if status.phase in (*ENDS, Phase.READY) else " …"
+    title = escape(status.phase.value)
+    if status.note and status.phase is not Phase.BROKEN:
+        title += f" {escape(status.note)}"
     parts = [
         f'<div data-phase="{escape(status.phase.name)}" style="font-weight:600;'
-        f'color:{color}">{escape(status.phase.value)}{dots}</div>'
+        f'color:{color}">{title}{dots}</div>'
     ]
-    if status.note:
-        parts.append(
-            f'<div style="color:{color}">{escape(_sentence(status.note))}</div>'
-        )
+    if status.note and status.phase is Phase.BROKEN:
+        parts.append(f'<div style="color:{color}">{escape(status.note)}</div>')
     if status.said:
         parts.append(f"<div><i>“{escape(status.said)}”</i></div>")
     if status.reading is not None:
@@ -76,7 +77,3 @@ def _row(number: int, line: Line, cursor_s: float) -> str:
         f'<span style="font-weight:{weight}">{number + 1}. {escape(line.words)}</span> '
         f"{mark}</div>"
     )
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]
