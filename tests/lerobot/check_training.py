@@ -231,6 +231,7 @@ def test_lemma_evaluate_plays_the_checkpoint(monkeypatch: pytest.MonkeyPatch) ->
         f"lerobot:{checkpoint()}", tasks="stack", split="val", episodes=2
     )
     assert not found.errors
+    assert len(found.result.about["weights"]["act"]["sha256"]) == 64
     for row in found.rows:
         assert row["control"]["hz"] == 10.0
         assert (row["control"]["actions"], row["control"]["asked"]) == (20, 2)

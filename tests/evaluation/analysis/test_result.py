@@ -102,6 +102,21 @@ def test_only_our_own_weights_are_looked_at(policy: str, parts: list[str]) -> No
         assert weights_of(PolicySpec(policy)) == {}
 
 
+def test_weights_of_lerobot_are_those_of_the_folder(tmp_path: Path) -> None:
+    policy = PolicySpec(f"lerobot:{tmp_path}")
+    assert weights_of(policy) == {}
+    (tmp_path / "config.json").write_text('{"type": "act"}')
+    training = '{"seed": 3, "dataset": {"repo_id": "you/two"}}'
+    (tmp_path / "train_config.json").write_text(training)
+    digests = set()
+    for content in (b"one", b"another"):
+        (tmp_path / "model.safetensors").write_bytes(content)
+        about = weights_of(policy)["act"]
+        assert (about["seed"], about["data"]) == (3, {"repo_id": "you/two"})
+        digests.add(about["sha256"])
+    assert len(digests) == 2
+
+
 def test_the_seed_is_told_by_the_weights() -> None:
     made = result(3)
     other = replace(made, about={**made.about, "weights": {"x": {"seed": 4}}})

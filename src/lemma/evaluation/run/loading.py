@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.core.files import sha256_of
+from lemma.core.files import read_json, sha256_of
 from lemma.evaluation.run.control.model_server import ask_model_server
+from lemma.policies.class_path import LEROBOT
 from lemma.policies.control.interfaces import is_model_server
 from lemma.policies.interfaces import is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
@@ -100,6 +101,8 @@ def weights_of(spec: PolicySpec) -> Weights:
     Raises:
         LemmaError: They are missing or damaged.
     """
+    if spec.name.startswith(LEROBOT):
+        return _lerobot_weights(Path(spec.name.removeprefix(LEROBOT)))
     found: Weights = {}
     eyes = (getattr(planner, "weights", ()) for planner in spec.planners())
     parts = dict.fromkeys([*learned_parts(spec.name), *(w for e in eyes for w in e)])
@@ -119,6 +122,21 @@ def weights_of(spec: PolicySpec) -> Weights:
         if about.ended == TIME_LIMIT:
             found[about.model]["ended"] = about.ended
     return found
+
+
+def _lerobot_weights(checkpoint: Path) -> Weights:
+    """Return the weights of a folder that LeRobot saved; none of a name on the Hub."""
+    weights = checkpoint / "model.safetensors"
+    if not weights.exists():
+        return {}
+    training = read_json(checkpoint / "train_config.json")
+    return {
+        read_json(checkpoint / "config.json")["type"]: {
+            "sha256": sha256_of(weights),
+            "seed": training["seed"] or 0,
+            "data": {"repo_id": training["dataset"]["repo_id"]},
+        }
+    }
 
 
 def _find(part: str) -> Path:
