@@ -38,6 +38,7 @@ from lemma.dataset.lerobot.frames import (
     features,
     frames,
 )
+from lemma.dataset.lerobot.shortcuts import take_shortcuts
 from lemma.dataset.recipe.files import open_table, versions
 from lemma.dataset.recipe.reader import read_group
 from lemma.dataset.recipe.replay import check_versions
@@ -286,6 +287,7 @@ def write_shard(shard: Shard, style: Style) -> int:
 def _create(folder: Path, holds: dict[str, dict[str, Any]], style: Style) -> Any:
     """Return a new LeRobotDataset that encodes what it is given at once."""
     _silence()
+    take_shortcuts()
     from lerobot.configs import DepthEncoderConfig, RGBEncoderConfig  # noqa: PLC0415
     from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: PLC0415
 

@@ -1,0 +1,61 @@
+"""Statistics of pictures by counting; `make test-lerobot` compares with lerobot's."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lemma.dataset.lerobot.shortcuts import counting, statistics_of_levels
+
+QUANTILES = (0.01, 0.5, 0.99)
+
+
+class Plain:
+    """Stands for lerobot's own statistics."""
+
+    def __init__(self) -> None:
+        self.given: list[NDArray[np.float64]] = []
+
+    def update(self, batch: NDArray[np.float64]) -> None:
+        self.given.append(batch)
+
+    def get_statistics(self) -> dict[str, int]:
+        return {"batches": len(self.given)}
+
+
+def pixels() -> NDArray[np.uint8]:
+    rng = np.random.default_rng(0)
+    spread = rng.normal((60, 120, 200), (5, 30, 60), (4, 500, 3))
+    return spread.clip(0, 255).astype(np.uint8)
+
+
+def test_statistics_are_those_of_the_pixels() -> None:
+    running = counting(Plain, QUANTILES)()
+    for picture in pixels():
+        running.update(picture)
+    found = running.get_statistics()
+    every = pixels().reshape(-1, 3).astype(np.float64)
+    assert found["count"].tolist() == [2000]
+    for name, expected in (
+        ("min", every.min(0)),
+        ("max", every.max(0)),
+        ("mean", every.mean(0)),
+        ("std", every.std(0)),
+        *((f"q{int(100 * q):02d}", np.quantile(every, q, axis=0)) for q in QUANTILES),
+    ):
+        tolerance = 1.0 if name.startswith("q") else 1e-9
+        assert found[name] == pytest.approx(expected, abs=tolerance), name
+
+
+def test_what_is_no_picture_goes_the_usual_way() -> None:
+    running = counting(Plain, QUANTILES)()
+    running.update(np.zeros((5, 14)))
+    running.update(np.zeros((5, 1), np.uint16))
+    assert running.get_statistics() == {"batches": 2}
+
+
+def test_one_level_alone() -> None:
+    counts = np.zeros((1, 256), np.int64)
+    counts[0, 255] = 9
+    found = statistics_of_levels(counts, QUANTILES)
+    assert found["std"].tolist() == [0.0]
+    assert {found[name].item() for name in ("min", "max", "mean", "q50")} == {255.0}
