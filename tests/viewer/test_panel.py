@@ -1,7 +1,7 @@
 """The panel without a browser: what its widgets ask for, and what is written there."""
 
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
 import numpy as np
@@ -34,13 +34,19 @@ def page() -> Iterator[Page]:
     found.close()
 
 
-def until_phase(page: Page, *phases: Phase) -> None:
+def until_true(page: Page, true: Callable[[], bool]) -> None:
+    """Let time pass on a page until something is true."""
+
     def there() -> bool:
-        page.tick(1.0)
-        return page.session.play.status.phase in phases
+        page.tick(0.2)
+        return true()
 
     until(there)
     page.tick(0.0)
+
+
+def until_phase(page: Page, phase: Phase) -> None:
+    until_true(page, lambda: page.session.play.status.phase is phase)
 
 
 def test_table_is_shown_and_acted_on(page: Page) -> None:
@@ -49,8 +55,7 @@ def test_table_is_shown_and_acted_on(page: Page) -> None:
     assert len(page.stage.bodies) > 10
     page.panel.move(PLAY)
     until_phase(page, Phase.SOLVED)
-    until(lambda: page.tick(1.0) or page.session.play.transport.at_end)
-    page.tick(0.0)
+    until_true(page, lambda: page.session.play.transport.at_end)
     assert "SOLVED" in page.panel.status.content
     assert page.panel.timeline.content.count("success") == 2
     assert page.panel.time.value == pytest.approx(page.session.play.transport.end_s)
@@ -98,7 +103,7 @@ def test_step_pause_and_seek(page: Page) -> None:
     until_phase(page, Phase.READY)
     page.panel.move(STEP)
     play = page.session.play
-    until(lambda: page.tick(0.2) or (play.status.lines and not play.transport.playing))
+    until_true(page, lambda: bool(play.status.lines) and not play.transport.playing)
     first = play.status.lines[0]
     assert first.end_s is not None
     assert play.transport.cursor_s == pytest.approx(first.end_s, abs=1.1)
@@ -130,7 +135,7 @@ def test_overlays_are_switched(page: Page) -> None:
 def test_pictures_follow(page: Page) -> None:
     until_phase(page, Phase.READY)
     page.panel.picture.value = "robot_0"
-    until(lambda: page.tick(0.0) or page.panel.image.visible)
+    until_true(page, lambda: page.panel.image.visible)
     assert page.panel.image.image.shape == (360, 480, 3)
     assert page.panel.image.image.std() > 5.0
 

@@ -48,7 +48,9 @@ class Panel:
             overlays: What is laid over the scene at first.
             set_overlay: Shows or hides it.
         """
-        self._session, self._gui = session, server.gui
+        self._session = session
+        # Its handles have types by which nothing could be written to them.
+        self._gui: Any = server.gui
         self._status: Status | None = None
         self._timeline = ""
         self._instance: Instance | None = None
@@ -178,9 +180,9 @@ class Panel:
     def typed(self, event: Any) -> None:
         """Take what a visitor types for a sentence of their own."""
         if event.client_id is not None:
-            _set(self.saying, OWN_WORDS)
+            self.saying.value = OWN_WORDS
             if len(self.text.value) > LONGEST:
-                _set(self.text, self.text.value[:LONGEST])
+                self.text.value = self.text.value[:LONGEST]
 
     def sought(self, event: Any) -> None:
         """Look at the moment that a visitor has moved the slider to."""
@@ -202,12 +204,12 @@ class Panel:
             self.status.content = status_html(status)
             own = play.wish.saying == OWN_WORDS
             if status.phase is Phase.READY and not own:
-                _set(self.text, status.said)
+                self.text.value = status.said
         end_s, now_s = transport.end_s, transport.cursor_s
         if end_s > self.time.max or end_s < self.time.max - 1.0:
             self.time.max = max(1.0, end_s)
         if abs(now_s - self.time.value) >= _SLIDER_S or transport.at_end:
-            _set(self.time, round(now_s, 2))
+            self.time.value = round(now_s, 2)
         timeline = timeline_html(status.lines, now_s)
         if timeline != self._timeline:
             self._timeline = self.timeline.content = timeline
@@ -226,11 +228,6 @@ class Panel:
             self.image.image = picture
         if self.image.visible != (picture is not None):
             self.image.visible = picture is not None
-
-
-def _set(widget: Any, value: object) -> None:
-    """Set the value of a widget, which type checkers take for one that is read."""
-    widget.value = value
 
 
 def set_theme(gui: Any, *, dark: bool) -> None:

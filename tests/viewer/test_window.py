@@ -51,7 +51,7 @@ def test_window_follows_every_episode_and_changes_none(
         env = make(
             "stack", control="joint_velocity", render_mode=mode, split="test", index=0
         )
-        still = np.zeros(env.action_space.shape)
+        still = np.zeros(env.action_space.shape or ())
         for _ in range(2):
             env.reset()
             for _ in range(4):
