@@ -17,6 +17,7 @@ import lemma
 from lemma.env.learning.flat_view import FlatView
 from lemma.serve.protocol.vla_eval import format_of, observation, read_action
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
+from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.suite import SUITE
 
 _IMAGES = "observation.images."
@@ -142,7 +143,8 @@ class LemmaBenchmark(StepBenchmark):
             if name.startswith(_IMAGES)
         }
         state = raw_obs["observation.state"] if self._send_state else None
-        return observation(images, self._inner.task_description, state)
+        robots = robot_phrases(self._inner.instance.scene.robots)
+        return observation(images, self._inner.task_description, state, robots)
 
     def get_step_result(self, step_result: StepResult) -> EpisodeResult:
         """Return what became of the episode."""

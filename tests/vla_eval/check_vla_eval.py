@@ -7,7 +7,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -17,10 +17,12 @@ from vla_eval.model_servers.predict import PredictModelServer
 from vla_eval.specs import IMAGE_RGB, LANGUAGE, RAW
 
 import lemma
+from lemma.policies.control.interfaces import ControlInput
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.client.vla_eval import ModelServer
 from lemma.serve.protocol.faults import PolicyFailedError
 from lemma.serve.protocol.vla_eval import observation
+from lemma.serve.server.server import PolicyServer
 from lemma.tasks.suite import load_instance
 
 CONFIG = Path(__file__).parents[2] / "integrations/vla_eval/eval.yaml"
@@ -200,6 +202,30 @@ def test_its_servers_play_episodes_of_lemma_evaluate() -> None:
     assert [row["success"] for row in found.rows] == [True, False]
     assert found.errors == ()
     assert found.rows[0]["control"]["asked"] == found.rows[0]["control"]["actions"]
+
+
+class Here:
+    """The expert's motion again, as a policy of LEMMA."""
+
+    control_options: ClassVar[dict[str, Any]] = {**SIZE, "cameras": ["robot_1"]}
+
+    def act(self, inputs: list[ControlInput]) -> list[Any]:
+        [given] = inputs
+        assert given.observation["pixels"]["robot_1"].shape == (48, 64, 3)
+        assert [name.split()[-1] for name in given.robots] == ["robot", "robot"]
+        return [expert_commands("pass", "test", 0).reshape(-1, 2, 7)]
+
+
+def test_our_policies_are_played_by_its_harness() -> None:
+    with PolicyServer(Here(), port=0, protocol="vla-eval") as server:
+        [result] = run(
+            str(CONFIG),
+            server_url=server.url.replace("http", "ws"),
+            no_save=True,
+            docker=False,
+            benchmark_overrides={"episodes_per_task": 1, "params": {"tasks": ["pass"]}},
+        )
+    assert result["mean_success"] == 1.0
 
 
 def test_its_servers_are_asked_by_our_client() -> None:

@@ -19,12 +19,13 @@ _HOST = "127.0.0.1"
 _PORT = 8000
 
 
-def serve(
+def serve(  # noqa: PLR0913 - by name, all have a default
     policy: Word = None,
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = _HOST,
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = _PORT,
     planning: Literal["single-step", "multi-step"] = "single-step",
     policy_args: Arguments = "",
+    protocol: Literal["lemma", "vla-eval"] = "lemma",
     check: Annotated[
         str | None, tyro.conf.arg(metavar="URL", help_behavior_hint="")
     ] = None,
@@ -39,6 +40,7 @@ def serve(
         planning: Look before every sub-task, or plan from the first image alone.
         policy_args: What a class is called with; or, with --check, the environment of
             a model server.
+        protocol: Ours, or that of vla-eval, for motor commands alone.
         check: Ask this server for one decision whose right answer is known.
         as_json: With --check, print one JSON object.
 
@@ -63,12 +65,16 @@ def serve(
             "The oracle cannot be served: it needs the truth, which never travels. "
             "Serve the other part, and evaluate --policy http://HOST:PORT+oracle."
         )
-    about = {
-        "name": spec.name,
-        "planning": spec.planning,
-        "weights": weights_of(spec),
-    }
-    run(spec.load(), host=host, port=port, about=about, on_ready=_announce)
+    scheme = "http" if protocol == "lemma" else protocol
+    weights = weights_of(spec)
+    run(
+        spec.load(),
+        host=host,
+        port=port,
+        about={"name": spec.name, "planning": spec.planning, "weights": weights},
+        protocol=protocol,
+        on_ready=lambda url: _announce(url.replace("http", scheme)),
+    )
     # It returns at Ctrl-C alone.
     raise KeyboardInterrupt("Interrupted: nobody is answered any more.")
 

@@ -92,4 +92,4 @@ class ModelServerPolicy:
             [np.ravel(given.observation[part]) for part in self._state]
         )
         pixels = given.observation.get("pixels", {})
-        return observation(pixels, given.instruction, state)
+        return observation(pixels, given.instruction, state, given.robots)

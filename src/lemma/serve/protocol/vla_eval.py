@@ -8,7 +8,7 @@ its question. Nothing of that package is needed here.
 import io
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib import import_module
@@ -135,7 +135,10 @@ def check_version(payload: Mapping[str, Any], who: str) -> None:
 
 
 def observation(
-    images: Mapping[str, NDArray[np.uint8]], sentence: str, state: NDArray[Any] | None
+    images: Mapping[str, NDArray[np.uint8]],
+    sentence: str,
+    state: NDArray[Any] | None,
+    robots: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return what is observed as vla-eval's model servers take it.
 
@@ -143,8 +146,11 @@ def observation(
         images: By name of the camera, (height, width, 3).
         sentence: What shall be done.
         state: Joints and whatever else robots feel, (n,); None to leave it out.
+        robots: How people name the robots, in the order of state and action.
     """
     found: dict[str, Any] = {"images": dict(images), "task_description": sentence}
+    if robots:
+        found["robots"] = list(robots)
     if state is not None:
         found["states"] = np.asarray(state, np.float32)
     return found

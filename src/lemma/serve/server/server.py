@@ -8,12 +8,16 @@ from queue import SimpleQueue
 from types import TracebackType
 from typing import Any, Self
 
+from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError
 from lemma.serve.protocol.extra import websockets
 from lemma.serve.protocol.messages import LARGEST_BYTES
+from lemma.serve.server.model_session import ModelSession
 from lemma.serve.server.session import Session
 
 DEFAULT_PORT = 8000
+PROTOCOLS = ("lemma", "vla-eval")
+"""What a server can speak: ours, or that of vla-eval's model servers."""
 _LOOK_S = 0.1
 _HERE = "This is a LEMMA policy server. Speak WebSocket; see docs/serving.md.\n"
 
@@ -106,6 +110,7 @@ class PolicyServer:
         host: str = "127.0.0.1",
         port: int = DEFAULT_PORT,
         about: Mapping[str, Any] | None = None,
+        protocol: str = PROTOCOLS[0],
     ) -> None:
         """Begin to listen.
 
@@ -117,12 +122,17 @@ class PolicyServer:
             port: Port to listen at; 0 for any that is free.
             about: What the policy says of itself, ready for JSON; it is written into
                 results.
+            protocol: One of :data:`PROTOCOLS`.
 
         Raises:
             ProtocolError: The policy can do nothing.
-            InvalidConfigError: The port is taken, or the extra is not installed.
+            InvalidConfigError: The port is taken, or the extra is not installed; or the
+                policy needs what the protocol does not hold.
         """
         Session(policy, about)
+        known("protocol", protocol, PROTOCOLS)
+        self._session = Session if protocol == PROTOCOLS[0] else ModelSession
+        self._session(policy, about)
         self._policy, self._about = policy, about
         self._desk = RequestDispatcher()
         self._exceptions = websockets("exceptions")
@@ -180,12 +190,14 @@ class PolicyServer:
         def left() -> bool:
             return connection.close_code is not None or not _is_open(connection)
 
-        session = Session(
+        session = self._session(
             self._policy, self._about, lambda work: self._desk.call(work, left)
         )
         with suppress(CancelledError, self._exceptions.ConnectionClosed):
             while True:
-                connection.send(session.answer(connection.recv()))
+                answer = session.answer(connection.recv())
+                if answer is not None:
+                    connection.send(answer)
 
 
 def serve(
@@ -194,6 +206,7 @@ def serve(
     host: str = "127.0.0.1",
     port: int = DEFAULT_PORT,
     about: Mapping[str, Any] | None = None,
+    protocol: str = PROTOCOLS[0],
     on_ready: Callable[[str], object] = lambda url: None,
 ) -> None:
     """Answer for a policy until Ctrl-C.
@@ -204,13 +217,14 @@ def serve(
         host: Address to listen at; there is no password.
         port: Port to listen at; 0 for any that is free.
         about: What the policy says of itself, ready for JSON.
+        protocol: One of :data:`PROTOCOLS`.
         on_ready: Told the address once it can be asked.
 
     Raises:
         ProtocolError: The policy can do nothing.
         InvalidConfigError: The port is taken, or the extra is not installed.
     """
-    server = PolicyServer(policy, host=host, port=port, about=about)
+    server = PolicyServer(policy, host=host, port=port, about=about, protocol=protocol)
     with server:
         on_ready(server.url)
         with suppress(KeyboardInterrupt):
