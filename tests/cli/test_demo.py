@@ -151,3 +151,33 @@ def test_demo_with_video(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert len(sources) >= 5
     assert all(source.startswith(("data:", "#")) for source in sources)
     assert not re.search(r"\$[a-z]", page)
+
+
+def test_own_sentence_is_read_judged_and_done(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    # Another goal than the one of the instance, whose lower cube comes first too.
+    pads = load_instance("pass2", "test", 1).goal.pairs
+    said = f"Place the {pads[0][0]} on top of the {pads[0][1]}".replace("_", " ")
+    assert (
+        run("demo", "pass2", "--index", 1, "--no-video", "--say", said, "--json") == 0
+    )
+    told = capsys.readouterr()
+    (done,) = json.loads(told.out)
+    assert (done["success"], done["instruction"]) == (True, said)
+    assert len(done["subtasks"]) == 2
+    assert "Understood: the" in told.err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("stack", "--say", "Fetch me a coffee"), "none of them"),
+        (("--say", "Place the red cube on top of the blue cube"), "name one task"),
+    ],
+)
+def test_sentence_that_is_not_understood_is_refused(
+    words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("demo", *words, "--no-video") == 2
+    assert says in capsys.readouterr().err

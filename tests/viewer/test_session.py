@@ -9,13 +9,15 @@ import pytest
 from looked_at import SAID, STACK, Reads, own, player_of, session_of, until
 
 from lemma.core.errors import UnknownNameError
+from lemma.core.poses import Pose
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.spec import PolicySpec
 from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.tasks.suite import load_instance
 from lemma.viewer.play import Play
-from lemma.viewer.wish import Phase, Wish
+from lemma.viewer.reading import check_plan
+from lemma.viewer.wish import Phase, Reading, Wish
 
 INSTANCE = load_instance("stack", "test", 0)
 ABSENT = [c for c in BENCHMARK_COLORS if f"{c}_cube" not in INSTANCE.scene.object_names]
@@ -97,6 +99,18 @@ def test_goal_that_was_read_is_what_is_judged() -> None:
     assert play.status.reading.pairs == INSTANCE.goal.pairs
     assert play.rollout is not None
     assert play.rollout.asked_holds is False
+
+
+def test_expert_says_when_it_knows_no_way() -> None:
+    simulation = Rollout(INSTANCE).episode.simulation
+    pairs = INSTANCE.goal.pairs
+    assert check_plan(Reading(pairs), simulation.scene, needed=True) == Reading(pairs)
+    # What has fallen off the table is lost.
+    simulation.scene.set_pose(pairs[0][0], Pose((0.0, 3.0, -0.5), (1.0, 0.0, 0.0, 0.0)))
+    for needed in (True, False):
+        found = check_plan(Reading(pairs), simulation.scene, needed=needed)
+        assert "no way" in found.note
+        assert found.acts is not needed
 
 
 class Raises:

@@ -11,10 +11,12 @@ from rich.text import Text
 
 from lemma.cli.options import Flag, JsonFlag, TaskNames, messages, output, print_json
 from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
+from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.rollout import Player
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE
+from lemma.viewer.reading import hear, say_goal
 from lemma.viz.illustrate import illustrate_all
 from lemma.viz.pages.demo import write_page
 from lemma.viz.recording import RecordedStep, Recording, record, warm_up
@@ -27,6 +29,9 @@ def demo(
     tasks: TaskNames = (),
     which: SelectionOptions = DEFAULT,
     policy: Annotated[str, tyro.conf.arg(metavar="POLICY")] = ORACLE,
+    say: Annotated[
+        str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")
+    ] = None,
     out: Path = _OUT,
     no_video: Flag = False,
     as_json: JsonFlag = False,
@@ -37,6 +42,7 @@ def demo(
         tasks: Tasks to solve; all eight if none is named.
         which: Which instance.
         policy: oracle: the expert; a model; PLANNER+GROUNDER; or package.module:Class.
+        say: A sentence of your own, said at the table of one task.
         out: Folder for the videos and for index.html.
         no_video: Solve only; write nothing.
         as_json: Print a JSON list on the output, and the progress elsewhere.
@@ -45,11 +51,15 @@ def demo(
         Exit code: 1 if the policy failed at any task.
     """
     names = tuple(dict.fromkeys(tasks)) or SUITE
+    if say is not None and len(names) != 1:
+        raise InvalidConfigError("--say is about one table: name one task.")
     instances = [select_instance(name, which) for name in names]
     console = messages() if as_json else output()
     with console.status("Preparing (the first run compiles, for half a minute) ..."):
         warm_up(instances[0])
         player = Player.load(PolicySpec(policy))
+    if say is not None:
+        instances = [_listen(console, say, instances[0], player, policy)]
     if no_video:
         recordings = [_solve(console, instance, player, None) for instance in instances]
         page = None
@@ -63,6 +73,21 @@ def demo(
     if as_json:
         print_json([recording.to_dict() for recording in recordings])
     return 0 if all(recording.success for recording in recordings) else 1
+
+
+def _listen(
+    console: Console, say: str, instance: Instance, player: Player, policy: str
+) -> Instance:
+    """Return the table of an instance with another sentence, and say what it asks for.
+
+    Raises:
+        InvalidConfigError: Nobody understood it.
+    """
+    said, reading = hear(say, instance, player, knows=policy == ORACLE)
+    if not reading.pairs or not reading.acts:
+        raise InvalidConfigError(f"“{say}”: {reading.note}")
+    console.print(Text(f"Understood: {say_goal(reading.pairs)}"))
+    return said
 
 
 def _solve_and_film(

@@ -13,13 +13,13 @@ from lemma.core.errors import LemmaError
 from lemma.evaluation.run.fault_isolation import check
 from lemma.evaluation.run.language_controls import LanguageControl
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
-from lemma.policies.interfaces import Composite, Decision, PolicyInput, is_oracle
+from lemma.policies.interfaces import Composite, Decision, PolicyInput
 from lemma.policies.spec import ORACLE
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import load_instance
-from lemma.viewer.reading import ask_reader, parse_goal
+from lemma.viewer.reading import ask_reader, check_plan, parse_goal
 from lemma.viewer.transport import AbandonedError, Transport
 from lemma.viewer.wish import OWN_WORDS, Line, Phase, Reading, Status, Wish
 from lemma.viz.recording import describe_step, describe_subtask
@@ -156,12 +156,15 @@ class Play:
         if reading is None:
             given = player.given(rollout)
             reading = ask_reader(player.policy, given, rollout.instance)
+        own, knows = self.wish.saying == OWN_WORDS, self.wish.policy == ORACLE
+        if own:
+            scene = rollout.episode.simulation.scene
+            reading = check_plan(reading, scene, needed=knows)
         self._tell(reading=reading)
         if not reading.acts:
             self._tell(Phase.FAILED)
             return False
-        own = self.wish.saying == OWN_WORDS
-        if own and reading.pairs and not is_oracle(player.policy):
+        if own and reading.pairs and not knows:
             rollout.control = LanguageControl(self.wish.text, reading.pairs)
         return True
 

@@ -1,9 +1,15 @@
 """What a policy understands of a sentence, asked before it acts."""
 
+from dataclasses import replace
 from typing import Any
 
 from lemma.core.errors import LemmaError
+from lemma.evaluation.run.rollout import Player, Rollout
+from lemma.expert.grounding import GeometricGrounder
+from lemma.expert.planner import find_plan
+from lemma.expert.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Composite, PolicyInput, Reader
+from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import parse, phrase
@@ -49,6 +55,52 @@ def ask_reader(policy: object, given: PolicyInput, instance: Instance) -> Readin
         return Reading(None, f"The sentence could not be read{best}.", acts=False)
     found = _possible(pairs, instance)
     return Reading(found.pairs, found.note or f"{certainty:.0%} sure", found.acts)
+
+
+def check_plan(reading: Reading, scene: Scene, *, needed: bool) -> Reading:
+    """Return a reading that says so if the expert knows no way to do it.
+
+    Args:
+        reading: What was understood.
+        scene: The table as it is.
+        needed: Whether nobody can act without a plan of the expert.
+    """
+    if not (reading.acts and reading.pairs):
+        return reading
+    now, goal = SymbolicState.observe(scene), Goal.from_pairs(reading.pairs)
+    if find_plan(now, goal, GeometricGrounder(scene.spec)) is not None:
+        return reading
+    notes = (reading.note, "the expert knows no way to do that on this table")
+    note = ", ".join(part for part in notes if part)
+    return Reading(reading.pairs, note, acts=not needed)
+
+
+def hear(
+    text: str, instance: Instance, player: Player, *, knows: bool
+) -> tuple[Instance, Reading]:
+    """Return an instance on whose table somebody says something else.
+
+    Args:
+        text: What is said.
+        instance: Whose table it is.
+        player: Whoever shall act.
+        knows: Whether that is the expert, who is told the goal.
+
+    Returns:
+        The same table with this sentence, and with the goal that was understood if it
+        can be acted on; and what was understood.
+    """
+    sentences = {**instance.instructions, "high_level": text}
+    said = replace(instance, instructions=sentences)
+    rollout = Rollout(said)
+    if knows:
+        reading = parse_goal(text, said)
+    else:
+        reading = ask_reader(player.policy, player.given(rollout), said)
+    reading = check_plan(reading, rollout.episode.simulation.scene, needed=knows)
+    if reading.acts and reading.pairs:
+        said = replace(said, goal=Goal.from_pairs(reading.pairs))
+    return said, reading
 
 
 def find_reader(policy: Any) -> Reader | None:
