@@ -41,7 +41,7 @@ def play(
     ] = None,
     at: Annotated[Listening, tyro.conf.arg(name="")] = _HERE,
 ) -> int:
-    """Open a page: choose a table, say something, and watch two robots do it.
+    """Open a page in the browser: say something, and watch two robots do it.
 
     Args:
         task: Task to begin with.

@@ -63,6 +63,7 @@ class Page:
             if play is not self._shown:
                 self.stage.set_scene(play.scene, play.instance)
                 self._shown = play
+            self.stage.step_back()
             self.stage.show(qpos)
             self.pictures.want(self.panel.picture.value, play.instance, qpos)
         self.panel.refresh(play)

@@ -31,26 +31,31 @@ class Shape:
     """(V, 3) [m]."""
     faces: NDArray[np.int64]
     """(F, 3), vertices of each counterclockwise from outside."""
+    endless: bool
+    """Whether it stands for an endless plane: too wide to cast a shadow."""
 
 
 def shapes_of(model: mujoco.MjModel) -> Iterator[Shape]:
     """Yield what is to be seen of every body."""
     for body in range(model.nbody):
         first = int(model.body_geomadr[body])
-        by_color: dict[tuple[int, int, int], list[trimesh.Trimesh]] = {}
+        alike: dict[tuple[int, int, int, bool], list[trimesh.Trimesh]] = {}
         for geom in range(first, first + int(model.body_geomnum[body])):
             if model.geom_group[geom] < _VISIBLE_GROUPS:
                 red, green, blue = (round(255 * c) for c in model.geom_rgba[geom][:3])
-                by_color.setdefault((red, green, blue), []).append(_mesh(model, geom))
-        for rgb, meshes in by_color.items():
+                endless = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE
+                key = red, green, blue, bool(endless)
+                alike.setdefault(key, []).append(_mesh(model, geom))
+        for (red, green, blue, endless), meshes in alike.items():
             firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
             yield Shape(
                 body,
-                rgb,
+                (red, green, blue),
                 np.concatenate([np.asarray(mesh.vertices) for mesh in meshes]),
                 np.concatenate(
                     [mesh.faces + at for mesh, at in zip(meshes, firsts, strict=False)]
                 ),
+                endless,
             )
 
 

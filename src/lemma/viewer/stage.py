@@ -26,8 +26,10 @@ OVERLAYS = {
 _TARGET_M = np.array([0.0, -0.05, 0.05])
 """Where a visitor looks at first [m]."""
 _FROM = np.array([0.0, -0.81, 0.59])
+_UP = np.array([0.0, 0.59, 0.81])
 _FOV_RAD = math.radians(40.0)
-_PHONE_PX, _PANEL_PX = 800, 390
+_PHONE_PX, _PANEL_PX = 760, 390
+_COVERED = 0.55
 _HALF_HEIGHT_M, _BESIDE_M = 0.9, 0.5
 """What shall be seen at least on either side, and beside each robot [m]."""
 _MOVED_M = 1e-5
@@ -60,7 +62,7 @@ class Stage:
         server.initial_camera.position = eye_for(1.5, self._half_width_m)
         server.initial_camera.look_at = _TARGET_M
         server.initial_camera.fov = _FOV_RAD
-        server.on_client_connect(self._step_back)
+        self._fitted: dict[int, float] = {}
 
     def set_scene(self, scene: Scene, instance: Instance) -> None:
         """Show another scene; what is the same table stays as it is.
@@ -86,18 +88,27 @@ class Stage:
         half_m = max(abs(r.base.x) for r in instance.scene.robots) + _BESIDE_M
         if half_m > self._half_width_m or half_m < self._half_width_m - _BESIDE_M:
             self._half_width_m = half_m
-            for client in self._server.get_clients().values():
-                self._step_back(client)
+            self._server.initial_camera.position = eye_for(1.5, half_m)
 
-    def _step_back(self, client: viser.ClientHandle) -> None:
-        """Let a visitor see all robots, however narrow the window."""
-        width, height = client.camera.image_width, client.camera.image_height
-        if width > _PHONE_PX:
-            # The panel docks later.
-            width -= _PANEL_PX
-        eye = eye_for(width / max(height, 1), self._half_width_m)
-        client.camera.position = eye
-        client.camera.look_at = _TARGET_M
+    def step_back(self) -> None:
+        """Let visitors see all robots, however narrow their windows: once a table."""
+        visitors = self._server.get_clients()
+        half_m = self._half_width_m
+        for number, client in visitors.items():
+            if self._fitted.get(number) != half_m:
+                width, height = client.camera.image_width, client.camera.image_height
+                if width > _PHONE_PX:
+                    # The panel docks later.
+                    width -= _PANEL_PX
+                eye = eye_for(width / max(height, 1), half_m)
+                down = 0.0
+                if width <= _PHONE_PX < height:
+                    # The panel covers what is below.
+                    away = float(np.linalg.norm(eye - _TARGET_M))
+                    down = _COVERED * away * math.tan(_FOV_RAD / 2.0)
+                client.camera.position = eye - down * _UP
+                client.camera.look_at = _TARGET_M - down * _UP
+        self._fitted = dict.fromkeys(visitors, half_m)
 
     def _light(self) -> None:
         scene = self._server.scene
@@ -127,6 +138,7 @@ class Stage:
                 shape.vertices,
                 shape.faces,
                 color=shape.rgb,
+                cast_shadow=not shape.endless,
                 receive_shadow=0.35,
             )
 
