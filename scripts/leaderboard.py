@@ -90,6 +90,11 @@ class Submission:
     successes by task, strictly; and successes and mean leniently."""
 
     @property
+    def level(self) -> str:
+        """``"control"`` if it answers motor commands; empty for sub-tasks."""
+        return str(self.about["policy"].get("level", ""))
+
+    @property
     def knows_truth(self) -> bool:
         """Whether an oracle has a part in it, so that it is a bound and no entry."""
         policy = self.about["policy"]
@@ -232,6 +237,8 @@ def leaders(board: dict[str, Submission], kind: str, *, truth: bool) -> ResultTa
         won = (told["tasks"][task] for task in SUITE)
         each = (f"{100 * count / _PER_TASK:.1f}" for count in won)
         title = f"[{one.title}]({one.link})" if one.link else one.title
+        if one.level:
+            title += f", {one.level} level"
         lenient = f"{told['lenient_mean']:.1f}"
         digest = f"`{one.episodes_sha256[:12]}`"
         rows.append((title, one.who, *each, mean, lenient, digest))

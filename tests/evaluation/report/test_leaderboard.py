@@ -223,3 +223,10 @@ def test_the_best_comes_first(board: Path) -> None:
     board_of_two = {"mine": mine, "better": better}
     table = leaders(board_of_two, "high_level", truth=False)
     assert [line[0].split("]")[0] for line in table.rows] == ["[Better", "[Mine"]
+
+
+def test_what_answers_motor_commands_says_so() -> None:
+    told = result(lines(), policy={**LEARNED, "level": "control"})
+    entry = submission_of(told, **TOLD)
+    [row] = leaders({"mine": entry}, "high_level", truth=False).rows
+    assert row[0] == "[Mine](https://example.org), control level"
