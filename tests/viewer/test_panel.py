@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from looked_at import STACK, Reads, own, session_of, until
 
+from lemma.core.errors import InvalidConfigError
 from lemma.tasks.suite import SUITE, load_instance
 from lemma.viewer.page import Page
 from lemma.viewer.panel import PAUSE, PLAY, RESTART, STEP
@@ -164,3 +165,11 @@ def test_timeline_says_what_runs_and_what_is_still_to_come() -> None:
     after = timeline_html(lines, 3.0)
     assert "success" in after
     assert "no grasp" in after
+
+
+@pytest.mark.parametrize(("host", "port"), [("127.0.0.1", 10**6), ("300.1.1.1", 8080)])
+def test_impossible_address_is_refused(host: str, port: int) -> None:
+    session = session_of()
+    with pytest.raises(InvalidConfigError):
+        Page(session, host, port)
+    session.close()

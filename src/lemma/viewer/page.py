@@ -2,11 +2,13 @@
 
 import contextlib
 import io
+import socket
 import threading
 import time
 
 import viser
 
+from lemma.core.errors import InvalidConfigError
 from lemma.viewer.panel import Panel, set_theme
 from lemma.viewer.pictures import Pictures
 from lemma.viewer.play import Play
@@ -35,7 +37,11 @@ class Page:
             session: What is shown; closed with the page.
             host: Address to listen on.
             port: Port to listen on; the next one that is free if it is taken.
+
+        Raises:
+            InvalidConfigError: That is no address of this machine, or no port.
         """
+        _check_address(host, port)
         self.session = session
         # It would announce itself, and we do that.
         with contextlib.redirect_stdout(io.StringIO()):
@@ -85,3 +91,18 @@ class Page:
         self.pictures.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
+
+
+def _check_address(host: str, port: int) -> None:
+    """Check what the server would wait for without a word."""
+    if not 0 < port < 65536:
+        raise InvalidConfigError(f"{port} is no port. Valid: 1 to 65535.")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        with socket.socket(family) as probe:
+            probe.bind((host, 0))
+    except OSError as error:
+        raise InvalidConfigError(
+            f"This machine cannot listen on {host!r}: {error}. Valid: 127.0.0.1, or "
+            "0.0.0.0 for everybody who reaches it."
+        ) from None
