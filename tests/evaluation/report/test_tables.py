@@ -1,7 +1,7 @@
 """Tables: what was counted, with intervals, beside what the paper says."""
 
 import re
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -32,7 +32,7 @@ def entry_of(*results: Result) -> PolicyResults:
 def anybody(policy: str) -> Result:
     """Return the result of a policy that is no experiment by its name."""
     made = result(2)
-    about = {**made.about, "policy": asdict(PolicySpec(policy))}
+    about = {**made.about, "policy": PolicySpec(policy).about()}
     return replace(made, experiment="", about=about)
 
 
@@ -149,7 +149,7 @@ def test_protocols_are_not_mixed(tmp_path: Path) -> None:
 def control(language: str, successes: int, **about: object) -> Result:
     """Return ReachNet under a control of language, or from perturbed starts."""
     made = result(successes, experiment="")
-    policy = asdict(PolicySpec("reachnet"))
+    policy = PolicySpec("reachnet").about()
     told = {**made.about, "policy": policy, "language": language, **about}
     return replace(made, about=told)
 
