@@ -135,6 +135,7 @@ class PolicyServer:
         self._session(policy, about)
         self._policy, self._about = policy, about
         self._desk = RequestDispatcher()
+        self._connections: set[Any] = set()
         self._exceptions = websockets("exceptions")
         try:
             self._server = websockets("sync.server").serve(
@@ -167,6 +168,9 @@ class PolicyServer:
     def close(self) -> None:
         """Hang up on everybody."""
         self._server.shutdown()
+        # Some versions of websockets stop listening, and keep who is there.
+        for connection in tuple(self._connections):
+            connection.close_socket()
         self._desk.close()
 
     def __enter__(self) -> Self:
@@ -193,11 +197,16 @@ class PolicyServer:
         session = self._session(
             self._policy, self._about, lambda work: self._desk.call(work, left)
         )
-        with suppress(CancelledError, self._exceptions.ConnectionClosed):
+        self._connections.add(connection)
+        try:
             while True:
                 answer = session.answer(connection.recv())
                 if answer is not None:
                     connection.send(answer)
+        except (CancelledError, self._exceptions.ConnectionClosed):
+            pass
+        finally:
+            self._connections.discard(connection)
 
 
 def serve(
