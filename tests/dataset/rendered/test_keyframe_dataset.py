@@ -1,5 +1,6 @@
 """Rendered keyframes as a training loop sees them."""
 
+import gc
 import os
 import pickle
 import shutil
@@ -235,6 +236,8 @@ def test_processes_share_maps_in_a_file(tmp_path: Path) -> None:
 
 def open_files(folder: Path) -> int:
     """Return how many descriptors of this process lead into a folder."""
+    # What was opened to look at it is closed when it is collected.
+    gc.collect()
     inside = f"{folder.resolve()}{os.sep}"
     found = [os.path.realpath(link) for link in DESCRIPTORS.iterdir()]
     return sum(path.startswith(inside) for path in found)
