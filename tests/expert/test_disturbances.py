@@ -26,9 +26,11 @@ from lemma.tasks.suite import load_instance
 Case = tuple[SubTask, GroundedSubTask, SymbolicState, list[Mistake]]
 
 
-@pytest.fixture(scope="module", params=["stack2", "hook"])
+# In both some robot could do more than one other thing.
+@pytest.fixture(scope="module", params=[("stack2", 0), ("hook", 2)], ids=str)
 def case(request: pytest.FixtureRequest) -> Case:
-    instance = load_instance(request.param, "val", 0)
+    task, index = request.param
+    instance = load_instance(task, "val", index)
     scene = Scene(instance.scene)
     subtask, grounded = Expert(scene, instance.goal).act()
     assert grounded is not None
