@@ -258,7 +258,7 @@ DEFAULTS: dict[str, Defaults] = {
     "episodic-transformer": Defaults(samples=60_000, batch_size=32),
     "cliport": Defaults(samples=120_000, learning_rate=1e-3),
     "m-cliport": Defaults(samples=120_000, learning_rate=1e-3),
-    "reachnet": Defaults(samples=200_000, batch_size=128, learning_rate=1e-3),
+    "reachnet": Defaults(samples=150_000, batch_size=128, learning_rate=1e-3),
 }
 """By the name of the model."""
 
