@@ -16,7 +16,9 @@ from packaging.requirements import Requirement
 from lemma.dataset.lerobot.frames import Style, features
 from lemma.env.config import EnvConfig
 from lemma.env.learning.flat_view import FlatView
+from lemma.tasks.language.vector import sentence_vector
 from lemma.tasks.names import SUITE
+from lemma.tasks.suite import load_instance
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "integrations/lerobot_env_lemma"
@@ -42,7 +44,9 @@ class PolicyFeature:
 STAND_INS: dict[str, dict[str, Any]] = {
     "lerobot": {},
     "lerobot.configs": {
-        "FeatureType": SimpleNamespace(ACTION="action", STATE="state", VISUAL="image"),
+        "FeatureType": SimpleNamespace(
+            ACTION="action", STATE="state", VISUAL="image", ENV="env"
+        ),
         "PolicyFeature": PolicyFeature,
     },
     "lerobot.envs": {},
@@ -54,6 +58,7 @@ STAND_INS: dict[str, dict[str, Any]] = {
     "lerobot.utils": {},
     "lerobot.utils.constants": {
         "ACTION": "action",
+        "OBS_ENV_STATE": "observation.environment_state",
         "OBS_IMAGES": "observation.images",
         "OBS_STATE": "observation.state",
     },
@@ -91,6 +96,7 @@ def test_what_is_observed_and_commanded_is_what_data_sets_hold(plugin: Any) -> N
             {**SMALL, "cameras": ",".join(cameras)},
             Style(width_px=48, height_px=32, depth=False, cameras=cameras),
         ),
+        ({"sentence_vector": True}, Style(depth=False, sentence_vector=True)),
     ):
         config = plugin.LemmaEnvConfig(**options)
         held = {
@@ -109,6 +115,16 @@ def test_options_are_those_of_an_environment_and_have_its_defaults(plugin: Any) 
     assert set(options) <= set(defaults)
     same = ("instruction", "width", "height", "horizon_s")
     assert [options[name] for name in same] == [defaults[name] for name in same]
+
+
+@pytest.mark.render
+def test_a_sentence_is_observed_as_numbers(plugin: Any) -> None:
+    config = plugin.LemmaEnvConfig(task="pass", sentence_vector=True, **SMALL)
+    env = config.create_envs(n_envs=1)["pass"][0]
+    observation, _ = env.reset(seed=[plugin.FIRST_SEED])
+    said = sentence_vector(load_instance("pass", "test", 0).instructions["high_level"])
+    assert np.array_equal(observation["environment_state"], said[None])
+    env.close()
 
 
 @pytest.mark.render

@@ -9,20 +9,25 @@ from functools import partial
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.utils import _LazyAsyncVectorEnv, freeze_after_episode_end
-from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
 import lemma
 from lemma.env.learning.flat_view import FlatView
 from lemma.env.learning.harness_episodes import HarnessEpisodes
 from lemma.env.simulation import HORIZON_S
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.tasks.language.vector import NUMBERS as SENTENCE_NUMBERS
+from lemma.tasks.language.vector import sentence_vector
 from lemma.tasks.names import SUITE
 
 STATE = "agent_pos"
 """What lerobot calls the state in an environment's observation."""
+SENTENCE = "environment_state"
+"""The sentence as numbers, in an environment's observation."""
 NUMBERS = 14
 """Of a state and of an action: six joint angles and an opening for each robot."""
 FIRST_SEED = 1000
@@ -50,12 +55,33 @@ class LeRobotNames(gym.ObservationWrapper):
         return {STATE: observation[OBS_STATE], "pixels": pixels}
 
 
-def make_one(task: str, options: dict[str, Any]) -> gym.Env:
+class SentenceVector(gym.ObservationWrapper):
+    """The sentence as numbers, for policies that read no text."""
+
+    def __init__(self, env: gym.Env) -> None:
+        """Add the space."""
+        super().__init__(env)
+        space = gym.spaces.Box(-1.0, 1.0, (SENTENCE_NUMBERS,), np.float32)
+        assert isinstance(env.observation_space, gym.spaces.Dict)
+        self.observation_space = gym.spaces.Dict(
+            {**env.observation_space.spaces, SENTENCE: space}
+        )
+
+    def observation(self, observation: Any) -> dict[str, Any]:
+        """Return what was observed, and the sentence."""
+        said = sentence_vector(self.env.get_wrapper_attr("task_description"))
+        return {**observation, SENTENCE: said}
+
+
+def make_one(
+    task: str, options: dict[str, Any], sentence_vector: bool = False
+) -> gym.Env:
     """Return one environment for one episode after the other.
 
     Args:
         task: Name of the task.
         options: Fields of :class:`lemma.env.config.EnvConfig`.
+        sentence_vector: Whether the sentence is observed as numbers too.
     """
     env = lemma.make(
         task,
@@ -66,7 +92,8 @@ def make_one(task: str, options: dict[str, Any]) -> gym.Env:
         clip_actions=True,
         **options,
     )
-    return LeRobotNames(FlatView(HarnessEpisodes(env, FIRST_SEED)))
+    named = LeRobotNames(FlatView(HarnessEpisodes(env, FIRST_SEED)))
+    return SentenceVector(named) if sentence_vector else named
 
 
 @EnvConfig.register_subclass("lemma")
@@ -88,6 +115,8 @@ class LemmaEnvConfig(EnvConfig):
     """Width of camera images [px]: that of the training data."""
     height: int = CAMERA_HEIGHT_PX
     """Height of camera images [px]."""
+    sentence_vector: bool = False
+    """Whether the sentence is observed as numbers too: that of the training data."""
     render_width: int = 320
     """Width of the pictures of videos [px]; drawn at every step."""
     render_height: int = 180
@@ -111,7 +140,11 @@ class LemmaEnvConfig(EnvConfig):
                 for name in _listed(self.cameras)
             },
         }
-        self.features_map = {name: name for name in self.features} | {STATE: OBS_STATE}
+        if self.sentence_vector:
+            shape = (SENTENCE_NUMBERS,)
+            self.features[SENTENCE] = PolicyFeature(FeatureType.ENV, shape)
+        named = {STATE: OBS_STATE, SENTENCE: OBS_ENV_STATE}
+        self.features_map = {name: named.get(name, name) for name in self.features}
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
@@ -137,7 +170,8 @@ class LemmaEnvConfig(EnvConfig):
         """
         found = {}
         for task in SUITE if self.task in (None, "all") else _listed(self.task):
-            makers = [partial(make_one, task, self.gym_kwargs)] * n_envs
+            maker = partial(make_one, task, self.gym_kwargs, self.sentence_vector)
+            makers = [maker] * n_envs
             if use_async_envs and n_envs > 1:
                 # Processes start when their task's turn comes.
                 found[task] = {0: _LazyAsyncVectorEnv(makers)}

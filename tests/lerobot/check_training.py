@@ -24,6 +24,7 @@ from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.control.interfaces import ControlInput, chunk_of
+from lemma.tasks.language.vector import NUMBERS
 
 WIDTH, HEIGHT = 64, 48
 ROOT = Path(__file__).parents[2]
@@ -77,7 +78,8 @@ def export() -> Path:
     out = work() / "set"
     words = (
         f"render {recipe()} --form lerobot --split train --fps 10 --no-depth "
-        f"--size {WIDTH}x{HEIGHT} --instructions high-level,human --workers 1"
+        f"--size {WIDTH}x{HEIGHT} --instructions high-level,human "
+        "--sentence-vector --workers 1"
     )
     with pytest.raises(SystemExit) as end:
         main([*words.split(), "--out", str(out)])
@@ -148,6 +150,7 @@ def test_a_policy_is_trained_on_an_export_as_it_is() -> None:
     assert shapes == {
         "observation.state": [14],
         "action": [14],
+        "observation.environment_state": [NUMBERS],
         **{image: [3, HEIGHT, WIDTH] for image in images},
     }
 
@@ -161,6 +164,7 @@ def test_lerobot_eval_evaluates_what_was_trained() -> None:
         f"--env.task={','.join(EVALUATED)}",
         f"--env.width={WIDTH}",
         f"--env.height={HEIGHT}",
+        "--env.sentence_vector=true",
         "--env.horizon_s=1.5",
         f"--env.render_width={WIDTH}",
         f"--env.render_height={HEIGHT}",

@@ -55,6 +55,9 @@ class RenderOptions:
     instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
     """LeRobotDataset: kinds of instructions, high-level, human, unseen, or all; for
     each of them there is an episode of which it is the task."""
+    sentence_vector: Flag = False
+    """LeRobotDataset: the task as numbers too, as observation.environment_state, for
+    policies that read no text, such as ACT and Diffusion Policy."""
     renderer: str = "auto"
     """LeRobotDataset: what draws: opengl, or warp, which auto means where MuJoCo Warp
     is installed and finds a GPU."""
@@ -62,7 +65,14 @@ class RenderOptions:
 
 EVERYTHING = RenderOptions()
 """All episodes, at the usual size and rate."""
-_FILMED = ("fps", "no_depth", "cameras", "instructions", "renderer")
+_FILMED = (
+    "fps",
+    "no_depth",
+    "cameras",
+    "instructions",
+    "sentence_vector",
+    "renderer",
+)
 """What is of LeRobotDatasets alone."""
 
 LookOptions = Annotated[RenderOptions, tyro.conf.arg(name="")]
@@ -130,6 +140,7 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
         depth=not look.no_depth,
         cameras=words(look.cameras) if look.cameras else (),
         instructions=words(look.instructions.replace("-", "_")) or KINDS,
+        sentence_vector=look.sentence_vector,
         renderer=choose_renderer(look.renderer),
     )
     return partial(write_dataset, LeRobotConfig(source=order, style=style))

@@ -27,9 +27,12 @@ from lemma.robots.ur.build import JOINTS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS
+from lemma.tasks.language.vector import NUMBERS, sentence_vector
 
 AGENT_PARTS = ("state", "action")
 """What of each robot has a column of its own: ``robot_0.state``."""
+SENTENCE = "observation.environment_state"
+"""The task as numbers, under the name that policies of LeRobot take vectors by."""
 _SMALLEST_PX = 32
 
 
@@ -50,6 +53,9 @@ class Style:
     instructions: tuple[str, ...] = ("high_level",)
     """Which of the three instructions is the ``task`` of a frame: for each of these
     kinds there is an episode."""
+    sentence_vector: bool = False
+    """Whether frames hold their task as numbers too, as the state of the environment:
+    :func:`lemma.tasks.language.vector.sentence_vector`."""
     renderer: str = "opengl"
     """A name in :data:`lemma.scene.rendering.batch.BATCH_RENDERERS`."""
 
@@ -131,6 +137,8 @@ def features(robots: tuple[str, ...], style: Style) -> dict[str, dict[str, Any]]
         "subtask": _feature("string"),
         **{f"annotation.instruction.{kind}": _feature("string") for kind in KINDS},
     }
+    if style.sentence_vector:
+        found[SENTENCE] = _feature("float32", (NUMBERS,))
     axes = ["height", "width", "channels"]
     for camera in cameras:
         found[image_key(camera)] = _feature("video", (*sides, 3), axes)
@@ -161,13 +169,16 @@ def frames(
         RenderingError: OpenGL does not work here.
     """
     cameras = style.cameras_of(robots_of(record))
+    task = getattr(record, kind)
     said = {f"annotation.instruction.{one}": getattr(record, one) for one in KINDS}
+    if style.sentence_vector:
+        said[SENTENCE] = sentence_vector(task)
     for frame in film(record, style.filming()):
         yield {
             **_numbers(record, frame.step),
             **_images(cameras, frame),
             **said,
-            "task": getattr(record, kind),
+            "task": task,
         }
 
 

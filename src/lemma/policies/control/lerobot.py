@@ -11,12 +11,14 @@ import numpy as np
 import torch
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies import get_policy_class, make_pre_post_processors
-from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.robot_names import robot_names
 from lemma.env.camera_rig import camera_names
 from lemma.policies.control.interfaces import Actions, ControlInput
+from lemma.tasks.language.vector import NUMBERS as SENTENCE_NUMBERS
+from lemma.tasks.language.vector import sentence_vector
 
 TEAM = robot_names(2)
 NUMBERS = 7
@@ -93,6 +95,9 @@ class LeRobotPolicy:
             OBS_STATE: torch.from_numpy(state).float(),
             "task": [given.instruction for given in inputs],
         }
+        if OBS_ENV_STATE in self._config.input_features:
+            read = np.stack([sentence_vector(given.instruction) for given in inputs])
+            found[OBS_ENV_STATE] = torch.from_numpy(read)
         for camera in self.control_options["cameras"]:
             images = np.stack([each["pixels"][camera] for each in seen])
             found[f"{OBS_IMAGES}.{camera}"] = (
@@ -126,10 +131,15 @@ def control_options(config: Any, hz: float) -> dict[str, Any]:
         if not name.startswith(f"{OBS_IMAGES}.")
     }
     row = (len(TEAM) * NUMBERS,)
-    if numbers != {OBS_STATE: row, ACTION: row}:
+    valid_numbers = {OBS_STATE: row, ACTION: row}
+    if numbers not in (
+        valid_numbers,
+        valid_numbers | {OBS_ENV_STATE: (SENTENCE_NUMBERS,)},
+    ):
         raise InvalidConfigError(
             f"The policy has {numbers} beside its images. Valid: {OBS_STATE} and "
-            f"{ACTION} of {row[0]} numbers, as lemma render --form lerobot writes them."
+            f"{ACTION} of {row[0]} numbers, as lemma render --form lerobot writes "
+            f"them, and {OBS_ENV_STATE} of {SENTENCE_NUMBERS}, with --sentence-vector."
         )
     images = {
         name.removeprefix(f"{OBS_IMAGES}."): shape
