@@ -11,6 +11,7 @@ import msgpack
 import pytest
 from faulty_policies import Scripted, given
 from serving_processes import end, start
+from websockets.exceptions import ConnectionClosed
 from websockets.sync import server as raw
 
 from lemma.serve.client import websocket
@@ -31,19 +32,26 @@ PATIENT = ProtocolMode(60.0, 60.0, 10.0)
 
 @contextmanager
 def answering(*answers: Any) -> Iterator[str]:
-    """Run a server of somebody's own that says the same to everybody."""
+    """Run a server of somebody's own that says the same to everybody.
+
+    Whoever asked it has to hang up in the end, whatever was answered.
+    """
+    left = threading.Event()
 
     def talk(connection: Any) -> None:
         for answer in answers:
             connection.recv()
             frame = answer if isinstance(answer, bytes | str) else msgpack.packb(answer)
             connection.send(frame)
-        connection.recv()
+        with pytest.raises(ConnectionClosed):
+            connection.recv()
+        left.set()
 
     with raw.serve(talk, "127.0.0.1", 0) as own:
         thread = threading.Thread(target=own.serve_forever)
         thread.start()
         yield f"http://127.0.0.1:{own.socket.getsockname()[1]}"
+        assert left.wait(SOON_S)
     thread.join()
 
 

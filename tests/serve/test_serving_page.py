@@ -67,9 +67,8 @@ def fields(message: str) -> set[str]:
 
 
 def test_the_kinds_of_faults_are_listed() -> None:
-    assert first_cells(section("What goes wrong, and what it costs"))[-6:] == [
-        str(kind) for kind in FaultKind
-    ]
+    cells = first_cells(section("What goes wrong, and what it costs"))
+    assert cells[-len(FaultKind) :] == [str(kind) for kind in FaultKind]
     assert f"more than {FARTHEST_M:g} m away" in PAGE
     assert f"({TIMEOUT_S:g} s per decision" in PAGE
     mode = ProtocolMode(1.0)

@@ -16,7 +16,7 @@ import msgspec
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_text
-from lemma.tasks.instance import SPLITS
+from lemma.tasks.instance import OWN_SPLIT, SPLITS
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import task_rank
 from lemma.tasks.suite import FREE_SPLIT
@@ -328,10 +328,11 @@ def check_about(about: object, path: Path) -> None:
         raise DatasetError(
             f"{path} is damaged: {error} of 'about'. Delete it and evaluate again."
         ) from error
-    if found.split not in (*SPLITS, FREE_SPLIT):
+    splits = (*SPLITS, FREE_SPLIT, OWN_SPLIT)
+    if found.split not in splits:
         raise DatasetError(
             f"{path} is of a split that is unknown here: {found.split!r}. Known: "
-            f"{', '.join((*SPLITS, FREE_SPLIT))}."
+            f"{', '.join(splits)}."
         )
 
 

@@ -151,6 +151,25 @@ def test_bad_actions_cost_their_episode_and_say_why(
     assert cause_of(row) is Cause.POLICY_ERROR
 
 
+def test_unstable_physics_are_judged_by_the_state_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    advance = ControlEnv.advance
+
+    def diverging(self: ControlEnv, action: Any) -> tuple[float, bool, bool]:
+        data = self.episode.simulation.scene.data
+        if data.time > 1.0:
+            data.qvel[:] = np.nan
+        return advance(self, action)
+
+    monkeypatch.setattr(ControlEnv, "advance", diverging)
+    (row,) = evaluate(Stays()).rows
+    assert (row["success"], row["failure"]) == (False, "policy_error")
+    assert row["policy_error"]["kind"] == "unstable"
+    # MuJoCo puts what diverges back to the beginning, its time too.
+    assert 0.5 < row["elapsed_s"] < 2.5
+
+
 def test_what_is_out_of_bounds_is_clipped_on_request() -> None:
     policy = with_options(clip_actions=True)
     policy.says = "bounds"

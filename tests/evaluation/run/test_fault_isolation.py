@@ -12,6 +12,7 @@ import pytest
 
 from lemma.core.poses import Pose2
 from lemma.core.workers.serial import Serial
+from lemma.env.simulation import Simulation
 from lemma.env.view import View
 from lemma.evaluation.records import EPISODES, POLICY_ERROR
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
@@ -21,7 +22,7 @@ from lemma.evaluation.run.fault_isolation import (
     check,
 )
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
-from lemma.motion.outcome import Outcome
+from lemma.motion.outcome import Outcome, SkillResult
 from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
@@ -297,6 +298,38 @@ def test_what_cannot_be_reached_is_a_wrong_decision_not_a_fault() -> None:
     # It goes on, and may correct itself.
     assert len(play.steps) > 2
     assert play.steps[1].result.outcome is Outcome.UNREACHABLE
+
+
+def test_unstable_physics_cost_one_episode_and_are_judged_as_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    execute = Simulation.execute
+    rollouts = [Rollout(load_instance("stack", "test", i)) for i in range(2)]
+    broken = rollouts[0].episode.simulation
+
+    def diverging(self: Simulation, *args: Any, **kwargs: Any) -> SkillResult:
+        if self is broken and self.time_s > 0.0:
+            self.scene.data.qvel[:] = math.nan
+        return execute(self, *args, **kwargs)
+
+    monkeypatch.setattr(Simulation, "execute", diverging)
+    after: dict[int, float] = {}
+    player = Player.load(PolicySpec("oracle"))
+    for _ in roll_out(
+        rollouts,
+        player,
+        on_step=lambda one, _: after.update({id(one): one.episode.elapsed_s}),
+    ):
+        pass
+    fault = rollouts[0].fault
+    assert fault is not None
+    assert fault.kind is FaultKind.UNSTABLE
+    assert "unstable" in fault.explanation
+    verdict = rollouts[0].verdict()
+    assert (verdict.success, verdict.steps) == (False, 1)
+    assert verdict.elapsed_s == pytest.approx(after[id(rollouts[0])], abs=1.1)
+    assert np.isfinite(broken.scene.data.qpos).all()
+    assert rollouts[1].success
 
 
 class Confused:

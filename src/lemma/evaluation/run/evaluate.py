@@ -18,6 +18,7 @@ from shutil import rmtree
 from time import perf_counter
 from typing import Any
 
+from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import clear_drafts, only_writer, read_json, write_json
 from lemma.core.workers.pool import Engine, report
@@ -42,7 +43,7 @@ from lemma.evaluation.run.loading import served_parts, weights_of
 from lemma.evaluation.run.protocol import GROUP, check_protocol, quote
 from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
 from lemma.policies.spec import PLANNINGS, PolicySpec
-from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
+from lemma.tasks.instance import BENCHMARK_VERSION, OWN_SPLIT, SPLITS, Instance
 from lemma.tasks.language.blind import check_blind
 from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
@@ -76,9 +77,14 @@ class EvaluationConfig:
     verdicts: str = VERDICTS[0]
     """One of :data:`VERDICTS`; strictly alone, an episode ends where the other would go
     on after a protective stop."""
+    instance: Instance | None = None
+    """The only one to play; its task and :data:`OWN_SPLIT` are then those above."""
 
     def __post_init__(self) -> None:
         """Check the names and the number."""
+        if self.instance is not None:
+            self._check_own(self.instance)
+            return
         if not (self.tasks and self.kinds):
             raise InvalidConfigError(
                 "There is nothing to play. Name a task and a kind of instruction."
@@ -110,9 +116,22 @@ class EvaluationConfig:
                 "episodes of each task there shall be, with --episodes."
             )
 
+    def _check_own(self, instance: Instance) -> None:
+        alone = (self.tasks, self.split) == ((instance.task,), OWN_SPLIT)
+        of_lists = self.episodes or self.perturb_start or self.language == "shuffled"
+        if of_lists or not alone:
+            raise InvalidConfigError(
+                "An instance of your own is all that is played, and is on no list: "
+                "name no tasks, split, number of episodes, perturbation or shuffling."
+            )
+        for kind in self.kinds:
+            known("kind of instruction", kind, instance.instructions)
+
     @property
     def per_task(self) -> int:
         """Episodes per task and kind of instruction."""
+        if self.instance is not None:
+            return 1
         every = SPLITS.get(self.split, self.episodes or 0)
         return every if self.episodes is None else min(self.episodes, every)
 
@@ -136,6 +155,7 @@ class EvaluationConfig:
             "protocol": quote(),
             "protocol_version": PROTOCOL_VERSION,
             "verdicts": self.verdicts,
+            **({"instance": self.instance.to_dict()} if self.instance else {}),
             "horizon_s": Rollout.horizon_s,
             **versions(BENCHMARK_VERSION),
         }
@@ -144,8 +164,10 @@ class EvaluationConfig:
         """Return the command line that asks for the same, wherever it is written."""
         words = ["lemma evaluate", f"--policy {self.policy.name}"]
         kinds = ",".join(kind.replace("_", "-") for kind in self.kinds)
-        words += [f"--instructions {kinds}", f"--split {self.split}"]
-        if self.tasks != SUITE:
+        words.append(f"--instructions {kinds}")
+        own = "--instance FILE.json"
+        words.append(own if self.instance else f"--split {self.split}")
+        if self.tasks != SUITE and self.instance is None:
             words.append(f"--tasks {','.join(self.tasks)}")
         if self.episodes is not None:
             words.append(f"--episodes {self.episodes}")
@@ -170,10 +192,12 @@ class EvaluationConfig:
 
     def groups(self) -> Iterator[tuple[str, str, range]]:
         """Yield kind, task and numbers of the episodes that are played together."""
+        first = self.instance.index if self.instance else 0
+        last = first + self.per_task
         for kind in self.kinds:
             for task in self.tasks:
-                for start in range(0, self.per_task, GROUP):
-                    end = min(start + GROUP, self.per_task)
+                for start in range(first, last, GROUP):
+                    end = min(start + GROUP, last)
                     yield kind, task, range(start, end)
 
     def keys(self) -> set[EpisodeKey]:
@@ -267,7 +291,9 @@ def play_group(
     player = _player(config.policy)
     rollouts = []
     for index in indices:
-        instance = start_of(task, config.split, index, moved=config.perturb_start)
+        instance = config.instance or start_of(
+            task, config.split, index, moved=config.perturb_start
+        )
         control = control_of(config.language, instance, kind)
         rollouts.append(player.begin(instance, kind, control))
     rows: list[Row] = []

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from lemma.core.errors import PhysicsError
 from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import LEAST_STEP_S, Episode
 from lemma.env.simulation import HORIZON_S
@@ -37,6 +38,7 @@ from lemma.policies.interfaces import (
     wants_cameras,
 )
 from lemma.policies.spec import PolicySpec
+from lemma.serve.protocol.faults import FaultKind
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
@@ -212,7 +214,11 @@ class Rollout:
             self.efforts.append(effort)
 
     def take(self, given: PolicyInput, decision: Decision) -> TakenStep | None:
-        """Carry out a decision; None if it was to stop."""
+        """Carry out a decision; None if it was to stop.
+
+        Raises:
+            PhysicsError: It made the physics unstable.
+        """
         episode = self.episode
         self._count(decision.effort)
         if decision.stops:
@@ -354,7 +360,14 @@ class _Play:
             if isinstance(decision, Fault):
                 rollout.fail(decision)
                 continue
-            step = rollout.take(given, decision)
+            before = rollout.episode.snapshot()
+            try:
+                step = rollout.take(given, decision)
+            except PhysicsError as error:
+                # Judged is the last state that means something.
+                rollout.episode.restore(before)
+                rollout.fail(Fault(FaultKind.UNSTABLE, str(error)))
+                continue
             if step is not None and self.on_step is not None:
                 self.on_step(rollout, step)
 

@@ -258,6 +258,9 @@ class Conversation:
                         f"{patience_s:g} s. Start the policy there (lemma serve) and "
                         "run the same command again: what was finished is kept."
                     ) from error
+            except ProtocolError:
+                self.close()
+                raise
             time.sleep(pause_s)
             pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
 
@@ -265,12 +268,10 @@ class Conversation:
         try:
             welcome = self._ask(Hello(protocol=PROTOCOL), Welcome, _HELLO_S)
         except PolicyFailedError as error:
-            self.close()
             raise ProtocolError(
                 f"{self.where} does not answer 'hello' as a policy does: {error}"
             ) from error
         if welcome.protocol != PROTOCOL:
-            self.close()
             raise ProtocolError(
                 f"{self.where} speaks version {welcome.protocol} of the policy "
                 f"protocol, and this is version {PROTOCOL}. Install the same version "

@@ -124,6 +124,7 @@ def remote(conversation: Conversation) -> Remote:
     offered = conversation.welcome.methods
     bases = tuple(_PARTS[name] for name in METHODS if name in offered)
     if not bases:
+        conversation.close()
         raise ProtocolError(
             f"{conversation.where} offers {offered}, and none of {', '.join(METHODS)}."
         )

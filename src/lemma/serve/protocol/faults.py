@@ -20,6 +20,8 @@ class FaultKind(StrEnum):
     """It answered a pose that is not a number, or that lies beyond every table."""
     UNKNOWN_NAME = "unknown_name"
     """It named a robot, a primitive or an entity that does not exist."""
+    UNSTABLE = "unstable"
+    """What it decided on made the physics unstable."""
 
 
 class PolicyFailedError(LemmaError, RuntimeError):

@@ -13,7 +13,6 @@ import numpy as np
 from lemma.core.errors import (
     InvalidActionError,
     InvalidConfigError,
-    PhysicsError,
     UnknownNameError,
 )
 from lemma.env.config import EnvConfig
@@ -154,9 +153,6 @@ class ControlRollout(Rollout):
                 _, terminated, truncated = self.env.advance(row)
             except InvalidActionError as error:
                 self.fail(Fault(FaultKind.MALFORMED, str(error)))
-                return
-            except PhysicsError as error:
-                self.fail(Fault(FaultKind.RAISED, str(error)))
                 return
             self.actions += 1
             self.handling.look()
