@@ -25,7 +25,7 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask, primitive_n
 SIX = ("move", "prehook", "hook", "prepoke", "poke", "stop")
 PUSHED = 14
 """Number of an instance in which pushing is the best that the first robot can do."""
-PUSH = EXAMPLES / "06_write_a_primitive.py"
+PUSH = EXAMPLES / "12_write_a_primitive.py"
 
 
 def test_the_six_come_first_in_their_order() -> None:

@@ -43,6 +43,8 @@ class GroundedOption:
     """q in [0, 1]: how far inside reach it happens."""
     duration_s: float
     """tau: predicted time [s]."""
+    reluctance_s: float = 0.0
+    """What the choice between plans counts beside it [s]."""
 
 
 class SceneGeometry:

@@ -54,7 +54,7 @@ def utility(step: GroundedOption, before: SymbolicState, goal: Goal) -> float:
     subject = step.subtask.pick
     if subject == STICK and step.subtask.place != SHARED:
         subject = step.subtask.place
-    cost = _EFFORT + _PER_SECOND * step.duration_s
+    cost = _EFFORT + _PER_SECOND * (step.duration_s + step.reluctance_s)
     if step.subtask.primitive is Primitive.MOVE and _was_handled(subject, before):
         cost += _AGAIN
     rank = conjunct_of(subject, before, goal)

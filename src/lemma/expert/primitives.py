@@ -213,7 +213,10 @@ def ground_drag(
         GroundedSubTask(subtask.robot, subtask.primitive, pick, end),
         after,
         geometry.quality(subtask.robot, pick),
-        geometry.duration_s(subtask.robot, pick, end) + length / _DRAG_M_S,
+        # The way from pick to end is the drag itself.
+        geometry.duration_s(subtask.robot, pick, pick) + length / _DRAG_M_S,
+        geometry.duration_s(subtask.robot, pick, end)
+        - geometry.duration_s(subtask.robot, pick, pick),
     )
 
 
