@@ -64,9 +64,14 @@ class Reach(gymnasium.Wrapper[Any, Any, Any, Any]):
 class Curve(BaseCallback):
     """Prints how many of the last 100 episodes reached the cube."""
 
+    def __init__(self, every: int) -> None:
+        """Keep how many steps lie between two lines."""
+        super().__init__()
+        self.every = every
+
     def _on_step(self) -> bool:
         found = self.model.ep_success_buffer
-        if self.num_timesteps % 2048 == 0 and found:
+        if self.num_timesteps % self.every == 0 and found:
             rate = np.mean(found)
             print(f"{self.num_timesteps} steps: reached {rate:.0%}", flush=True)
         return True
@@ -86,4 +91,4 @@ if __name__ == "__main__":
         seed=0,
         device="cpu",
     )
-    model.learn(steps, callback=Curve())
+    model.learn(steps, callback=Curve(every=min(steps, 2048)))

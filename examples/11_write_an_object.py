@@ -1,6 +1,6 @@
 """A kind of object of one's own: a can, in a color of one's own, and a task with it.
 
-python examples/05_write_an_object.py [SEED]
+python examples/11_write_an_object.py [SEED]
 """
 
 import sys

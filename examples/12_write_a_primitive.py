@@ -1,6 +1,6 @@
 """A primitive of one's own: push a cube into the shared space, with closed fingers.
 
-python examples/06_write_a_primitive.py [INDEX]
+python examples/12_write_a_primitive.py [INDEX]
 """
 
 import math

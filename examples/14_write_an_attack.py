@@ -1,6 +1,6 @@
 """An attack of one's own: put every cube as near to its goal as one arm can.
 
-lemma --plugin examples/08_write_an_attack.py audit --attacks set_down_near
+lemma --plugin examples/14_write_an_attack.py audit --attacks set_down_near
 """
 
 import math

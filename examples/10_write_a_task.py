@@ -1,6 +1,6 @@
 """A ninth task: the first robot's cube goes onto the other's pad, the other's on top.
 
-python examples/03_write_a_task.py [SEED]
+python examples/10_write_a_task.py [SEED]
 """
 
 import sys

@@ -1,6 +1,6 @@
 """An arm of one's own, a UR16e, and a task for a team with it.
 
-python examples/07_write_a_robot.py [SEED]
+python examples/13_write_a_robot.py [SEED]
 """
 
 import sys

@@ -1,7 +1,7 @@
 """A policy behind a socket, and the benchmark asking it.
 
-python examples/04_policy_server.py         both in one process, for one episode
-python examples/04_policy_server.py 8000    serve until Ctrl-C; then, elsewhere:
+python examples/08_policy_server.py         both in one process, for one episode
+python examples/08_policy_server.py 8000    serve until Ctrl-C; then, elsewhere:
 lemma evaluate --policy http://127.0.0.1:8000 --tasks stack --out out/by_color
 
 What serves needs NumPy, Gymnasium, msgspec and websockets, and neither MuJoCo nor

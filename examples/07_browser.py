@@ -1,0 +1,43 @@
+"""A page in the browser, with whoever shall act there: here the expert, fast.
+
+python examples/07_browser.py [PORT]            until Ctrl-C
+python examples/07_browser.py [PORT] --once     until the expert is done
+
+Needs viser: pip install "lemma-bench[play]". From a shell: lemma play.
+"""
+
+import sys
+import threading
+import time
+
+from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.wish import ENDS, Wish
+from lemma.viewer.page import Page
+
+port = int(sys.argv[1]) if len(sys.argv) > 1 else 8080
+once = "--once" in sys.argv
+
+# Policies have the names of ``lemma evaluate``: a class of yours, weights, a server.
+wish = Wish("stack", "test", 0, policy="oracle")
+session = Session(wish, ("oracle",))
+page = Page(session, "127.0.0.1", port)
+print(page.address)
+
+# The page has a thread of its own; commands come from here, or from who looks at it.
+loop = threading.Thread(target=page.run)
+loop.start()
+try:
+    session.set_speed(8.0)
+    session.ask(wish, acts=True)
+    while session.play.status.phase not in ENDS:
+        time.sleep(0.05)
+    for line in session.play.status.lines:
+        print(f"{line.start_s:5.2f} s  {line.words}: {line.outcome}")
+    print(session.play.status.phase)
+    while not once:
+        time.sleep(1.0)
+except KeyboardInterrupt:
+    pass
+finally:
+    page.close()
+    loop.join()
