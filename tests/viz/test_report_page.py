@@ -14,6 +14,9 @@ from lemma.cli.report import ReportOptions, choose, report, within
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.report.episodes import Case, cases_of
 from lemma.evaluation.report.policy_results import entries_of, read_results
+from lemma.tasks.suite import load_instance
+from lemma.viz.pages.demo import Illustration
+from lemma.viz.pages.demo import write_page as write_demo
 from lemma.viz.pages.report import (
     Findings,
     demo_command,
@@ -21,6 +24,7 @@ from lemma.viz.pages.report import (
     write_report_page,
 )
 from lemma.viz.pages.report_pictures import Pictures, picture
+from lemma.viz.recording import record
 
 PIXEL = (
     b"GIF89a\x01\x00\x01\x00\x80\x00\x00\x00\x00\x00\xff\xff\xff,\x00\x00\x00\x00\x01"
@@ -306,3 +310,27 @@ def test_failures_are_drawn_and_filmed(cases: list[Case], tmp_path: Path) -> Non
     # The wrong robot has no poses, so its map has the expert's arrow alone.
     assert picture(cases[3]).map != seen.map
     assert seen.size < 150_000
+
+
+def test_demo_fits_a_phone_and_its_subtasks_lead_into_the_video(
+    browser: Page, tmp_path: Path
+) -> None:
+    done = record(load_instance("hook_stack", "test", 42), horizon_s=20.0)
+    (tmp_path / "hook_stack.mp4").write_bytes(b"")
+    seen = Illustration(tmp_path / "hook_stack.mp4", PIXEL, PIXEL)
+    path = tmp_path / "demo.html"
+    write_demo(path, [done], [seen], 4, {"hook_stack": "replays/hook_stack.html"})
+    browser.resize(390)
+    browser.open(path.as_uri())
+    wide = "document.documentElement.scrollWidth > 390"
+    assert not browser.run(wide)
+    table = "document.querySelector('.scroll')"
+    assert browser.run(f"{table}.scrollWidth <= {table}.clientWidth")
+    assert browser.run("document.querySelector('a.chip').pathname").endswith(
+        "/replays/hook_stack.html"
+    )
+    at = "document.querySelector('video').currentTime"
+    for selector in ("li:last-child button", ".bar"):
+        wanted = browser.run(f"Number(document.querySelector('{selector}').dataset.s)")
+        browser.run(f"document.querySelector('{selector}').click()")
+        assert browser.run(at) == pytest.approx(wanted, abs=0.01)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ from lemma.cli.options import Flag, Number, Word, complain, output
 from lemma.cli.workers import progress_bar
 from lemma.core.errors import DatasetError, InvalidConfigError, RenderingError
 from lemma.core.files import write_text
-from lemma.core.workers.pool import usable_cores
+from lemma.core.workers.pool import ProcessPool, usable_cores
 from lemma.evaluation.report.episodes import Case, cases_of, spread
 from lemma.evaluation.report.policy_results import (
     PolicyResults,
@@ -32,6 +33,7 @@ ResultPaths = Annotated[
 MOST_MB = 16.0
 """All pictures of a page [MB]. In it they take a third more, and episodes some MB."""
 VIDEOS = "videos"
+REPLAYS = "replays"
 _AT_INTERRUPT = (
     "no page was written, and pictures are not kept. '--failures 0' needs no pictures."
 )
@@ -47,6 +49,8 @@ class ReportOptions:
     """Only this one of each policy: KIND/TASK/NUMBER, such as unseen/stack/12."""
     videos: Flag = False
     """Also a video of each episode that gets pictures; some seconds for each."""
+    no_replays: Flag = False
+    """No replays of those episodes, which the extra play makes; they need no OpenGL."""
     workers: Number = None
     """Processes that draw; one per core by default."""
 
@@ -142,7 +146,7 @@ def choose(cases: Sequence[Case], wishes: ReportOptions) -> list[tuple[int, Case
         chosen = [
             case for group in groups.values() for case in spread(group, wishes.failures)
         ]
-    wanted = {id(case) for case in chosen if case.is_known}
+    wanted = {id(case) for case in chosen if case.is_repeatable}
     return [(i, case) for i, case in enumerate(cases) if id(case) in wanted]
 
 
@@ -150,17 +154,33 @@ def _findings(cases: Sequence[Case], wishes: ReportOptions, out: Path) -> Findin
     failed = sum(case.cause is not None for case in cases)
     chosen = choose(cases, wishes)
     if not chosen:
-        return Findings(cases, {}, _left_out(failed, 0))
+        return Findings(cases, missing=_left_out(failed, 0))
+    replays = _replays(chosen, wishes, out)
     try:
         choose_backend()
     except RenderingError as error:
         complain(str(error))
-        return Findings(cases, {}, "There are no pictures: OpenGL does not work here.")
+        missing = "There are no pictures: OpenGL does not work here."
+        return Findings(cases, replays=replays, missing=missing)
     videos = out / VIDEOS if wishes.videos else None
     with progress_bar("failures", len(chosen), _AT_INTERRUPT) as advance:
         drawn = picture_all(chosen, videos, wishes.workers or usable_cores(), advance)
     kept = within(drawn, MOST_MB * 1e6)
-    return Findings(cases, kept, _left_out(failed, len(kept)))
+    return Findings(cases, kept, _left_out(failed, len(kept)), replays)
+
+
+def _replays(
+    chosen: list[tuple[int, Case]], wishes: ReportOptions, out: Path
+) -> dict[int, str]:
+    """Write replays of episodes; return their files, below the report's folder."""
+    if wishes.no_replays or not (find_spec("viser") and find_spec("trimesh")):
+        return {}
+    from lemma.viewer.recording.sources import write_cases
+
+    engine = ProcessPool(wishes.workers or usable_cores())
+    with progress_bar("replays", len(chosen), _AT_INTERRUPT) as advance:
+        written = write_cases(chosen, out / REPLAYS, engine, advance)
+    return {number: f"{REPLAYS}/{name}" for number, name in written.items()}
 
 
 def within(drawn: dict[int, Pictures], most_bytes: float) -> dict[int, Pictures]:

@@ -1,4 +1,4 @@
-"""The strip below a picture: what was asked for, what happens, and when."""
+"""The strip beside a picture: what was asked for, what happens, and when."""
 
 from PIL import Image, ImageDraw
 

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from lemma.core.poses import FloatArray
@@ -61,6 +61,16 @@ class Recording:
     def realtime_factor(self) -> float:
         """Simulated seconds per second of real time."""
         return self.elapsed_s / self.wall_s
+
+    def thinned(self, every: int) -> "Recording":
+        """Return the same with one frame of so many, and the last."""
+        last = len(self.frames) - 1
+        kept = [
+            frame
+            for number, frame in enumerate(self.frames)
+            if number % every == 0 or number == last
+        ]
+        return replace(self, frames=tuple(kept))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""

@@ -36,7 +36,7 @@ class VideoStyle:
     width_px: int = 704
     """Width of the picture [px]; even, as H.264 wants it."""
     height_px: int = 396
-    """Height of what is rendered; the caption comes below [px]."""
+    """Height of what is rendered; the caption comes above [px]."""
     caption_px: int = 72
     """Height of the caption [px]."""
     frames_per_s: int = 25
@@ -88,10 +88,11 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
             scene.restore(state)
             picture = renderer.rgb(scene.model, scene.data, camera)
             ended = number == len(recording.frames) - 1
-            frame.paste(Image.fromarray(picture), (0, 0))
+            # Below, players' controls would cover the words.
+            frame.paste(Image.fromarray(picture), (0, style.caption_px))
             note = f"{style.speed}x speed"
             strip = caption(recording, time_s, _caption_size(style), note, ended=ended)
-            frame.paste(strip, (0, style.height_px))
+            frame.paste(strip, (0, 0))
             copies = round(style.last_s * style.frames_per_s) if ended else 1
             for _ in range(copies):
                 image = av.VideoFrame.from_ndarray(np.asarray(frame), format="rgb24")

@@ -56,9 +56,19 @@ class Case:
     @cached_property
     def instance(self) -> Instance:
         """What was to be done, as this installation has it."""
-        row = self.row
+        row, own = self.row, self.about.get("instance")
+        if own is not None:
+            return Instance.from_dict(own)
         moved = row.get("perturb_start", False)
         return start_of(row["task"], row["split"], row["index"], moved=moved)
+
+    @property
+    def is_repeatable(self) -> bool:
+        """Whether its line says all that was done, for an instance that is known.
+
+        Motor commands are too many for a line.
+        """
+        return self.is_known and "control" not in self.row
 
     @property
     def is_known(self) -> bool:

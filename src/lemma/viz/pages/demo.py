@@ -1,6 +1,6 @@
 """The page of `lemma demo`: one HTML file with everything in it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +28,7 @@ def write_page(
     recordings: Sequence[Recording],
     illustrations: Sequence[Illustration],
     speed: int,
+    replays: Mapping[str, str] | None = None,
 ) -> None:
     """Write the page.
 
@@ -36,6 +37,7 @@ def write_page(
         recordings: What the policy did.
         illustrations: Their pictures, in the same order.
         speed: How much faster than real time the videos are.
+        replays: Pages beside this one to turn episodes around, by task.
     """
     solved = sum(recording.success for recording in recordings)
     simulated = sum(recording.elapsed_s for recording in recordings)
@@ -47,6 +49,7 @@ def write_page(
         f"simulated seconds in {wall:.1f} s, {simulated / wall:.0f} times real time.",
         cards=list(map(_card, recordings, illustrations)),
         speed=speed,
+        replays=replays or {},
         footer=f"Written by lemma {__version__} with MuJoCo {mujoco.__version__}.",
     )
     path.write_text(page, encoding="utf-8")

@@ -170,6 +170,14 @@ function media(c) {
       src: c.video, poster: c.after, "aria-label": "Video of the episode" }));
   return box;
 }
+function replay(c) {
+  const box = make("div", { class: "replay" });
+  const button = make("button", { type: "button" }, "Turn it around, beside the expert");
+  button.addEventListener("click", () =>
+    box.replaceChildren(make("iframe", { src: c.replay, title: "The episode, to turn around" })));
+  box.append(button);
+  return box;
+}
 function step(s, mistake) {
   const item = make("li", { class: mistake ? "mistake" : "" }, s.words);
   const facts = [s.outcome === "success" ? "carried out" : s.explanation || words(s.outcome)];
@@ -213,6 +221,7 @@ function card(c) {
     more.append(command("The policy itself, asked again. It is alone then, not one of ten; a network's " +
       "last bits may differ, and now and then decide otherwise:", c.demo));
   if (more.children.length > 1) box.append(more);
+  if (c.replay) box.append(replay(c));
   return box;
 }
 

@@ -53,6 +53,8 @@ class Findings:
     """By number of the episode."""
     missing: str = ""
     """Why pictures are missing, in a sentence; empty if none are."""
+    replays: Mapping[int, str] = field(default_factory=dict)
+    """Pages beside this one, by number of the episode."""
 
 
 def write_report_page(
@@ -102,6 +104,7 @@ def failures_data(found: Findings) -> dict[str, Any]:
         "kinds": {kind: words(kind, "-") for kind in EVALUATION_KINDS},
         "cases": [
             _case_data(case, policies.index(case.policy), found.pictures.get(i))
+            | {"replay": found.replays.get(i, "")}
             for i, case in enumerate(found.cases)
         ],
     }

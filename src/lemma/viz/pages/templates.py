@@ -2,6 +2,7 @@
 
 import base64
 import io
+import json
 import re
 from functools import cache
 from importlib.resources import files
@@ -46,6 +47,12 @@ def jpeg(picture: Image.Image) -> bytes:
 def data_uri(kind: str, content: bytes) -> str:
     """Return a file's content as an address, so that a page needs no other file."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def script_text(text: str) -> Markup:
+    """Return text as a string of JavaScript that no page takes for its own markup."""
+    literal = json.dumps(text, ensure_ascii=False)
+    return Markup(literal.replace("</", "<\\/").replace("<!", "\\u003c!"))
 
 
 @cache

@@ -1,0 +1,94 @@
+"use strict";
+const told = JSON.parse(document.getElementById("told").textContent);
+const frame = document.querySelector(".player");
+const find = (selector) => document.querySelector(selector);
+let steps = [];
+
+/* Elements with text that is never read as HTML. */
+function make(tag, attributes, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  element.append(...children);
+  return element;
+}
+
+/* Runs in the player: the field with the time leads it, and tells where it is. */
+function led(opens) {
+  let wanted = opens;
+  const field = () => document.querySelector("input[inputmode=decimal]");
+  const write = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
+  function seek(input, seconds) {
+    write.call(input, seconds.toFixed(2));
+    input.dispatchEvent(new Event("input", { bubbles: true }));
+  }
+  function play(input) {
+    let bar = input;
+    while (bar && !bar.querySelector("button")) bar = bar.parentElement;
+    bar?.querySelector("button").click();
+  }
+  addEventListener("message", (event) => {
+    const input = field();
+    if (typeof event.data?.seek !== "number" || !input) return;
+    seek(input, event.data.seek);
+    // To seek is to pause, as soon as that is drawn.
+    setTimeout(() => play(input), 80);
+  });
+  setInterval(() => {
+    const input = field();
+    if (!input) return;
+    if (wanted > 0) seek(input, wanted);
+    wanted = 0;
+    parent.postMessage({ at: Number(input.value) }, "*");
+  }, 100);
+}
+
+function open(replay) {
+  find("h1").textContent = replay.title;
+  find(".sentence").textContent = replay.sentence ? `“${replay.sentence}”` : "";
+  find(".note").textContent = replay.note;
+  steps = [];
+  document.body.classList.toggle("beside", replay.sides.length > 1);
+  delete document.body.dataset.at;
+  find(".sides").replaceChildren(...replay.sides.map((side) => {
+    const list = make("ol", {}, ...side.steps.map((step) => {
+      const button = make("button", { type: "button" }, step.words);
+      button.addEventListener("click", () => {
+        frame.contentWindow.postMessage({ seek: step.start }, "*");
+        frame.scrollIntoView({ block: "nearest" });
+      });
+      const item = make("li", {}, button, make("span", { class: step.ok ? "" : "bad" }, step.outcome));
+      steps.push([item, step]);
+      return item;
+    }));
+    return make("section", {}, make("h2", {}, side.title), list,
+      make("div", { class: side.solved ? "verdict solved" : "verdict" }, side.verdict));
+  }));
+  for (const link of document.querySelectorAll(".names a"))
+    link.toggleAttribute("aria-current", link.hash.slice(1) === replay.name);
+  const recording = document.getElementById("recording-" + replay.name).textContent;
+  const darkMode = matchMedia("(prefers-color-scheme: dark)").matches;
+  const given = `<script>window.__VISER_EMBED_DATA__ = ${JSON.stringify(recording)};` +
+    `window.__VISER_EMBED_CONFIG__ = ${JSON.stringify({ darkMode })};` +
+    `(${led})(${Number(replay.opens)});<` + "/script>";
+  const at = PLAYER.indexOf("<" + "/head>");
+  frame.srcdoc = PLAYER.slice(0, at) + given + PLAYER.slice(at);
+}
+
+addEventListener("message", (event) => {
+  if (event.source !== frame.contentWindow || typeof event.data?.at !== "number") return;
+  const now = event.data.at + 0.05;
+  document.body.dataset.at = event.data.at;
+  for (const [item, step] of steps) {
+    item.classList.toggle("later", now < step.start);
+    item.classList.toggle("now", step.start <= now && now < step.end);
+  }
+});
+function follow() {
+  const name = location.hash.slice(1);
+  open(told.find((replay) => replay.name === name) || told[0]);
+}
+if (told.length > 1)
+  find(".names").append(...told.map((replay) =>
+    make("a", { href: "#" + replay.name }, replay.title)));
+addEventListener("hashchange", follow);
+follow();

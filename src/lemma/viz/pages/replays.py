@@ -1,0 +1,120 @@
+"""Pages with episodes to turn around: one HTML file, opened from the disk as it is.
+
+Browsers let a page from the disk read no other file of it but scripts. So recordings
+lie in the page itself, and the player in it or, where many pages share it, in a script.
+"""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lemma.core.files import write_text
+from lemma.core.version import VERSION as __version__
+from lemma.viz.pages.templates import fill, script_text
+
+PLAYER = "player.js"
+"""Name of the script that pages of one folder share."""
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A sub-task below the player."""
+
+    words: str
+    start_s: float
+    end_s: float
+    outcome: str
+    """Why it failed, or how long it took."""
+    ok: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """What is told of one table."""
+
+    title: str
+    steps: Sequence[Told]
+    verdict: str
+    solved: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """One episode, or two side by side."""
+
+    name: str
+    """Of letters, digits, dashes and underscores; follows ``#`` in the address."""
+    title: str
+    sentence: str
+    recording: bytes
+    """Content of a ``.viser`` file."""
+    sides: Sequence[Side]
+    """What happened on each table, from left to right."""
+    opens_s: float = 0.0
+    """Simulated time that is looked at first [s]."""
+    note: str = ""
+    """What else there is to say."""
+
+
+def write_replays(
+    path: Path, replays: Sequence[Replay], player: str, *, shared: bool = False
+) -> None:
+    """Write a page.
+
+    Args:
+        path: The HTML file.
+        replays: What can be looked at.
+        player: HTML of the player.
+        shared: Whether the player goes into a script beside the page, for others of
+            its folder.
+
+    Raises:
+        DatasetError: It cannot be written there.
+    """
+    if shared:
+        beside = path.parent / PLAYER
+        script = f"const PLAYER = {script_text(player)};\n"
+        if not beside.exists() or beside.read_text("utf-8") != script:
+            write_text(beside, script)
+    page = fill(
+        "replays.html",
+        title=replays[0].title if len(replays) == 1 else "LEMMA Bench: replays",
+        replays=replays,
+        told=[_told(replay) for replay in replays],
+        player="" if shared else script_text(player),
+        beside=PLAYER,
+        encode=lambda content: base64.b64encode(content).decode(),
+        footer=f"Written by lemma {__version__}. It needs no network.",
+    )
+    write_text(path, page)
+
+
+def _told(replay: Replay) -> dict[str, Any]:
+    """Return what the page's script needs to know, ready for JSON."""
+    return {
+        "name": replay.name,
+        "title": replay.title,
+        "sentence": replay.sentence,
+        "opens": replay.opens_s,
+        "note": replay.note,
+        "sides": [
+            {
+                "title": side.title,
+                "verdict": side.verdict,
+                "solved": side.solved,
+                "steps": [
+                    {
+                        "words": step.words,
+                        "start": round(step.start_s, 3),
+                        "end": round(step.end_s, 3),
+                        "outcome": step.outcome,
+                        "ok": step.ok,
+                    }
+                    for step in side.steps
+                ],
+            }
+            for side in replay.sides
+        ],
+    }
