@@ -8,8 +8,8 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out
-# Worker processes of the tests.
-JOBS ?= 2
+# Worker processes of the tests: one more than two cores, because tests also wait.
+JOBS ?= 3
 # The first interpreter of a supported version; `make PYTHON=/path/to/python` overrules.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' \
@@ -33,13 +33,15 @@ setup-dev: $(VENV)/dev.stamp ## Add what the tests and the documentation need.
 play: $(VENV)/play.stamp ## A page in the browser: say something, watch two robots do it.
 	$(BIN)/lemma play
 
-demo: setup ## The expert solves one instance of each task; videos in out/demo.
+demo: $(VENV)/page.stamp ## The expert solves one instance of each task; videos and replays in out/demo.
 	$(BIN)/lemma demo --out $(OUT)/demo
 
 bench: setup ## Measure speed and the expert's success (takes long).
 	$(BIN)/lemma bench --expert
 
-test: lint types layers docs tests ## All checks and tests.
+test: setup-dev ## All checks and tests.
+	$(MAKE) -j $(JOBS) lint types layers docs
+	$(MAKE) tests
 
 lint: setup-dev ## Style, formatting and spelling.
 	$(BIN)/ruff check $(CHECKED)
@@ -56,7 +58,8 @@ docs: setup-dev ## The documentation, in out/docs.
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs $(OUT)/docs
 
 tests: setup-dev ## The tests alone.
-	$(BIN)/pytest -n $(JOBS)
+	@# Neighbors share what is made for them: they stay together until a worker is idle.
+	$(BIN)/pytest -n $(JOBS) --dist worksteal
 
 # lerobot asks for Python 3.12 and for other versions of torch and NumPy than anybody
 # needs who works on this package: it has an environment of its own (6 GB).
@@ -126,6 +129,11 @@ $(VENV)/core.stamp: $(INPUTS)
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	@echo "Installing the packages into $(VENV) ..."
 	@$(INSTALL) -e .
+	@touch $@
+
+# What replays are made with: a page, without what reads sentences.
+$(VENV)/page.stamp: $(VENV)/core.stamp
+	@$(INSTALL) -e '.[play]'
 	@touch $@
 
 $(VENV)/play.stamp: $(VENV)/core.stamp

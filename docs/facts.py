@@ -1,12 +1,13 @@
 """Directives that fill the pages with what the code says, so that they cannot drift.
 
 ``task-facts`` shows one instance of a task: who reaches what, the plan and the
-instructions. ``arms`` lists the arms and their reach, ``attacks`` those of the audit.
-``constants`` makes a table of
-lines ``what | constant | unit | why``, ``engine-options`` one of ``name | why``.
+instructions, and plays it. ``arms`` lists the arms and their reach, ``attacks`` those
+of the audit. ``constants`` makes a table of lines
+``what | constant | unit | why``, ``engine-options`` one of ``name | why``.
 ``inserted-words`` lists what paraphrases have in common with the unseen templates.
 """
 
+import logging
 import math
 import sys
 from collections.abc import Iterator
@@ -34,11 +35,16 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.suite import load_instance
-from lemma.viz.recording import record, robot_titles
+from lemma.viewer.recording.pages import write_recording
+from lemma.viewer.recording.track import FRAME_S
+from lemma.viz.recording import Recording, record, robot_titles
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 from inserted_words import inserted_words, unseen_words
 from make_pictures import MOMENTS
+
+REPLAYS = "replays"
+"""Folder of the documentation for episodes to turn around."""
 
 
 class Generated(SphinxDirective):
@@ -73,7 +79,7 @@ class TaskFacts(Generated):
         )
         yield ""
         instance = load_instance(moment.task, "test", moment.index)
-        recording = record(instance)
+        recording = record(instance, frame_s=FRAME_S)
         titles = robot_titles(instance)
         if not recording.success:
             raise self.error(f"The expert fails at {instance.key}.")
@@ -92,12 +98,28 @@ class TaskFacts(Generated):
         for number, step in enumerate(recording.steps, 1):
             yield f"{number}. {step.words}"
         yield ""
+        yield from self._replay(recording)
         yield f"It takes {recording.elapsed_s:.1f} simulated seconds. The instructions:"
         yield ""
         yield "| kind | instruction |"
         yield "|---|---|"
         for kind in KINDS:
             yield f"| `{kind}` | {instance.instructions[kind]} |"
+
+    def _replay(self, recording: Recording) -> Iterator[str]:
+        """Write the episode as a page of its own, and return where it is shown."""
+        task = recording.instance.task
+        path = f"{REPLAYS}/{task}.html"
+        write_recording(Path(self.env.app.outdir) / path, recording)
+        yield "```{raw} html"
+        # Nothing is loaded before somebody looks.
+        yield "<details ontoggle=\"this.lastElementChild.src ||= '" + path + "'\">"
+        yield "<summary>See it move, and turn it around</summary>"
+        yield f'<iframe title="{task}, to turn around"'
+        yield ' style="width: 100%; height: 40rem; max-height: 90vh; border: 0">'
+        yield "</iframe></details>"
+        yield "```"
+        yield ""
 
 
 def _span(limits: list[int]) -> str:
@@ -222,6 +244,8 @@ def _value(path: str, unit: str) -> str:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directives."""
+    # What makes replays would tell of every one.
+    logging.getLogger("websockets").setLevel(logging.WARNING)
     app.add_directive("task-facts", TaskFacts)
     app.add_directive("arms", Arms)
     app.add_directive("attacks", Attacks)

@@ -1,14 +1,17 @@
 """Make the pictures of the README and of the documentation, from the code itself.
 
-    .venv/bin/python scripts/make_pictures.py docs/images
+    .venv/bin/python scripts/make_pictures.py docs/images [NAME ...]
 
-Each shows the expert in the middle of a frozen test instance.
+Each shows the expert in the middle of a frozen test instance; the README's moves.
 """
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from lemma.scene.rendering.renderer import Renderer
@@ -37,16 +40,30 @@ class Moment:
     caption_px: int = 60
 
 
+@dataclass(frozen=True)
+class Loop:
+    """An episode of the expert as a small moving picture, again and again."""
+
+    task: str
+    index: int
+    """Instance of the test split."""
+    speed: int = 8
+    """Simulated seconds per second."""
+    frames_per_s: float = 16.0
+    last_s: float = 2.0
+    """How long the last picture stays [s]."""
+    azimuth_deg: float = 264.0
+    """From where the objects are: no arm hides them."""
+    elevation_deg: float = -32.0
+    size: tuple[int, int] = (960, 480)
+    """Of the picture without its caption [px]."""
+    caption_px: int = 76
+    quality: int = 70
+    """Of the compression, up to 100."""
+
+
+LOOPS = {"hero": Loop("hook_stack", index=42)}
 MOMENTS = {
-    "hero": Moment(
-        "hook_stack",
-        index=42,
-        step=4,
-        share=0.62,
-        elevation_deg=-27.0,
-        size=(1600, 800),
-        caption_px=130,
-    ),
     "task_pass": Moment("pass", index=28, step=1, share=0.6),
     "task_pass2": Moment("pass2", index=27, step=2, share=0.55),
     "task_stack": Moment("stack", index=47, step=1, share=0.62),
@@ -59,13 +76,60 @@ MOMENTS = {
 FRAME_S = 0.05
 
 
-def main(folder: Path) -> None:
-    """Write every picture into a folder."""
+def main(folder: Path, names: Sequence[str] = ()) -> None:
+    """Write pictures into a folder: all, or those that are named."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, moment in MOMENTS.items():
-        path = folder / f"{name}.png"
-        draw(moment).save(path, optimize=True)
+    for name in names or (*LOOPS, *MOMENTS):
+        if name in LOOPS:
+            path = folder / f"{name}.webp"
+            film(LOOPS[name], path)
+        else:
+            path = folder / f"{name}.png"
+            draw(MOMENTS[name]).save(path, optimize=True)
         print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
+
+
+def film(loop: Loop, path: Path) -> None:
+    """Write an episode as an animated WebP."""
+    frame_s = loop.speed / loop.frames_per_s
+    recording = record(load_instance(loop.task, "test", loop.index), frame_s=frame_s)
+    scene = Scene(recording.instance.scene)
+    width, height = loop.size
+    points = []
+    for _, state in recording.frames[::4]:
+        scene.restore(state)
+        points.append(outline(scene))
+    camera = overview(
+        np.concatenate(points),
+        width / height,
+        azimuth_deg=loop.azimuth_deg,
+        elevation_deg=loop.elevation_deg,
+    )
+    renderer = Renderer(width, height, "presentation")
+    pictures = []
+    for number, (time_s, state) in enumerate(recording.frames):
+        scene.restore(state)
+        rgb = renderer.rgb(scene.model, scene.data, camera)
+        strip = caption(
+            recording,
+            time_s,
+            (width, loop.caption_px),
+            f"{loop.speed}x speed",
+            ended=number == len(recording.frames) - 1,
+        )
+        pictures.append(_above(rgb, strip))
+    lasts_ms = [round(1000 / loop.frames_per_s)] * len(pictures)
+    lasts_ms[-1] = round(1000 * loop.last_s)
+    first, *others = pictures
+    first.save(
+        path,
+        save_all=True,
+        append_images=others,
+        duration=lasts_ms,
+        loop=0,
+        quality=loop.quality,
+        method=6,
+    )
 
 
 def draw(moment: Moment) -> Image.Image:
@@ -87,6 +151,12 @@ def draw(moment: Moment) -> Image.Image:
     )
     rgb = Renderer(width, height, "presentation").rgb(scene.model, scene.data, camera)
     strip = caption(recording, time_s, (width, moment.caption_px))
+    return _above(rgb, strip)
+
+
+def _above(rgb: NDArray[np.uint8], strip: Image.Image) -> Image.Image:
+    """Return a picture with its caption below."""
+    height, width = rgb.shape[:2]
     picture = Image.new("RGB", (width, height + strip.height))
     picture.paste(Image.fromarray(rgb), (0, 0))
     picture.paste(strip, (0, height))
@@ -94,4 +164,5 @@ def draw(moment: Moment) -> Image.Image:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images"))
+    _, *given = sys.argv
+    main(Path(given[0] if given else "docs/images"), given[1:])

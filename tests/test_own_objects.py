@@ -36,7 +36,7 @@ CAN = "purple_can"
 
 @pytest.fixture(autouse=True)
 def _registered() -> Iterator[None]:
-    with loaded(EXAMPLES / "05_write_an_object.py"):
+    with loaded(EXAMPLES / "11_write_an_object.py"):
         yield
 
 

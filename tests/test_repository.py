@@ -150,6 +150,12 @@ def test_public_names_resolve() -> None:
     assert [name for name in names if getattr(lemma, name, None) is None] == []
 
 
+def test_public_names_stand_on_a_page_of_the_api() -> None:
+    pages = "\n".join(p.read_text() for p in sorted((ROOT / "docs/api").glob("*.md")))
+    told = set(re.findall(r"lemma\.(\w+)", pages))
+    assert set(vars(lemma)["__all__"]) - {"__version__"} <= told
+
+
 def test_version_is_the_same_everywhere() -> None:
     assert PROJECT["version"] == lemma.__version__
     citation = (ROOT / "CITATION.cff").read_text()

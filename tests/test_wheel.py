@@ -1,6 +1,7 @@
 """What is installed from a wheel works, and is small."""
 
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -66,7 +67,19 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     # A line of a .pth file comes behind what is installed here, and runs no .pth files
     # of the other environment: its editable checkout is not seen.
     (there / "dependencies.pth").write_text(f"{here}\n")
+    keep_compiled_kernels(there / "lemma")
     return python.parent
+
+
+def keep_compiled_kernels(package: Path) -> None:
+    """Give an installed package what was compiled of the same sources here.
+
+    It is stamped with a hash of them: what was made of others is not taken.
+    """
+    for kept in (ROOT / "src/lemma").rglob("*.nb[ic]"):
+        copy = package / kept.relative_to(ROOT / "src/lemma")
+        copy.parent.mkdir(exist_ok=True)
+        shutil.copy(kept, copy)
 
 
 @pytest.mark.slow

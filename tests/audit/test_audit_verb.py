@@ -118,7 +118,7 @@ def test_a_video_is_written_of_a_success(
 
 
 def test_an_attack_of_a_plugin_is_played(capsys: pytest.CaptureFixture[str]) -> None:
-    with loaded(EXAMPLES / "08_write_an_attack.py"):
+    with loaded(EXAMPLES / "14_write_an_attack.py"):
         run("--tasks", "pass", "--attacks", "set_down_near", *EPISODES, "--json")
     found = json.loads(capsys.readouterr().out)["attacks"]
     assert found["set_down_near"]["pass"]["tried"] == 1

@@ -139,17 +139,19 @@ def test_demo_with_video(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert abs(len(frames) - expected) <= 3
     height = style.height_px + style.caption_px
     assert frames[0].shape == (height, style.width_px, 3)
-    # Something moves in the picture, and the caption changes below it.
+    # Something moves in the picture, and the caption changes above it.
     change = abs(frames[0].astype(int) - frames[len(frames) // 2])
-    assert change[: style.height_px].max() > 100
-    assert change[style.height_px :].max() > 100
+    assert change[style.caption_px :].max() > 100
+    assert change[: style.caption_px].max() > 100
     page = (tmp_path / "index.html").read_text()
     assert len(page) < 3_000_000
     assert done.instance.instructions["high_level"] in page
     assert not re.search(r"https?://", page)
     sources = re.findall(r'(?:src|href|poster)="([^"]{0,20})', page)
     assert len(sources) >= 5
-    assert all(source.startswith(("data:", "#")) for source in sources)
+    replay = "replays/stack.html"
+    assert all(source.startswith(("data:", "#", replay)) for source in sources)
+    assert (replay in sources) is (tmp_path / replay).exists()
     assert not re.search(r"\$[a-z]", page)
 
 

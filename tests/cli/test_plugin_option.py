@@ -22,7 +22,7 @@ from lemma.tasks.names import SUITE, in_order
 
 FREE = f"{BENCHMARK_VERSION}/tower/free/"
 
-TOWER = EXAMPLES / "03_write_a_task.py"
+TOWER = EXAMPLES / "10_write_a_task.py"
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:

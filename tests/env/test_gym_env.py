@@ -1,6 +1,5 @@
 """The Gymnasium face: contracts of every task and level, bad input, determinism."""
 
-import os
 import pickle
 import random
 from typing import Any
@@ -73,7 +72,8 @@ def test_gymnasium_finds_no_fault_in_any_mode(control: str, observation: str) ->
 def test_gymnasium_finds_no_fault_in_rendering() -> None:
     env = gymnasium.make("lemma/Hook-v0", split="test", render_mode="rgb_array")
     # The check makes an environment of every mode, and a window needs a display.
-    check_env(env.unwrapped, skip_render_check="DISPLAY" not in os.environ)
+    env.unwrapped.metadata = {**env.metadata, "render_modes": ["rgb_array"]}
+    check_env(env.unwrapped)
     env.reset(seed=0)
     picture = env.render()
     assert isinstance(picture, np.ndarray)

@@ -23,7 +23,7 @@ from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.sampling import sample
 
-UR16E = EXAMPLES / "07_write_a_robot.py"
+UR16E = EXAMPLES / "13_write_a_robot.py"
 
 
 def test_any_registered_arms_make_a_team_where_instances_are_sampled() -> None:

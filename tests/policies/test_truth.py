@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from faulty_policies import given
+from faulty_policies import given, view
 from numba import njit
-from reachable import Confidant, Slotted, Spy, secrets_within
+from reachable import HOPELESS, Confidant, Slotted, Spy, find_secrets, secrets_within
 
 from lemma.core.errors import InvalidConfigError
 from lemma.env.camera_rig import CameraRig
@@ -26,6 +26,7 @@ from lemma.policies.compose import (
 from lemma.policies.interfaces import (
     Decision,
     OracleInput,
+    PastStep,
     Policy,
     PolicyInput,
     is_oracle,
@@ -41,6 +42,7 @@ from lemma.policies.spec import PolicySpec
 from lemma.serve.isolation import isolate
 from lemma.serve.protocol.faults import ProtocolError
 from lemma.serve.server.session import Session
+from lemma.tasks.subtask import STOP
 from lemma.tasks.suite import load_instance
 
 LONG_S = 60.0
@@ -109,7 +111,7 @@ def parts_of(one: PolicyInput) -> tuple[Any, ...]:
 def test_the_search_finds_the_truth_wherever_it_is(
     episode: Episode, hiding: str
 ) -> None:
-    assert secrets_within([HIDINGS[hiding](episode)])
+    assert next(find_secrets([HIDINGS[hiding](episode)]), None)
 
 
 def test_the_search_finds_nothing_where_there_is_nothing() -> None:
@@ -151,10 +153,11 @@ def test_camera_images_are_kept_for_who_says_that_it_wants_them() -> None:
 
 def test_nor_in_a_process_of_its_own(episode: Episode) -> None:
     policy: Any = isolate("reachable:Spy", LONG_S)
-    informed = OracleInput(*parts_of(given()), episode=episode)
+    once = given("go", PastStep(view(1), HOPELESS, "invalid"))
+    informed = OracleInput(*parts_of(once), episode=episode)
     [decision] = policy.act([informed])
     policy.close()
-    assert decision.explanation == "nothing"
+    assert (decision.subtask, decision.explanation) == (STOP, "nothing")
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,24 @@ class Page:
         features = [{"name": "prefers-color-scheme", "value": scheme}]
         self.ask("Emulation.setEmulatedMedia", features=features)
 
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press the left button at a place [px], move to another, and let go."""
+        (x, y), (to_x, to_y) = start, end
+        self._mouse("mouseMoved", x, y, 0)
+        self._mouse("mousePressed", x, y, 1)
+        for part in (0.2, 0.4, 0.6, 0.8, 1.0):
+            at = x + part * (to_x - x), y + part * (to_y - y)
+            self._mouse("mouseMoved", *at, 1)
+            time.sleep(0.06)
+        self._mouse("mouseReleased", to_x, to_y, 0)
+
+    def _mouse(self, what: str, x: float, y: float, buttons: int) -> None:
+        button = "none" if what == "mouseMoved" and not buttons else "left"
+        self.ask(
+            "Input.dispatchMouseEvent",
+            type=what, x=x, y=y, button=button, buttons=buttons, clickCount=1,
+        )  # fmt: skip
+
     def press(self, key: str) -> None:
         """Press and release a key."""
         more: dict[str, object] = {"key": key, "code": key}

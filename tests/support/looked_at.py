@@ -2,15 +2,25 @@
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
+import numpy as np
+
+from lemma.evaluation.run.control.rollout import ControlPlayer
 from lemma.evaluation.run.rollout import Player
-from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.control.interfaces import ControlInput
+from lemma.policies.interfaces import (
+    Decision,
+    Insight,
+    PolicyInput,
+    SeenObject,
+    SeenRobot,
+)
 from lemma.policies.spec import PolicySpec
-from lemma.tasks.subtask import STOP
-from lemma.viewer.play import Play
-from lemma.viewer.session import Session
-from lemma.viewer.wish import OWN_WORDS, Wish
+from lemma.tasks.subtask import STOP, Primitive, SubTask
+from lemma.viewer.episode.play import Play
+from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.wish import OWN_WORDS, Wish
 
 WAIT_S = 120.0
 STACK = Wish("stack", "test", 0)
@@ -34,12 +44,34 @@ class Reads:
         return [Decision(STOP, None) for _ in inputs]
 
 
+class Explains(Reads):
+    """Knows why, and stops at once."""
+
+    def explain(self, inputs: Sequence[PolicyInput]) -> list[Insight]:
+        pairs, _ = self.answer
+        things = tuple(SeenObject(name, (0.3, 0.2)) for name in pairs[0])
+        robots = (SeenRobot((-0.7, 0.0), (0.2, 0.8)), SeenRobot((0.7, 0.0), (0.2, 0.8)))
+        options = ((STOP, 0.9), (SubTask("robot_0", Primitive.MOVE, *pairs[0]), 0.1))
+        return [Insight(things, robots, pairs, options) for _ in inputs]
+
+
+class StandsStill:
+    """Commands the motors to stay where they are."""
+
+    control_options: ClassVar = {"control": "joint_velocity", "observation": "state"}
+
+    def act(self, inputs: Sequence[ControlInput]) -> list[Any]:
+        return [np.zeros((len(given.robots), 7)) for given in inputs]
+
+
 def player_of(**policies: object) -> Callable[[str], Player]:
     """Return what loads the expert, and policies of tests by their names."""
 
     def load(name: str) -> Player:
         if name in policies:
-            return Player(policies[name])
+            found: Any = policies[name]
+            controls = hasattr(found, "control_options")
+            return ControlPlayer(found) if controls else Player(found)
         return Player.load(PolicySpec(name))
 
     return load
@@ -57,3 +89,26 @@ def until(true: Callable[[], bool], play: Play | None = None) -> None:
 
 def session_of(wish: Wish = STACK, **policies: object) -> Session:
     return Session(wish, ("oracle", *policies), player_of(**policies))
+
+
+def seen_at(
+    client: Any, point: Sequence[float], size: Sequence[float]
+) -> tuple[float, float]:
+    """Return where a visitor sees a point of the world, in a picture of a size [px].
+
+    What is drawn may have fewer pixels than the page.
+    """
+    camera = client.camera
+    eye, target, up = (
+        np.asarray(each, float)
+        for each in (camera.position, camera.look_at, camera.up_direction)
+    )
+    ahead = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(ahead, up)
+    right /= np.linalg.norm(right)
+    along, (width, height) = np.asarray(point) - eye, size
+    scale = along @ ahead * np.tan(camera.fov / 2.0) * 2.0 / height
+    return (
+        float(width / 2 + along @ right / scale),
+        float(height / 2 - along @ np.cross(right, ahead) / scale),
+    )

@@ -7,14 +7,16 @@ are imported by, and Numba's own objects: a compiled function holds the compiler
 all types of the process.
 """
 
+import gc
 import sys
 import types
 import weakref
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from enum import Enum
 from pathlib import PurePath
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -60,26 +62,51 @@ _HIDDEN = (
 
 def secrets_within(*roots: object) -> list[str]:
     """Return the ways from some objects to what knows the truth; none is good."""
+    # Whoever keeps all that it sees leaves nothing to collect.
+    gc.disable()
+    try:
+        return list(find_secrets(*roots))
+    finally:
+        gc.enable()
+
+
+def find_secrets(*roots: object) -> Iterator[str]:
+    """Yield the ways from some objects to what knows the truth, short ones first."""
     seen: dict[int, object] = {}
-    found: list[str] = []
-    waiting = deque([("given", root) for root in roots])
+    waiting: deque[tuple[_Way, object]] = deque()
+    waiting.extend(((None, "given"), root) for root in roots)
     while waiting:
-        path, one = waiting.popleft()
-        if isinstance(one, _PLAIN) or id(one) in seen:
+        way, one = waiting.popleft()
+        if id(one) in seen:
             continue
         # Kept, so that no other object gets its number.
         seen[id(one)] = one
-        assert len(seen) < _MOST, f"no end at {path}"
+        assert len(seen) < _MOST, f"no end at {_in_words(way)}"
         # A capsule under an array: its numbers are the engine's own, and move.
-        live = path.endswith(".base") and type(one).__name__ == "PyCapsule"
+        live = way[1] == ".base" and type(one).__name__ == "PyCapsule"
         if isinstance(one, SECRET) or live:
-            found.append(f"{path}: {type(one).__name__}")
+            yield f"{_in_words(way)}: {type(one).__name__}"
         else:
-            waiting += [(f"{path}{step}", other) for step, other in _behind(one)]
-    return found
+            waiting.extend(
+                ((way, step), other)
+                for step, other in _behind(one)
+                if not isinstance(other, _PLAIN)
+            )
 
 
-def _behind(one: object) -> Iterator[tuple[str, object]]:
+_Way = tuple[Any, object]
+"""The way before, and one more step: an attribute, or a key in a tuple."""
+
+
+def _in_words(way: _Way | None) -> str:
+    steps = []
+    while way is not None:
+        way, step = way
+        steps.append(step if isinstance(step, str) else f"[{step[0]!r:.40}]")  # type: ignore[index]
+    return "".join(reversed(steps))
+
+
+def _behind(one: object) -> Iterator[tuple[object, object]]:
     if isinstance(one, types.ModuleType | type):
         home = one.__name__ if isinstance(one, types.ModuleType) else one.__module__
         if home.partition(".")[0] in _HOMES:
@@ -91,10 +118,10 @@ def _behind(one: object) -> Iterator[tuple[str, object]]:
             yield from ((f".{name}", value) for name, value in vars(one).items())
         return
     if isinstance(one, Mapping):
-        yield from ((f"[{key!r:.40}]", one[key]) for key in list(one))
+        yield from (((key,), one[key]) for key in list(one))
         yield from (("<key>", key) for key in one)
     elif isinstance(one, Sequence | set | frozenset):
-        yield from ((f"[{i}]", item) for i, item in enumerate(one))
+        yield from (((i,), item) for i, item in enumerate(one))
     if type(one) in _CONTAINERS:
         return
     if isinstance(one, weakref.ref):
@@ -102,23 +129,40 @@ def _behind(one: object) -> Iterator[tuple[str, object]]:
     if isinstance(one, np.ndarray):
         yield ".base", one.base
         return
-    names = set(_HIDDEN)
+    names: Collection[str] = _HIDDEN
     if isinstance(one, types.FunctionType):
         # Code that was generated is of no module.
         if (one.__module__ or "").partition(".")[0] in _HOMES:
             yield ".__globals__", _own(one.__globals__)
     elif type(one).__module__.partition(".")[0] in _HOMES:
         # Of others' objects no property is asked: who knows what it does.
-        names |= {name for name in dir(one) if not name.startswith("__")}
-        names.add("<pickled>")
-    for name in sorted(names):
+        names = _names(one)
+        if not isinstance(one, types.BuiltinFunctionType | types.MethodType):
+            # From what, and in which state, it would be made again; of those it is
+            # their ``__self__``.
+            with suppress(Exception):
+                yield ".<pickled>", one.__reduce_ex__(4)[1:3]
+    for name in names:
         with suppress(Exception):
-            # Of how it would be pickled: from what, and its state.
-            pickled = name[0] == "<"
-            yield (
-                f".{name}",
-                one.__reduce_ex__(4)[1:3] if pickled else getattr(one, name),
-            )
+            yield f".{name}", getattr(one, name)
+
+
+def _names(one: object) -> Collection[str]:
+    """Return the names of all that an object has."""
+    if hasattr(one, "__dict__") or "__dir__" in vars(type(one)):
+        return _open_names(dir(one))
+    kind = type(one)
+    if kind not in _NAMES:
+        _NAMES[kind] = _open_names(dir(one))
+    return _NAMES[kind]
+
+
+def _open_names(names: list[str]) -> Collection[str]:
+    return sorted({*_HIDDEN, *(name for name in names if not name.startswith("__"))})
+
+
+_NAMES: dict[type, Collection[str]] = {}
+"""Of types whose objects have what their type has."""
 
 
 def _own(module: Mapping[str, object]) -> dict[str, object]:
@@ -151,7 +195,10 @@ class Spy:
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         self.kept += inputs
         methods = [given.with_past for given in inputs]
-        self.found += secrets_within(self, inputs, methods, sys.modules["lemma"])
+        self.found += secrets_within(self, inputs, methods)
+        if any(given.past for given in inputs) and not self.found:
+            # What the package keeps: once something has happened, because it is much.
+            self.found += secrets_within(sys.modules["lemma"])
         return [STOP if given.past else HOPELESS for given in inputs]
 
 

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,7 +15,7 @@ from lemma.core.poses import Pose2
 from lemma.scene.palette import OBJECT_COLORS
 from lemma.scene.spec import ROBOT_COLORS, ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
-from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
+from lemma.tasks.instance import BENCHMARK_VERSION, OWN_SPLIT, SPLITS, Instance
 
 COLORS = tuple(OBJECT_COLORS)
 poses = st.builds(
@@ -137,3 +138,29 @@ def test_a_spoilt_line_is_refused() -> None:
     data["objects"][0][1] = "purple"
     with pytest.raises(UnknownNameError, match="object color 'purple'"):
         Instance.from_dict(data)
+
+
+@given(instances())
+def test_files_of_ones_own_are_on_no_list(instance: Instance) -> None:
+    assert Instance.read(instance.to_json()) == replace(instance, split=OWN_SPLIT)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("{", "no JSON"),
+        ("[" * 100_000, "no JSON"),
+        ("[1]", "describes no instance"),
+        ("{}", "describes no instance"),
+        ('{"version": "v1"}', "version"),
+        (b"\xff\xfe\xff", "no JSON"),
+    ],
+)
+def test_malformed_files_are_refused(text: str | bytes, says: str) -> None:
+    with pytest.raises(InvalidConfigError, match=says):
+        Instance.read(text)
+
+
+def test_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfigError, match="cannot be read"):
+        Instance.load(tmp_path)

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from browser import Page as Browser
 from browser import page_in_chromium
-from looked_at import STACK, session_of, until
+from looked_at import STACK, seen_at, session_of, until
 
 from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.viewer.episode.wish import OWN_WORDS, Phase
 from lemma.viewer.page import Page
-from lemma.viewer.wish import OWN_WORDS, Phase
 
 pytestmark = pytest.mark.slow
 
@@ -85,6 +85,31 @@ def test_what_is_typed_is_shown_as_it_is(browser: Browser, page: Page) -> None:
     assert browser.run(SHOWS.format("none of them"))
     assert browser.run(SHOWS.format(EVIL))
     assert browser.run("window.evil") is None
+
+
+def test_cube_is_dragged_and_the_table_is_ones_own(
+    browser: Browser, page: Page
+) -> None:
+    page.panel.task.value, page.panel.saying.value = "stack", "high_level"
+    page.panel.set_table()
+    until_phase(page, Phase.READY)
+    (visitor,) = page.visitors()
+    assert page.session.play.instance is not None
+    ((cube, _),) = page.session.play.instance.goal.pairs
+    lies = page.session.play.instance.scene.placement(cube).pose
+    to = (0.6 * lies.x, lies.y + 0.2)
+    canvas = "document.querySelector('canvas').getBoundingClientRect()"
+    size = browser.run(f"[{canvas}.width, {canvas}.height]")
+    start, end = (seen_at(visitor, (*xy, 0.03), size) for xy in (lies.xy, to))
+    browser.drag(start, end)
+    until(lambda: page.session.play.wish.own is not None)
+    own = page.session.play.wish.own
+    assert own is not None
+    assert own.scene.placement(cube).pose.xy == pytest.approx(to, abs=0.05)
+    browser.wait_for(SHOWS.format("Your own table"))
+    page.panel.table.forget()
+    until_phase(page, Phase.READY)
+    browser.wait_for(f"!{SHOWS.format('Your own table')}")
 
 
 def test_two_tabs_see_the_same(browser: Browser, page: Page) -> None:

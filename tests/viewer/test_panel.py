@@ -1,20 +1,26 @@
 """The panel without a browser: what its widgets ask for, and what is written there."""
 
+import json
 import socket
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from looked_at import STACK, Reads, own, session_of, until
+import viser
+from looked_at import STACK, Explains, Reads, own, session_of, until
 
 from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import Pose2
 from lemma.tasks.suite import SUITE, load_instance
+from lemma.viewer.episode.by_hand import BY_HAND
+from lemma.viewer.episode.wish import OWN_WORDS, Line, Phase, Reading, Status
+from lemma.viewer.origins import is_own
 from lemma.viewer.page import Page
-from lemma.viewer.panel import PAUSE, PLAY, RESTART, STEP
-from lemma.viewer.pictures import MAP
-from lemma.viewer.wish import OWN_WORDS, Line, Phase, Reading, Status
-from lemma.viewer.words import complaint_html, status_html, timeline_html
+from lemma.viewer.panel.panel import PAUSE, PLAY, RESTART, STEP
+from lemma.viewer.panel.pilot import CLOSE
+from lemma.viewer.panel.words import complaint_html, status_html, timeline_html
+from lemma.viewer.scene.pictures import MAP
 
 VISITOR = SimpleNamespace(client_id=1)
 EVIL = "<img src=x onerror=alert(1)>{1+1}"
@@ -27,10 +33,15 @@ def free_port() -> int:
         return port
 
 
+GOAL = load_instance("stack", "test", 0).goal.pairs
+
+
 @pytest.fixture
 def page() -> Iterator[Page]:
     vague = Reads((("red_cube", "blue_pad"),), 0.2)
-    found = Page(session_of(STACK, vague=vague), "127.0.0.1", free_port())
+    session = session_of(STACK, vague=vague, knows=Explains(GOAL, 0.9))
+    session.policies = (*session.policies, BY_HAND)
+    found = Page(session, "127.0.0.1", free_port())
     yield found
     found.close()
 
@@ -53,7 +64,8 @@ def until_phase(page: Page, phase: Phase) -> None:
 def test_table_is_shown_and_acted_on(page: Page) -> None:
     until_phase(page, Phase.READY)
     assert page.panel.text.value == page.session.play.status.said
-    assert len(page.stage.bodies) > 10
+    assert page.stage.bodies is not None
+    assert len(page.stage.bodies.nodes) > 10
     page.panel.move(PLAY)
     until_phase(page, Phase.SOLVED)
     until_true(page, lambda: page.session.play.transport.at_end)
@@ -132,6 +144,56 @@ def test_overlays_are_switched(page: Page) -> None:
     assert np.abs(contacts.points[:, 2]).max() < 0.2
 
 
+def test_way_of_the_hand_is_drawn(page: Page) -> None:
+    until_phase(page, Phase.READY)
+    page.panel.overlays["way"].value = True
+    page.panel.move(PLAY)
+    until_true(page, lambda: bool(page.stage.overlays["way"]))
+    lines, _ = page.stage.overlays["way"]
+    assert lines.visible
+    (bottom,) = [bottom for _, bottom in GOAL]
+    at = load_instance("stack", "test", 0).scene.placement(bottom).pose
+    assert np.abs(lines.points[:, 0, :2] - at.xy).sum(-1).min() < 0.01
+
+
+def test_why_is_said_and_drawn(page: Page) -> None:
+    until_phase(page, Phase.READY)
+    page.panel.policy.value = "knows"
+    page.panel.overlays["perceived"].value = True
+    page.panel.act()
+    until_true(page, lambda: "Why" in page.panel.why.content)
+    assert "90% stop" in page.panel.why.content
+    assert "10% " in page.panel.why.content
+    assert page.panel.why.content.count("cm inside") == 2
+    assert page.panel.why.content.count("cm too far") == 2
+    drawn = page.stage.overlays["perceived"]
+    assert all(node.visible for node in drawn)
+    assert any("goes on top" in str(getattr(node, "text", "")) for node in drawn)
+    page.panel.move(RESTART)
+    page.panel.policy.value = "oracle"
+    page.panel.set_table()
+    until_phase(page, Phase.READY)
+    assert not page.stage.overlays["perceived"]
+    assert not page.panel.why.content
+
+
+def test_policy_behind_an_address_is_offered(page: Page) -> None:
+    until_phase(page, Phase.READY)
+    for bad in ("os:system", "", "http://", "file:///etc/passwd"):
+        page.panel.address.value = bad
+        page.panel.offer()
+        assert "no address" in page.panel.status.content
+    page.panel.address.value = " http://127.0.0.1:1 "
+    page.panel.offer()
+    assert page.panel.policy.value == "http://127.0.0.1:1"
+    page.panel.act()
+    until_phase(page, Phase.BROKEN)
+    assert "127.0.0.1:1" in page.panel.status.content
+    page.panel.policy.value = "oracle"
+    page.panel.set_table()
+    until_phase(page, Phase.READY)
+
+
 @pytest.mark.render
 def test_pictures_follow(page: Page) -> None:
     until_phase(page, Phase.READY)
@@ -141,12 +203,138 @@ def test_pictures_follow(page: Page) -> None:
     assert page.panel.image.image.std() > 5.0
 
 
+class Client:
+    """Stands for a visitor who is given files."""
+
+    def __init__(self) -> None:
+        self.files: dict[str, bytes] = {}
+
+    def send_file_download(self, name: str, content: bytes, **_: object) -> None:
+        self.files[name] = content
+
+
+def test_table_is_saved_and_opened_again(page: Page) -> None:
+    until_phase(page, Phase.READY)
+    page.panel.table.drop("red_cube", Pose2(0.1, 0.7))
+    until_phase(page, Phase.READY)
+    assert "problem" in page.panel.table.told.content
+    visitor = Client()
+    page.panel.table.download(visitor)
+    ((name, content),) = visitor.files.items()
+    assert name == "stack-own-0.json"
+    own = page.session.play.instance
+    page.panel.table.forget()
+    until_phase(page, Phase.READY)
+    assert page.session.play.instance != own
+    page.panel.table.read(content)
+    until_phase(page, Phase.READY)
+    assert page.session.play.instance == own
+    # Whoever chooses another table means one of the list.
+    page.panel.index.value = 3
+    page.panel.chosen(VISITOR)
+    until_phase(page, Phase.READY)
+    assert page.session.play.instance == load_instance("stack", "test", 3)
+
+
+def test_handles_of_a_hand_are_there_while_it_is_led(page: Page) -> None:
+    until_phase(page, Phase.READY)
+    assert not page.panel.pilot.folder.visible
+    visitor = Client()
+    page.panel.pilot.download(visitor)
+    assert not visitor.files
+    page.panel.policy.value = BY_HAND
+    page.panel.act()
+    until_true(page, lambda: page.session.hand.target(1) is not None)
+    assert page.panel.pilot.folder.visible
+    robots = page.panel.pilot.robot
+    robots.value = robots.options[1]
+    page.panel.pilot.grip(CLOSE)
+    goal = page.session.hand.target(1)
+    assert goal is not None
+    assert goal[7] == 0.0
+    until_true(page, lambda: page.session.play.transport.cursor_s > 0.3)
+    page.panel.pilot.download(visitor)
+    ((name, content),) = visitor.files.items()
+    assert name == "stack-test-0-by-hand.json"
+    assert len(json.loads(content)["actions"]["rows"]) >= 6
+    page.panel.policy.value = "oracle"
+    page.panel.set_table()
+    until_phase(page, Phase.READY)
+    assert not page.panel.pilot.folder.visible
+
+
+def test_file_that_holds_no_table_is_refused(page: Page) -> None:
+    until_phase(page, Phase.READY)
+    for content in (b"", b"[]", b"x" * 2_000_000):
+        page.panel.table.read(content)
+        page.tick(0.0)
+        assert "The file" in page.panel.status.content
+    assert page.session.play.wish.own is None
+
+
+def test_what_is_carried_is_shown_and_snaps_back(page: Page) -> None:
+    until_phase(page, Phase.READY)
+    hands, bodies = page.panel.table.hands, page.stage.bodies
+    assert bodies is not None
+    before = bodies.pose("red_cube")
+    bodies.elsewhere["red_cube"] = Pose2(0.1, 0.0)
+    page.tick(0.0)
+    (node,) = [n for n in bodies.nodes.values() if n.name == "/world/red_cube"]
+    assert node.position[0] == pytest.approx(before.x + 0.1)
+    hands.let_go()
+    page.tick(0.0)
+    assert node.position[0] == pytest.approx(before.x)
+
+
 def test_two_pages_take_two_ports_and_know_nothing_of_each_other(page: Page) -> None:
     other = Page(session_of(), "127.0.0.1", page.port)
     assert other.port != page.port
     other.session.ask(own("x"), acts=True)
     until_phase(page, Phase.READY)
     other.close()
+
+
+@pytest.mark.parametrize(
+    ("origin", "opens"),
+    [
+        (None, True),
+        ("http://127.0.0.1:{port}", True),
+        ("http://127.0.0.1:1", False),
+        ("http://evil.example", False),
+        ("null", False),
+    ],
+)
+def test_other_pages_cannot_steer_this_one(
+    page: Page, origin: str | None, opens: bool
+) -> None:
+    client = pytest.importorskip("websockets.sync.client")
+    asked = {
+        "origin": origin and origin.format(port=page.port),
+        "subprotocols": [f"viser-v{viser.__version__}"],
+        "proxy": None,
+    }
+    address = page.address.replace("http", "ws")
+    if opens:
+        with client.connect(address, **asked) as socket:
+            assert socket.recv(timeout=10.0)
+    else:
+        with pytest.raises(Exception, match="403"):
+            client.connect(address, **asked)
+
+
+@pytest.mark.parametrize(
+    ("host", "listens_at", "own"),
+    [
+        ("localhost:8080", "127.0.0.1", True),
+        ("[::1]:8080", "::1", True),
+        ("evil.example:8080", "127.0.0.1", False),
+        ("robots.example:8080", "0.0.0.0", True),
+    ],
+)
+def test_a_name_that_resolves_to_this_machine_is_not_ours(
+    host: str, listens_at: str, own: bool
+) -> None:
+    assert is_own(f"http://{host}", host, listens_at) is own
 
 
 def test_nothing_that_was_typed_is_markup() -> None:

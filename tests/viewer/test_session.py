@@ -6,7 +6,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
-from looked_at import SAID, STACK, Reads, own, player_of, session_of, until
+from looked_at import (
+    SAID,
+    STACK,
+    Reads,
+    StandsStill,
+    own,
+    player_of,
+    session_of,
+    until,
+)
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose
@@ -14,10 +23,11 @@ from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.spec import PolicySpec
 from lemma.scene.palette import BENCHMARK_COLORS
-from lemma.tasks.suite import load_instance
-from lemma.viewer.play import Play
-from lemma.viewer.reading import check_plan
-from lemma.viewer.wish import Phase, Reading, Wish
+from lemma.tasks.language.template import KINDS
+from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.viewer.episode.play import Play
+from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan
+from lemma.viewer.episode.wish import Phase, Reading, Wish
 
 INSTANCE = load_instance("stack", "test", 0)
 ABSENT = [c for c in BENCHMARK_COLORS if f"{c}_cube" not in INSTANCE.scene.object_names]
@@ -91,6 +101,33 @@ def test_what_is_not_understood_is_not_acted_on(wish: Wish, says: str) -> None:
     assert play.rollout.episode.elapsed_s == 0.0
 
 
+@pytest.mark.parametrize(
+    "said",
+    [
+        "Do not put the red cube on the green cube",
+        "don't put the red cube on the green cube",
+        "Never ever",
+    ],
+)
+def test_what_shall_not_be_is_not_understood(said: str) -> None:
+    play = played(own(said, "reader"), reader=Reads(INSTANCE.goal.pairs, 0.9))
+    assert play.status.phase is Phase.FAILED
+    assert play.status.reading is not None
+    assert play.status.reading.pairs is None
+    assert "shall not be" in play.status.reading.note
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_no_sentence_of_the_benchmark_is_taken_for_a_denial(task: str) -> None:
+    given = load_instance(task, "test", 1)
+    bank, blind = task_named(task).language, Rollout(INSTANCE).given(None)
+    for kind in KINDS:
+        for template in bank.templates(kind):
+            said = template.render(given.goal.pairs)
+            told = replace(blind, instruction=said)
+            assert ask_reader(Reads(given.goal.pairs, 0.9), told, given).acts
+
+
 def test_goal_that_was_read_is_what_is_judged() -> None:
     reader = Reads(INSTANCE.goal.pairs, 0.9)
     play = played(own(SAID, "reader"), reader=reader)
@@ -111,6 +148,18 @@ def test_expert_says_when_it_knows_no_way() -> None:
         found = check_plan(Reading(pairs), simulation.scene, needed=needed)
         assert "no way" in found.note
         assert found.acts is not needed
+
+
+def test_motor_commands_are_played_too() -> None:
+    play = Play(
+        replace(STACK, policy="still"), player_of(still=StandsStill()), acts=True
+    )
+    until(lambda: play.transport.cursor_s > 1.0, play)
+    assert play.status.phase is Phase.ACTING
+    assert play.status.reading == SILENT
+    assert play.rollout is not None
+    assert play.scene is play.rollout.episode.simulation.scene
+    assert play.leave(20.0)
 
 
 class Raises:

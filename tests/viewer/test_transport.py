@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from lemma.viewer.transport import FRAME_S, AbandonedError, Transport
+from lemma.viewer.episode.transport import FRAME_S, AbandonedError, Transport
 
 
 class Ticking:

@@ -1,5 +1,6 @@
 """`lemma demo`: the expert or another policy at work, one instance per task."""
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -16,13 +17,16 @@ from lemma.evaluation.run.rollout import Player
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE
-from lemma.viewer.reading import hear, say_goal
+from lemma.viewer.episode.reading import hear, say_goal
 from lemma.viz.illustrate import illustrate_all
 from lemma.viz.pages.demo import write_page
 from lemma.viz.recording import RecordedStep, Recording, record, warm_up
 from lemma.viz.video import VideoStyle
 
 _OUT = Path("out/demo")
+_REPLAYS = "replays"
+_FINER = 4
+_WHO = "The policy at work"
 
 
 def demo(
@@ -39,7 +43,7 @@ def demo(
     """Let a policy solve one instance of each task; write videos and a page.
 
     Args:
-        tasks: Tasks to solve; all eight if none is named.
+        tasks: Tasks to solve; all eight if none is named, nor a file.
         which: Which instance.
         policy: oracle: the expert; a model; PLANNER+GROUNDER; or package.module:Class.
         say: A sentence of your own, said at the table of one task.
@@ -50,7 +54,9 @@ def demo(
     Returns:
         Exit code: 1 if the policy failed at any task.
     """
-    names = tuple(dict.fromkeys(tasks)) or SUITE
+    names: tuple[str | None, ...] = tuple(dict.fromkeys(tasks)) or SUITE
+    if which.instance is not None and not tasks:
+        names = (None,)
     if say is not None and len(names) != 1:
         raise InvalidConfigError("--say is about one table: name one task.")
     instances = [select_instance(name, which) for name in names]
@@ -95,13 +101,13 @@ def _solve_and_film(
 ) -> list[Recording]:
     """Solve all instances, then render; at once, it would spoil the times."""
     style = VideoStyle()
-    recordings = [
-        _solve(console, instance, player, style.frame_s) for instance in instances
-    ]
+    # A replay may be looked at slowly; a video needs fewer states.
+    frame_s = style.frame_s / _FINER
+    recordings = [_solve(console, instance, player, frame_s) for instance in instances]
     console.print(f"\nRendering {len(recordings)} videos in {page.parent} ...")
     try:
         illustrations = illustrate_all(
-            recordings,
+            [recording.thinned(_FINER) for recording in recordings],
             page.parent,
             style,
             on_video=lambda path: console.print(f"  {path.name}"),
@@ -111,8 +117,27 @@ def _solve_and_film(
             f"Interrupted: videos that were named are in {page.parent}; the page is "
             "not written."
         ) from None
-    write_page(page, recordings, illustrations, style.speed)
+    replays = _replay_all(console, recordings, page.parent)
+    write_page(page, recordings, illustrations, style.speed, replays)
     return recordings
+
+
+def _replay_all(
+    console: Console, recordings: list[Recording], folder: Path
+) -> dict[str, str]:
+    """Write a page to turn around for each; return their files, by task."""
+    if not (find_spec("viser") and find_spec("trimesh")):
+        console.print("No replays: they take the extra play.")
+        return {}
+    from lemma.viewer.recording.pages import write_recording
+
+    replays = {}
+    for done in recordings:
+        task = done.instance.task
+        replays[task] = f"{_REPLAYS}/{task}.html"
+        write_recording(folder / replays[task], done, _WHO)
+        console.print(f"  {replays[task]}")
+    return replays
 
 
 def _solve(

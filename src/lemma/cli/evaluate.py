@@ -70,6 +70,8 @@ class EvaluateOptions:
     language: Literal["full", "none", "shuffled", "swapped"] = "full"
     """Controls. none: nothing is said; shuffled: what belongs to the next instance;
     swapped: other colors, which ask for another goal on the same table."""
+    instance: File = None
+    """A JSON file with an instance of your own: it alone is played."""
     perturb_start: Flag = False
     """Objects begin up to 3 cm and 15 degrees from where the instances say."""
     protocol: Literal["both", "strict"] = "both"
@@ -166,11 +168,16 @@ def _config(
     from lemma.evaluation.evaluation import named_at
     from lemma.evaluation.run.evaluate import EvaluationConfig
     from lemma.policies.spec import PolicySpec
+    from lemma.tasks.instance import OWN_SPLIT, Instance
     from lemma.tasks.language.blind import kinds_of
     from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
+    own = Instance.load(ask.instance) if ask.instance else None
     tasks = _names(ask.tasks, SUITE)
-    split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
+    if own is not None and ask.tasks == _ALL:
+        tasks, split = (own.task,), OWN_SPLIT
+    else:
+        split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
     split = ask.split or split
     return EvaluationConfig(
         out=out,
@@ -187,6 +194,7 @@ def _config(
         language=ask.language,
         perturb_start=ask.perturb_start,
         verdicts=ask.protocol,
+        instance=own,
     )
 
 

@@ -25,6 +25,12 @@ TaskNames = Annotated[
 """Any number of tasks."""
 TaskName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")]
 """Exactly one task."""
+MaybeTask = Annotated[
+    str | None,
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="[TASK]", help_behavior_hint=""),
+]
+"""A task, where a file may say which."""
 Word = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 """An optional name."""
 Arguments = Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")]

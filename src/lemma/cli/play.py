@@ -2,15 +2,23 @@
 
 import webbrowser
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from lemma.cli.options import Flag, Number, Word, messages, output
+from lemma.cli.options import File, Flag, MaybeTask, Number, Word, messages, output
+from lemma.cli.selection import Selection, read_instance
+from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.tasks.suite import default_split
 from lemma.tasks.task import TASKS
-from lemma.viewer.wish import OWN_WORDS, Wish
+from lemma.viewer.episode.wish import OWN_WORDS, Wish
 
+if TYPE_CHECKING:
+    from lemma.viewer.failures.page import FailurePage
+    from lemma.viewer.page import Page
+
+_FIRST = "hook_stack"
 LOOPBACK = "127.0.0.1"
 
 
@@ -29,53 +37,98 @@ class Listening:
 _HERE = Listening()
 
 
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """What it begins with."""
+
+    index: Number = None
+    """Number of the instance; 0 by default."""
+    split: Word = None
+    """Frozen list to take it from: train, val or test; or free, which samples it. By
+    default test, and free for tasks of your own."""
+    instance: File = None
+    """A JSON file with an instance of your own, to begin with."""
+
+
+_FIRST_ONE = Beginning()
+
+
 def play(
-    task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TASK]")] = (
-        "hook_stack"
-    ),
-    index: Number = None,
-    split: Word = None,
+    task: MaybeTask = None,
+    which: Annotated[Beginning, tyro.conf.arg(name="")] = _FIRST_ONE,
     policy: Word = None,
     say: Annotated[
         str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")
     ] = None,
+    failures: Flag = False,
     at: Annotated[Listening, tyro.conf.arg(name="")] = _HERE,
 ) -> int:
     """Open a page in the browser: say something, and watch two robots do it.
 
     Args:
-        task: Task to begin with.
-        index: Number of its instance; 0 by default.
-        split: Frozen list to take it from: train, val or test; or free, which samples
-            it. By default test, and free for tasks of your own.
+        task: Task to begin with, hook_stack by default; with --failures a folder of
+            results.
+        which: Of its instances.
         policy: Who acts, as in lemma evaluate. By default reachnet where torch is
             installed, else the expert, which reads the benchmark's sentences alone.
         say: A sentence of your own, which is acted on at once.
+        failures: Look at what went wrong in a folder of results, beside what the expert
+            would have done, or another policy did.
         at: Where the page is.
 
     Returns:
         Exit code: 0 after Ctrl-C.
     """
+    _warn_of(at.host)
+    if failures:
+        if which != _FIRST_ONE or say is not None:
+            raise InvalidConfigError("--failures takes --policy and no instance.")
+        return _open(_failures(task, policy, at), at)
+    from lemma.viewer.episode.session import Session
     from lemma.viewer.page import Page
     from lemma.viewer.policies import choices
-    from lemma.viewer.session import Session
 
+    split, index, instance = which.split, which.index, which.instance
+    own = None
+    if instance is not None:
+        own = read_instance(instance, task, Selection(split=split, index=index))
+        task = own.task
+    task = task or _FIRST
     TASKS[task]
     policies = choices(policy)
-    wish = Wish(
-        task,
-        split or default_split(task, "test"),
-        index or 0,
-        "high_level" if say is None else OWN_WORDS,
-        say or "",
-        policy or policies[0],
+    split = split or default_split(task, "test")
+    kind = "high_level" if say is None else OWN_WORDS
+    who = policy or policies[0]
+    wish = Wish(task, split, index or 0, kind, say or "", who, own)
+    return _open(
+        Page(Session(wish, policies, acts=say is not None), at.host, at.port), at
     )
-    if at.host not in (LOOPBACK, "localhost", "::1"):
-        messages().print(
-            f"Whoever reaches {at.host} can use this page; it asks for no password.",
-            style="yellow",
+
+
+def _failures(folder: str | None, policy: str | None, at: Listening) -> "FailurePage":
+    """Return the page of the failures in a folder.
+
+    Raises:
+        InvalidConfigError: There is no folder, or nothing failed.
+        UnknownNameError: Nothing failed of that policy.
+    """
+    from lemma.viewer.failures.catalog import ALL, Catalog, Filter
+    from lemma.viewer.failures.page import FailurePage
+    from lemma.viewer.recording.sources import cases_in
+
+    if folder is None:
+        raise InvalidConfigError(
+            "--failures looks at results. Name their folder: lemma play runs/mine "
+            "--failures"
         )
-    page = Page(Session(wish, policies, acts=say is not None), at.host, at.port)
+    catalog = Catalog(cases_in(Path(folder)))
+    if policy is not None and policy not in catalog.policies:
+        raise UnknownNameError("policy", policy, catalog.policies[1:])
+    return FailurePage(catalog, at.host, at.port, Filter(policy or ALL))
+
+
+def _open(page: "Page | FailurePage", at: Listening) -> int:
+    """Show a page until Ctrl-C."""
     try:
         output().print(f"{page.address}   (Ctrl-C ends it)", soft_wrap=True)
         if not at.no_open:
@@ -86,3 +139,11 @@ def play(
     finally:
         page.close()
     return 0
+
+
+def _warn_of(host: str) -> None:
+    if host not in (LOOPBACK, "localhost", "::1"):
+        messages().print(
+            f"Whoever reaches {host} can use this page; it asks for no password.",
+            style="yellow",
+        )

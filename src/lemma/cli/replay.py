@@ -1,6 +1,6 @@
 """`lemma replay`: do a recipe again, and compare every state to the bit."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -9,6 +9,7 @@ import tyro
 from rich.table import Table
 
 from lemma.cli.options import Flag, JsonFlag, Number, Word, output, print_json
+from lemma.cli.options import Folder as OutFolder
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.reader import Recipe, load
@@ -19,32 +20,52 @@ _AT_INTERRUPT = (
     "found is not kept."
 )
 _SHOWN = 20
+_IN_A_PAGE = 8
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
 """A recipe."""
 
 
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Which episodes."""
+
+    task: Word = None
+    """Only the episodes of this task."""
+    split: Word = None
+    """Only the episodes of this split."""
+    limit: Number = None
+    """Only the first so many of those; with --browser 8 by default."""
+
+
+_ALL = Part()
+
+
 def replay(
     data: Folder,
-    task: Word = None,
-    split: Word = None,
-    limit: Number = None,
+    part: Annotated[Part, tyro.conf.arg(name="")] = _ALL,
     working: WorkerOptions = DEFAULT,
+    browser: OutFolder = None,
     validate: Flag = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Execute a recipe again, and say where its states cannot be reproduced.
 
+    With --browser, episodes are done again to be looked at: of a recipe, or of what
+    lemma evaluate wrote, there beside what the expert would have done.
+
     Args:
         data: Folder of the recipe.
-        task: Only the episodes of this task.
-        split: Only the episodes of this split.
-        limit: Only the first so many of those.
+        part: Which episodes.
         working: Where to work.
+        browser: Folder for a page that plays them without a server or a network, and
+            a .viser file of each.
         validate: Accepted for clarity: every replay validates.
         as_json: Print one JSON object instead of words.
     """
-    recipe = choose(load(data), task, split, limit)
+    if browser is not None:
+        return _show(data, browser, part)
+    recipe = choose(load(data), part.task, part.split, part.limit)
     engine = working.make_engine()
     start = perf_counter()
     with progress_bar("replay", len(recipe), _AT_INTERRUPT) as advance:
@@ -57,6 +78,28 @@ def replay(
     return 1 if drifting else 0
 
 
+def _show(data: Path, out: Path, part: Part) -> int:
+    from lemma.viewer.recording.pages import write_folder
+    from lemma.viewer.recording.sources import replays_in
+
+    _check(part.limit)
+    most = part.limit or _IN_A_PAGE
+    count, replays = replays_in(data, part.task, part.split, most)
+    done = []
+    with progress_bar("replay", count, "no page was written.") as advance:
+        for replay in replays:
+            done.append(replay)
+            advance(1)
+    page = write_folder(out, done)
+    output().print(f"Episodes: {count}. Page: {page}", soft_wrap=True)
+    return 0
+
+
+def _check(limit: int | None) -> None:
+    if limit is not None and limit < 1:
+        raise InvalidConfigError(f"--limit is 1 or more, not {limit}.")
+
+
 def choose(
     recipe: Recipe, task: str | None, split: str | None, limit: int | None = None
 ) -> Recipe:
@@ -65,8 +108,7 @@ def choose(
     Raises:
         InvalidConfigError: There are none.
     """
-    if limit is not None and limit < 1:
-        raise InvalidConfigError(f"--limit is 1 or more, not {limit}.")
+    _check(limit)
     chosen = recipe.select(task=task, split=split)[:limit]
     if not len(chosen):
         raise InvalidConfigError(

@@ -1,11 +1,12 @@
 """Which instance a verb works on: frozen by split and index, or sampled by seed."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from lemma.cli.options import Number, Team, Word
+from lemma.cli.options import File, Number, Team, Word
 from lemma.core.errors import InvalidConfigError
 from lemma.robots.ur.build import ARMS
 from lemma.tasks.instance import Instance
@@ -26,6 +27,9 @@ class Selection:
     """Sample a new instance with this seed, instead of a frozen one."""
     robots: Team = None
     """Sample a new instance with these arms from left to right, as in ur5,ur10."""
+    instance: File = None
+    """An instance of your own: a JSON file that lemma play saved, or Python's
+    Instance.to_json()."""
 
 
 DEFAULT = Selection()
@@ -35,17 +39,22 @@ SelectionOptions = Annotated[Selection, tyro.conf.arg(name="")]
 """The fields of a selection as options of a verb."""
 
 
-def select_instance(task: str, wish: Selection) -> Instance:
+def select_instance(task: str | None, wish: Selection) -> Instance:
     """Return the instance that a user asked for.
 
     Args:
-        task: Name of the task.
+        task: Name of the task; None if the file says it.
         wish: Which one.
 
     Raises:
         UnknownNameError: No such task, split or arm type.
-        InvalidConfigError: The index is out of range, or the wishes contradict.
+        InvalidConfigError: The index is out of range, the file holds no instance, or
+            the wishes contradict.
     """
+    if wish.instance is not None:
+        return read_instance(wish.instance, task, wish)
+    if task is None:
+        raise InvalidConfigError("Name a task, or a file with --instance FILE.json.")
     task_named(task)
     listed = wish.seed is None and wish.robots is None
     if listed:
@@ -63,6 +72,34 @@ def select_instance(task: str, wish: Selection) -> Instance:
         return load_instance(task, FREE_SPLIT, seed)
     team = parse_team(wish.robots)
     return sample(task_named(task), FREE_SPLIT, seed, team=team).instance
+
+
+def read_instance(path: Path, task: str | None, wish: Selection = DEFAULT) -> Instance:
+    """Return an instance of somebody's own.
+
+    Args:
+        path: The JSON file.
+        task: Of which it must be; any if None.
+        wish: What else was asked for.
+
+    Raises:
+        UnknownNameError: It names a task or a thing that does not exist.
+        InvalidConfigError: It holds no instance, is of another task, or more was asked
+            for than it.
+    """
+    found = Instance.load(path)
+    task_named(found.task)
+    if task not in (None, found.task):
+        raise InvalidConfigError(
+            f"{path} is an instance of {found.task}, not of {task}. Name no task."
+        )
+    others = ("split", "index", "seed", "robots")
+    if any(getattr(wish, name) is not None for name in others):
+        raise InvalidConfigError(
+            "--instance names a file, which says all of it. Use it without --split, "
+            "--index, --seed and --robots."
+        )
+    return found
 
 
 def parse_team(robots: str) -> tuple[str, str]:

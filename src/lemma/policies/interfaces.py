@@ -9,6 +9,7 @@ the simulation, and no attribute of it leads back. Who needs the truth is an
 :class:`Oracle` by type, and results say so.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -238,5 +239,56 @@ class Reader(Protocol):
 
         Returns:
             The likeliest pairs, none if there is none, and how likely they are.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class SeenObject:
+    """A thing that a policy perceived."""
+
+    name: str
+    """Of the entity."""
+    at: tuple[float, float]
+    """Where, on the table [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenRobot:
+    """A robot that a policy perceived, by its number in a team."""
+
+    at: tuple[float, float]
+    """Where its base is [m]."""
+    reach_m: tuple[float, float]
+    """Radii between which the policy believes that it works [m]."""
+
+    def margin_m(self, point: tuple[float, float]) -> float:
+        """Return how far inside the reach a point is; negative outside [m]."""
+        inner, outer = self.reach_m
+        distance = math.dist(self.at, point)
+        return min(distance - inner, outer - distance)
+
+
+@dataclass(frozen=True, slots=True)
+class Insight:
+    """Why a policy decides as it does."""
+
+    objects: tuple[SeenObject, ...]
+    robots: tuple[SeenRobot, ...]
+    goal: GoalPairs
+    """The (top, bottom) pairs that it takes the sentence for."""
+    options: tuple[tuple[SubTask, float], ...]
+    """The likeliest sub-tasks, and how likely it holds each, in [0, 1]."""
+
+
+@runtime_checkable
+class Explainer(Protocol):
+    """A policy that can say what it perceived, and what else it thought of."""
+
+    def explain(self, inputs: Sequence[PolicyInput]) -> list[Insight]:
+        """Return why each decision is what it is.
+
+        Args:
+            inputs: One per episode; at least one.
         """
         ...

@@ -22,21 +22,42 @@ def check_layout(scene: Scene) -> None:
         InvalidConfigError: Two of them overlap, or an object's origin is not on the
             table.
     """
-    gap = scene.spec.gap_m
     for name in scene.spec.object_names:
-        x, y, _ = scene.pose(name).position
-        if not lies_on_table(gap, Pose2(x, y)):
-            wide = " or ".join(f"from {a:g} to {b:g}" for a, b in tops(gap))
-            raise InvalidConfigError(
-                f"The {name} at ({x:g}, {y:g}) m does not lie on the table. Valid: x "
-                f"{wide}, y from {-TABLE_HALF_Y_M:g} to {TABLE_HALF_Y_M:g}."
-            )
+        _check_on_table(scene, name)
     for first, second, depth_m in _overlaps(scene):
         if depth_m > TOLERANCE_M:
             raise InvalidConfigError(
                 f"{first} and {second} overlap by {1000 * depth_m:.0f} mm where they "
                 "begin. Place them apart."
             )
+
+
+def check_place(scene: Scene, name: str) -> None:
+    """Check where one object of a scene is now; changes no state.
+
+    Args:
+        scene: As it is, in the middle of an episode or before.
+        name: Of the object.
+
+    Raises:
+        InvalidConfigError: It overlaps with something, or does not lie on the table.
+    """
+    _check_on_table(scene, name)
+    for *both, depth_m in _overlaps(scene):
+        if name in both and depth_m > TOLERANCE_M:
+            raise InvalidConfigError(
+                f"{both[0]} and {both[1]} would overlap by {1000 * depth_m:.0f} mm."
+            )
+
+
+def _check_on_table(scene: Scene, name: str) -> None:
+    gap, (x, y, _) = scene.spec.gap_m, scene.pose(name).position
+    if not lies_on_table(gap, Pose2(x, y)):
+        wide = " or ".join(f"from {a:g} to {b:g}" for a, b in tops(gap))
+        raise InvalidConfigError(
+            f"The {name} at ({x:g}, {y:g}) m does not lie on the table. Valid: x "
+            f"{wide}, y from {-TABLE_HALF_Y_M:g} to {TABLE_HALF_Y_M:g}."
+        )
 
 
 def _overlaps(scene: Scene) -> list[tuple[str, str, float]]:

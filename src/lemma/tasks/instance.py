@@ -3,7 +3,8 @@
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypedDict
 
 import msgspec
@@ -16,6 +17,9 @@ from lemma.tasks.goal import Goal
 
 BENCHMARK_VERSION = "v2"
 """Part of every instance's key: a change of the sampler is a new version."""
+
+OWN_SPLIT = "own"
+"""Split of instances that somebody changed: they are on no list."""
 
 SPLITS = {"train": 700, "val": 40, "test": 60}
 """Frozen instances per task and split (paper, section V)."""
@@ -151,6 +155,60 @@ class Instance:
             instructions=dict(data["instructions"]),
             distractors=tuple(data["distractors"]),
         )
+
+    @classmethod
+    def read(cls, text: str | bytes, source: str = "What was given") -> "Instance":
+        """Make an instance from the JSON of what :meth:`to_dict` returned.
+
+        Args:
+            text: The JSON.
+            source: Where it comes from, for the error.
+
+        Returns:
+            The instance, in :data:`OWN_SPLIT`: whatever a file says, it is on no list.
+
+        Raises:
+            InvalidConfigError: It is no JSON, of another version of the benchmark, or
+                describes no instance.
+            UnknownNameError: It names something that does not exist.
+        """
+        try:
+            data = json.loads(text)
+        # A thousand brackets are no data of ours, and overflow the parser.
+        except (ValueError, RecursionError) as error:
+            raise InvalidConfigError(f"{source} is no JSON: {error}.") from None
+        if not isinstance(data, dict):
+            raise InvalidConfigError(
+                f"{source} describes no instance: it is no object."
+            )
+        version = data.get("version", BENCHMARK_VERSION)
+        if version != BENCHMARK_VERSION:
+            raise InvalidConfigError(
+                f"{source} is of version {shown(version)} of the benchmark, and this "
+                f"is {BENCHMARK_VERSION}."
+            )
+        return replace(cls.from_dict(data), split=OWN_SPLIT)
+
+    @classmethod
+    def load(cls, path: Path) -> "Instance":
+        """Read an instance from a file; see :meth:`read`.
+
+        Raises:
+            InvalidConfigError: The file cannot be read, or see :meth:`read`.
+            UnknownNameError: It names something that does not exist.
+        """
+        try:
+            text = path.read_bytes()
+        except OSError as error:
+            raise InvalidConfigError(
+                f"{path} cannot be read: {error.strerror or error}. Valid: a file that "
+                "lemma play saved, or the JSON of Instance.to_dict()."
+            ) from None
+        return cls.read(text, str(path))
+
+    def to_json(self) -> str:
+        """Return it as a file for people and programs; see :meth:`read`."""
+        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False) + "\n"
 
     def sha256(self) -> str:
         """Return the SHA-256 of the instance's canonical JSON."""

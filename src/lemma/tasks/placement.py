@@ -43,7 +43,8 @@ _ROUNDS = 4
 _CHECKS = 40
 """Positions of a round, at most, that are looked at one by one."""
 _STICK_EDGE_M = 0.05
-_BESIDE_BASE_M = 0.06
+BESIDE_BASE_M = 0.06
+"""Between what an arm sweeps around its base and an object, at least."""
 
 _KINDS = ("cube", "pad")
 """Kinds whose colors are shuffled first of all, in the benchmark's order."""
@@ -149,34 +150,44 @@ class Board:
 
     def stick(self, robot: int) -> str:
         """Put the stick where one robot alone can touch it, pick it up and swing it."""
-        others = [r for r in range(len(self.robots)) if r != robot]
-        base, only = self.robots[robot].base, self.only(robot)
-
-        def possible(x: FloatArray, y: FloatArray, yaw: FloatArray) -> Mask:
-            # Of the C library, and not NumPy's: the same bits on every machine.
-            cos = np.array([math.cos(angle) for angle in yaw.tolist()])
-            sin = np.array([math.sin(angle) for angle in yaw.tolist()])
-            at = [(x + u * cos - v * sin, y + u * sin + v * cos) for u, v in _OUTLINE]
-            grasp = grasp_on_stick(Pose2(0.0, 0.0)).x
-            fits = only.sift(STICK_KIND, x + grasp * cos, y + grasp * sin)
-            for u, v in at:
-                fits &= self.territory.on_table(u, v, _STICK_EDGE_M)
-                fits &= self.territory.in_view(u, v)
-                for other in others:
-                    fits &= self.territory.cannot(other, STICK_KIND, u, v)
-            return fits
-
         for _ in range(_ROUNDS):
             x, y, yaw = self._draw()
-            for i in np.flatnonzero(possible(x, y, yaw))[:_CHECKS]:
+            possible = self.suits_stick(robot, x, y, yaw)
+            for i in np.flatnonzero(possible)[:_CHECKS]:
                 pose = Pose2(float(x[i]), float(y[i]), float(yaw[i])).rounded()
-                if heading_from(base, pose) > LARGEST_HEADING_RAD:
+                if heading_from(self.robots[robot].base, pose) > LARGEST_HEADING_RAD:
                     continue
                 if self._stick_fits(pose):
                     placed = ObjectPlacement("stick", "yellow", pose)
                     self.objects.append(placed)
                     return placed.name
         raise PlacementError("stick")
+
+    def suits_stick(
+        self, robot: int, x: FloatArray, y: FloatArray, yaw: FloatArray
+    ) -> Mask:
+        """Return where all of the stick is one robot's alone, whatever else lies there.
+
+        Args:
+            robot: Who shall pick it up.
+            x: World positions, (n,) [m].
+            y: World positions, (n,) [m].
+            yaw: Directions of its handle, (n,) [rad].
+        """
+        only = self.only(robot)
+        others = [r for r in range(len(self.robots)) if r != robot]
+        # Of the C library, and not NumPy's: the same bits on every machine.
+        cos = np.array([math.cos(angle) for angle in yaw.tolist()])
+        sin = np.array([math.sin(angle) for angle in yaw.tolist()])
+        at = [(x + u * cos - v * sin, y + u * sin + v * cos) for u, v in _OUTLINE]
+        grasp = grasp_on_stick(Pose2(0.0, 0.0)).x
+        fits = only.sift(STICK_KIND, x + grasp * cos, y + grasp * sin)
+        for u, v in at:
+            fits &= self.territory.on_table(u, v, _STICK_EDGE_M)
+            fits &= self.territory.in_view(u, v)
+            for other in others:
+                fits &= self.territory.cannot(other, STICK_KIND, u, v)
+        return fits
 
     def tool_only(
         self,
@@ -227,7 +238,11 @@ class Board:
             )
 
         self._drags.append((primitive, robot, receiver, len(self.objects)))
-        return Zone(sift, check, (partner,) if alone else (), tool=alone)
+        helps = f"drag it home to the {{{robot}}}"
+        if primitive is Primitive.POKE:
+            helps = f"push it to the {{{partner}}}"
+        says = f"where no robot could touch it, and the stick helps to {helps} alone"
+        return Zone(sift, check, (partner,) if alone else (), tool=alone, says=says)
 
     def can_drag(
         self,
@@ -329,7 +344,7 @@ class Board:
 
     def _fits(self, kind: ObjectKind, pose: Pose2) -> bool:
         for robot in self.robots:
-            if robot.base.distance(pose) < sweep_radius_m(robot.arm) + _BESIDE_BASE_M:
+            if robot.base.distance(pose) < sweep_radius_m(robot.arm) + BESIDE_BASE_M:
                 return False
         for placed in self.objects:
             other = placed.entity.kind
@@ -346,7 +361,7 @@ class Board:
         """Whether the stick is clear of everything."""
         for robot in self.robots:
             gap = stick_gap(pose, robot.base.x, robot.base.y)
-            if gap < sweep_radius_m(robot.arm) + _BESIDE_BASE_M:
+            if gap < sweep_radius_m(robot.arm) + BESIDE_BASE_M:
                 return False
         return all(
             stick_gap(pose, placed.pose.x, placed.pose.y)

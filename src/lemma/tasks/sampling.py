@@ -20,14 +20,17 @@ from lemma.tasks.placement import Board, PlacementError
 from lemma.tasks.task import Task
 from lemma.tasks.zones import FROM_EDGE_M, OUTSIDE_M
 
-_SHARED_WIDTH_M = (0.16, 0.30)
-_APART_M = (-0.02, 0.05)
+SHARED_WIDTH_M = (0.16, 0.30)
+"""Width of the region where both robots work, along the line between them."""
+APART_M = (-0.02, 0.05)
 """How much farther apart robots stand than a cube between them needs that neither could
 touch; the stick bridges little more."""
 _GAP_WIDTH_M = 0.20
 """Of the gap in the table: what is dragged into it falls."""
-_LATERAL_M = 0.05
-_YAW_RAD = 0.10
+LATERAL_M = 0.05
+"""How far a robot stands from the line through the middle of the table, at most."""
+YAW_RAD = 0.10
+"""How far it is turned away from that line, at most."""
 _ATTEMPTS = 400
 
 
@@ -119,9 +122,9 @@ def _place_team(
     """
     first, second = (reach_of(arm) for arm in team)
     if task.apart:
-        distance = _apart_m(team, order) + rng.uniform(*_APART_M)
+        distance = apart_m(team, order) + rng.uniform(*APART_M)
     else:
-        distance = first.travel_m + second.travel_m - rng.uniform(*_SHARED_WIDTH_M)
+        distance = first.travel_m + second.travel_m - rng.uniform(*SHARED_WIDTH_M)
     # The middle of the region between them is the middle of the table.
     left = 0.5 * (distance + first.travel_m - second.travel_m)
     x = (-left, distance - left)
@@ -130,15 +133,15 @@ def _place_team(
         facing = 0.0 if i == 0 else math.pi
         base = Pose2(
             x[i],
-            rng.uniform(-_LATERAL_M, _LATERAL_M),
-            facing + rng.uniform(-_YAW_RAD, _YAW_RAD),
+            rng.uniform(-LATERAL_M, LATERAL_M),
+            facing + rng.uniform(-YAW_RAD, YAW_RAD),
         ).rounded()
         color = ROBOT_COLORS[int(rng.integers(len(ROBOT_COLORS)))]
         robots.append(RobotPlacement(team[i], color, base))
-    return tuple(robots), _gap_m(tuple(robots), order[0]) if task.apart else None
+    return tuple(robots), gap_beyond(tuple(robots), order[0]) if task.apart else None
 
 
-def _apart_m(team: tuple[str, ...], order: tuple[int, ...]) -> float:
+def apart_m(team: tuple[str, ...], order: tuple[int, ...]) -> float:
     """Return how far apart robots stand so that a cube fits between them.
 
     Neither could touch it. It lies on the table top of the second, beyond the gap,
@@ -151,7 +154,7 @@ def _apart_m(team: tuple[str, ...], order: tuple[int, ...]) -> float:
     return edge + cube + beyond
 
 
-def _gap_m(robots: tuple[RobotPlacement, ...], user: int) -> Gap:
+def gap_beyond(robots: tuple[RobotPlacement, ...], user: int) -> Gap:
     """Return a gap beyond which a robot could put nothing."""
     robot = robots[user]
     beyond = could_of(robot.arm).place_m + OUTSIDE_M

@@ -9,6 +9,7 @@ from keyword import iskeyword
 
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
+from lemma.tasks import library
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.names import SUITE
 from lemma.tasks.sampling import sample
@@ -31,7 +32,7 @@ FREE_SPLIT = "free"
 
 for _name in SUITE:
     # A keyword, such as pass, cannot name a module.
-    import_module(f"lemma.tasks.library.{_name}{'_' * iskeyword(_name)}")
+    import_module(f"{library.__name__}.{_name}{'_' * iskeyword(_name)}")
 
 
 def task_named(name: str) -> Task:

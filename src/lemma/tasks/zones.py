@@ -59,6 +59,8 @@ class Zone:
     """Robots that could do nothing there. See :meth:`Territory.keeps_off`."""
     tool: bool = False
     """Whether they could do nothing even with the stick in their hand."""
+    says: str = ""
+    """Where that is, for people: "where ..." with robots by number in braces."""
 
     @classmethod
     def where(cls, check: Callable[[Pose2], bool]) -> "Zone":
@@ -110,7 +112,10 @@ class Territory:
                 found &= self.cannot(other, kind, x, y, tool=tool)
             return found
 
-        return Zone(sift, barred=others, tool=tool)
+        says = f"where the {{{robot}}} works, and no other robot could do anything"
+        if tool:
+            says += " even with the stick"
+        return Zone(sift, barred=others, tool=tool, says=says)
 
     def nobody(self) -> Zone:
         """Where no robot could do anything."""
@@ -121,7 +126,7 @@ class Territory:
                 found &= self.cannot(robot, kind, x, y)
             return found
 
-        return Zone(sift)
+        return Zone(sift, says="where no robot could touch it")
 
     def anywhere(self) -> Zone:
         """Where each robot either surely works or could do nothing."""
@@ -132,7 +137,7 @@ class Territory:
                 found &= self.works(robot, x, y) | self.cannot(robot, kind, x, y)
             return found
 
-        return Zone(sift)
+        return Zone(sift, says="where each robot either works or could not touch it")
 
     def distance(self, robot: int, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return how far positions are from a robot's base, (n,) [m]."""

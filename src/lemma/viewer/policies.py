@@ -4,6 +4,7 @@ from importlib.util import find_spec
 
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.policies.weights import are_here
+from lemma.viewer.episode.by_hand import BY_HAND
 
 _LEARNED = ("reachnet", "episodic-transformer+cliport", "m-cliport")
 
@@ -17,7 +18,7 @@ def choices(wanted: str | None = None) -> tuple[str, ...]:
     Raises:
         LemmaError: The name of that one means no policy.
     """
-    found = [*_installed(), ORACLE]
+    found = [*_installed(), ORACLE, BY_HAND]
     if wanted is not None and wanted not in found:
         PolicySpec(wanted)
         found.append(wanted)

@@ -19,6 +19,9 @@ from lemma.core.files import read_json
 from lemma.core.plugins import load_plugins
 from lemma.core.workers.pool import is_worker
 from lemma.core.workers.ray_cluster import RayCluster
+from lemma.core.workers.serial import Serial
+from lemma.dataset.rendered.keyframes.capture import KeyframeForm
+from lemma.dataset.rendered.render import RenderConfig, render
 
 pytestmark = pytest.mark.slow
 
@@ -74,17 +77,27 @@ def test_two_nodes_write_the_same_bytes(cluster: Cluster, tmp_path: Path) -> Non
     assert bytes_of(tmp_path / "recipe") == bytes_of(small_recipe())
 
 
-def test_replays_on_two_nodes(cluster: Cluster, tmp_path: Path) -> None:
-    words = ("replay", small_recipe(), "--limit", 4, *ON_RAY)
-    output = finish(start(cluster, *words, cwd=tmp_path))
-    assert "All 4 episodes are reproduced to the bit" in output
+@pytest.fixture
+def here(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """This process is the one that asks the cluster."""
+    monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+    yield
+    ray.shutdown()
+
+
+@pytest.mark.usefixtures("here")
+def test_replays_on_two_nodes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert lemma("replay", small_recipe(), "--limit", 4, *ON_RAY) == 0
+    assert "All 4 episodes are reproduced to the bit" in capsys.readouterr().out
 
 
 @pytest.mark.render
-def test_two_nodes_render_the_same_bytes(cluster: Cluster, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("here")
+def test_two_nodes_render_the_same_bytes(tmp_path: Path) -> None:
+    config = RenderConfig(recipe=small_recipe(), tasks=("pass",), out=tmp_path / "b")
     words = ("render", small_recipe(), "--tasks", "pass", "--size", "64x48")
-    finish(start(cluster, *words, "--out", "a", *ON_RAY, cwd=tmp_path))
-    finish(start(cluster, *words, "--out", "b", "--workers", 1, cwd=tmp_path))
+    assert lemma(*words, "--out", tmp_path / "a", *ON_RAY) == 0
+    render(config, KeyframeForm(64, 48), Serial())
     assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b")
 
 

@@ -21,8 +21,7 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc"),
 ]
 
-KILLS = int(os.environ.get("LEMMA_KILLS", "8"))
-"""The README says 20: set the variable for as many."""
+KILLS = 20
 SEED = 7
 EPISODES = 18
 WORDS = ("generate", "--tasks", "pass,stack", "--split", "val", "--workers", "2")
@@ -95,7 +94,7 @@ def disturb(folder: Path, rng: random.Random) -> Counter[str]:
     return killed
 
 
-def test_killed_over_and_over_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
+def test_killed_twenty_times_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
     order = GenerateConfig(
         out=tmp_path / "quiet",
         tasks=("pass", "stack"),
@@ -114,7 +113,7 @@ def test_killed_over_and_over_it_ends_with_the_same_bytes(tmp_path: Path) -> Non
             assert bytes_of(folder) == bytes_of(order.out)
             folder.rename(tmp_path / f"done-{killed.total()}")
     assert min(killed["parent"], killed["worker"]) >= KILLS // 5
-    assert resumed >= KILLS // 4
+    assert resumed >= KILLS // 3
     process = start(folder)
     assert process.wait(timeout=120) == 0
     assert bytes_of(folder) == bytes_of(order.out)

@@ -40,7 +40,7 @@ def tiny(reach: Reach = "simulator") -> ReachNet:
 
 def trained(model: ReachNet, steps: int, frames: int = 3) -> float:
     batch = drawn_batch(frames)
-    optimizer = torch.optim.AdamW(model.parameters(), lr=1e-2)
+    optimizer = torch.optim.AdamW(model.parameters(), lr=1e-2, fused=True)
     loss = math.inf
     for step in range(steps):
         for group in optimizer.param_groups:
@@ -88,6 +88,21 @@ def test_it_overfits_one_episode(expert: ReachNet) -> None:
             (decision.grounded.place, labels.place_pose[i]),
         ):
             assert math.dist(pose.xy, wanted[:2].tolist()) < 0.02
+
+
+def test_it_says_why_it_decides(expert: ReachNet) -> None:
+    inputs = inputs_of(drawn_batch(3))
+    read = [pairs for pairs, _ in expert.understand(inputs)]
+    decided = [decision.subtask for decision in expert.act(inputs)]
+    for insight, subtask, pairs in zip(
+        expert.explain(inputs), decided, read, strict=True
+    ):
+        assert insight.options[0][0] == subtask
+        shares = [share for _, share in insight.options]
+        assert shares == sorted(shares, reverse=True)
+        assert 0.0 < sum(shares) <= 1.0 + 1e-5
+        assert insight.goal == pairs
+        assert len(insight.robots) == 2
 
 
 @pytest.mark.parametrize("reach", ["simulator", "demonstrations", "none"])

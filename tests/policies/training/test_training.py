@@ -37,6 +37,8 @@ HERE = Path(__file__).parent
 ALONE = ProcessGroup(0, 1, torch.device("cpu"))
 
 tiny_model.register()
+# As in the processes that are started here; more would only wait for each other.
+torch.set_num_threads(1)
 
 
 @pytest.fixture(scope="session")
@@ -178,7 +180,7 @@ def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(
     data: Path, tmp_path: Path
 ) -> None:
     words = ("--steps", "60", "--val-every", "20")
-    finish(start(data, tmp_path / "whole", *words))
+    train(config(data, tmp_path / "whole", steps=60, val_every=20))
     out = tmp_path / "parts"
     rng = np.random.default_rng()
     for _ in range(2):

@@ -293,3 +293,13 @@ def goal_numbers(
         for pairs in goals
     ]
     return torch.tensor(numbers, device=device)
+
+
+def pairs_of(rows: Sequence[Sequence[int]], names: Sequence[str]) -> GoalPairs:
+    """Return a goal by names.
+
+    Args:
+        rows: Numbers of (top, bottom) pairs; -1 for none.
+        names: Of the entities.
+    """
+    return tuple((names[a], names[b]) for a, b in rows if a != NOBODY)

@@ -20,19 +20,19 @@ from lemma.core.config import Depth, Size
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.policies.batch import (
-    NOBODY,
     STOP,
     Batch,
     Labels,
     batch_of,
 )
 from lemma.policies.entities import EntitySet
-from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.interfaces import Decision, Insight, PolicyInput
 from lemma.policies.model import MODELS, Model
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
     goal_numbers,
+    pairs_of,
 )
 from lemma.policies.models.reachnet.grounder import ReachNetGrounder
 from lemma.policies.models.reachnet.perception import (
@@ -46,6 +46,8 @@ from lemma.policies.models.reachnet.planner import (
     ReachNetPlanner,
     decision_of,
     failures_in,
+    likeliest,
+    named_in,
     number_of,
     numbers_of,
     subtask_of,
@@ -222,7 +224,7 @@ class ReachNet(Model):
             draws.append(seen)
             pasts.append(past)
             wanted.append(decision)
-            named = _named(decision, len(batch.entities))
+            named = named_in(decision, len(batch.entities))
             counts.append((seen.present | ~named).all(1))
         scores = self.planner(
             SceneTable.joined(draws),
@@ -311,10 +313,20 @@ class ReachNet(Model):
                 marks, coarse = self.eye(batch)
                 present = self.eye.table(marks, coarse, batch).present
                 goals, likely = self.reader.weigh(batch.instructions, present)
-                names = batch.entities.places
                 for rows, share in zip(goals.tolist(), likely.tolist(), strict=True):
-                    pairs = [(names[a], names[b]) for a, b in rows if a != NOBODY]
-                    found.append((tuple(pairs), share))
+                    found.append((pairs_of(rows, batch.entities.places), share))
+        return found
+
+    def explain(self, inputs: Sequence[PolicyInput]) -> list[Insight]:
+        """Return what was seen, read and weighed for each decision."""
+        found: list[Insight] = []
+        with self.deciding():
+            for batch, failed in self._batches(inputs):
+                table, goals, scores = self._weigh(batch, failed)
+                options = likeliest(scores, self.config.robots, batch.entities)
+                for row, rows in enumerate(goals.tolist()):
+                    goal = pairs_of(rows, batch.entities.places)
+                    found.append(Insight(*table.seen(row), goal, options[row]))
         return found
 
     @contextmanager
@@ -342,6 +354,14 @@ class ReachNet(Model):
         self, batch: Batch, failed: Sequence[Sequence[SubTask]] = ()
     ) -> tuple[SceneTable, Tensor]:
         """Return what is seen, and the likeliest sub-tasks, (B, 4)."""
+        table, _, scores = self._weigh(batch, failed)
+        robots = self.config.robots
+        return table, decision_of(scores.argmax(-1), robots, batch.entities)
+
+    def _weigh(
+        self, batch: Batch, failed: Sequence[Sequence[SubTask]]
+    ) -> tuple[SceneTable, Tensor, Tensor]:
+        """Return what is seen and read, and the score of every sub-task, (B, N)."""
         marks, coarse = self.eye(batch)
         with torch.autocast(self.device.type, enabled=False):
             table = self.eye.table(marks, coarse, batch)
@@ -354,7 +374,7 @@ class ReachNet(Model):
                 numbers = torch.tensor([numbers_of(subtask, robots, batch.entities)])
                 number = int(number_of(numbers, robots, batch.entities))
                 scores[row, number] -= self.config.failure_cost
-        return table, decision_of(scores.argmax(-1), robots, batch.entities)
+        return table, goal, scores
 
     def _grounded(
         self, table: SceneTable, decision: Tensor
@@ -374,12 +394,6 @@ class ReachNet(Model):
                 )
             )
         return found
-
-
-def _named(decision: Tensor, count: int) -> Tensor:
-    """Return which of so many entities sub-tasks pick or act on, (B, E) bool."""
-    numbers = torch.arange(count, device=decision.device)
-    return (decision[:, 2:, None] == numbers).any(1)
 
 
 MODELS.add("reachnet", (ReachNet, ReachNetConfig))

@@ -47,6 +47,7 @@ _TOOL_ROWS = ("prehook", "hook", "prepoke", "poke")
 _ROW_OF = {PRIMITIVES.index(name): row for row, name in enumerate(_TOOL_ROWS)}
 _ABSENT = -20.0
 _SUCCESS = "success"
+_OPTIONS = 6
 
 
 @dataclass(frozen=True)
@@ -310,6 +311,28 @@ def subtask_of(row: Sequence[int], entities: EntitySet = BENCHMARK) -> SubTask:
     )
 
 
+def likeliest(
+    scores: Tensor, robots: int, entities: EntitySet = BENCHMARK
+) -> list[tuple[tuple[SubTask, float], ...]]:
+    """Return sub-tasks and how likely they are, for each of B scenes, likeliest first.
+
+    Args:
+        scores: Of every sub-task, (B, N).
+        robots: Robots of a team.
+        entities: What has a number.
+    """
+    shares, numbers = scores.float().softmax(-1).topk(_OPTIONS)
+    return [
+        tuple(
+            (subtask_of(code, entities), share)
+            for code, share in zip(
+                decision_of(row, robots, entities).tolist(), each.tolist(), strict=True
+            )
+        )
+        for row, each in zip(numbers, shares, strict=True)
+    ]
+
+
 def numbers_of(
     subtask: SubTask, robots: int, entities: EntitySet = BENCHMARK
 ) -> list[int]:
@@ -329,6 +352,12 @@ def numbers_of(
     else:
         fits = pick == stick and place in cargo
     return numbers if fits and 0 <= robot < robots else nothing
+
+
+def named_in(decision: Tensor, count: int) -> Tensor:
+    """Return which of so many entities sub-tasks pick or act on, (B, E) bool."""
+    numbers = torch.arange(count, device=decision.device)
+    return (decision[:, 2:, None] == numbers).any(1)
 
 
 def failures_in(given: PolicyInput) -> list[SubTask]:

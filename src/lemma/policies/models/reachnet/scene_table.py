@@ -14,6 +14,7 @@ from torch import Tensor
 
 from lemma.policies.batch import NOBODY, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, Traits, traits_of
+from lemma.policies.interfaces import SeenObject, SeenRobot
 from lemma.policies.models.reachnet.tool_shape import GRASP_M
 from lemma.scene.raster import RASTER, Raster
 
@@ -106,6 +107,19 @@ class SceneTable:
         rest = share.flatten(1) - index
         near, far = self.ground.gather(1, index), self.ground.gather(1, index + 1)
         return (near + rest * (far - near)).view_as(x)
+
+    def seen(self, row: int) -> tuple[tuple[SeenObject, ...], tuple[SeenRobot, ...]]:
+        """Return what is known of one scene as plain data."""
+        named = zip(self.entities.places, self.xy[row].tolist(), strict=False)
+        there = self.present[row].tolist()
+        objects = (
+            SeenObject(name, (x, y))
+            for (name, (x, y)), seen in zip(named, there, strict=True)
+            if seen
+        )
+        bases = zip(self.bases[row].tolist(), self.rings[row].tolist(), strict=True)
+        robots = (SeenRobot((x, y), (ring[0], ring[1])) for (x, y), ring in bases)
+        return tuple(objects), tuple(robots)
 
     def rows(self, index: Tensor) -> Self:
         """Return some of the scenes."""

@@ -4,11 +4,19 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 
-from lemma.core.errors import UnknownNameError
+from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
+from lemma.core.poses import Pose2
+from lemma.evaluation.run.control.rollout import ControlPlayer
+from lemma.evaluation.run.control.rollout import load_player as load_any
 from lemma.evaluation.run.rollout import Player
+from lemma.policies.control.interfaces import is_model_server
 from lemma.policies.spec import PolicySpec
-from lemma.viewer.play import Play
-from lemma.viewer.wish import Wish
+from lemma.serve.client.websocket import is_address
+from lemma.tasks.instance import Instance
+from lemma.viewer.episode.by_hand import BY_HAND, ByHand
+from lemma.viewer.episode.moves import moved
+from lemma.viewer.episode.play import Play
+from lemma.viewer.episode.wish import Wish
 
 _PATIENCE_S = 1.0
 """How long a policy is waited for that shall stop [s]."""
@@ -16,7 +24,7 @@ _PATIENCE_S = 1.0
 
 def load_player(name: str) -> Player:
     """Return a policy, with what it sees with."""
-    return Player.load(PolicySpec(name))
+    return load_any(PolicySpec(name))
 
 
 class Session:
@@ -39,6 +47,8 @@ class Session:
             acts: Whether to act at once.
         """
         self.policies = policies
+        self.hand = ByHand()
+        """What visitors lead, if they do."""
         self._load = load
         self._loaded: dict[str, Player] = {}
         self._loading = threading.Lock()
@@ -51,13 +61,38 @@ class Session:
         return Play(wish, self._player, acts=acts, steps=steps, speed=self._speed)
 
     def _player(self, name: str) -> Player:
+        if name == BY_HAND:
+            self.hand = ByHand()
+            return ControlPlayer(self.hand)
         with self._loading:
             if name not in self._loaded:
                 self._loaded[name] = self._load(name)
             # What renders belongs to one thread.
             player = self._loaded[name]
+        if isinstance(player, ControlPlayer):
+            return ControlPlayer(player.policy)
         rig = None if player.rig is None else type(player.rig)()
         return replace(player, rig=rig)
+
+    def offer(self, address: str) -> None:
+        """Offer a policy that is behind an address; nobody is asked there yet.
+
+        Args:
+            address: Of ``lemma serve``, or of a model server of vla-eval. Visitors
+                name no classes: those would be run.
+
+        Raises:
+            InvalidConfigError: It is no address.
+        """
+        address = address.strip()
+        if not (is_address(address) or is_model_server(address)):
+            raise InvalidConfigError(
+                f"{shown(address)} is no address of a policy. Valid: "
+                "http://HOST:PORT of lemma serve, or vla-eval://HOST:PORT."
+            )
+        PolicySpec(address)
+        if address not in self.policies:
+            self.policies = (*self.policies, address)
 
     def ask(self, wish: Wish, *, acts: bool, steps: bool = False) -> None:
         """Leave what is played, and set the table for something else.
@@ -77,6 +112,44 @@ class Session:
                 # It is still at work on what it was asked: the next play loads another.
                 self._loaded.pop(before.wish.policy, None)
             self.play = self._begin(wish, acts, steps)
+
+    def move(self, name: str, pose: Pose2) -> None:
+        """Put a robot or an object elsewhere.
+
+        Before an episode and after it, it is the table that changes, which is then set
+        anew. While one goes on it is paused, and a thing laid elsewhere, if it can be.
+
+        Args:
+            name: Of the robot or object.
+            pose: Where it shall be.
+
+        Raises:
+            InvalidConfigError: It cannot be there, or not now.
+            UnknownNameError: There is no such thing.
+        """
+        play = self.play
+        if not play.acts or play.rollout is None or play.transport.over:
+            own = moved(play.wish.instance(), name, pose)
+            self.ask(replace(play.wish, own=own), acts=False)
+        elif name in play.rollout.instance.scene.robot_names:
+            raise InvalidConfigError(
+                "Robots are moved before an episode or after it, not while it goes on."
+            )
+        else:
+            play.nudge(name, pose)
+
+    def take(self, instance: Instance) -> None:
+        """Set a table of somebody's own.
+
+        Args:
+            instance: Any.
+        """
+        wish = replace(self.play.wish, task=instance.task, own=instance)
+        self.ask(wish, acts=False)
+
+    def take_listed(self) -> None:
+        """Set the table of the list again that was changed."""
+        self.ask(replace(self.play.wish, own=None), acts=False)
 
     def _check(self, wish: Wish) -> None:
         if wish.policy not in self.policies:

@@ -5,9 +5,9 @@ from enum import StrEnum
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.policies.spec import ORACLE
-from lemma.tasks.instance import SPLITS
+from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.template import KINDS, GoalPairs
-from lemma.tasks.suite import FREE_SPLIT, SUITE
+from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
 
 OWN_WORDS = "your own words"
 SAYINGS = (*KINDS, OWN_WORDS)
@@ -28,6 +28,8 @@ class Wish:
     text: str = ""
     """What is said in one's own words."""
     policy: str = ORACLE
+    own: Instance | None = None
+    """An instance that somebody made, instead of the one of the task's lists."""
 
     def __post_init__(self) -> None:
         """Check what can be checked without looking anything up.
@@ -45,6 +47,14 @@ class Wish:
             raise InvalidConfigError(
                 f"The sentence has {len(self.text)} characters; say it in {LONGEST}."
             )
+
+    def instance(self) -> Instance:
+        """Return the table that is meant.
+
+        Raises:
+            LemmaError: There is no such instance.
+        """
+        return self.own or load_instance(self.task, self.split, self.index)
 
 
 @dataclass(frozen=True, slots=True)

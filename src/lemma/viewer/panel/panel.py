@@ -11,13 +11,20 @@ from lemma.env.camera_rig import camera_names
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.suite import FREE_SPLIT
 from lemma.tasks.task import TASKS
-from lemma.viewer.pictures import MAP, NO_PICTURE
-from lemma.viewer.play import Play
-from lemma.viewer.session import Session
-from lemma.viewer.stage import OVERLAYS
-from lemma.viewer.transport import SPEEDS
-from lemma.viewer.wish import LONGEST, OWN_WORDS, SAYINGS, Phase, Status, Wish
-from lemma.viewer.words import complaint_html, status_html, timeline_html
+from lemma.viewer.episode.play import Play, Thought
+from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.transport import SPEEDS
+from lemma.viewer.episode.wish import LONGEST, OWN_WORDS, SAYINGS, Phase, Status, Wish
+from lemma.viewer.panel.hands import HandsPanel
+from lemma.viewer.panel.pilot import Pilot
+from lemma.viewer.panel.words import (
+    complaint_html,
+    insight_html,
+    status_html,
+    timeline_html,
+)
+from lemma.viewer.scene.pictures import MAP, NO_PICTURE
+from lemma.viewer.scene.stage import OVERLAYS
 
 PLAY, PAUSE, STEP, RESTART = MOVES = ("Play", "Pause", "Step", "Restart")
 """What can be pressed while an episode is played."""
@@ -53,11 +60,14 @@ class Panel:
         self._gui: Any = server.gui
         self._status: Status | None = None
         self._timeline = ""
+        self._thought: Thought | None = None
         self._instance: Instance | None = None
         self._complaint = ""
         wish = session.play.wish
         self._add_choices(wish)
         self._add_transport()
+        self.pilot = Pilot(server, session, self.complain)
+        self.table = HandsPanel(server, session, self.complain)
         self._add_overlays(overlays, set_overlay)
         self._add_details(wish)
 
@@ -88,7 +98,12 @@ class Panel:
             self.saying = gui.add_dropdown(
                 "Sentence", SAYINGS, initial_value=wish.saying
             )
+            self.address = gui.add_text(
+                "Server", "", hint="Of a policy: http://HOST:PORT or vla-eval://..."
+            )
+            self.ask_there = gui.add_button("Offer its policy")
             self.dark = gui.add_checkbox("Dark", False)
+        self.ask_there.on_click(lambda _: self.offer())
         self.dark.on_update(lambda _: set_theme(gui, dark=self.dark.value))
         for widget in (self.split, self.saying):
             widget.on_update(self.chosen)
@@ -102,6 +117,7 @@ class Panel:
             self.speed = gui.add_dropdown("Speed", speeds, initial_value="1 ×")
             self.time = gui.add_slider("Time [s]", 0.0, 1.0, _SLIDER_S / 2, 0.0)
             self.timeline = gui.add_html(timeline_html((), 0.0))
+            self.why = gui.add_html("")
         self.speed.on_update(lambda _: self._set_speed())
         self.time.on_update(self.sought)
 
@@ -128,13 +144,15 @@ class Panel:
         Raises:
             LemmaError: That cannot be.
         """
+        chosen = self.task.value, self.split.value, self.index.value
+        set_now = self._session.play.wish
+        same = (set_now.task, set_now.split, set_now.index) == chosen
         return Wish(
-            self.task.value,
-            self.split.value,
-            self.index.value,
+            *chosen,
             self.saying.value,
             self.text.value.strip() if self.saying.value == OWN_WORDS else "",
             self.policy.value,
+            set_now.own if same else None,
         )
 
     def act(self, *, steps: bool = False) -> None:
@@ -160,6 +178,17 @@ class Panel:
         elif what == STEP:
             play.transport.step()
 
+    def offer(self) -> None:
+        """Offer the policy behind the address that is written, and choose it."""
+        try:
+            self._session.offer(self.address.value)
+        except LemmaError as error:
+            self.complain(str(error))
+            return
+        self.policy.options = self._session.policies
+        self.policy.value = self.address.value.strip()
+        self.complain("")
+
     def set_table(self) -> None:
         """Set the table that is chosen, and wait."""
         self._ask(acts=False)
@@ -169,8 +198,13 @@ class Panel:
             self._session.ask(self.wish(), acts=acts, steps=steps)
             self._complaint = ""
         except LemmaError as error:
-            self._complaint = str(error)
-            self.status.content = complaint_html(self._complaint)
+            self.complain(str(error))
+
+    def complain(self, text: str) -> None:
+        """Say why what was asked for cannot be done; nothing if it can."""
+        self._complaint, self._status = text, None
+        if text:
+            self.status.content = complaint_html(text)
 
     def chosen(self, event: Any) -> None:
         """Set the table when a visitor has chosen another."""
@@ -197,6 +231,8 @@ class Panel:
     def refresh(self, play: Play) -> None:
         """Say how an episode stands; what has not changed is not sent again."""
         status, transport = play.status, play.transport
+        self.table.refresh(play)
+        self.pilot.refresh(play)
         if play.instance is not None and play.instance != self._instance:
             self._show_instance(play)
         if status is not self._status and not self._complaint:
@@ -213,14 +249,23 @@ class Panel:
         timeline = timeline_html(status.lines, now_s)
         if timeline != self._timeline:
             self._timeline = self.timeline.content = timeline
+        self._show_why(play)
 
     def _show_instance(self, play: Play) -> None:
         assert play.instance is not None
         self._instance = play.instance
+        if self.task.value != play.wish.task and play.wish.task in self.task.options:
+            self.task.value = play.wish.task
         names = camera_names(play.instance.scene.robot_names)
         options = (NO_PICTURE, MAP, *names)
         if self.picture.options != options:
             self.picture.options = options
+
+    def _show_why(self, play: Play) -> None:
+        thought = play.thought()
+        if thought is not self._thought and play.instance is not None:
+            self._thought = thought
+            self.why.content = insight_html(thought.insight, play.instance)
 
     def show_picture(self, picture: Any | None) -> None:
         """Show a picture, (H, W, 3) uint8; None for none."""

@@ -7,6 +7,7 @@ back looks at what has happened, and nothing of it changes what will.
 """
 
 import threading
+from collections.abc import Callable
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class Transport:
         self._changed = threading.Condition()
         self._frames: list[FloatArray] = []
         self._marks: list[float] = []
+        self._changes: list[Callable[[], None]] = []
         self._until: float | None = None
         self._cursor_s = 0.0
         self._playing = self._over = self._abandoned = False
@@ -45,6 +47,11 @@ class Transport:
     def end_s(self) -> float:
         """Simulated time of the last state [s]."""
         return max(0, len(self._frames) - 1) * FRAME_S
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing follows the last state."""
+        return self._over
 
     @property
     def playing(self) -> bool:
@@ -150,10 +157,36 @@ class Transport:
         with self._changed:
             if time_s > len(self._frames) * FRAME_S - 1e-6:
                 self._frames.append(qpos.copy())
-            while not self._abandoned and time_s > self._cursor_s + self.lead_s:
+        while changes := self._wait(time_s):
+            for change in changes:
+                change()
+            with self._changed:
+                # What was changed is looked at.
+                self._frames[-1] = qpos.copy()
+                self._cursor_s = self.end_s
+
+    def _wait(self, time_s: float) -> list[Callable[[], None]]:
+        """Wait until the simulation may go on, or something shall be changed."""
+        with self._changed:
+            while not (self._abandoned or self._changes):
+                if time_s <= self._cursor_s + self.lead_s:
+                    break
                 self._changed.wait()
             if self._abandoned:
                 raise AbandonedError
+            changes, self._changes = self._changes, []
+            return changes
+
+    def change(self, what: Callable[[], None]) -> None:
+        """Change the state by hand, in the simulation's thread, where it next asks.
+
+        Args:
+            what: Called between two steps of physics.
+        """
+        with self._changed:
+            self._until, self._playing = None, False
+            self._changes.append(what)
+            self._changed.notify_all()
 
     def mark(self, time_s: float) -> None:
         """Say that a sub-task has ended.

@@ -3,11 +3,18 @@
 from collections.abc import Sequence
 from html import escape
 
-from lemma.viewer.reading import say_goal
-from lemma.viewer.wish import ENDS, Line, Phase, Status
+from lemma.policies.interfaces import Insight
+from lemma.scene.objects.entity import entity_named
+from lemma.tasks.instance import Instance
+from lemma.tasks.language.bank import robot_phrases
+from lemma.tasks.subtask import Primitive
+from lemma.viewer.episode.reading import say_goal
+from lemma.viewer.episode.wish import ENDS, Line, Phase, Status
+from lemma.viz.recording import describe_subtask
 
 _FRAME = '<div style="padding:0 1em 0.5em;font-size:0.9em;line-height:1.45">{}</div>'
 _GOOD, _BAD, _FAINT = "#1f9d55", "#d64545", "#8a8f98"
+_LEAST_SHARE = 0.01
 _COLOR = {
     Phase.SOLVED: _GOOD,
     Phase.FAILED: _BAD,
@@ -41,6 +48,70 @@ def status_html(status: Status) -> str:
 def complaint_html(text: str) -> str:
     """Return why what was asked for cannot be done."""
     return _FRAME.format(f'<div style="color:{_BAD}">{escape(text)}</div>')
+
+
+def table_html(own: bool, problems: Sequence[str]) -> str:
+    """Return whose table it is, and what the sampler would not have done.
+
+    Args:
+        own: Whether somebody changed it; else it is of a list.
+        problems: Of it, in sentences.
+    """
+    if not own:
+        return _FRAME.format(f'<div style="color:{_FAINT}">Of the task\'s list.</div>')
+    parts = ["<div>Your own table.</div>"]
+    parts += [
+        f'<div class="problem" style="color:{_BAD}">{escape(told)}</div>'
+        for told in problems
+    ]
+    return _FRAME.format("".join(parts))
+
+
+def insight_html(insight: Insight | None, instance: Instance) -> str:
+    """Return why a policy decided as it did: what it weighed, and who reaches what.
+
+    Args:
+        insight: What it said; None if it says nothing.
+        instance: Whose robots and objects it speaks of.
+    """
+    if insight is None:
+        return ""
+    parts = ["<div style='font-weight:600'>Why</div>"]
+    for subtask, share in insight.options:
+        if share < _LEAST_SHARE and subtask is not insight.options[0][0]:
+            continue
+        words = "stop: the goal is reached"
+        if subtask.primitive is not Primitive.STOP:
+            words = describe_subtask(subtask, instance)
+        parts.append(f'<div class="option">{share:.0%} {escape(words)}</div>')
+    named = {name for pair in insight.goal for name in pair}
+    phrases = robot_phrases(instance.scene.robots)
+    rows = []
+    for thing in insight.objects:
+        if thing.name in named:
+            cells = "".join(
+                f"<td>{_margin(robot.margin_m(thing.at))}</td>"
+                for robot in insight.robots
+            )
+            what = escape(entity_named(thing.name).phrase)
+            rows.append(f"<tr><td>{what}</td>{cells}</tr>")
+    unseen = sorted(named - {thing.name for thing in insight.objects})
+    head = "".join(f"<td>{escape(phrase)}</td>" for phrase in phrases)
+    parts.append(
+        f'<table style="width:100%"><tr style="color:{_FAINT}"><td>reaches</td>{head}'
+        f"</tr>{''.join(rows)}</table>"
+    )
+    if unseen:
+        words = " and no ".join(entity_named(name).phrase for name in unseen)
+        parts.append(f"<div>It sees no {escape(words)}.</div>")
+    return _FRAME.format("".join(parts))
+
+
+def _margin(margin_m: float) -> str:
+    """Return how far something is inside of a reach, in words."""
+    if margin_m < 0.0:
+        return f'<span style="color:{_BAD}">{-100 * margin_m:.0f} cm too far</span>'
+    return f'<span style="color:{_GOOD}">{100 * margin_m:.0f} cm inside</span>'
 
 
 def timeline_html(lines: Sequence[Line], cursor_s: float) -> str:

@@ -1,5 +1,6 @@
 """What a policy understands of a sentence, asked before it acts."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -14,8 +15,14 @@ from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import parse, phrase
 from lemma.tasks.language.template import GoalPairs
-from lemma.viewer.wish import Reading
+from lemma.viewer.episode.wish import Reading
 
+_DENIES = re.compile(
+    "\\b(?:not|never|cannot|dont|nor)\\b|n['\u2019]t\\b", re.IGNORECASE
+)
+"""Words of sentences that readers take for the contrary: none was trained on them."""
+SILENT = Reading(None, "This policy does not say what it understood.")
+"""Of policies that read without a word."""
 LEAST_CERTAIN = 0.5
 """A reader that holds its best goal for less likely than this has not understood."""
 
@@ -48,7 +55,14 @@ def ask_reader(policy: object, given: PolicyInput, instance: Instance) -> Readin
     """
     reader = find_reader(policy)
     if reader is None:
-        return Reading(None, "This policy does not say what it understood.")
+        return SILENT
+    if _DENIES.search(given.instruction):
+        return Reading(
+            None,
+            "The sentence says what shall not be, and that is not understood. Say what "
+            "shall be.",
+            acts=False,
+        )
     pairs, certainty = reader.understand([given])[0]
     if certainty < LEAST_CERTAIN or not pairs:
         best = f"; at best {say_goal(pairs)}, {certainty:.0%} sure" if pairs else ""

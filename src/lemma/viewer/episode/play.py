@@ -5,27 +5,58 @@ is left behind, and the next one begins beside it.
 """
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 from lemma.core.errors import LemmaError
-from lemma.evaluation.run.fault_isolation import check
+from lemma.core.poses import Pose2
+from lemma.evaluation.run.control.rollout import ControlPlayer
 from lemma.evaluation.run.language_controls import LanguageControl
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
-from lemma.policies.interfaces import Composite, Decision, PolicyInput
+from lemma.policies.control.interfaces import Actions
+from lemma.policies.interfaces import Decision, Insight
 from lemma.policies.spec import ORACLE
+from lemma.scene.objects.entity import entity_named
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
-from lemma.tasks.suite import load_instance
-from lemma.viewer.reading import ask_reader, check_plan, parse_goal
-from lemma.viewer.transport import AbandonedError, Transport
-from lemma.viewer.wish import OWN_WORDS, Line, Phase, Reading, Status, Wish
+from lemma.viewer.episode.moves import nudge
+from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan, parse_goal
+from lemma.viewer.episode.told import ToldPolicy
+from lemma.viewer.episode.transport import FRAME_S, AbandonedError, Transport
+from lemma.viewer.episode.way import Way, way_of
+from lemma.viewer.episode.wish import OWN_WORDS, Line, Phase, Reading, Status, Wish
 from lemma.viz.recording import describe_step, describe_subtask
 
 Load = Callable[[str], Player]
 """Returns a player by the name of its policy."""
+
+
+@dataclass(frozen=True, slots=True)
+class Thought:
+    """Why, or how, something is about to be done."""
+
+    time_s: float
+    """Simulated time [s]."""
+    insight: Insight | None = None
+    """What its policy perceived and weighed; None where that is not said."""
+    robot: str = ""
+    """Name of who shall do it."""
+    way: Way = ()
+    """Where its hand is to go [m]."""
+
+
+NOTHING = Thought(0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """What somebody wanted to lay elsewhere, and what became of it."""
+
+    name: str
+    problem: str = ""
+    """Why it could not be; empty if it was."""
 
 
 class Play:
@@ -55,6 +86,11 @@ class Play:
         self.scene: Scene | None = None
         """Of the simulation: its model may be read, its data belong to the thread."""
         self.rollout: Rollout | None = None
+        self.thoughts: tuple[Thought, ...] = ()
+        """What was thought before each sub-task, oldest first."""
+        self._insight: Insight | None = None
+        self.moved: Moved | None = None
+        """What visitors did last to things of the running episode."""
         self._load = load
         self._status = Status(policy=wish.policy)
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -83,6 +119,34 @@ class Play:
         self._thread.join(seconds)
         return not self._thread.is_alive()
 
+    def nudge(self, name: str, pose: Pose2) -> None:
+        """Lay an object elsewhere while the episode goes on, and pause there.
+
+        What came of it is said in :attr:`moved`.
+
+        Args:
+            name: Of the object.
+            pose: Where it shall lie.
+        """
+        rollout = self.rollout
+        assert rollout is not None
+
+        def change() -> None:
+            try:
+                nudge(rollout.episode.simulation, name, pose)
+            except LemmaError as error:
+                self.moved = Moved(name, str(error))
+                return
+            self.moved = Moved(name)
+            words = f"You moved the {entity_named(name).phrase}"
+            now_s = rollout.episode.simulation.time_s
+            line = Line(words, now_s, now_s, "by hand")
+            done = [line for line in self._status.lines if line.end_s is not None]
+            runs = [line for line in self._status.lines if line.end_s is None]
+            self._tell(lines=(*done, line, *runs))
+
+        self.transport.change(change)
+
     def _tell(self, phase: Phase | None = None, **changes: Any) -> None:
         if phase is not None:
             changes["phase"] = phase
@@ -106,7 +170,7 @@ class Play:
 
     def _set_table(self) -> Rollout:
         wish = self.wish
-        instance = load_instance(wish.task, wish.split, wish.index)
+        instance = wish.instance()
         kind, control = wish.saying, LanguageControl()
         if kind == OWN_WORDS:
             kind, control = "high_level", LanguageControl(wish.text)
@@ -118,28 +182,36 @@ class Play:
                     goal = Goal.from_pairs(reading.pairs)
                     instance = replace(instance, goal=goal)
         rollout = Rollout(instance, kind, control=control)
-        simulation = rollout.episode.simulation
-        transport = self.transport
+        self._watch(rollout)
+        self._tell(said=rollout.instruction)
+        return rollout
+
+    def _watch(self, rollout: Rollout) -> None:
+        """Look at an episode from its first state on."""
+        simulation, transport = rollout.episode.simulation, self.transport
 
         def record() -> None:
             transport.record(simulation.scene.data.qpos, simulation.time_s)
 
         record()
         simulation.observers.append(record)
-        self.instance, self.scene = instance, simulation.scene
+        self.instance, self.scene = rollout.instance, simulation.scene
         self.rollout = rollout
-        self._tell(said=rollout.instruction)
-        return rollout
 
     def _act(self, rollout: Rollout) -> None:
         self._tell(Phase.LOADING)
         player = self._load(self.wish.policy)
+        controls = isinstance(player, ControlPlayer)
+        if controls:
+            # The same table, in the environment that this policy asks for.
+            rollout = player.begin(rollout.instance, rollout.kind, rollout.control)
+            self._watch(rollout)
         try:
             if not self._read(rollout, player):
                 return
-            told = _Told(player.policy, self._decided)
+            told = ToldPolicy(player.policy, self._decided, self._explained)
             (self.transport.step if self._steps else self.transport.play)()
-            heard = Player(told, player.rig)
+            heard = ControlPlayer(told) if controls else Player(told, player.rig)
             for _ in roll_out([rollout], heard, on_step=self._stepped):
                 pass
             self._conclude(rollout)
@@ -153,6 +225,8 @@ class Play:
         reading = self._status.reading
         if reading is None and self.wish.policy == ORACLE:
             reading = Reading(rollout.instance.goal.pairs)
+        if reading is None and isinstance(player, ControlPlayer):
+            reading = SILENT
         if reading is None:
             given = player.given(rollout)
             reading = ask_reader(player.policy, given, rollout.instance)
@@ -168,18 +242,36 @@ class Play:
             rollout.control = LanguageControl(self.wish.text, reading.pairs)
         return True
 
-    def _decided(self, given: PolicyInput, decision: Decision | None) -> None:
+    def _decided(self, decision: Decision | Actions | None) -> None:
         """Say what is about to happen; None while it is being decided."""
         if decision is None:
             self._tell(Phase.DECIDING)
             return
         assert self.rollout is not None
-        if decision.stops:
-            self._tell(Phase.ACTING)
+        if isinstance(decision, Actions):
+            if self._status.phase is not Phase.ACTING:
+                self._tell(Phase.ACTING)
             return
-        words = describe_subtask(decision.subtask, self.rollout.instance)
-        line = Line(words, self.rollout.episode.elapsed_s)
-        self._tell(Phase.ACTING, lines=(*self._status.lines, line))
+        episode, subtask = self.rollout.episode, decision.subtask
+        lines, way = self._status.lines, NOTHING.way
+        if not decision.stops:
+            words = describe_subtask(subtask, self.rollout.instance)
+            lines = (*lines, Line(words, episode.elapsed_s))
+        if decision.grounded is not None:
+            way = way_of(episode.simulation, decision.grounded)
+        thought = Thought(episode.elapsed_s, self._insight, subtask.robot, way)
+        self.thoughts = (*self.thoughts, thought)
+        self._tell(Phase.ACTING, lines=lines)
+
+    def _explained(self, insight: Insight) -> None:
+        """Keep why something is about to happen."""
+        self._insight = insight
+
+    def thought(self) -> Thought:
+        """Return what was thought last at the moment that is looked at."""
+        now_s = self.transport.cursor_s + FRAME_S
+        before = (each for each in reversed(self.thoughts) if each.time_s <= now_s)
+        return next(before, NOTHING)
 
     def _stepped(self, rollout: Rollout, step: TakenStep) -> None:
         told = describe_step(step, rollout.instance)
@@ -214,25 +306,3 @@ class Play:
         if holds and rollout.protective_stop is not None:
             note += ", though a robot was asked for what it cannot do"
         self._tell(Phase.SOLVED if holds else Phase.FAILED, note=note)
-
-
-@dataclass(frozen=True)
-class _Told(Composite):
-    """A policy that is heard: what it decides is told before it is done."""
-
-    policy: Any
-    tell: Callable[[PolicyInput, Decision | None], None]
-
-    @property
-    def parts(self) -> tuple[object, ...]:
-        return (self.policy,)
-
-    def act(self, inputs: Sequence[PolicyInput]) -> Any:
-        self.tell(inputs[0], None)
-        answers = self.policy.act(inputs)
-        if isinstance(answers, list) and answers:
-            # What makes no sense becomes a fault elsewhere.
-            decision = check(answers[0], inputs[0])
-            if isinstance(decision, Decision):
-                self.tell(inputs[0], decision)
-        return answers

@@ -1,0 +1,264 @@
+"""Whether a table is one that the sampler could set, for instances that people change.
+
+The task sets its table once more, and is given what lies there already. Which object it
+means is not written down: every way is tried that leads to the goal of the instance.
+"""
+
+import math
+from collections.abc import Iterator
+from itertools import islice, permutations, product
+
+import numpy as np
+
+from lemma.core.errors import LemmaError
+from lemma.core.poses import wrap
+from lemma.core.seeding import stream
+from lemma.robots.collision_model import sweep_radius_m
+from lemma.robots.reach import reach_of
+from lemma.scene.spec import ObjectPlacement
+from lemma.tasks.drags import LARGEST_HEADING_RAD, heading_from, stick_gap
+from lemma.tasks.goal import Goal
+from lemma.tasks.instance import Instance
+from lemma.tasks.language.bank import robot_phrases
+from lemma.tasks.placement import BESIDE_BASE_M, Board, PlacementError
+from lemma.tasks.sampling import (
+    APART_M,
+    LATERAL_M,
+    SHARED_WIDTH_M,
+    YAW_RAD,
+    apart_m,
+    gap_beyond,
+)
+from lemma.tasks.task import TASKS, Task
+from lemma.tasks.zones import FROM_EDGE_M, Zone, ZoneLike
+
+_ROUNDED_M = 1e-4
+_AROUND = _ROUNDED_M * np.array(list(product((0.0, -1.0, 1.0), repeat=2)))
+"""Places are rounded after they were looked at, (9, 2) [m]."""
+_MIDDLE_M = 0.02
+_MOST_WAYS = 5000
+
+
+def problems(instance: Instance) -> tuple[str, ...]:
+    """Return what the sampler would not have done, in sentences; nothing if all is so.
+
+    Args:
+        instance: Any, of a task that is known.
+
+    Raises:
+        UnknownNameError: There is no such task.
+    """
+    task = TASKS[instance.task]
+    crowded = tuple(_crowded(instance))
+    found: tuple[str, ...] | None = None
+    for board, goal in _ways(instance, task):
+        told = (*_stands(instance, task, board.order), *board.judge(goal))
+        if found is None or len(told) < len(found):
+            found = told
+        if not found:
+            break
+    if found is None:
+        found = (f"The goal is none that the task {task.name} sets on such a table.",)
+    return tuple(dict.fromkeys((*crowded, *found)))
+
+
+class _Reenactment(Board):
+    """A table that is set already: what a task puts is what lies there."""
+
+    def __init__(
+        self,
+        instance: Instance,
+        order: tuple[int, ...],
+        there: tuple[ObjectPlacement, ...],
+    ) -> None:
+        super().__init__(
+            instance.scene.robots, stream("rules"), order, instance.scene.gap_m
+        )
+        self._left = list(there)
+        self._asked: list[tuple[ObjectPlacement, Zone, int]] = []
+        self._stick_of: int | None = None
+        self._robots = robot_phrases(instance.scene.robots)
+
+    def put(self, kind: str, zone: ZoneLike, color: str | None = None) -> str:
+        """Take the next object of a kind for the one that is meant."""
+        placed = self._take(kind, color)
+        wanted = zone if isinstance(zone, Zone) else Zone.where(zone)
+        self._asked.append((placed, wanted, len(self.objects)))
+        self.objects.append(placed)
+        self._zones[placed.name] = wanted
+        return placed.name
+
+    def stick(self, robot: int) -> str:
+        """Take the stick that is there."""
+        placed = self._take("stick", None)
+        self._stick_of = robot
+        self.objects.append(placed)
+        return placed.name
+
+    def _take(self, kind: str, color: str | None) -> ObjectPlacement:
+        for placed in self._left:
+            if placed.kind == kind and color in (None, placed.color):
+                self._left.remove(placed)
+                return placed
+        raise PlacementError(kind)
+
+    def judge(self, goal: Goal) -> tuple[str, ...]:
+        """Return what is wrong with what was taken, in sentences."""
+        everything, bad = self.objects, []
+        for placed, zone, before in self._asked:
+            self.objects = everything[:before]
+            told = self._wrong(placed, zone)
+            bad += [told] if told else []
+        self.objects = everything
+        if self._stick_of is not None:
+            bad += self._wrong_stick(self._stick_of)
+        if not bad:
+            try:
+                self.check(goal)
+            except PlacementError as error:
+                bad.append(_hindered(str(error)))
+        return tuple(bad)
+
+    def _wrong(self, placed: ObjectPlacement, zone: Zone) -> str:
+        kind, name = placed.entity.kind, placed.entity.phrase
+        x, y = placed.pose.x + _AROUND[:, 0], placed.pose.y + _AROUND[:, 1]
+        if not self.territory.on_table(x, y, kind.disc_m + FROM_EDGE_M).any():
+            return f"The {name} does not lie on the table as a whole."
+        if not self.territory.in_view(x, y).any():
+            return f"The {name} lies where no robot's camera sees it."
+        checked = zone.check is None or zone.check(placed.pose)
+        if zone.sift(kind, x, y).any() and checked:
+            return ""
+        says = zone.says.format(*self._robots) or "where the task wants it"
+        return f"The {name} must lie {says}. Now {self._situation(placed)}."
+
+    def _situation(self, placed: ObjectPlacement) -> str:
+        """Return what each robot could do to a thing where it lies."""
+        x, y = np.array([placed.pose.x]), np.array([placed.pose.y])
+        told = []
+        for robot, phrase in enumerate(self._robots):
+            if self.territory.works(robot, x, y)[0]:
+                what = "works there"
+            elif self.territory.cannot(robot, placed.entity.kind, x, y)[0]:
+                what = "could not touch it"
+            else:
+                what = "might touch it, but does not surely work there"
+            told.append(f"the {phrase} {what}")
+        return " and ".join(told)
+
+    def _wrong_stick(self, robot: int) -> list[str]:
+        (placed,) = (p for p in self.objects if p.kind == "stick")
+        pose, phrase = placed.pose, self._robots[robot]
+        yaw = np.full(len(_AROUND), pose.yaw)
+        x, y = pose.x + _AROUND[:, 0], pose.y + _AROUND[:, 1]
+        bad = []
+        if not self.suits_stick(robot, x, y, yaw).any():
+            bad.append(
+                f"All of the stick must lie on the table and in view, where the "
+                f"{phrase} grasps it and no other robot could touch it."
+            )
+        turned = heading_from(self.robots[robot].base, pose)
+        if turned > LARGEST_HEADING_RAD + 1e-3:
+            bad.append(
+                f"The stick must point away from the {phrase}: it is turned by "
+                f"{math.degrees(turned):.0f} degrees, and may be by "
+                f"{math.degrees(LARGEST_HEADING_RAD):.0f}."
+            )
+        return bad
+
+
+def _ways(instance: Instance, task: Task) -> Iterator[tuple[_Reenactment, Goal]]:
+    """Yield each way in which a task can have meant the objects of an instance."""
+    by_kind: dict[str, list[ObjectPlacement]] = {}
+    extra = [p for p in instance.scene.objects if p.name in instance.distractors]
+    for placed in instance.scene.objects:
+        if placed not in extra:
+            by_kind.setdefault(placed.kind, []).append(placed)
+    for order in permutations(range(len(instance.scene.robots))):
+        every = product(*map(permutations, by_kind.values()))
+        for chosen in islice(every, _MOST_WAYS):
+            there = tuple(placed for kind in chosen for placed in kind)
+            board = _Reenactment(instance, order, (*there, *extra))
+            try:
+                goal = task.arrange(board)
+                for placed in extra:
+                    board.put(placed.kind, board.anywhere(), placed.color)
+            except (LemmaError, PlacementError):
+                continue
+            if set(goal.pairs) == set(instance.goal.pairs):
+                yield board, goal
+
+
+def _crowded(instance: Instance) -> Iterator[str]:
+    """Yield what lies too near to something else."""
+    robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
+    objects = instance.scene.objects
+    for i, one in enumerate(objects):
+        for other in objects[i + 1 :]:
+            least, gap = one.entity.kind.spacing_to(other.entity.kind), _gap(one, other)
+            if gap < least - _ROUNDED_M:
+                yield (
+                    f"The {one.entity.phrase} and the {other.entity.phrase} are "
+                    f"{100 * gap:.0f} cm apart, and need {100 * least:.0f} cm."
+                )
+        for robot, phrase in zip(robots, phrases, strict=True):
+            x, y = robot.base.xy
+            stick = one.entity.kind.tool
+            away = stick_gap(one.pose, x, y) if stick else one.pose.distance(robot.base)
+            if away < sweep_radius_m(robot.arm) + BESIDE_BASE_M - _ROUNDED_M:
+                yield f"The {one.entity.phrase} lies at the {phrase}'s base."
+
+
+def _gap(one: ObjectPlacement, other: ObjectPlacement) -> float:
+    """Return how far apart two things are, as the sampler measures it [m]."""
+    for stick, thing in ((one, other), (other, one)):
+        if stick.entity.kind.tool:
+            return stick_gap(stick.pose, thing.pose.x, thing.pose.y)
+    return one.pose.distance(other.pose)
+
+
+def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[str]:
+    """Yield where robots do not stand as the sampler would have them."""
+    robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
+    if len(robots) != 2:
+        yield f"There are {len(robots)} robots, and the sampler sets tables for two."
+        return
+    for number, (robot, phrase) in enumerate(zip(robots, phrases, strict=True)):
+        turned = wrap(robot.base.yaw - math.pi * number)
+        if abs(robot.base.y) > LATERAL_M or abs(turned) > YAW_RAD + 1e-3:
+            yield (
+                f"The {phrase} does not stand as the sampler has it: within "
+                f"{100 * LATERAL_M:.0f} cm of the middle line, and turned to the other "
+                f"within {math.degrees(YAW_RAD):.0f} degrees."
+            )
+    team = tuple(robot.arm for robot in robots)
+    left, right = robots[0].base.x, robots[1].base.x
+    first, second = (reach_of(arm).travel_m for arm in team)
+    if task.apart:
+        least, most = (apart_m(team, order) + more for more in APART_M)
+    else:
+        least, most = (first + second - width for width in reversed(SHARED_WIDTH_M))
+    if not least - _ROUNDED_M <= right - left <= most + _ROUNDED_M:
+        yield (
+            f"The robots stand {right - left:.2f} m apart, and the sampler has them "
+            f"{least:.2f} to {most:.2f} m apart."
+        )
+    elif abs(left + right + first - second) / 2.0 > _MIDDLE_M:
+        yield "The robots do not meet in the middle of the table."
+    wanted = gap_beyond(robots, order[0]) if task.apart else None
+    gap = instance.scene.gap_m
+    if (wanted is None) != (gap is None) or (
+        wanted and gap and abs(wanted[0] - gap[0]) > 2 * _ROUNDED_M
+    ):
+        yield f"The gap in the table is not where the {phrases[order[0]]} needs it."
+
+
+def _hindered(what: str) -> str:
+    """Return why a whole table was refused."""
+    primitive, _, name = what.partition(" ")
+    if primitive == "robot":
+        return "One robot alone might push a tower of cubes to where the goal wants it."
+    return (
+        f"The {name.replace('_', ' ')} cannot be dragged by the stick as the task "
+        f"needs it ({primitive}): something is in the way."
+    )

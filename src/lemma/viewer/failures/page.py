@@ -1,0 +1,75 @@
+"""A page of failures: two tables side by side, at the moment where it went wrong."""
+
+import threading
+
+from lemma.viewer.failures.catalog import Catalog, Filter
+from lemma.viewer.failures.panel import FailurePanel
+from lemma.viewer.failures.viewing import Cursor, Sight, Viewing
+from lemma.viewer.panel.panel import set_theme
+from lemma.viewer.recording.tables import Tables
+from lemma.viewer.scene.eyes import Eyes
+from lemma.viewer.server import close_server, go_round, open_server
+
+_HALF_WIDTH_M = 3.6
+"""What is seen at first to the left and right of two tables [m]."""
+
+
+class FailurePage:
+    """A page on an address; all of its tabs see the same."""
+
+    def __init__(
+        self, catalog: Catalog, host: str, port: int, wanted: Filter | None = None
+    ) -> None:
+        """Listen, and look at the first failure.
+
+        Args:
+            catalog: What there is to look at.
+            host: Address to listen on.
+            port: Port to listen on; the next one that is free if it is taken.
+            wanted: What is looked for at first.
+
+        Raises:
+            InvalidConfigError: That is no address of this machine, or no port.
+        """
+        self._server = open_server(host, port)
+        set_theme(self._server.gui, dark=False)
+        self._server.gui.main_panel.dock_right()
+        self.address = f"http://{host}:{self._server.get_port()}"
+        self.cursor, self.viewing = Cursor(), Viewing()
+        self.panel = FailurePanel(
+            self._server, catalog, self.viewing, self.cursor, wanted or Filter()
+        )
+        self._eyes = Eyes(self._server, _HALF_WIDTH_M)
+        self._shown: Sight | None = None
+        self._tables: Tables | None = None
+        self._closed = threading.Event()
+
+    def tick(self, real_s: float) -> None:
+        """Move on by some real time [s], and show it."""
+        sight = self.viewing.sight
+        if sight is not None and sight is not self._shown:
+            self._shown = sight
+            end_s = max((track.end_s for track in sight.tracks), default=0.0)
+            self.cursor.open(min(sight.opens_s, end_s), end_s)
+            if sight.tracks:
+                with self._server.atomic():
+                    self._tables = Tables(self._server, sight.tracks)
+                self._eyes.widen(self._tables.half_width_m)
+            else:
+                self._server.scene.reset()
+                self._tables = None
+        self.cursor.advance(real_s)
+        if self._tables is not None:
+            self._eyes.step_back()
+            self._tables.show(self.cursor.at_s)
+        self.panel.refresh(sight)
+
+    def run(self) -> None:
+        """Go on until it is closed from another thread, or interrupted."""
+        go_round(self.tick, self._closed)
+
+    def close(self) -> None:
+        """Stop listening, and free what was held."""
+        self._closed.set()
+        self.viewing.close()
+        close_server(self._server)

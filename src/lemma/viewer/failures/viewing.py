@@ -1,0 +1,140 @@
+"""What is looked at: one episode and another, done again in a thread of its own."""
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+
+from lemma.core.errors import LemmaError
+from lemma.evaluation.report.episodes import Case
+from lemma.viewer.recording.again import Again, expert_instead, line_again
+from lemma.viewer.recording.track import Track
+
+_KEPT = 16
+NOT_SAID = (
+    "Its line does not say all that was done: motor commands are too many for a line, "
+    "and other versions have other instances."
+)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """One episode beside another."""
+
+    case: Case
+    tracks: tuple[Track, ...]
+    """From left to right; none where nothing can be shown."""
+    opens_s: float = 0.0
+    """The moment at which it went wrong [s]."""
+    note: str = ""
+    """What else there is to say."""
+
+
+class Viewing:
+    """Does episodes again, the last that was asked for; safe to use from any thread."""
+
+    def __init__(self) -> None:
+        """Begin with nothing to see."""
+        self._changed = threading.Condition()
+        self._asked: tuple[Case, Case | None] | None = None
+        self._sight: Sight | None = None
+        self._busy = self._closed = False
+        self._done: OrderedDict[tuple[str, Path, str], Again] = OrderedDict()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def sight(self) -> Sight | None:
+        """What is there to see; a new object whenever that changes."""
+        return self._sight
+
+    @property
+    def busy(self) -> bool:
+        """Whether something else comes soon."""
+        return self._busy
+
+    def ask(self, case: Case, other: Case | None = None) -> None:
+        """Look at an episode.
+
+        Args:
+            case: Which.
+            other: What somebody else did; what the expert would have done if None.
+        """
+        with self._changed:
+            self._asked, self._busy = (case, other), True
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """End the thread, after what it does now."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                while self._asked is None and not self._closed:
+                    self._changed.wait()
+                if self._closed or self._asked is None:
+                    return
+                (case, other), self._asked = self._asked, None
+            try:
+                sight = self._look(case, other)
+            except Exception as error:
+                # Whatever it is, the page is there to say it.
+                what = str(error) if isinstance(error, LemmaError) else repr(error)
+                sight = Sight(case, (), note=what)
+            with self._changed:
+                self._sight, self._busy = sight, self._asked is not None
+
+    def _look(self, case: Case, other: Case | None) -> Sight:
+        if not case.is_repeatable or (other and not other.is_repeatable):
+            return Sight(case, (), note=NOT_SAID)
+        again = self._again(case)
+        notes = [again.differs]
+        if other is None:
+            beside = expert_instead(case, again)
+        else:
+            found = self._again(other)
+            notes.append(found.differs)
+            beside = found.track
+        note = " ".join(f"It went differently here. {text}" for text in notes if text)
+        return Sight(case, (again.track, beside), again.turn_s, note)
+
+    def _again(self, case: Case) -> Again:
+        key = case.policy, case.folder, case.name
+        if key not in self._done:
+            self._done[key] = line_again(case)
+            if len(self._done) > _KEPT:
+                self._done.popitem(last=False)
+        return self._done[key]
+
+
+class Cursor:
+    """A moment that moves."""
+
+    def __init__(self) -> None:
+        """Stand at the beginning of nothing."""
+        self.at_s = self.end_s = 0.0
+        self.speed = 1.0
+        self.playing = False
+
+    def open(self, at_s: float, end_s: float) -> None:
+        """Stand at a moment of something else [s]."""
+        self.at_s, self.end_s, self.playing = at_s, end_s, False
+
+    def play(self) -> None:
+        """Move on; from the beginning if it stands at the end."""
+        if self.at_s >= self.end_s:
+            self.at_s = 0.0
+        self.playing = True
+
+    def seek(self, at_s: float) -> None:
+        """Stand at another moment [s]."""
+        self.at_s, self.playing = min(max(at_s, 0.0), self.end_s), False
+
+    def advance(self, real_s: float) -> None:
+        """Move, if it moves, by some real time [s]."""
+        if self.playing:
+            self.at_s = min(self.at_s + real_s * self.speed, self.end_s)
+            self.playing = self.at_s < self.end_s

@@ -1,0 +1,1 @@
+"""What is chosen, pressed and read beside the scene."""

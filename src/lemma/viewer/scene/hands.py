@@ -1,0 +1,173 @@
+"""Dragging: what visitors take with the mouse is carried over the table, and turned."""
+
+import asyncio
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+
+from lemma.core.poses import FloatArray, Pose2
+from lemma.scene.scene import Scene
+from lemma.viewer.scene.bodies import Bodies
+
+RING = "/hands"
+"""Name of the node with handles, by which what was taken last is turned."""
+_RING_SCALE = 0.22
+_ROBOT_SCALE = 0.45
+_LEAST_SLOPE = 0.05
+
+
+class Hands:
+    """What may be dragged, and where it is while it is."""
+
+    def __init__(
+        self, server: viser.ViserServer, drop: Callable[[str, Pose2], None]
+    ) -> None:
+        """Begin with nothing.
+
+        Args:
+            server: The page.
+            drop: Told what was carried where; called in a thread of its own.
+        """
+        self._server, self._drop = server, drop
+        self._bodies: Bodies | None = None
+        self._bases: dict[str, Pose2] = {}
+        self._ring: Any = None
+        self._taken = ""
+        self._offset, self._height_m = np.zeros(2), 0.0
+        self._bound: set[str] = set()
+
+    def watch(self, bodies: Bodies, scene: Scene) -> None:
+        """Take what is there from now on.
+
+        Args:
+            bodies: The nodes; new ones, or those of before.
+            scene: Whose they are.
+        """
+        spec = scene.spec
+        if bodies is not self._bodies:
+            self._bodies, self._bound, self._ring, self._taken = bodies, set(), None, ""
+        bases = (robot.base for robot in spec.robots)
+        self._bases = dict(zip(spec.robot_names, bases, strict=True))
+        self._place_ring()
+
+    def allow(self, names: set[str]) -> None:
+        """Say what may be dragged, by name; the rest is for looking at."""
+        if self._bodies is None:
+            return
+        for name in self._bound - names:
+            for part in self._bodies.parts.get(name, ()):
+                part.remove_drag_callback("all")
+                part.remove_click_callback("all")
+        for name in names - self._bound:
+            for part in self._bodies.parts.get(name, ()):
+                part.on_drag(self._dragging(name))
+                part.on_click(self._clicking(name))
+        self._bound = set(names)
+        if self._taken not in names:
+            self._take("")
+
+    def let_go(self) -> None:
+        """Show everything where it is."""
+        if self._bodies is not None:
+            self._bodies.elsewhere.clear()
+            self._place_ring()
+
+    def _home(self, name: str) -> Pose2:
+        """Return where something is, wherever it is shown."""
+        assert self._bodies is not None
+        return self._bases.get(name) or self._bodies.pose(name)
+
+    def _now(self, name: str) -> Pose2:
+        assert self._bodies is not None
+        by, home = self._bodies.elsewhere.get(name), self._home(name)
+        return home if by is None else by @ home
+
+    def _carry(self, name: str, pose: Pose2) -> None:
+        if self._bodies is not None:
+            self._bodies.elsewhere[name] = pose @ self._home(name).inverse()
+
+    def _clicking(self, name: str) -> Callable[[Any], Any]:
+        async def clicked(_: Any) -> None:
+            self._take(name)
+
+        return clicked
+
+    def _dragging(self, name: str) -> Callable[[Any], Any]:
+        # Awaited in order, unlike functions that are not.
+        async def dragged(event: Any) -> None:
+            now = self._now(name)
+            eye = np.asarray(event.client.camera.position, float)
+            if event.phase == "start":
+                self._take(name)
+                self._height_m = float(event.start_position[2])
+                at = _on_plane(eye, np.asarray(event.start_position), self._height_m)
+                self._offset = np.array(now.xy) - (at if at is not None else now.xy)
+            at = _on_plane(eye, np.asarray(event.end_position), self._height_m)
+            if at is not None:
+                x, y = at + self._offset
+                self._carry(name, Pose2(float(x), float(y), now.yaw))
+            self._place_ring()
+            if event.phase == "end":
+                self._put_down(name)
+
+        return dragged
+
+    def _take(self, name: str) -> None:
+        self._taken = name
+        self._place_ring()
+
+    def _place_ring(self) -> None:
+        """Put the handles around what was taken last; none if that is nothing."""
+        if not self._taken or self._bodies is None:
+            if self._ring is not None:
+                self._ring.visible = False
+            return
+        if self._ring is None:
+            # Axes x and y are active, and so is turning about z.
+            self._ring = self._server.scene.add_transform_controls(
+                RING, active_axes=(True, True, False), depth_test=False, opacity=0.7
+            )
+            self._ring.on_update(self._turned)
+        pose = self._now(self._taken)
+        half = pose.yaw / 2.0
+        with self._server.atomic():
+            self._ring.scale = (
+                _ROBOT_SCALE if self._taken in self._bases else _RING_SCALE
+            )
+            self._ring.position = (pose.x, pose.y, 0.02)
+            self._ring.wxyz = (math.cos(half), 0.0, 0.0, math.sin(half))
+            self._ring.visible = True
+
+    async def _turned(self, event: Any) -> None:
+        name = self._taken
+        if not name:
+            return
+        x, y, _ = (float(value) for value in event.target.position)
+        w, _, _, z = (float(value) for value in event.target.wxyz)
+        self._carry(name, Pose2(x, y, 2.0 * math.atan2(z, w)))
+        if event.phase == "end":
+            self._put_down(name)
+
+    def _put_down(self, name: str) -> None:
+        # It may wait for a policy, and nothing else is heard meanwhile.
+        pose, loop = self._now(name), asyncio.get_running_loop()
+        loop.run_in_executor(None, self._drop, name, pose)
+
+
+def _on_plane(eye: FloatArray, point: FloatArray, height_m: float) -> FloatArray | None:
+    """Return where a look meets a height, (2,) [m]; None if it hardly does.
+
+    Args:
+        eye: From where, (3,) [m].
+        point: On the line of sight, (3,) [m].
+        height_m: Of the horizontal plane [m].
+    """
+    along = point - eye
+    along = along / (np.linalg.norm(along) + 1e-12)
+    if along[2] > -_LEAST_SLOPE:
+        return None
+    found: FloatArray = (eye + (height_m - eye[2]) / along[2] * along)[:2]
+    return found

@@ -1,0 +1,184 @@
+"""Episodes done again, and the page that plays them from the disk."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from browser import Page as Browser
+from browser import page_in_chromium
+from clumsy import EPISODES, FAILED, Clumsy, play_clumsily
+
+from lemma.cli.main import main
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.workers.serial import Serial
+from lemma.dataset.recipe.generate import GenerateConfig, generate
+from lemma.evaluation.report.episodes import Case
+from lemma.evaluation.run.rollout import Player, Rollout, roll_out
+from lemma.viewer.recording.again import Again, expert_instead, line_again
+from lemma.viewer.recording.pages import PAGE, VISER
+from lemma.viewer.recording.sources import cases_in, replays_in, write_cases
+from lemma.viewer.recording.track import FRAME_S, SOLVED, Reel
+from lemma.viz.pages.replays import PLAYER
+
+
+@pytest.fixture(scope="module")
+def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Case]:
+    found = cases_in(play_clumsily(tmp_path_factory.mktemp("clumsy")))
+    assert [case.cause is None for case in found] == [False] * 2 * FAILED + [True] * 2
+    return {
+        case.row["index"]: case for case in found if case.name.startswith("high_level")
+    }
+
+
+@pytest.fixture(scope="module")
+def again(cases: dict[int, Case]) -> dict[int, Again]:
+    return {index: line_again(case) for index, case in cases.items()}
+
+
+@pytest.mark.parametrize("index", range(EPISODES))
+def test_line_gives_the_very_episode(
+    index: int, cases: dict[int, Case], again: dict[int, Again]
+) -> None:
+    case, found = cases[index], again[index]
+    played = Rollout(case.instance)
+    reel = Reel(played.episode.simulation)
+    for _ in roll_out([played], Player(Clumsy()), lenient=False):
+        pass
+    assert found.differs == ""
+    if played.protective_stop is None:
+        assert found.state_hash == played.episode.simulation.scene.state_hash()
+    # What was played goes on after a protective stop, for the lenient verdict.
+    for (time_s, qpos), (was_s, was) in zip(
+        found.track.frames, reel.frames, strict=False
+    ):
+        assert time_s == was_s
+        assert qpos.tobytes() == was.tobytes()
+    assert found.track.solved is played.success
+    assert [line.outcome for line in found.track.lines] == [
+        str(step.result.outcome) for step in played.steps
+    ]
+
+
+def test_line_that_lies_is_found_out(cases: dict[int, Case]) -> None:
+    row = {**cases[0].row, "elapsed_s": 1.0}
+    assert "elapsed s" in line_again(replace(cases[0], row=row)).differs
+
+
+def test_motor_commands_are_in_no_line(cases: dict[int, Case]) -> None:
+    assert cases[0].is_repeatable
+    commanded = {**cases[0].row, "control": {"mode": "ee_pose"}}
+    assert not replace(cases[0], row=commanded).is_repeatable
+
+
+@pytest.mark.parametrize("index", [1, 2, 3])
+def test_expert_goes_on_from_the_mistake(
+    index: int, cases: dict[int, Case], again: dict[int, Again]
+) -> None:
+    case, found = cases[index], again[index]
+    instead = expert_instead(case, found)
+    assert instead.solved
+    assert instead.verdict == SOLVED
+    assert not found.track.solved
+    assert found.kept == {1: 1, 2: 0, 3: 0}[index]
+    assert instead.lines[: found.kept] == found.track.lines[: found.kept]
+    kept = round(found.turn_s / FRAME_S)
+    assert instead.times[:kept] == found.track.times[:kept]
+    assert found.turn_s <= found.track.end_s + FRAME_S
+    assert instead.lines[found.kept].start_s >= found.turn_s
+
+
+@pytest.fixture(scope="module")
+def folder(cases: dict[int, Case], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("page")
+    words = ("replay", str(cases[0].folder), "--browser", str(out), "--limit", "2")
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    assert left.value.code == 0
+    assert len(list(out.glob(f"*{VISER}"))) == 2
+    return out
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with page_in_chromium(tmp_path_factory.mktemp("profile")) as found:
+        found.ask(
+            "Network.emulateNetworkConditions",
+            offline=True,
+            latency=0,
+            downloadThroughput=0,
+            uploadThroughput=0,
+        )
+        # What is drawn in software costs time by its size.
+        found.resize(320, 400)
+        yield found
+
+
+@pytest.mark.slow
+def test_page_plays_from_the_disk_without_a_network(
+    browser: Browser, folder: Path
+) -> None:
+    browser.open((folder / PAGE).as_uri())
+    browser.wait_for("document.body.dataset.at > 0")
+    inner = "document.querySelector('iframe').contentDocument"
+    browser.wait_for(f"{inner}.querySelector('canvas')")
+    assert browser.run("document.querySelectorAll('h2').length") == 2
+    assert browser.run("document.body.innerText.includes('Solved.')")
+    asked = [
+        event["params"]["request"]["url"].partition(":")[0]
+        for event in browser.events
+        if event["method"] == "Network.requestWillBeSent"
+    ]
+    assert set(asked) <= {"file", "data", "blob"}
+    assert not [e for e in browser.events if e["method"] == "Runtime.exceptionThrown"]
+
+
+@pytest.mark.slow
+def test_subtask_leads_to_its_moment(browser: Browser, folder: Path) -> None:
+    page = (folder / PAGE).as_uri()
+    browser.open(page + "#high_level-stack-2")
+    browser.wait_for("document.body.dataset.at > 0")
+    last = "[...document.querySelectorAll('section:last-child li')].at(-1)"
+    browser.run(f"{last}.querySelector('button').click()")
+    browser.wait_for(f"{last}.classList.contains('now')")
+    # It goes on from there.
+    at = browser.run("Number(document.body.dataset.at)")
+    browser.wait_for(f"document.body.dataset.at != {at}")
+    wide = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
+    browser.resize(390, 700)
+    assert not browser.run(wide)
+
+
+@pytest.mark.slow
+def test_pages_of_a_folder_share_one_player(
+    browser: Browser, cases: dict[int, Case], tmp_path: Path
+) -> None:
+    written = write_cases([(7, cases[3])], tmp_path, Serial(), lambda count: None)
+    assert written == {7: "7-high_level-stack-3.html"}
+    player = tmp_path / PLAYER
+    assert (tmp_path / written[7]).stat().st_size < player.stat().st_size
+    browser.open((tmp_path / written[7]).as_uri())
+    browser.wait_for("document.body.dataset.at > 0")
+
+
+def test_recipe_is_looked_at_too(tmp_path: Path) -> None:
+    recipe = tmp_path / "recipe"
+    order = GenerateConfig(out=recipe, tasks=("pass",), splits=("val",), episodes=1)
+    generate(order, Serial())
+    count, replays = replays_in(recipe, "pass", "val", 1)
+    assert count == 1
+    (found,) = replays
+    assert found.name == "pass-val-0"
+    (side,) = found.sides
+    assert side.solved
+    assert [step.ok for step in side.steps] == [True, True]
+    assert len(found.recording) > 50_000
+
+
+def test_folders_without_episodes_are_refused(
+    tmp_path: Path, cases: dict[int, Case]
+) -> None:
+    with pytest.raises(DatasetError, match="neither a recipe nor a result"):
+        replays_in(tmp_path, None, None, 1)
+    with pytest.raises(InvalidConfigError, match="no episodes of task hook"):
+        replays_in(cases[0].folder, "hook", None, 1)
