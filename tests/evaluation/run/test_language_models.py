@@ -44,7 +44,7 @@ def lines(out: Path) -> list[dict[str, Any]]:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run by a server that errs now and then, and its cassette."""
     out = tmp_path_factory.mktemp("recorded")
-    # Four episodes ask at once, in any order: so far apart, no question gets two errors.
+    # Four episodes ask at once, in any order: so far apart, no question gets two.
     well = ("",) * 8
     with chat_server("prose", *well, "name", *well, "list") as server:
         chat = ChatOptions(base_url=server.url, cassette=out / "c.jsonl")
