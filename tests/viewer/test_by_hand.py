@@ -1,4 +1,4 @@
-"""A robot that a visitor leads, and what is kept of it."""
+"""Robots that a visitor leads, and what is kept of it."""
 
 import json
 from collections.abc import Iterator
@@ -9,31 +9,47 @@ from typing import Any
 
 import numpy as np
 import pytest
-from looked_at import STACK, player_of, until
+from looked_at import STACK, StandsStill, player_of, session_of, until
 
 from lemma import make
+from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import Pose2
+from lemma.dataset.teleoperation.done import Commanded, Executed, Teleoperation
 from lemma.evaluation.run.loading import load_policy
 from lemma.policies.control.recorded import Recorded
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.by_hand import BY_HAND
+from lemma.viewer.episode.by_hand import BY_HAND, ByHand
+from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.wish import Phase
 
 WISH = replace(STACK, policy=BY_HAND)
 STEPS = 30
+
+
+def hand_of(play: Play) -> ByHand:
+    until(lambda: play.hand is not None and play.hand.target(0) is not None, play)
+    assert play.hand is not None
+    return play.hand
+
+
+def lead(play: Play, seconds: float) -> None:
+    """Send the hand of the first robot aside and down, and close it."""
+    hand = hand_of(play)
+    goal = hand.target(0)
+    assert goal is not None
+    hand.lead(0, goal[:3] - (0.0, 0.1, 0.1), goal[3:7])
+    hand.grip(0, opened=False)
+    until(lambda: play.transport.cursor_s > seconds, play)
 
 
 @pytest.fixture(scope="module")
 def session() -> Iterator[Session]:
     found = Session(WISH, ("oracle", BY_HAND), player_of())
     found.ask(WISH, acts=True)
-    until(lambda: found.hand.target(0) is not None, found.play)
-    goal = found.hand.target(0)
-    assert goal is not None
-    found.hand.lead(0, goal[:3] - (0.0, 0.1, 0.1), goal[3:7])
-    found.hand.grip(0, opened=False)
-    until(lambda: found.play.transport.cursor_s > 3.0, found.play)
+    lead(found.play, 3.0)
     found.play.transport.pause()
     yield found
     found.close()
@@ -41,17 +57,15 @@ def session() -> Iterator[Session]:
 
 @pytest.fixture(scope="module")
 def file(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    assert session.play.instance is not None
-    recording = session.hand.recording(session.play.instance)
     path = tmp_path_factory.mktemp("hand") / "mine.json"
-    path.write_text(recording.to_json())
+    path.write_text(session.play.kept().to_json())
     return path
 
 
 def test_hand_goes_where_it_is_led(session: Session) -> None:
     assert session.play.rollout is not None
     arm = session.play.rollout.episode.simulation.arms["robot_0"]
-    goal = session.hand.target(0)
+    goal = hand_of(session.play).target(0)
     assert goal is not None
     assert arm.tcp_pose()[:3, 3] == pytest.approx(goal[:3], abs=0.02)
     assert arm.scene.opening_m(arm.robot) < 0.01
@@ -78,11 +92,119 @@ def test_what_was_done_is_done_again_to_the_bit(session: Session, file: Path) ->
     env.close()
 
 
-@pytest.mark.parametrize("actions", [None, {}, {"rows": []}, [[1.0]]])
-def test_file_without_commands_is_refused(actions: object, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the expert began, a visitor went on with, and the expert brought to an end.
+
+    Meanwhile the visitor laid the cube elsewhere, as no robot could.
+    """
+    found = session_of()
+    found.ask(STACK, acts=True)
+    play = found.play
+    until(lambda: play.transport.cursor_s > 1.2, play)
+    play.take_over()
+    until(lambda: play.is_led, play)
+    lead(play, 3.0)
+    assert play.instance is not None
+    (top, _), *_ = play.instance.goal.pairs
+    lies = play.instance.scene.placement(top).pose
+    play.nudge(top, Pose2(lies.x + 0.03, lies.y, lies.yaw))
+    until(lambda: play.moved is not None, play)
+    assert play.moved is not None
+    assert not play.moved.problem
+    play.hand_back()
+    until(lambda: play.status.phase is Phase.SOLVED, play)
+    until(lambda: play.wait(0.0), play)
+    words = [(line.words, line.outcome) for line in play.status.lines]
+    path = tmp_path_factory.mktemp("taken") / "taken.json"
+    path.write_text(play.kept().to_json())
+    found.close()
+    assert words[0][1] == "taken over"
+    assert ("You lead the robots", "by hand") in words
+    return path
+
+
+def test_policy_goes_on_where_a_visitor_hands_back(taken: Path) -> None:
+    parts = Teleoperation.load(taken).parts
+    first, led, *rest = parts
+    assert isinstance(first, Executed)
+    assert isinstance(led, Commanded)
+    assert first.until_s == led.start_s
+    assert 0.0 < led.start_s < 3.0
+    assert len(led.rows) > STEPS
+    assert rest
+    assert all(isinstance(part, Executed) and part.until_s is None for part in rest)
+
+
+def test_it_is_replayed_to_the_bit(taken: Path, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["replay", str(taken)])
+    assert left.value.code == 0
+    # A tenth of a millimetre, for a twentieth of a second, is noticed.
+    changed = json.loads(taken.read_text())
+    changed["done"]["commanded"][0]["rows"][10][0][0] += 1e-4
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(changed))
+    with pytest.raises(SystemExit) as left:
+        main(["replay", str(other)])
+    assert left.value.code == 1
+
+
+def test_it_is_shown_again(taken: Path, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["replay", str(taken), "--browser", str(tmp_path / "page")])
+    assert left.value.code == 0
+    page = (tmp_path / "page" / "index.html").read_text()
+    assert "Led by hand" in page
+    assert "was moved" in page
+    assert "It went differently" not in page
+
+
+def test_commands_alone_are_no_whole_episode(taken: Path) -> None:
+    with pytest.raises(InvalidConfigError, match="lemma replay"):
+        Recorded(str(taken))
+
+
+def test_nobody_takes_over_what_is_not_done() -> None:
+    found = session_of(still=StandsStill())
+    with pytest.raises(InvalidConfigError, match="while an episode goes on"):
+        found.play.take_over()
+    with pytest.raises(InvalidConfigError, match="by hand"):
+        found.play.kept()
+    found.ask(replace(STACK, policy="still"), acts=True)
+    until(lambda: found.play.transport.cursor_s > 0.1, found.play)
+    with pytest.raises(InvalidConfigError, match="commands motors"):
+        found.play.take_over()
+    with pytest.raises(InvalidConfigError, match="are not kept"):
+        found.play.kept()
+    found.close()
+
+
+def test_taking_over_waits_for_no_time() -> None:
+    found = session_of()
+    found.ask(STACK, acts=True)
+    play = found.play
+    until(lambda: play.transport.cursor_s > 0.5, play)
+    play.transport.pause()
+    play.take_over()
+    until(lambda: play.is_led)
+    assert not play.transport.playing
+    found.close()
+    assert play.wait(5.0)
+
+
+@pytest.mark.parametrize(
+    "done", [None, {}, {"executed": []}, [[1.0]], {"end_s": "soon"}]
+)
+def test_file_of_nothing_is_refused(done: object, tmp_path: Path) -> None:
     path = tmp_path / "bad.json"
     table = STACK.instance().to_dict()
-    path.write_text(json.dumps({**table, "actions": actions}))
+    path.write_text(json.dumps({**table, "done": done}))
     assert Instance.load(path)
-    with pytest.raises(InvalidConfigError, match="no motor commands"):
+    with pytest.raises(InvalidConfigError, match="not what was done"):
+        Recorded(str(path))
+    whole: dict[str, Any] = dict.fromkeys(("executed", "commanded", "nudged"), [])
+    whole |= {"instruction": "", "end_s": 1.0, "end_sha256": ""}
+    path.write_text(json.dumps({**table, "done": whole}))
+    with pytest.raises(InvalidConfigError, match="nothing was done"):
         Recorded(str(path))

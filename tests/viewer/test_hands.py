@@ -11,8 +11,8 @@ from lemma.core.poses import Pose2
 from lemma.tasks.instance import OWN_SPLIT
 from lemma.tasks.rules import problems
 from lemma.tasks.suite import load_instance
-from lemma.viewer.episode.moves import moved
 from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.tables import moved
 from lemma.viewer.episode.wish import Phase
 
 INSTANCE = load_instance("stack", "test", 0)

@@ -13,7 +13,7 @@ from looked_at import STACK, Explains, Reads, own, session_of, until
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.tasks.suite import SUITE, load_instance
-from lemma.viewer.episode.by_hand import BY_HAND
+from lemma.viewer.episode.by_hand import BY_HAND, ByHand
 from lemma.viewer.episode.wish import OWN_WORDS, Line, Phase, Reading, Status
 from lemma.viewer.origins import is_own
 from lemma.viewer.page import Page
@@ -236,27 +236,51 @@ def test_table_is_saved_and_opened_again(page: Page) -> None:
     assert page.session.play.instance == load_instance("stack", "test", 3)
 
 
+def led(page: Page) -> ByHand:
+    return page.session.play.hand or ByHand()
+
+
+def test_visitor_takes_over_and_hands_back(page: Page) -> None:
+    until_phase(page, Phase.READY)
+    pilot = page.panel.pilot
+    pilot.take_over()
+    page.tick(0.0)
+    assert "while an episode goes on" in page.panel.status.content
+    page.panel.act()
+    until_true(page, lambda: pilot.take.visible)
+    assert not pilot.grips.visible
+    pilot.take_over()
+    until_true(page, lambda: pilot.back.visible)
+    assert pilot.grips.visible
+    assert not pilot.take.visible
+    assert "You lead" in page.panel.timeline.content
+    page.session.play.hand_back()
+    until_true(page, lambda: pilot.take.visible)
+    assert not pilot.grips.visible
+
+
 def test_handles_of_a_hand_are_there_while_it_is_led(page: Page) -> None:
     until_phase(page, Phase.READY)
-    assert not page.panel.pilot.folder.visible
     visitor = Client()
     page.panel.pilot.download(visitor)
     assert not visitor.files
     page.panel.policy.value = BY_HAND
     page.panel.act()
-    until_true(page, lambda: page.session.hand.target(1) is not None)
+    until_true(page, lambda: led(page).target(1) is not None)
     assert page.panel.pilot.folder.visible
     robots = page.panel.pilot.robot
     robots.value = robots.options[1]
     page.panel.pilot.grip(CLOSE)
-    goal = page.session.hand.target(1)
+    goal = led(page).target(1)
     assert goal is not None
     assert goal[7] == 0.0
     until_true(page, lambda: page.session.play.transport.cursor_s > 0.3)
     page.panel.pilot.download(visitor)
     ((name, content),) = visitor.files.items()
     assert name == "stack-test-0-by-hand.json"
-    assert len(json.loads(content)["actions"]["rows"]) >= 6
+    (part,) = json.loads(content)["done"]["commanded"]
+    assert len(part["rows"]) >= 6
+    assert not page.panel.pilot.back.visible
     page.panel.policy.value = "oracle"
     page.panel.set_table()
     until_phase(page, Phase.READY)

@@ -1,4 +1,4 @@
-"""`lemma replay`: do a recipe again, and compare every state to the bit."""
+"""`lemma replay`: do episodes again, and compare their states to the bit."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,6 +14,8 @@ from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.reader import Recipe, load
 from lemma.dataset.recipe.replay import Replay, replay_all
+from lemma.dataset.teleoperation.done import Teleoperation
+from lemma.dataset.teleoperation.perform import is_same, perform
 
 _AT_INTERRUPT = (
     "{done} of {total} episodes were compared; nothing was changed, and what was "
@@ -21,9 +23,13 @@ _AT_INTERRUPT = (
 )
 _SHOWN = 20
 _IN_A_PAGE = 8
+_WHY = (
+    "States depend on the engine, the processor family and the C library's "
+    "mathematics. Replay on the kind of machine that wrote them."
+)
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
-"""A recipe."""
+"""A recipe, or what was led by hand."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +57,12 @@ def replay(
 ) -> int:
     """Execute a recipe again, and say where its states cannot be reproduced.
 
-    With --browser, episodes are done again to be looked at: of a recipe, or of what
-    lemma evaluate wrote, there beside what the expert would have done.
+    So is an episode that was led by hand on the page of lemma play. With --browser,
+    episodes are done again to be looked at: those, or what lemma evaluate wrote, there
+    beside what the expert would have done.
 
     Args:
-        data: Folder of the recipe.
+        data: Folder of the recipe, or file of an episode that was led by hand.
         part: Which episodes.
         working: Where to work.
         browser: Folder for a page that plays them without a server or a network, and
@@ -65,6 +72,8 @@ def replay(
     """
     if browser is not None:
         return _show(data, browser, part)
+    if data.is_file():
+        return _again(data, as_json=as_json)
     recipe = choose(load(data), part.task, part.split, part.limit)
     engine = working.make_engine()
     start = perf_counter()
@@ -93,6 +102,25 @@ def _show(data: Path, out: Path, part: Part) -> int:
     page = write_folder(out, done)
     output().print(f"Episodes: {count}. Page: {page}", soft_wrap=True)
     return 0
+
+
+def _again(file: Path, *, as_json: bool) -> int:
+    """Do what was led by hand again."""
+    done = Teleoperation.load(file)
+    start = perf_counter()
+    same = is_same(done, perform(done))
+    seconds = perf_counter() - start
+    if as_json:
+        print_json({"episodes": 1, "same": same, "seconds": round(seconds, 3)})
+    elif same:
+        output().print(
+            f"The {done.end_s:.1f} s are reproduced to the bit ({seconds:.1f} s).",
+            style="green",
+        )
+    else:
+        output().print("It comes to another state.", style="bold red")
+        output().print(_WHY)
+    return 0 if same else 1
 
 
 def _check(limit: int | None) -> None:
@@ -144,7 +172,4 @@ def _print(episodes: int, drifting: list[Replay], seconds: float) -> None:
     console.print(table)
     if len(drifting) > _SHOWN:
         console.print(f"... and {len(drifting) - _SHOWN} more; --json lists them all.")
-    console.print(
-        "States depend on the engine, the processor family and the C library's "
-        "mathematics. Replay on the kind of machine that wrote the recipe."
-    )
+    console.print(_WHY)

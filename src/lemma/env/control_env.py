@@ -4,7 +4,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from lemma.core.errors import ResetNeededError
+from lemma.core.errors import InvalidConfigError, ResetNeededError
 from lemma.env.base_env import LemmaEnv, StepResult
 from lemma.env.config import EnvConfig
 from lemma.env.control.controllers import Controller, StepSize
@@ -58,6 +58,29 @@ class ControlEnv(LemmaEnv):
         arms = tuple(episode.simulation.arms.values())
         self._controller = self.mode.controller(arms, self._step)
         self._settled_s = 0.0
+
+    def take_over(self, episode: Episode) -> None:
+        """Go on with an episode that is under way, from where its robots are.
+
+        Args:
+            episode: Of a team as large as this environment's; its robots stand where
+                whoever moved them before has left them.
+
+        Raises:
+            InvalidConfigError: Its motors are driven otherwise, or its team is another.
+        """
+        scene = episode.simulation.scene
+        if scene.actuation != self.actuation:
+            raise InvalidConfigError(
+                f"control={self.config.control!r} drives motors by {self.actuation}, "
+                f"and those of this episode take {scene.actuation}."
+            )
+        if scene.spec.robot_names != self.robot_names:
+            raise InvalidConfigError(
+                f"The episode has {len(scene.spec.robot_names)} robots, and this "
+                f"environment {len(self.robot_names)}."
+            )
+        self._begin(episode)
 
     @property
     def controller(self) -> Controller:

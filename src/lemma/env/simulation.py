@@ -166,8 +166,13 @@ class Simulation:
         if subtask.robot not in self.arms:
             raise UnknownNameError("robot in this scene", subtask.robot, self.arms)
         start, before = self.time_s, self.scene.fallen
-        result = self._drive(self._skills.run(subtask), subtask.robot, until_s)
-        self.clocks[subtask.robot].busy_s += self.time_s - start
+        skill = self._skills.run(subtask)
+        try:
+            result = self._drive(skill, subtask.robot, until_s)
+        finally:
+            # An observer may break it off by raising something.
+            skill.close()
+            self.clocks[subtask.robot].busy_s += self.time_s - start
         return self._with_losses(result, before)
 
     def _with_losses(self, result: SkillResult, before: tuple[str, ...]) -> SkillResult:
@@ -190,7 +195,6 @@ class Simulation:
                 result: SkillResult = done.value
                 return result
             if data.time >= end:
-                skill.close()
                 return SkillResult(
                     Outcome.OUT_OF_TIME,
                     f"The episode ended at {until_s:g} s.",

@@ -1,4 +1,4 @@
-"""A robot that a visitor leads: a policy whose decisions come from the page."""
+"""Robots that a visitor leads: by a policy whose decisions come from the page."""
 
 from collections.abc import Mapping, Sequence
 from threading import Lock
@@ -7,24 +7,27 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lemma.core.poses import FloatArray
+from lemma.core.poses import FloatArray, quaternion_from_matrix
+from lemma.env.config import EnvConfig
 from lemma.env.control.pose_controllers import HIGHEST_M, LOWEST_M
+from lemma.env.control_env import ControlEnv
+from lemma.env.episode import Episode
 from lemma.policies.control.interfaces import Actions, ControlInput
-from lemma.policies.control.recorded import Recording
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.tasks.instance import Instance
+from lemma.tasks.suite import FREE_SPLIT
 
 BY_HAND = "by hand"
 """Its name among the policies of a page."""
-_MODE, _HZ = "ee_pose", 20.0
+CONTROL, CONTROL_HZ = "ee_pose", 20.0
+"""What it commands, and how often a second."""
 
 
 class ByHand:
     """Sends each robot to where its target is; safe to use from any thread."""
 
     control_options: ClassVar[Mapping[str, object]] = {
-        "control": _MODE,
-        "control_hz": _HZ,
+        "control": CONTROL,
+        "control_hz": CONTROL_HZ,
         "observation": "state",
     }
 
@@ -32,7 +35,10 @@ class ByHand:
         """Begin without targets: the first look says where the hands are."""
         self._lock = Lock()
         self._targets: FloatArray | None = None
-        self._rows: list[FloatArray] = []
+        self.rows: list[FloatArray] = []
+        """What it has commanded, oldest first, each (robots, 8)."""
+        self.is_done = False
+        """Whether the visitor leads no more."""
 
     def target(self, robot: int) -> FloatArray | None:
         """Return where a hand shall be: position [m], quaternion wxyz, opening [m]."""
@@ -65,26 +71,53 @@ class ByHand:
             if self._targets is not None:
                 self._targets[robot, 7] = FINGER_OPENING_M if opened else 0.0
 
-    def act(self, inputs: Sequence[ControlInput]) -> list[Any]:
-        """Return the targets as commands, and keep them."""
-        (given,) = inputs
-        with self._lock:
-            if self._targets is None:
-                seen = given.observation
-                poses = np.asarray(seen["tcp_pose"], float).reshape(-1, 7)
-                joints = np.asarray(seen["agent_pos"], float).reshape(len(poses), -1)
-                self._targets = np.hstack([poses, joints[:, -1:]])
-                self._targets[:, :3] = np.clip(poses[:, :3], LOWEST_M, HIGHEST_M)
-                self._targets[:, 3:7] = np.clip(poses[:, 3:], -1.0, 1.0)
-            row = self._targets.copy()
-            self._rows.append(row)
-        return [Actions(row)]
-
-    def recording(self, instance: Instance) -> Recording:
-        """Return what was done so far.
+    def _begin(self, poses: FloatArray, openings: FloatArray) -> None:
+        """Hold the hands where they are.
 
         Args:
-            instance: At which table.
+            poses: Of the tool centre points, (robots, 7) [m, wxyz].
+            openings: Of the grippers, (robots,) [m].
         """
         with self._lock:
-            return Recording(instance, _MODE, _HZ, tuple(self._rows))
+            self._targets = np.hstack([poses, openings[:, None]])
+            self._targets[:, :3] = np.clip(poses[:, :3], LOWEST_M, HIGHEST_M)
+            self._targets[:, 3:7] = np.clip(poses[:, 3:], -1.0, 1.0)
+
+    def _row(self) -> FloatArray:
+        """Return the targets, and keep them as what was commanded."""
+        with self._lock:
+            assert self._targets is not None
+            row = self._targets.copy()
+            self.rows.append(row)
+        return row
+
+    def act(self, inputs: Sequence[ControlInput]) -> list[Any]:
+        """Return the targets as commands."""
+        (given,) = inputs
+        if self._targets is None:
+            seen = given.observation
+            poses = np.asarray(seen["tcp_pose"], float).reshape(-1, 7)
+            joints = np.asarray(seen["agent_pos"], float).reshape(len(poses), -1)
+            self._begin(poses, joints[:, -1])
+        return [Actions(self._row())]
+
+    def take_over(self, episode: Episode) -> None:
+        """Go on with an episode until it is over, or the visitor leads no more.
+
+        Args:
+            episode: At any moment; what robots were doing is broken off.
+        """
+        options: dict[str, Any] = dict(self.control_options)
+        env = ControlEnv(
+            EnvConfig(task=episode.instance.task, split=FREE_SPLIT, **options)
+        )
+        env.take_over(episode)
+        arms = episode.simulation.arms.values()
+        poses = [arm.tcp_pose() for arm in arms]
+        self._begin(
+            np.array([[*p[:3, 3], *quaternion_from_matrix(p[:3, :3])] for p in poses]),
+            # What grippers were told, not how far they came: they go on holding.
+            np.array([arm.opening_m for arm in arms]),
+        )
+        while not (self.is_done or episode.is_over):
+            env.advance(self._row())

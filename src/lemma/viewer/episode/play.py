@@ -6,11 +6,13 @@ is left behind, and the next one begins beside it.
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-from lemma.core.errors import LemmaError
+from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.poses import Pose2
+from lemma.dataset.teleoperation.done import Teleoperation
+from lemma.dataset.teleoperation.nudge import nudge
 from lemma.evaluation.run.control.rollout import ControlPlayer
 from lemma.evaluation.run.language_controls import LanguageControl
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
@@ -21,42 +23,23 @@ from lemma.scene.objects.entity import entity_named
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.moves import nudge
+from lemma.viewer.episode.by_hand import ByHand
+from lemma.viewer.episode.deeds import Deeds
 from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan, parse_goal
+from lemma.viewer.episode.thoughts import NOTHING, Moved, Thought
 from lemma.viewer.episode.told import ToldPolicy
-from lemma.viewer.episode.transport import FRAME_S, AbandonedError, Transport
-from lemma.viewer.episode.way import Way, way_of
+from lemma.viewer.episode.transport import (
+    FRAME_S,
+    AbandonedError,
+    InterruptedEpisodeError,
+    Transport,
+)
+from lemma.viewer.episode.way import way_of
 from lemma.viewer.episode.wish import OWN_WORDS, Line, Phase, Reading, Status, Wish
 from lemma.viz.recording import describe_step, describe_subtask
 
 Load = Callable[[str], Player]
 """Returns a player by the name of its policy."""
-
-
-@dataclass(frozen=True, slots=True)
-class Thought:
-    """Why, or how, something is about to be done."""
-
-    time_s: float
-    """Simulated time [s]."""
-    insight: Insight | None = None
-    """What its policy perceived and weighed; None where that is not said."""
-    robot: str = ""
-    """Name of who shall do it."""
-    way: Way = ()
-    """Where its hand is to go [m]."""
-
-
-NOTHING = Thought(0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """What somebody wanted to lay elsewhere, and what became of it."""
-
-    name: str
-    problem: str = ""
-    """Why it could not be; empty if it was."""
 
 
 class Play:
@@ -89,6 +72,9 @@ class Play:
         self.thoughts: tuple[Thought, ...] = ()
         """What was thought before each sub-task, oldest first."""
         self._insight: Insight | None = None
+        self.hand: ByHand | None = None
+        """Of a visitor who leads, or led last; None if nobody has."""
+        self._deeds, self._controls, self._leads = Deeds(), False, False
         self.moved: Moved | None = None
         """What visitors did last to things of the running episode."""
         self._load = load
@@ -119,6 +105,61 @@ class Play:
         self._thread.join(seconds)
         return not self._thread.is_alive()
 
+    @property
+    def is_led(self) -> bool:
+        """Whether a visitor leads the robots."""
+        return self._leads and self.hand is not None and not self.hand.is_done
+
+    @property
+    def _goes_on(self) -> bool:
+        acts = self._status.phase in (Phase.DECIDING, Phase.ACTING, Phase.LED)
+        return acts and not self.transport.over
+
+    @property
+    def can_be_taken_over(self) -> bool:
+        """Whether a visitor could lead from now on."""
+        return self._goes_on and not self._leads and not self._controls
+
+    @property
+    def can_hand_back(self) -> bool:
+        """Whether there is a policy that could go on."""
+        return self.is_led and not self._controls
+
+    def take_over(self) -> None:
+        """Let a visitor lead from now on; what robots are doing is broken off.
+
+        Raises:
+            InvalidConfigError: Nothing is done that could be taken over.
+        """
+        if not self._goes_on or self._leads:
+            raise InvalidConfigError("Robots are taken over while an episode goes on.")
+        if self._controls:
+            raise InvalidConfigError(
+                "This policy commands motors, and is not asked in between. Choose the "
+                "policy 'by hand' to lead from the beginning."
+            )
+        self.hand = ByHand()
+        self.transport.interrupt()
+
+    def hand_back(self) -> None:
+        """Let the policy go on from where the robots are now."""
+        if self.hand is not None and self.can_hand_back:
+            self.hand.is_done = True
+            self.transport.play()
+
+    def kept(self) -> Teleoperation:
+        """Return what was done so far, by the policy and by hand.
+
+        Raises:
+            InvalidConfigError: Nothing was done by hand.
+        """
+        if self._controls and self.hand is None:
+            raise InvalidConfigError("Motor commands of policies are not kept.")
+        latest = self.transport.latest
+        if self.instance is None or latest is None or not self._deeds.by_hand:
+            raise InvalidConfigError("Nothing was done by hand yet.")
+        return self._deeds.kept(self.instance, self._status.said, latest)
+
     def nudge(self, name: str, pose: Pose2) -> None:
         """Lay an object elsewhere while the episode goes on, and pause there.
 
@@ -140,6 +181,7 @@ class Play:
             self.moved = Moved(name)
             words = f"You moved the {entity_named(name).phrase}"
             now_s = rollout.episode.simulation.time_s
+            self._deeds.move(name, pose, now_s)
             line = Line(words, now_s, now_s, "by hand")
             done = [line for line in self._status.lines if line.end_s is not None]
             runs = [line for line in self._status.lines if line.end_s is None]
@@ -166,6 +208,7 @@ class Play:
             what = str(error) if isinstance(error, LemmaError) else repr(error)
             self._tell(Phase.BROKEN, note=what)
         finally:
+            self._leads = False
             self.transport.finish()
 
     def _set_table(self) -> Rollout:
@@ -201,23 +244,59 @@ class Play:
     def _act(self, rollout: Rollout) -> None:
         self._tell(Phase.LOADING)
         player = self._load(self.wish.policy)
-        controls = isinstance(player, ControlPlayer)
+        controls = self._controls = isinstance(player, ControlPlayer)
         if controls:
             # The same table, in the environment that this policy asks for.
             rollout = player.begin(rollout.instance, rollout.kind, rollout.control)
             self._watch(rollout)
+        if isinstance(player.policy, ByHand):
+            self.hand, self._leads = player.policy, True
+            self._deeds.lead(self.hand, rollout.episode.elapsed_s)
         try:
             if not self._read(rollout, player):
                 return
             told = ToldPolicy(player.policy, self._decided, self._explained)
             (self.transport.step if self._steps else self.transport.play)()
             heard = ControlPlayer(told) if controls else Player(told, player.rig)
-            for _ in roll_out([rollout], heard, on_step=self._stepped):
-                pass
+            while not (rollout.episode.is_over or rollout.fault):
+                try:
+                    for _ in roll_out([rollout], heard, on_step=self._stepped):
+                        pass
+                except InterruptedEpisodeError:
+                    if not rollout.episode.is_over:
+                        self._lead(rollout)
+                    # Else robots stand still, to be judged: nobody can lead them.
+                    rollout.episode.conclude()
             self._conclude(rollout)
         finally:
             if player.rig is not None:
                 player.rig.close()
+
+    def _lead(self, rollout: Rollout) -> None:
+        """Let a visitor lead until they hand back, or it is over."""
+        episode, hand = rollout.episode, self.hand
+        assert hand is not None
+        now_s = episode.simulation.time_s
+        self._deeds.end(until_s=now_s)
+        self._deeds.lead(hand, now_s)
+        lines = [
+            line
+            if line.end_s is not None
+            else replace(line, end_s=now_s, outcome="taken over")
+            for line in self._status.lines
+        ]
+        led = Line("You lead the robots", now_s)
+        self.thoughts = (*self.thoughts, Thought(now_s))
+        self._tell(Phase.LED, lines=(*lines, led))
+        self._leads = True
+        try:
+            hand.take_over(episode)
+        finally:
+            self._leads = False
+        end_s = episode.elapsed_s
+        led = Line(led.words, led.start_s, end_s, "by hand")
+        self._tell(lines=(*self._status.lines[:-1], led))
+        self.transport.mark(end_s)
 
     def _read(self, rollout: Rollout, player: Player) -> bool:
         """Say what is understood; return whether to act on it."""
@@ -259,6 +338,7 @@ class Play:
             lines = (*lines, Line(words, episode.elapsed_s))
         if decision.grounded is not None:
             way = way_of(episode.simulation, decision.grounded)
+        self._deeds.begin(decision, episode.elapsed_s)
         thought = Thought(episode.elapsed_s, self._insight, subtask.robot, way)
         self.thoughts = (*self.thoughts, thought)
         self._tell(Phase.ACTING, lines=lines)
@@ -274,6 +354,7 @@ class Play:
         return next(before, NOTHING)
 
     def _stepped(self, rollout: Rollout, step: TakenStep) -> None:
+        self._deeds.end()
         told = describe_step(step, rollout.instance)
         done = self._status.lines
         if done and done[-1].end_s is None:

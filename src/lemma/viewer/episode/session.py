@@ -14,8 +14,8 @@ from lemma.policies.spec import PolicySpec
 from lemma.serve.client.websocket import is_address
 from lemma.tasks.instance import Instance
 from lemma.viewer.episode.by_hand import BY_HAND, ByHand
-from lemma.viewer.episode.moves import moved
 from lemma.viewer.episode.play import Play
+from lemma.viewer.episode.tables import moved
 from lemma.viewer.episode.wish import Wish
 
 _PATIENCE_S = 1.0
@@ -47,8 +47,6 @@ class Session:
             acts: Whether to act at once.
         """
         self.policies = policies
-        self.hand = ByHand()
-        """What visitors lead, if they do."""
         self._load = load
         self._loaded: dict[str, Player] = {}
         self._loading = threading.Lock()
@@ -62,8 +60,7 @@ class Session:
 
     def _player(self, name: str) -> Player:
         if name == BY_HAND:
-            self.hand = ByHand()
-            return ControlPlayer(self.hand)
+            return ControlPlayer(ByHand())
         with self._loading:
             if name not in self._loaded:
                 self._loaded[name] = self._load(name)

@@ -24,6 +24,10 @@ class AbandonedError(Exception):
     """Nobody looks at this episode any more."""
 
 
+class InterruptedEpisodeError(Exception):
+    """Somebody else goes on from here."""
+
+
 class Transport:
     """A cursor over the states of an episode; safe to use from any thread."""
 
@@ -35,7 +39,8 @@ class Transport:
         self._changes: list[Callable[[], None]] = []
         self._until: float | None = None
         self._cursor_s = 0.0
-        self._playing = self._over = self._abandoned = False
+        self._latest: tuple[float, FloatArray] | None = None
+        self._playing = self._over = self._abandoned = self._interrupted = False
         self._speed = speed
 
     @property
@@ -82,6 +87,11 @@ class Transport:
             if not self._frames:
                 return None
             return self._frames[self._frame_at(self._cursor_s)]
+
+    @property
+    def latest(self) -> tuple[float, FloatArray] | None:
+        """The newest state: its time [s] and the joints' positions, (nq,)."""
+        return self._latest
 
     def _frame_at(self, time_s: float) -> int:
         # A time that was written with two digits is not below that of its state.
@@ -153,8 +163,10 @@ class Transport:
 
         Raises:
             AbandonedError: Nobody looks any more.
+            InterruptedEpisodeError: Somebody has interrupted it.
         """
         with self._changed:
+            self._latest = time_s, qpos.copy()
             if time_s > len(self._frames) * FRAME_S - 1e-6:
                 self._frames.append(qpos.copy())
         while changes := self._wait(time_s):
@@ -163,12 +175,16 @@ class Transport:
             with self._changed:
                 # What was changed is looked at.
                 self._frames[-1] = qpos.copy()
+                self._latest = time_s, qpos.copy()
                 self._cursor_s = self.end_s
+        if self._interrupted:
+            self._interrupted = False
+            raise InterruptedEpisodeError
 
     def _wait(self, time_s: float) -> list[Callable[[], None]]:
         """Wait until the simulation may go on, or something shall be changed."""
         with self._changed:
-            while not (self._abandoned or self._changes):
+            while not (self._abandoned or self._changes or self._interrupted):
                 if time_s <= self._cursor_s + self.lead_s:
                     break
                 self._changed.wait()
@@ -186,6 +202,12 @@ class Transport:
         with self._changed:
             self._until, self._playing = None, False
             self._changes.append(what)
+            self._changed.notify_all()
+
+    def interrupt(self) -> None:
+        """Break off what is done where the simulation next asks, also in a pause."""
+        with self._changed:
+            self._interrupted = True
             self._changed.notify_all()
 
     def mark(self, time_s: float) -> None:

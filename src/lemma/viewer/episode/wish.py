@@ -78,6 +78,7 @@ class Phase(StrEnum):
     READING = "Reading the sentence"
     DECIDING = "Deciding"
     ACTING = "Acting"
+    LED = "You lead"
     SOLVED = "Done"
     FAILED = "Not done"
     ENDED = "Ended"

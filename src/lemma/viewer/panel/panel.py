@@ -11,8 +11,9 @@ from lemma.env.camera_rig import camera_names
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.suite import FREE_SPLIT
 from lemma.tasks.task import TASKS
-from lemma.viewer.episode.play import Play, Thought
+from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.thoughts import Thought
 from lemma.viewer.episode.transport import SPEEDS
 from lemma.viewer.episode.wish import LONGEST, OWN_WORDS, SAYINGS, Phase, Status, Wish
 from lemma.viewer.panel.hands import HandsPanel

@@ -5,8 +5,8 @@ from typing import Any
 
 import viser
 
+from lemma.core.errors import LemmaError
 from lemma.tasks.language.bank import robot_phrases
-from lemma.viewer.episode.by_hand import BY_HAND
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.session import Session
 
@@ -17,7 +17,7 @@ _SCALE = 0.3
 
 
 class Pilot:
-    """Widgets for hands that are led; to be seen while somebody leads one."""
+    """Widgets for hands that are led; to be seen while an episode goes on."""
 
     def __init__(
         self,
@@ -37,9 +37,17 @@ class Pilot:
         self._led: tuple[object, ...] = ()
         gui: Any = server.gui
         with gui.add_folder("By hand", visible=False) as self.folder:
+            self.take = gui.add_button(
+                "Take over", hint="Lead the robots yourself from here on."
+            )
+            self.back = gui.add_button(
+                "Hand back", hint="Let the policy go on from here."
+            )
             self.robot = gui.add_dropdown("Robot", ("robot",))
             self.grips = gui.add_button_group("Gripper", GRIPS)
             self.save = gui.add_button("Save what was done")
+        self.take.on_click(lambda _: self.take_over())
+        self.back.on_click(lambda _: self._session.play.hand_back())
         self.grips.on_click(lambda event: self.grip(event.target.value))
         self.save.on_click(lambda event: self.download(event.client))
 
@@ -48,29 +56,47 @@ class Pilot:
         names = self.robot.options
         return names.index(self.robot.value) if self.robot.value in names else 0
 
+    def take_over(self) -> None:
+        """Lead the robots from now on."""
+        try:
+            self._session.play.take_over()
+            self._complain("")
+        except LemmaError as error:
+            self._complain(str(error))
+
     def grip(self, what: str) -> None:
         """Open or close the gripper of the robot that is led."""
-        self._session.hand.grip(self._number, opened=what == OPEN)
+        hand = self._session.play.hand
+        if hand is not None:
+            hand.grip(self._number, opened=what == OPEN)
 
     def download(self, client: Any) -> None:
         """Give a visitor what was done as a file."""
-        table = self._session.play.instance
-        recording = None if table is None else self._session.hand.recording(table)
-        if table is None or recording is None or not recording.rows:
-            self._complain("Nothing was done by hand yet.")
+        try:
+            done = self._session.play.kept()
+        except LemmaError as error:
+            self._complain(str(error))
             return
+        table = done.instance
         name = f"{table.task}-{table.split}-{table.index}-by-hand.json"
-        content = recording.to_json().encode()
+        content = done.to_json().encode()
         client.send_file_download(name, content, save_immediately=True)
 
     def refresh(self, play: Play) -> None:
         """Show the handles where the hand shall be, if somebody leads one."""
-        leads = play.wish.policy == BY_HAND and play.acts
-        if self.folder.visible != leads:
-            self.folder.visible = leads
-        hand = self._session.hand
-        goal = hand.target(self._number) if leads else None
-        if goal is None or play.instance is None or play.transport.over:
+        leads, goes_on = play.is_led, play.acts and not play.transport.over
+        for widget, needed in (
+            (self.folder, goes_on or play.hand is not None),
+            (self.take, play.can_be_taken_over),
+            (self.back, leads and play.can_hand_back),
+            (self.robot, leads),
+            (self.grips, leads),
+        ):
+            if widget.visible != needed:
+                widget.visible = needed
+        hand = play.hand
+        goal = hand.target(self._number) if leads and hand is not None else None
+        if hand is None or goal is None or play.instance is None:
             self._remove()
             return
         phrases = robot_phrases(play.instance.scene.robots)
@@ -101,4 +127,6 @@ class Pilot:
 
     async def _moved(self, event: Any) -> None:
         position, wxyz = event.target.position, event.target.wxyz
-        self._session.hand.lead(self._number, position, wxyz)
+        hand = self._session.play.hand
+        if hand is not None:
+            hand.lead(self._number, position, wxyz)

@@ -4,15 +4,26 @@ from dataclasses import dataclass, replace
 
 from lemma.dataset.recipe.replay import grounded
 from lemma.dataset.recipe.schema import EpisodeRecord
+from lemma.dataset.teleoperation.done import Commanded, Teleoperation
+from lemma.dataset.teleoperation.perform import is_same, perform
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation, subtask_words
 from lemma.evaluation.report.replay import retrace
 from lemma.expert.expert import Expert, ExpertStep, solve
 from lemma.motion.outcome import Outcome, SkillResult
+from lemma.scene.objects.entity import entity_named
 from lemma.tasks.instance import Instance
 from lemma.viewer.episode.wish import Line
-from lemma.viewer.recording.track import EXPERT, SOLVED, Frames, Reel, Track, unsolved
+from lemma.viewer.recording.track import (
+    BY_HAND,
+    EXPERT,
+    SOLVED,
+    Frames,
+    Reel,
+    Track,
+    unsolved,
+)
 from lemma.viz.recording import describe_subtask
 
 
@@ -44,6 +55,44 @@ def record_again(record: EpisodeRecord) -> Track:
         lines.append(_line(step.instruction, step.start_s, result))
     episode.stop()
     return _track(EXPERT, episode, reel.frames, lines)
+
+
+def teleoperation_again(done: Teleoperation) -> tuple[Track, bool]:
+    """Do what a policy and somebody's hand did.
+
+    Returns:
+        It, and whether it came to the same, to the bit.
+
+    Raises:
+        LemmaError: It cannot be done.
+    """
+    reels: list[Reel] = []
+
+    def watch(episode: Episode, number: int) -> None:
+        if number == 0:
+            reels.append(Reel(episode.simulation))
+
+    episode = perform(done, watch)
+    starts = [part.start_s for part in done.parts]
+    lines = []
+    for part, next_s in zip(done.parts, [*starts[1:], done.end_s], strict=True):
+        if isinstance(part, Commanded):
+            line = Line("Led by hand", part.start_s, next_s, "by hand")
+        else:
+            words = describe_subtask(part.subtask, done.instance)
+            cut = part.until_s is not None
+            line = Line(words, part.start_s, next_s, "taken over" if cut else "")
+        lines.append(line)
+    for nudged in done.nudged:
+        words = f"The {entity_named(nudged.name).phrase} was moved"
+        lines.append(Line(words, nudged.time_s, nudged.time_s, "by hand"))
+    lines.sort(key=lambda line: line.start_s)
+    solved = episode.is_success
+    verdict = SOLVED if solved else unsolved(episode.failure)
+    track = Track(
+        BY_HAND, done.instance, reels[0].frames, tuple(lines), verdict, solved
+    )
+    return track, is_same(done, episode)
 
 
 def turn_of(case: Case) -> int:

@@ -7,9 +7,15 @@ from pathlib import Path
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.workers.pool import Engine
 from lemma.dataset.recipe.reader import Recipe, load
+from lemma.dataset.teleoperation.done import Teleoperation
 from lemma.evaluation.report.episodes import Case, cases_of
 from lemma.evaluation.report.policy_results import entries_of, read_results
-from lemma.viewer.recording.again import expert_instead, line_again, record_again
+from lemma.viewer.recording.again import (
+    expert_instead,
+    line_again,
+    record_again,
+    teleoperation_again,
+)
 from lemma.viewer.recording.pages import replay_of
 from lemma.viewer.recording.serializer import client_page
 from lemma.viz.pages.replays import Replay, write_replays
@@ -21,7 +27,8 @@ def replays_in(
     """Find episodes.
 
     Args:
-        folder: A recipe, or what ``lemma evaluate`` wrote.
+        folder: A recipe, what ``lemma evaluate`` wrote, or the file of an episode that
+            was led by hand.
         task: Only those of this task.
         split: Only those of this split.
         limit: How many at most.
@@ -34,7 +41,9 @@ def replays_in(
         DatasetError: It holds neither, or is damaged.
     """
     found: Sequence[Callable[[], Replay]]
-    if any(folder.glob("*/*.parquet")):
+    if folder.is_file():
+        found = [partial(_of_teleoperation, Teleoperation.load(folder), folder.stem)]
+    elif any(folder.glob("*/*.parquet")):
         recipe = load(folder).select(task=task, split=split)[:limit]
         found = [partial(_of_record, recipe, number) for number in range(len(recipe))]
     else:
@@ -114,6 +123,13 @@ def replay_of_case(case: Case) -> Replay:
         opens_s=0.0 if case.cause is None else again.turn_s,
         note=again.differs and f"It went differently here. {again.differs}",
     )
+
+
+def _of_teleoperation(done: Teleoperation, name: str) -> Replay:
+    track, same = teleoperation_again(done)
+    note = "" if same else "It went differently here."
+    title = f"{done.instance.task} {done.instance.index}, by hand"
+    return replay_of(name, title, [track], sentence=done.instruction, note=note)
 
 
 def _of_record(recipe: Recipe, number: int) -> Replay:

@@ -14,6 +14,7 @@ from lemma.viz.recording import Recording
 FRAME_S = 0.05
 """Simulated time from one state to the next [s]."""
 EXPERT = "The expert"
+BY_HAND = "By hand"
 SOLVED = "Solved."
 """What is said of an episode that succeeded."""
 

@@ -1,0 +1,1 @@
+"""Episodes that somebody led by hand: kept in files, and done again."""

@@ -1,0 +1,216 @@
+"""What was done at a table, by a policy and by somebody's hand, and its file.
+
+A recipe keeps sub-tasks, which are what its episodes are replayed from; motor commands
+are none. So a teleoperated episode is kept beside its instance, in a file of its own:
+whatever reads an instance reads it too, and
+:func:`lemma.dataset.teleoperation.perform.perform` does it again, to the bit.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import TypedDict
+
+import msgspec
+import numpy as np
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import FloatArray, Pose2
+from lemma.tasks.instance import Instance
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+
+KEY = "done"
+"""Under which it is what was done, beside the fields of the instance."""
+
+
+_Pose = tuple[float, float, float]
+
+
+class _Executed(TypedDict):
+    start_s: float
+    robot: str
+    primitive: Primitive
+    pick: str
+    place: str
+    pick_pose: _Pose
+    place_pose: _Pose
+    until_s: float | None
+
+
+class _Commanded(TypedDict):
+    start_s: float
+    control: str
+    control_hz: float
+    rows: list[list[list[float]]]
+
+
+class _Nudged(TypedDict):
+    time_s: float
+    name: str
+    pose: _Pose
+
+
+class _Data(TypedDict):
+    instruction: str
+    executed: list[_Executed]
+    commanded: list[_Commanded]
+    nudged: list[_Nudged]
+    end_s: float
+    end_sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Executed:
+    """A sub-task that a policy executed."""
+
+    start_s: float
+    """Simulated time at which it began [s]."""
+    subtask: SubTask
+    grounded: GroundedSubTask
+    until_s: float | None = None
+    """Simulated time at which it was broken off, because somebody took over [s]; None
+    if it came to its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Commanded:
+    """Motor commands that somebody gave by hand."""
+
+    start_s: float
+    """Simulated time of the first one [s]."""
+    control: str
+    """Their mode, a name in :data:`lemma.env.control.modes.CONTROLS`."""
+    control_hz: float
+    """How many there were a second of simulated time."""
+    rows: Sequence[FloatArray]
+    """Actions, oldest first, each (robots, columns)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Nudged:
+    """A thing that somebody laid elsewhere, as no robot can."""
+
+    time_s: float
+    """Simulated time [s]."""
+    name: str
+    pose: Pose2
+
+
+@dataclass(frozen=True)
+class Teleoperation:
+    """What was done at a table, by a policy and by somebody who took over."""
+
+    instance: Instance
+    instruction: str
+    """What was said."""
+    parts: tuple[Executed | Commanded, ...]
+    """What the robots did, in order."""
+    nudged: tuple[Nudged, ...]
+    """What somebody did meanwhile, in order."""
+    end_s: float
+    """Simulated time to which it goes [s]."""
+    end_sha256: str
+    """Of the joints' positions then, see :func:`joints_sha256`."""
+
+    def to_json(self) -> str:
+        """Return it as a file; what reads an instance reads it too."""
+        parts = self.parts
+        told = {
+            "instruction": self.instruction,
+            "executed": [
+                {
+                    "start_s": part.start_s,
+                    **part.subtask.to_dict(),
+                    "pick_pose": _numbers(part.grounded.pick),
+                    "place_pose": _numbers(part.grounded.place),
+                    "until_s": part.until_s,
+                }
+                for part in parts
+                if isinstance(part, Executed)
+            ],
+            "commanded": [
+                {
+                    "start_s": part.start_s,
+                    "control": part.control,
+                    "control_hz": part.control_hz,
+                    "rows": [np.asarray(row, float).tolist() for row in part.rows],
+                }
+                for part in parts
+                if isinstance(part, Commanded)
+            ],
+            "nudged": [
+                {
+                    "time_s": nudged.time_s,
+                    "name": nudged.name,
+                    "pose": _numbers(nudged.pose),
+                }
+                for nudged in self.nudged
+            ],
+            "end_s": self.end_s,
+            "end_sha256": self.end_sha256,
+        }
+        return json.dumps({**self.instance.to_dict(), KEY: told}) + "\n"
+
+    @classmethod
+    def load(cls, path: Path) -> "Teleoperation":
+        """Read a file.
+
+        Raises:
+            InvalidConfigError: It cannot be read, or does not say what was done.
+            UnknownNameError: Its instance names something that does not exist.
+        """
+        instance = Instance.load(path)
+        data = json.loads(path.read_bytes()).get(KEY)
+        try:
+            found = msgspec.convert(data, _Data)
+        except (msgspec.ValidationError, RecursionError) as error:
+            raise InvalidConfigError(
+                f"{path} holds an instance, but not what was done by hand: {error}. "
+                "lemma play saves such files."
+            ) from None
+        parts: list[Executed | Commanded] = [
+            _executed(part) for part in found["executed"]
+        ]
+        for part in found["commanded"]:
+            rows = [np.asarray(row, float) for row in part["rows"] if row]
+            if not rows or any(row.shape != rows[0].shape for row in rows):
+                raise InvalidConfigError(f"{path}: motor commands have no one shape.")
+            parts.append(
+                Commanded(part["start_s"], part["control"], part["control_hz"], rows)
+            )
+        if not parts:
+            raise InvalidConfigError(f"{path}: nothing was done.")
+        nudged = (
+            Nudged(each["time_s"], each["name"], Pose2(*each["pose"]))
+            for each in found["nudged"]
+        )
+        return cls(
+            instance,
+            found["instruction"],
+            tuple(sorted(parts, key=lambda part: part.start_s)),
+            tuple(nudged),
+            found["end_s"],
+            found["end_sha256"],
+        )
+
+
+def _numbers(pose: Pose2) -> list[float]:
+    return [pose.x, pose.y, pose.yaw]
+
+
+def _executed(part: _Executed) -> Executed:
+    who = part["robot"], part["primitive"]
+    poses = Pose2(*part["pick_pose"]), Pose2(*part["place_pose"])
+    return Executed(
+        part["start_s"],
+        SubTask(*who, part["pick"], part["place"]),
+        GroundedSubTask(*who, *poses),
+        part["until_s"],
+    )
+
+
+def joints_sha256(qpos: FloatArray) -> str:
+    """Return the SHA-256 of joints' positions, (nq,), as little-endian float64."""
+    return sha256(np.asarray(qpos, "<f8").tobytes()).hexdigest()

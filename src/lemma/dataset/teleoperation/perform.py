@@ -1,0 +1,111 @@
+"""A teleoperated episode done again: the same commands at the same times."""
+
+from collections.abc import Callable
+
+from lemma.dataset.teleoperation.done import (
+    Commanded,
+    Executed,
+    Teleoperation,
+    joints_sha256,
+)
+from lemma.dataset.teleoperation.nudge import nudge
+from lemma.env.config import EnvConfig
+from lemma.env.control_env import ControlEnv
+from lemma.env.episode import Episode
+from lemma.env.simulation import TICK_S, Simulation
+from lemma.tasks.suite import FREE_SPLIT
+
+_EARLY_S = 0.5 * TICK_S
+
+
+class _ReachedError(Exception):
+    """The time has come at which something was broken off."""
+
+
+class _Clock:
+    """Lets happen what happened between two steps of physics."""
+
+    def __init__(self, simulation: Simulation, done: Teleoperation) -> None:
+        self._simulation = simulation
+        self._nudged = list(done.nudged)
+        self._end_s = done.end_s
+        self.until_s: float | None = None
+        simulation.observers.append(self._look)
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the episode has been done as far as it was kept."""
+        return self._simulation.time_s >= self._end_s - _EARLY_S
+
+    def _look(self) -> None:
+        now_s = self._simulation.time_s + _EARLY_S
+        while self._nudged and self._nudged[0].time_s <= now_s:
+            nudged = self._nudged.pop(0)
+            nudge(self._simulation, nudged.name, nudged.pose)
+        if self.at_end or (self.until_s is not None and self.until_s <= now_s):
+            raise _ReachedError
+
+
+def perform(
+    done: Teleoperation, before: Callable[[Episode, int], None] = lambda *_: None
+) -> Episode:
+    """Do a teleoperated episode again.
+
+    Args:
+        done: What was done.
+        before: Told of the episode before each of its parts, from 0.
+
+    Returns:
+        The episode as it was at the end of what was kept, which needs not be over.
+
+    Raises:
+        LemmaError: What was done cannot be: the file was changed.
+    """
+    episode = Episode(done.instance)
+    simulation = episode.simulation
+    before(episode, 0)
+    clock = _Clock(simulation, done)
+    for number, part in enumerate(done.parts):
+        try:
+            while simulation.time_s < part.start_s - _EARLY_S:
+                simulation.tick()
+            if number:
+                before(episode, number)
+            _do(episode, part, clock)
+        except _ReachedError:
+            if clock.at_end:
+                return episode
+    try:
+        while not clock.at_end:
+            simulation.tick()
+    except _ReachedError:
+        pass
+    return episode
+
+
+def _do(episode: Episode, part: Executed | Commanded, clock: _Clock) -> None:
+    if isinstance(part, Executed):
+        clock.until_s = part.until_s
+        try:
+            episode.execute(part.grounded)
+        finally:
+            clock.until_s = None
+        return
+    env = ControlEnv(
+        EnvConfig(
+            task=episode.instance.task,
+            split=FREE_SPLIT,
+            control=part.control,
+            control_hz=part.control_hz,
+        )
+    )
+    env.take_over(episode)
+    for row in part.rows:
+        if episode.is_over:
+            break
+        env.advance(row)
+
+
+def is_same(done: Teleoperation, episode: Episode) -> bool:
+    """Whether an episode that was done again has come to the same, to the bit."""
+    return joints_sha256(episode.simulation.scene.data.qpos) == done.end_sha256

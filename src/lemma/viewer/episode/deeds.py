@@ -1,0 +1,93 @@
+"""What was done in an episode so far, as it is kept in a file."""
+
+from dataclasses import replace
+
+from lemma.core.poses import FloatArray, Pose2
+from lemma.dataset.teleoperation.done import (
+    Commanded,
+    Executed,
+    Nudged,
+    Teleoperation,
+    joints_sha256,
+)
+from lemma.policies.interfaces import Decision
+from lemma.tasks.instance import Instance
+from lemma.viewer.episode.by_hand import CONTROL, CONTROL_HZ, ByHand
+
+
+class Deeds:
+    """What robots and visitors did; written by the thread that simulates."""
+
+    def __init__(self) -> None:
+        """Begin with nothing."""
+        self._parts: tuple[Executed | Commanded, ...] = ()
+        self._nudged: tuple[Nudged, ...] = ()
+        self._begun: Executed | None = None
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether a visitor did something."""
+        led = any(isinstance(part, Commanded) and part.rows for part in self._parts)
+        return led or bool(self._nudged)
+
+    def begin(self, decision: Decision, start_s: float) -> None:
+        """Take note of what a policy decided; without poses nothing is executed.
+
+        Args:
+            decision: What it was.
+            start_s: Simulated time [s].
+        """
+        subtask, grounded = decision.subtask, decision.grounded
+        self._begun = None if grounded is None else Executed(start_s, subtask, grounded)
+
+    def end(self, until_s: float | None = None) -> None:
+        """Take note that the sub-task that had begun has ended.
+
+        Args:
+            until_s: Simulated time at which it was broken off [s]; None if it was not.
+        """
+        if self._begun is not None:
+            begun = self._begun
+            done = replace(begun, until_s=until_s)
+            self._parts, self._begun = (*self._parts, done), None
+
+    def lead(self, hand: ByHand, start_s: float) -> None:
+        """Take note that a visitor leads from now on.
+
+        Args:
+            hand: Which keeps what it commands.
+            start_s: Simulated time [s].
+        """
+        led = Commanded(start_s, CONTROL, CONTROL_HZ, hand.rows)
+        self._parts = (*self._parts, led)
+
+    def move(self, name: str, pose: Pose2, time_s: float) -> None:
+        """Take note that a visitor laid something elsewhere.
+
+        Args:
+            name: Of the thing.
+            pose: Where to.
+            time_s: Simulated time [s].
+        """
+        self._nudged = (*self._nudged, Nudged(time_s, name, pose))
+
+    def kept(
+        self, instance: Instance, said: str, latest: tuple[float, FloatArray]
+    ) -> Teleoperation:
+        """Return all of it.
+
+        Args:
+            instance: At which table.
+            said: What was said.
+            latest: Time [s] and positions of the joints of the newest state.
+        """
+        parts = self._parts if self._begun is None else (*self._parts, self._begun)
+        end_s, qpos = latest
+        return Teleoperation(
+            instance,
+            said,
+            tuple(part for part in parts if part.start_s < end_s),
+            self._nudged,
+            end_s,
+            joints_sha256(qpos),
+        )
