@@ -252,6 +252,11 @@ def test_visitor_takes_over_and_hands_back(page: Page) -> None:
     pilot.take_over()
     until_true(page, lambda: pilot.back.visible)
     assert pilot.grips.visible
+    # Of the robot that was acting.
+    assert page.session.play.instance is not None
+    acted = page.session.play.thoughts[0].robot
+    names = page.session.play.instance.scene.robot_names
+    assert pilot.robot.value == pilot.robot.options[names.index(acted)]
     assert not pilot.take.visible
     assert "You lead" in page.panel.timeline.content
     page.session.play.hand_back()

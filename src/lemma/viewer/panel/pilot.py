@@ -57,12 +57,21 @@ class Pilot:
         return names.index(self.robot.value) if self.robot.value in names else 0
 
     def take_over(self) -> None:
-        """Lead the robots from now on."""
+        """Lead the robots from now on, the one first that was doing something."""
+        play = self._session.play
         try:
-            self._session.play.take_over()
+            play.take_over()
             self._complain("")
         except LemmaError as error:
             self._complain(str(error))
+            return
+        acted = next((each.robot for each in reversed(play.thoughts) if each.robot), "")
+        assert play.instance is not None
+        names = play.instance.scene.robot_names
+        if acted in names:
+            phrases = robot_phrases(play.instance.scene.robots)
+            self.robot.options = phrases
+            self.robot.value = phrases[names.index(acted)]
 
     def grip(self, what: str) -> None:
         """Open or close the gripper of the robot that is led."""
