@@ -203,7 +203,7 @@ def test_file_of_nothing_is_refused(done: object, tmp_path: Path) -> None:
     assert Instance.load(path)
     with pytest.raises(InvalidConfigError, match="not what was done"):
         Recorded(str(path))
-    whole: dict[str, Any] = dict.fromkeys(("executed", "commanded", "nudged"), [])
+    whole: dict[str, Any] = {"executed": [], "commanded": [], "nudged": []}
     whole |= {"instruction": "", "end_s": 1.0, "end_sha256": ""}
     path.write_text(json.dumps({**table, "done": whole}))
     with pytest.raises(InvalidConfigError, match="nothing was done"):
