@@ -4,7 +4,7 @@
     python scripts/check_results.py reachnet --episodes 5 --kinds high_level
 
 Plays the first episodes of every task with the weights that ship, and compares each
-with its line in ``leaderboard/NAME.jsonl.gz``: sub-tasks, outcomes, success and why not
+with its line in ``leaderboard/NAME.jsonl.xz``: sub-tasks, outcomes, success and why not
 must be equal, poses within 1 mm and 0.01 rad. Leaves with 1 if anything differs, and
 prints what.
 
@@ -26,14 +26,8 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.workers.pool import ProcessPool, usable_cores
-from lemma.evaluation.records import (
-    EPISODES,
-    PACKED,
-    Row,
-    key_of,
-    read_about,
-    read_lines,
-)
+from lemma.evaluation.lines import lines_at, read_lines
+from lemma.evaluation.records import PACKED, Row, key_of, read_about
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.language.template import EVALUATION_KINDS
@@ -110,7 +104,7 @@ def largest_shift(line: Row, now: Row) -> float:
 def check(name: str, asked: argparse.Namespace) -> int:
     """Play episodes of an entry; print and count those that differ."""
     path = BOARD / f"{name}{PACKED}"
-    source = asked.lines / name / EPISODES if asked.lines else path
+    source = lines_at(asked.lines / name) if asked.lines else path
     lines = {key_of(row): row for row in read_lines(source)}
     there = {kind for kind, _, _ in lines}
     with tempfile.TemporaryDirectory() as folder:

@@ -5,20 +5,19 @@ Run from the repository, to add a result or to write docs/leaderboard.md from al
     python scripts/leaderboard.py add DIR NAME --title TITLE --who WHO [--link URL]
     python scripts/leaderboard.py page
 
-An entry is ``NAME.json``: who, what, and the figures. Beside it lies ``NAME.jsonl.gz``
+An entry is ``NAME.json``: who, what, and the figures. Beside it lies ``NAME.jsonl.xz``
 with the lines of the episodes, from which all figures are made again whenever it is
 checked.
 """
 
 import argparse
-import gzip
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.core.files import read_json, write_json, write_whole
+from lemma.core.files import read_json, write_json
 from lemma.evaluation.analysis.intervals import (
     leniently,
     mean_over_tasks,
@@ -31,18 +30,20 @@ from lemma.evaluation.analysis.result import (
     read_result,
     summarise,
 )
+from lemma.evaluation.lines import (
+    lines_at,
+    packed_beside,
+    read_lines,
+    result_beside,
+    write_packed,
+)
 from lemma.evaluation.records import (
     BOARD_SPLIT,
     PACKED,
     PROTOCOL_VERSION,
-    SUMMARY,
-    WALL_CLOCK,
     Row,
     key_of,
-    place_of,
     read_about,
-    read_lines,
-    read_rows,
 )
 from lemma.evaluation.report.policy_results import starts_perturbed
 from lemma.evaluation.report.tables import ResultTable, markdown, words
@@ -129,7 +130,8 @@ def submit(folder: Path, board: Path, name: str, **told: str) -> Path:
     """Add a result to a leaderboard.
 
     Args:
-        folder: What ``lemma evaluate`` wrote, or ``lemma reproduce`` for a seed.
+        folder: What ``lemma evaluate`` wrote, or ``lemma reproduce`` for a seed; or
+            the file of a result with lines beside it.
         board: Folder of the leaderboard.
         name: Of the entry's files.
         told: Title, who and link; see :class:`Submission`.
@@ -141,16 +143,13 @@ def submit(folder: Path, board: Path, name: str, **told: str) -> Path:
         DatasetError: The result is missing or damaged.
         InvalidConfigError: It cannot be an entry.
     """
-    # A reproduction keeps its summary beside the folder: only the summary is committed.
-    beside = folder.with_name(f"{folder.name}.json")
-    command = read_result(beside if beside.exists() else folder / SUMMARY).command
-    rows = [_without_clock(row) for row in read_rows(folder)]
-    result = summarise(rows, read_about(folder), command)
+    lines = lines_at(folder)
+    rows = read_lines(lines)
+    command = read_result(result_beside(lines)).command
+    result = summarise(rows, read_about(lines), command)
     entry = board / f"{name}.json"
     write_json(entry, asdict(submission_of(result, **told)))
-    text = "".join(json.dumps(row) + "\n" for row in sorted(rows, key=place_of))
-    packed = gzip.compress(text.encode(), compresslevel=9, mtime=0)
-    write_whole(entry.with_suffix(PACKED), lambda draft: _write(draft, packed))
+    write_packed(packed_beside(entry), rows)
     return entry
 
 
@@ -348,14 +347,6 @@ def _success(result: Result) -> dict[str, dict[str, Any]]:
                 "tasks": {task: rates[task,].successes for task in SUITE},
             }
     return found
-
-
-def _without_clock(row: Row) -> dict[str, Any]:
-    return {name: value for name, value in row.items() if name not in WALL_CLOCK}
-
-
-def _write(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
 
 
 def text() -> str:

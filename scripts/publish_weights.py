@@ -4,7 +4,7 @@ Run from the repository:
 
     python scripts/publish_weights.py pack runs/seed-0/reachnet reachnet --coarse 32
     lemma evaluate --policy reachnet --episodes 5 --out out/reachnet
-    python scripts/publish_weights.py compare out/reachnet leaderboard/reachnet.jsonl.gz
+    python scripts/publish_weights.py compare out/reachnet results/reachnet/seed-0.json
     python scripts/publish_weights.py upload OWNER/NAME
 
 ``pack`` rounds the weights of a training run into ``weights/``; ``compare`` tells
@@ -13,16 +13,15 @@ revision.
 """
 
 import argparse
-import gzip
-import json
 import math
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from lemma.core.errors import WeightsError
 from lemma.core.files import read_json, sha256_of, write_json
+from lemma.evaluation.lines import lines_at, read_lines
+from lemma.evaluation.records import key_of
 from lemma.policies.packing import Fineness
 from lemma.policies.weights import CHECKOUT, LIST, SUFFIX, find_weights
 from lemma.policies.weights_file import (
@@ -36,7 +35,6 @@ LARGEST_MB = 17.0
 NEAR_MM = 1.0
 """Poses this close are the same: less than the servos' error."""
 _SYMBOLS = ("robot", "primitive", "pick", "place", "outcome")
-Line = dict[str, Any]
 
 
 def pack(source: Path, name: str, fineness: Fineness, folder: Path = CHECKOUT) -> Path:
@@ -94,10 +92,15 @@ def compare(found: Path, wanted: Path) -> list[str]:
     """Return where episodes differ: other sub-tasks, another end, other poses.
 
     Args:
-        found: Folder that ``lemma evaluate`` wrote, or a file of lines.
+        found: Folder that ``lemma evaluate`` wrote, or the file of a result with lines
+            beside it.
         wanted: The same; all of ``found`` must be in it.
     """
-    problems, now, before = [], _lines(found), _lines(wanted)
+    problems = []
+    now, before = (
+        {key_of(row): row for row in read_lines(lines_at(path))}
+        for path in (found, wanted)
+    )
     largest_mm = 0.0
     for key, line in now.items():
         there = before[key]
@@ -128,14 +131,6 @@ def _apart_mm(one: dict[str, list[float]], other: dict[str, list[float]]) -> flo
     return 1000.0 * max(
         math.dist(one[pose][:2], other[pose][:2]) for pose in ("pick", "place")
     )
-
-
-def _lines(source: Path) -> dict[tuple[str, ...], Line]:
-    path = source / "episodes.jsonl" if source.is_dir() else source
-    data = path.read_bytes()
-    text = gzip.decompress(data) if path.suffix == ".gz" else data
-    rows = [json.loads(line) for line in text.splitlines()]
-    return {(r["instruction_kind"], r["task"], str(r["index"])): r for r in rows}
 
 
 def upload(repository: str, folder: Path = CHECKOUT) -> str:

@@ -9,7 +9,8 @@ import pytest
 import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.evaluation.analysis.result import check_lines, read_result
-from lemma.evaluation.records import EPISODES, SUMMARY, WALL_CLOCK, Row, read_rows
+from lemma.evaluation.lines import read_rows
+from lemma.evaluation.records import EPISODES, SUMMARY, WALL_CLOCK, Row
 from lemma.policies.interfaces import Decision, Oracle, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
 from lemma.tasks.subtask import Primitive, SubTask

@@ -18,7 +18,8 @@ from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import Job, Listener, ProcessPool, ignore
 from lemma.core.workers.serial import Serial
-from lemma.evaluation.records import ABOUT, EPISODES, Row, read_rows
+from lemma.evaluation.lines import read_rows
+from lemma.evaluation.records import ABOUT, EPISODES, Row
 from lemma.evaluation.run import loading
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.spec import PolicySpec

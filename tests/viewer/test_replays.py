@@ -91,7 +91,8 @@ def test_expert_goes_on_from_the_mistake(
 @pytest.fixture(scope="module")
 def folder(cases: dict[int, Case], tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("page")
-    words = ("replay", str(cases[0].folder), "--browser", str(out), "--limit", "2")
+    played = cases[0].lines.parent
+    words = ("replay", str(played), "--browser", str(out), "--limit", "2")
     with pytest.raises(SystemExit) as left:
         main(words)
     assert left.value.code == 0
@@ -181,4 +182,4 @@ def test_folders_without_episodes_are_refused(
     with pytest.raises(DatasetError, match="neither a recipe nor a result"):
         replays_in(tmp_path, None, None, 1)
     with pytest.raises(InvalidConfigError, match="no episodes of task hook"):
-        replays_in(cases[0].folder, "hook", None, 1)
+        replays_in(cases[0].lines.parent, "hook", None, 1)

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -225,7 +226,7 @@ def test_nothing_in_a_name_becomes_html(
 ) -> None:
     case = cases[1]
     evil = "</script><img src=x onerror=document.title='caught'>"
-    changed = Case(evil, {**case.row, "instruction": evil}, case.about, case.folder)
+    changed = Case(evil, {**case.row, "instruction": evil}, case.about, case.lines)
     path = tmp_path / "index.html"
     write_report_page(path, entries_of(read_results([folder])), Findings([changed]))
     page.open(path.as_uri())
@@ -302,7 +303,10 @@ def test_the_verb_writes_page_tables_and_figures(
 @pytest.mark.slow
 @pytest.mark.render
 def test_failures_are_drawn_and_filmed(cases: list[Case], tmp_path: Path) -> None:
-    seen = picture(cases[2], tmp_path / "videos" / "2.mp4")
+    # As packed lines have it, without the time that it took.
+    row = {name: cases[2].row[name] for name in cases[2].row if name != "wall_s"}
+    film = tmp_path / "videos" / "2.mp4"
+    seen = picture(replace(cases[2], row=row), film)
     assert seen.differs == ""
     assert seen.video == "videos/2.mp4"
     assert (tmp_path / seen.video).stat().st_size > 10_000

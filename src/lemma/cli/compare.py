@@ -12,7 +12,7 @@ from lemma.evaluation.analysis.comparison import Comparison
 from lemma.evaluation.analysis.comparison import compare as run
 
 ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-"""A folder that ``lemma evaluate`` wrote, or lines of the leaderboard."""
+"""What ``lemma evaluate`` or ``lemma reproduce`` wrote, or lines of the leaderboard."""
 
 
 def compare(
@@ -26,7 +26,7 @@ def compare(
     of other episodes or versions are refused.
 
     Args:
-        first: Folder of a result, or lines of the leaderboard (NAME.jsonl.gz).
+        first: Folder or file of a result, or lines of the leaderboard (NAME.jsonl.xz).
         second: The other.
         as_json: Print one JSON object instead of a table.
     """

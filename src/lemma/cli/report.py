@@ -95,9 +95,9 @@ def report(
         )
     entries = entries_of(read, complete=complete)
     cases, uncounted = cases_of(entries, results)
-    for folder in uncounted:
+    for file in uncounted:
         complain(
-            f"The lines in {folder} are of no result that is reported: run 'lemma "
+            f"The lines in {file} are of no result that is reported: run 'lemma "
             "evaluate' to its end, which counts them."
         )
     found = _findings(cases, wishes, out)

@@ -1,13 +1,11 @@
-"""Records that all the rest reads and writes: lines of episodes, and their files.
+"""Records that all the rest reads and writes: what is in a line, and in a note.
 
 ``episodes.jsonl`` holds one line per episode, ``about.json`` what decides them, and
-``summary.json`` what was counted of them. What is read is checked: it may come from
-anywhere.
+``summary.json`` what was counted of them; :mod:`lemma.evaluation.lines` reads and
+writes the lines. What is read is checked: it may come from anywhere.
 """
 
-import gzip
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
@@ -15,7 +13,7 @@ from typing import Any, Literal
 import msgspec
 
 from lemma.core.errors import DatasetError
-from lemma.core.files import read_json, write_text
+from lemma.core.files import read_json
 from lemma.tasks.instance import OWN_SPLIT, SPLITS
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import task_rank
@@ -24,8 +22,8 @@ from lemma.tasks.suite import FREE_SPLIT
 EPISODES = "episodes.jsonl"
 ABOUT = "about.json"
 SUMMARY = "summary.json"
-PACKED = ".jsonl.gz"
-"""End of the name of the lines of an entry of the leaderboard."""
+PACKED = ".jsonl.xz"
+"""End of the name of packed lines, which are small enough to be committed."""
 BOARD_SPLIT = "test"
 """Split that the leaderboard is about."""
 PROTOCOL_VERSION = 2
@@ -247,69 +245,26 @@ def training_seed(weights: Mapping[str, Mapping[str, Any]]) -> int:
     return int(seeds.pop()) if seeds else 0
 
 
-def read_rows(folder: Path) -> list[Row]:
-    """Return the episodes of a result; none if there is none yet.
-
-    Raises:
-        DatasetError: The file is damaged.
-    """
-    path = folder / EPISODES
-    return read_lines(path) if path.exists() else []
-
-
-def read_lines(path: Path) -> list[Row]:
-    """Return lines of episodes; those of the leaderboard are packed by gzip.
-
-    Raises:
-        DatasetError: The file is missing or damaged, or holds an episode twice.
-    """
-    number = 0
-    rows: list[Row] = []
-    try:
-        content = path.read_bytes()
-        if path.name.endswith(".gz"):
-            content = gzip.decompress(content)
-        for line in content.decode().splitlines():
-            number += 1
-            row = json.loads(line, parse_constant=_refuse)
-            _check(msgspec.convert(row, _Line))
-            rows.append(row)
-    except (OSError, EOFError, ValueError, RecursionError, msgspec.MsgspecError) as why:
-        where = f"Line {number} of {path}" if number else str(path)
-        raise DatasetError(
-            f"{where} cannot be read: {why}. Remove the file and evaluate again."
-        ) from why
-    keys = [key_of(row) for row in rows]
-    if len(set(keys)) < len(keys):
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise DatasetError(
-            f"{path} has the episode {' '.join(map(str, twice))} twice. Remove one."
-        )
-    return rows
-
-
-def write_rows(path: Path, rows: Iterable[Row]) -> None:
-    """Write lines of episodes, all of them or none."""
-    write_text(path, "".join(json.dumps(row) + "\n" for row in rows))
-
-
 def read_about(path: Path) -> dict[str, Any]:
     """Return what decides the episodes of a result.
 
     Args:
-        path: Folder of the result, or the lines of an entry of the leaderboard.
+        path: Folder of the result; or its lines, packed or not.
 
     Raises:
         DatasetError: The note is missing or damaged.
     """
-    if path.name.endswith(PACKED):
-        note = path.with_name(path.name.removesuffix(PACKED) + ".json")
-        told = read_json(note)
-        own = told.get("about")
-        if not isinstance(own, dict):
-            raise DatasetError(f"{note} is no entry of a leaderboard: no 'about'.")
-        return {**own, "protocol": told.get("protocol"), "split": BOARD_SPLIT}
-    return read_json(path / ABOUT)
+    if path.name == EPISODES:
+        path = path.parent
+    if not path.name.endswith(PACKED):
+        return read_json(path / ABOUT)
+    note = path.with_name(path.name.removesuffix(PACKED) + ".json")
+    told = read_json(note)
+    own = told.get("about")
+    if not isinstance(own, dict):
+        raise DatasetError(f"{note} is neither a result nor an entry: no 'about'.")
+    # Of an entry of the leaderboard, these stand elsewhere.
+    return {"protocol": told.get("protocol"), "split": BOARD_SPLIT, **own}
 
 
 def check_about(about: object, path: Path) -> None:
@@ -336,8 +291,13 @@ def check_about(about: object, path: Path) -> None:
         )
 
 
-def _check(line: _Line) -> None:
-    """Check what no type says."""
+def check_line(row: object) -> None:
+    """Check that a line holds what is read of it.
+
+    Raises:
+        ValueError: It does not.
+    """
+    line = msgspec.convert(row, _Line)
     if line.instruction_kind not in EVALUATION_KINDS:
         raise ValueError(f"no kind of instruction: {line.instruction_kind!r}")
     if line.protocol != PROTOCOL_VERSION:
@@ -349,7 +309,3 @@ def _check(line: _Line) -> None:
     for verdict in (line, line.lenient):
         if verdict is not None and not 0.0 <= verdict.progress <= 1.0:
             raise ValueError(f"progress {verdict.progress} is not from 0 to 1")
-
-
-def _refuse(constant: str) -> float:
-    raise ValueError(f"{constant} is no number of JSON")

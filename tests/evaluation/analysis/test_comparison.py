@@ -1,6 +1,5 @@
 """Comparisons: right figures, and only of what can be compared."""
 
-import gzip
 import json
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from lemma.cli.compare import compare as verb
 from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.comparison import compare
 from lemma.evaluation.analysis.intervals import mcnemar_p, paired_interval
+from lemma.evaluation.lines import read_rows, write_packed
 
 
 def written(folder: Path, successes: set[int], **about: Any) -> Path:
@@ -120,9 +120,8 @@ def test_the_lenient_verdicts_are_compared_too(tmp_path: Path) -> None:
 def test_lines_of_the_leaderboard_are_compared(tmp_path: Path) -> None:
     for name in ("a", "b"):
         folder = written(tmp_path / name, {1, 2})
-        lines = (folder / "episodes.jsonl").read_bytes()
-        (tmp_path / f"{name}.jsonl.gz").write_bytes(gzip.compress(lines))
+        write_packed(tmp_path / f"{name}.jsonl.xz", read_rows(folder))
         entry = {"about": ABOUT, "protocol": ABOUT["protocol"]}
         (tmp_path / f"{name}.json").write_text(json.dumps(entry))
-    found = compare(tmp_path / "a.jsonl.gz", tmp_path / "b.jsonl.gz")
+    found = compare(tmp_path / "a.jsonl.xz", tmp_path / "b.jsonl.xz")
     assert found["high_level"]["all"].episodes == 10

@@ -10,12 +10,11 @@ from made_up import ABOUT, result, row, step
 
 from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.result import read_result, summarise
+from lemma.evaluation.lines import read_lines, write_rows
 from lemma.evaluation.records import (
     EPISODES,
     SUMMARY,
-    read_lines,
     training_seed,
-    write_rows,
 )
 from lemma.evaluation.report.policy_results import read_results
 from lemma.evaluation.run.loading import learned_parts, weights_of

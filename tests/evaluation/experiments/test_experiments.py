@@ -12,7 +12,7 @@ import tyro
 from lemma.core.config import decode
 from lemma.core.errors import UnknownNameError
 from lemma.core.workers.serial import Serial
-from lemma.evaluation.analysis.result import read_result
+from lemma.evaluation.analysis.result import check_lines, read_result
 from lemma.evaluation.experiments.catalog import (
     ABLATION_EPISODES,
     ABLATIONS,
@@ -27,6 +27,7 @@ from lemma.evaluation.experiments.reproduction import (
     Reproduction,
     commands,
 )
+from lemma.evaluation.lines import packed_beside, read_lines
 from lemma.evaluation.run.loading import learned_parts
 from lemma.policies import weights
 from lemma.policies.training.config import TrainingConfig, model_options
@@ -139,7 +140,7 @@ def test_beside_its_training_stands_how_a_published_one_was_really_made(
     assert "ended by its time limit after 12 steps" in line
 
 
-def test_an_experiment_leaves_one_small_file(tmp_path: Path) -> None:
+def test_an_experiment_leaves_two_small_files(tmp_path: Path) -> None:
     plan = Reproduction(out=tmp_path, split="val", episodes=1)
     oracle = replace(EXPERIMENTS["oracle"], kinds=("high_level",))
     path = plan.run(oracle, Serial())
@@ -148,9 +149,13 @@ def test_an_experiment_leaves_one_small_file(tmp_path: Path) -> None:
     assert made.experiment == "oracle"
     assert made.command == "lemma reproduce oracle --split val --episodes 1"
     assert sum(cell.successes for cell in made.cells) == len(SUITE)
-    assert (tmp_path / "oracle" / "seed-0" / "episodes.jsonl").is_file()
-    before = path.read_bytes()
-    assert plan.run(oracle, Serial()).read_bytes() == before
+    (tmp_path / "oracle" / "seed-0" / "episodes.jsonl").unlink()
+    packed = packed_beside(path)
+    check_lines(made, read_lines(packed), path, packed)
+    # Played again, which takes another time.
+    before = path.read_bytes(), packed.read_bytes()
+    assert plan.run(oracle, Serial()) == path
+    assert (path.read_bytes(), packed.read_bytes()) == before
 
 
 def test_missing_weights_are_explained(tmp_path: Path) -> None:

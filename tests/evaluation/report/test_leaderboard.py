@@ -1,6 +1,5 @@
 """The leaderboard: every entry is what its lines say, and nothing else gets in."""
 
-import gzip
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,6 +21,7 @@ from leaderboard import (
 )
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.evaluation.analysis.result import Result, summarise
+from lemma.evaluation.lines import read_lines, write_packed
 from lemma.evaluation.run.protocol import quote
 from lemma.tasks.suite import SUITE, load_instance
 
@@ -161,11 +161,10 @@ def another_again(row: dict[str, Any]) -> None:
 def test_lines_that_were_changed_are_found(
     board: Path, change: Callable[[dict[str, Any]], None]
 ) -> None:
-    path = board / "mine.jsonl.gz"
-    rows = [json.loads(x) for x in gzip.decompress(path.read_bytes()).splitlines()]
+    path = board / "mine.jsonl.xz"
+    rows = [dict(one) for one in read_lines(path)]
     change(rows[59])
-    text = "".join(json.dumps(one) + "\n" for one in rows)
-    path.write_bytes(gzip.compress(text.encode()))
+    write_packed(path, rows)
     with pytest.raises(DatasetError, match=r"mine\.json"):
         check_submission(board, "mine")
 
@@ -191,8 +190,8 @@ def test_both_verdicts_are_asked_for() -> None:
 
 
 def test_damaged_lines_are_named(board: Path) -> None:
-    (board / "mine.jsonl.gz").write_bytes(b"no lines")
-    with pytest.raises(DatasetError, match=r"mine\.jsonl\.gz"):
+    (board / "mine.jsonl.xz").write_bytes(b"no lines")
+    with pytest.raises(DatasetError, match=r"mine\.jsonl\.xz"):
         check_submission(board, "mine")
 
 

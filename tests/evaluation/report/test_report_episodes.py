@@ -78,9 +78,9 @@ def test_lines_that_a_result_does_not_quote_are_left_out(
     lines = [json.loads(one) for one in (folder / LINES).read_text().splitlines()]
     lines[0]["progress"] = 0.5
     (tmp_path / LINES).write_text("".join(json.dumps(one) + "\n" for one in lines))
-    assert cases_of(entries, [tmp_path]) == ([], [tmp_path])
+    assert cases_of(entries, [tmp_path]) == ([], [tmp_path / LINES])
     found, uncounted = cases_of(entries, [tmp_path, folder])
-    assert (len(found), uncounted) == (len(lines), [tmp_path])
+    assert (len(found), uncounted) == (len(lines), [tmp_path / LINES])
 
 
 def test_lines_lie_beside_a_file_of_a_result(folder: Path, tmp_path: Path) -> None:

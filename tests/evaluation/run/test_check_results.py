@@ -33,7 +33,7 @@ def test_the_weights_that_ship_are_checked(tmp_path: Path) -> None:
     policy = asdict(PolicySpec("runs/seed-0/episodic-transformer+runs/seed-0/cliport"))
     entry = {"about": {"policy": policy}, "protocol": "5" * 64}
     (tmp_path / "mine.json").write_text(json.dumps(entry))
-    spec = check_results.policy_of(tmp_path / "mine.jsonl.gz")
+    spec = check_results.policy_of(tmp_path / "mine.jsonl.xz")
     assert spec.name == "episodic-transformer+cliport"
     assert (spec.planning, spec.gta) == ("single-step", False)
 
@@ -77,7 +77,7 @@ def test_the_expert_does_what_its_lines_say(
     evaluate(order, Serial())
     entry = {"about": read_about(order.out), "protocol": "5" * 64}
     (tmp_path / "expert.json").write_text(json.dumps(entry))
-    (tmp_path / "expert.jsonl.gz").touch()
+    (tmp_path / "expert.jsonl.xz").touch()
     monkeypatch.setattr(check_results, "BOARD", tmp_path)
     words = ["check_results.py", "expert", "--lines", str(tmp_path)]
     words += ["--episodes", "2", "--tasks", *tasks, "--workers", "1"]

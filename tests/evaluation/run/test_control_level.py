@@ -15,7 +15,8 @@ from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.evaluation.analysis.failure_causes import Cause, cause_of
 from lemma.evaluation.evaluation import Evaluation
-from lemma.evaluation.records import EPISODES, WALL_CLOCK, Row, read_rows
+from lemma.evaluation.lines import read_rows
+from lemma.evaluation.records import EPISODES, WALL_CLOCK, Row
 from lemma.evaluation.run.control.rollout import ControlPlayer, ControlRollout
 from lemma.policies.control.interfaces import Actions
 from lemma.policies.control.oracle import ExpertControl

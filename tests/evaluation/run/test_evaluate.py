@@ -15,7 +15,8 @@ from lemma.core.workers.pool import Job, Listener, ProcessPool, ignore
 from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.intervals import rates_by, wilson_interval
 from lemma.evaluation.analysis.result import cells_of
-from lemma.evaluation.records import ABOUT, EPISODES, Row, read_rows
+from lemma.evaluation.lines import read_rows
+from lemma.evaluation.records import ABOUT, EPISODES, Row
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.evaluation.run.protocol import quote
 from lemma.policies.spec import PolicySpec

@@ -7,16 +7,8 @@ from typing import Any
 
 from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.intervals import mcnemar_p, paired_interval
-from lemma.evaluation.records import (
-    EPISODES,
-    PACKED,
-    EpisodeKey,
-    Row,
-    key_of,
-    read_about,
-    read_lines,
-    read_rows,
-)
+from lemma.evaluation.lines import lines_at, read_lines
+from lemma.evaluation.records import EpisodeKey, Row, key_of, read_about
 from lemma.evaluation.run.protocol import check_protocol
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import in_order
@@ -82,8 +74,8 @@ def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
     """Compare two results.
 
     Args:
-        first: Folder that ``lemma evaluate`` wrote, or lines of the leaderboard,
-            ``NAME.jsonl.gz``.
+        first: Folder that ``lemma evaluate`` wrote; or the file of a result with lines
+            beside it, or packed lines; see :func:`lemma.evaluation.lines.lines_at`.
         second: The other.
 
     Returns:
@@ -93,8 +85,9 @@ def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
     Raises:
         DatasetError: One is missing, or they are of other episodes or versions.
     """
-    mine, others = _rows(first), _rows(second)
-    _check_same_world(first, second)
+    places = lines_at(first), lines_at(second)
+    mine, others = map(_rows, (first, second), places)
+    _check_same_world((first, second), places)
     _check_same_episodes(first, second, (mine, others))
     pairs = {name: (row, others[name]) for name, row in mine.items()}
     found: dict[str, dict[str, Comparison]] = {}
@@ -121,20 +114,19 @@ def _count(pairs: Iterable[tuple[Row, Row]]) -> Comparison:
     )
 
 
-def _rows(path: Path) -> dict[EpisodeKey, Row]:
-    rows = read_lines(path) if path.name.endswith(PACKED) else read_rows(path)
+def _rows(path: Path, lines: Path) -> dict[EpisodeKey, Row]:
+    rows = read_lines(lines)
     if not rows:
         raise DatasetError(
-            f"There are no episodes in {path}: {EPISODES} is missing. 'lemma "
-            f"evaluate --out {path}' writes it, and 'lemma reproduce' into a folder "
-            "for each training seed. Or name lines of the leaderboard, such as "
-            f"leaderboard/reachnet{PACKED}."
+            f"There are no episodes in {path} yet. The command that writes them goes "
+            "on where it was stopped."
         )
     return {key_of(row): row for row in rows}
 
 
-def _check_same_world(first: Path, second: Path) -> None:
-    abouts = [read_about(path) for path in (first, second)]
+def _check_same_world(paths: Sequence[Path], places: Sequence[Path]) -> None:
+    first, second = paths
+    abouts = [read_about(lines) for lines in places]
     check_protocol(abouts[0], abouts[1], first, second)
     for name in _SAME:
         values = [about.get(name) for about in abouts]

@@ -16,6 +16,7 @@ from lemma.evaluation.experiments.catalog import (
     Experiment,
     Training,
 )
+from lemma.evaluation.lines import packed_beside, write_packed
 from lemma.evaluation.records import ABOUT, training_seed
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.evaluation.run.loading import learned_parts, weights_of
@@ -66,7 +67,7 @@ class Reproduction:
         engine: Engine,
         advance: Callable[[int], None] = lambda count: None,
     ) -> Path:
-        """Play what is missing, and write the result.
+        """Play what is missing, and write the result with its lines packed beside it.
 
         Args:
             experiment: What is wanted.
@@ -85,6 +86,7 @@ class Reproduction:
         about = read_json(config.out / ABOUT) | {"policy": experiment.policy.about()}
         command = self._command(experiment, seed)
         path = experiment.summary_path(self.out, seed)
+        write_packed(packed_beside(path), rows)
         summarise(rows, about, command, experiment.name).write(path)
         return path
 

@@ -8,15 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from lemma.evaluation.analysis.failure_causes import Cause, cause_of, mistake_of
-from lemma.evaluation.analysis.result import Result, lines_of, summarise
-from lemma.evaluation.records import (
-    EPISODES,
-    PROTECTIVE_STOP,
-    Departure,
-    Row,
-    read_rows,
-)
-from lemma.evaluation.report.policy_results import PolicyResults, lines_beside
+from lemma.evaluation.analysis.result import Result, counts, lines_of
+from lemma.evaluation.lines import lines_in, read_lines
+from lemma.evaluation.records import PROTECTIVE_STOP, Departure, Row
+from lemma.evaluation.report.policy_results import PolicyResults
 from lemma.evaluation.run.evaluate import start_of
 from lemma.motion.outcome import REFUSED, Outcome
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
@@ -33,8 +28,8 @@ class Case:
     row: Row
     about: Mapping[str, Any]
     """Of the result that counts it."""
-    folder: Path
-    """Where its line is."""
+    lines: Path
+    """The file of its line."""
 
     @property
     def name(self) -> str:
@@ -88,38 +83,29 @@ def cases_of(
         paths: Files and folders that were reported.
 
     Returns:
-        The episodes, and the folders whose lines no result counts.
+        The episodes, and the files whose lines no result counts.
     """
-    found = {folder: read_rows(folder) for folder in _line_folders(paths)}
+    files = {file.resolve(): file for path in paths for file in lines_in(path)}
+    found = {file: read_lines(file) for file in files.values()}
     cases: list[Case] = []
     for entry in entries:
         for result in entry.results:
             name = entry.title
             if len(entry.results) > 1:
                 name += f", seed {result.seed}"
-            for folder, rows in _lines_of(result, found):
-                cases += [Case(name, row, result.about, folder) for row in rows]
-    counted = {case.folder for case in cases}
-    return cases, [folder for folder in found if folder not in counted]
-
-
-def _line_folders(paths: Iterable[Path]) -> list[Path]:
-    folders: list[Path] = []
-    for path in paths:
-        if path.is_dir():
-            folders += sorted(file.parent for file in path.rglob(EPISODES))
-        else:
-            folders += lines_beside(path)
-    return list({folder.resolve(): folder for folder in folders}.values())
+            for file, rows in _lines_of(result, found):
+                cases += [Case(name, row, result.about, file) for row in rows]
+    counted = {case.lines for case in cases}
+    return cases, [file for file in found if file not in counted]
 
 
 def _lines_of(
     result: Result, found: Mapping[Path, Sequence[Row]]
 ) -> list[tuple[Path, list[Row]]]:
-    for folder, lines in found.items():
+    for file, lines in found.items():
         rows = lines_of(result, lines)
-        if rows and summarise(rows, {}).episodes_sha256 == result.episodes_sha256:
-            return [(folder, rows)]
+        if counts(result, rows):
+            return [(file, rows)]
     return []
 
 

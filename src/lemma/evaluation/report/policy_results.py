@@ -11,7 +11,8 @@ from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.intervals import leniently, mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Cell, Result, check_lines, read_result
 from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS, Experiment
-from lemma.evaluation.records import EPISODES, SUMMARY, read_rows
+from lemma.evaluation.lines import is_lines, lines_beside, read_lines, result_beside
+from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.run.language_controls import FULL
 from lemma.evaluation.run.protocol import check_protocol
 from lemma.tasks.names import SUITE, in_order
@@ -121,8 +122,8 @@ def read_results(paths: Iterable[Path]) -> list[Result]:
     """Read results.
 
     Args:
-        paths: Files, or folders that hold some, at any depth. What is no JSON is passed
-            over.
+        paths: Files or their lines, or folders that hold some, at any depth. Other
+            files are passed over.
 
     Raises:
         DatasetError: One is missing or damaged, does not fit the lines that lie beside
@@ -139,18 +140,14 @@ def read_results(paths: Iterable[Path]) -> list[Result]:
                 f"{first.about['split']}: they cannot be compared. Report them apart."
             )
         for lines in lines_beside(path):
-            check_lines(result, read_rows(lines), path, lines)
+            check_lines(result, read_lines(lines), path, lines)
         results.append(result)
     return results
 
 
-def lines_beside(path: Path) -> list[Path]:
-    """Return the folders with the lines of the file of a result: one or none."""
-    folder = path.parent if path.name == SUMMARY else path.with_suffix("")
-    return [folder] if (folder / EPISODES).is_file() else []
-
-
 def _files(path: Path) -> list[Path]:
+    if is_lines(path):
+        path = result_beside(path)
     if path.is_file():
         # A shell's results/* also names the tables that stand beside the results.
         return [path] if path.suffix == ".json" else []

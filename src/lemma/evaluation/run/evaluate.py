@@ -23,6 +23,7 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import clear_drafts, only_writer, read_json, write_json
 from lemma.core.workers.pool import Engine, report
 from lemma.dataset.recipe.files import check_same, versions
+from lemma.evaluation.lines import read_lines, read_rows, write_rows
 from lemma.evaluation.records import (
     ABOUT,
     EPISODES,
@@ -31,9 +32,6 @@ from lemma.evaluation.records import (
     Row,
     key_of,
     place_of,
-    read_lines,
-    read_rows,
-    write_rows,
 )
 from lemma.evaluation.run.control.rollout import load_player
 from lemma.evaluation.run.expert_feedback import count_steps

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lemma.core.errors import InvalidConfigError
+from lemma.evaluation.records import EPISODES, PACKED
 from lemma.evaluation.report.episodes import Case
 
 ALL = "all"
@@ -47,7 +48,8 @@ class Catalog:
         if not cases:
             raise InvalidConfigError(
                 "No lines of episodes lie beside these results: there must be the "
-                "episodes.jsonl that 'lemma evaluate' wrote with them."
+                f"{EPISODES} that 'lemma evaluate' wrote with them, or the "
+                f"NAME{PACKED} of 'lemma reproduce'."
             )
         failed = self.find(Filter())
         if not failed:

@@ -102,7 +102,7 @@ class Viewing:
         return Sight(case, (again.track, beside), again.turn_s, note)
 
     def _again(self, case: Case) -> Again:
-        key = case.policy, case.folder, case.name
+        key = case.policy, case.lines, case.name
         if key not in self._done:
             self._done[key] = line_again(case)
             if len(self._done) > _KEPT:

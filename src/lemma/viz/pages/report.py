@@ -12,6 +12,7 @@ from markupsafe import Markup
 from lemma.core.files import write_text
 from lemma.core.version import VERSION as __version__
 from lemma.evaluation.analysis.failure_causes import Cause
+from lemma.evaluation.lines import result_beside
 from lemma.evaluation.records import Departure
 from lemma.evaluation.report.episodes import (
     DEPARTURES,
@@ -134,8 +135,8 @@ def demo_command(case: Case) -> str:
 
 def video_command(case: Case) -> str:
     """Return the command that films an episode as it was, whatever the policy."""
-    folder = quote(str(case.folder))
-    return f"lemma report {folder} --episode {case.name} --videos --out out/film"
+    result = quote(str(result_beside(case.lines)))
+    return f"lemma report {result} --episode {case.name} --videos --out out/film"
 
 
 def _case_data(case: Case, policy: int, pictures: Pictures | None) -> dict[str, Any]:
