@@ -9,6 +9,7 @@ from itertools import product
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from lemma.core.workers.serial import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset, write_shard
 from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.lerobot.shortcuts import counting
+from lemma.dataset.lerobot.whole_videos import encode_whole_videos
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.labels import label
 from lemma.dataset.rendered.render import RenderConfig
@@ -34,6 +36,8 @@ FPS = 10
 STYLE = Style(fps=FPS, width_px=320, height_px=240)
 EVERY = 17
 """Frames from one picture that is compared to the next."""
+SLOWLY = 36
+"""Frames that are encoded slowly: more than lerobot's encoder holds."""
 ROBOTS = ("robot_0", "robot_1")
 EPISODES = tuple((task, split) for split in SPLITS for task in TASKS)
 
@@ -243,6 +247,30 @@ def test_statistics_of_pictures_are_those_of_lerobot() -> None:
         # which makes a deviation of 38.51 one of 38.63.
         assert ours[name].shape == value.shape
         assert ours[name] == pytest.approx(value, abs=0.06, rel=0.01), name
+
+
+def test_no_frame_is_dropped_where_encoding_takes_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """lerobot's encoder holds 30 frames, and gives up after a tenth of a second."""
+    utils = import_module("lerobot.datasets.video_utils")
+    quick = utils.quantize_depth
+
+    def slow(*args: Any, **options: Any) -> Any:
+        sleep(0.25)
+        return quick(*args, **options)
+
+    encode_whole_videos()
+    monkeypatch.setattr(utils, "quantize_depth", slow)
+    encoder = import_module("lerobot.datasets.lerobot_dataset").StreamingVideoEncoder(
+        fps=FPS
+    )
+    encoder.start_episode(["depth"], tmp_path, ["depth"])
+    for number in range(SLOWLY):
+        encoder.feed_frame("depth", np.full((64, 64, 1), number / 100, np.float32))
+    video, _ = encoder.finish_episode()["depth"]
+    with import_module("av").open(str(video)) as container:
+        assert sum(1 for _ in container.decode(video=0)) == SLOWLY
 
 
 def test_an_export_that_was_stopped_goes_on(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.control.interfaces import ControlInput, chunk_of
-from lemma.tasks.language.vector import NUMBERS
+from lemma.tasks.language.vector import NUMBERS, sentence_vector
 
 WIDTH, HEIGHT = 64, 48
 ROOT = Path(__file__).parents[2]
@@ -279,6 +279,7 @@ def as_lerobot(policy: Any, observation: Any) -> NDArray[Any]:
     found = []
     for _ in range(CHUNK):
         seen = {name: observation[name] for name in ("pixels", "agent_pos")}
+        seen["environment_state"] = sentence_vector("")
         batch = utils.preprocess_observation(seen)
         action = policy._policy.select_action(policy._before({**batch, "task": [""]}))
         found.append(policy._after(action).detach().numpy()[0])

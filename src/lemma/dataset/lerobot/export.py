@@ -39,6 +39,7 @@ from lemma.dataset.lerobot.frames import (
     frames,
 )
 from lemma.dataset.lerobot.shortcuts import take_shortcuts
+from lemma.dataset.lerobot.whole_videos import encode_whole_videos
 from lemma.dataset.recipe.files import open_table, versions
 from lemma.dataset.recipe.reader import read_group
 from lemma.dataset.recipe.replay import check_versions
@@ -288,6 +289,7 @@ def _create(folder: Path, holds: dict[str, dict[str, Any]], style: Style) -> Any
     """Return a new LeRobotDataset that encodes what it is given at once."""
     _silence()
     take_shortcuts()
+    encode_whole_videos()
     from lerobot.configs import DepthEncoderConfig, RGBEncoderConfig  # noqa: PLC0415
     from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: PLC0415
 
