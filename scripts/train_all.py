@@ -1,0 +1,228 @@
+"""Train the weights of the tables and evaluate their rows, on one machine with GPUs.
+
+    python scripts/train_all.py --print
+    python scripts/train_all.py --slots 3 --episodes 20,60 --until-s 1200 --stop-s 1700
+
+Does what ``lemma reproduce all --print`` prints, in less time: several trainings share
+a GPU, since none fills it, and rows are played on the processors as soon as their
+weights are there. What is there already is kept, so the same command goes on where it
+was stopped. It needs the rendered data, see ``--print``.
+"""
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+
+from lemma.evaluation.experiments.catalog import (
+    ABLATIONS,
+    ALL,
+    DATA_COMMANDS,
+    SEEDS,
+    TRAININGS,
+    Experiment,
+    selected,
+)
+from lemma.evaluation.run.loading import learned_parts
+
+REPORT = "report.json"
+"""Of a training that has come to its end."""
+LOOK_S = 1.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """One training of one seed."""
+
+    name: str
+    seed: int
+    runs: str
+
+    @property
+    def done(self) -> bool:
+        """Whether its weights are there."""
+        return (Path(self.runs) / self.name / REPORT).is_file()
+
+    def command(self, more: str) -> str:
+        """Return the command line.
+
+        Args:
+            more: Further arguments, which do not change what is learned.
+        """
+        return f"{TRAININGS[self.name].command(self.runs, self.seed)} {more}".strip()
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of a table, for one seed."""
+
+    experiment: Experiment
+    jobs: tuple[Job, ...]
+    runs: str
+    episodes: int
+
+    def command(self, out: str, workers: int) -> str:
+        """Return the command line."""
+        weights = f" --weights {self.runs}" if self.jobs else ""
+        return (
+            f"lemma reproduce {self.experiment.name}{weights} --out {out} "
+            f"--episodes {self.episodes} --workers {workers}"
+        )
+
+
+def plan(
+    experiments: Sequence[Experiment], seeds: Sequence[int], rounds: Sequence[int]
+) -> tuple[list[Job], list[Row]]:
+    """Return trainings, each once, and rows: a round of all before the next."""
+    jobs: dict[Job, None] = {}
+    rows = []
+    for episodes in rounds:
+        for seed in seeds:
+            for experiment in experiments:
+                learned = learned_parts(experiment.policy.name)
+                alone = experiment.suite == ABLATIONS or not learned
+                if alone and seed != SEEDS[0]:
+                    continue
+                runs = experiment.runs(seed)
+                needed = tuple(Job(name, seed, runs) for name in learned)
+                jobs |= dict.fromkeys(needed)
+                rows.append(Row(experiment, needed, runs, episodes))
+    return list(jobs), rows
+
+
+@dataclass
+class Machine:
+    """Processes that go on at the same time."""
+
+    logs: Path
+    slots: int
+    """Trainings that share a GPU."""
+    gpus: int = field(default_factory=lambda: max(1, torch.cuda.device_count()))
+    training: list[tuple[Job, int, "subprocess.Popen[bytes]"]] = field(
+        default_factory=list
+    )
+    playing: "subprocess.Popen[bytes] | None" = None
+
+    def start(
+        self, command: str, log: str, gpu: int | None
+    ) -> "subprocess.Popen[bytes]":
+        """Start a command of this environment; without a GPU it sees none."""
+        print(f"{time.strftime('%X')} {command}", flush=True)
+        self.logs.mkdir(parents=True, exist_ok=True)
+        program, *words = command.split()
+        seen = "" if gpu is None else str(gpu)
+        with (self.logs / f"{log}.log").open("ab") as told:
+            return subprocess.Popen(
+                [str(Path(sys.executable).with_name(program)), *words],
+                stdout=told,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "CUDA_VISIBLE_DEVICES": seen},
+            )
+
+    def free_gpu(self) -> int | None:
+        """Return the GPU with the fewest trainings, if it has a slot."""
+        load = [sum(gpu == n for _, gpu, _ in self.training) for n in range(self.gpus)]
+        least = min(load)
+        return load.index(least) if least < self.slots else None
+
+    def reap(self) -> list[Job]:
+        """Forget trainings that have ended, and return those that failed."""
+        ended = [each for each in self.training if each[2].poll() is not None]
+        self.training = [each for each in self.training if each not in ended]
+        return [job for job, _, process in ended if process.returncode != 0]
+
+    def stop(self) -> None:
+        """End everything; lines of episodes that were played are kept."""
+        going = [process for _, _, process in self.training]
+        if self.playing is not None and self.playing.poll() is None:
+            going.append(self.playing)
+        for process in going:
+            process.send_signal(signal.SIGINT)
+        for process in going:
+            process.wait()
+
+
+def work(
+    machine: Machine, jobs: list[Job], rows: list[Row], args: argparse.Namespace
+) -> list[Job]:
+    """Train and play until all is done, or the time is over.
+
+    Returns:
+        Trainings that failed.
+    """
+    begin = time.monotonic()
+    waiting = [job for job in jobs if not job.done]
+    failed: list[Job] = []
+    while time.monotonic() - begin < args.stop_s:
+        failed += machine.reap()
+        gpu = machine.free_gpu()
+        if waiting and gpu is not None and time.monotonic() - begin < args.until_s:
+            job = waiting.pop(0)
+            name = f"{job.name}-{job.seed}"
+            command = job.command(args.train)
+            machine.training.append((job, gpu, machine.start(command, name, gpu)))
+            continue
+        if machine.playing is None or machine.playing.poll() is not None:
+            ready = (row for row in rows if all(job.done for job in row.jobs))
+            row = next(ready, None)
+            if row is not None:
+                rows.remove(row)
+                command = row.command(args.out, args.workers)
+                machine.playing = machine.start(command, "rows", None)
+                continue
+            if not machine.training and (not waiting or gpu is None):
+                break
+            late = time.monotonic() - begin >= args.until_s
+            if not machine.training and late:
+                break
+        time.sleep(LOOK_S)
+    machine.stop()
+    return failed
+
+
+def main() -> None:
+    """Do what the arguments say."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--suites", default=ALL, help="or names of experiments")
+    parser.add_argument("--seeds", default=",".join(map(str, SEEDS)))
+    parser.add_argument("--out", default="results")
+    parser.add_argument("--logs", type=Path, default=Path("runs/logs"))
+    parser.add_argument("--episodes", default="60", help="of each task, by round")
+    parser.add_argument("--slots", type=int, default=2, help="trainings of a GPU")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument(
+        "--train", default="--shared-images --compile", help="more for lemma train"
+    )
+    parser.add_argument("--until-s", type=float, default=float("inf"))
+    parser.add_argument("--stop-s", type=float, default=float("inf"))
+    parser.add_argument("--print", action="store_true", help="do nothing")
+    args = parser.parse_args()
+    experiments = [one for name in args.suites.split(",") for one in selected(name)]
+    jobs, rows = plan(
+        experiments,
+        [int(seed) for seed in args.seeds.split(",")],
+        [int(count) for count in args.episodes.split(",")],
+    )
+    if args.print:
+        commands = [
+            *DATA_COMMANDS,
+            *(job.command(args.train) for job in jobs),
+            *(row.command(args.out, args.workers) for row in rows),
+        ]
+        print("\n".join(commands))
+        return
+    failed = work(Machine(args.logs, args.slots), jobs, rows, args)
+    if failed:
+        names = ", ".join(f"{job.name} with seed {job.seed}" for job in failed)
+        raise SystemExit(f"These failed; see {args.logs}: {names}")
+
+
+if __name__ == "__main__":
+    main()
