@@ -80,6 +80,11 @@ def test_what_runs_nothing_imports_nothing(words: list[str]) -> None:
     assert verbs == [word for word in words if word in VERBS]
 
 
+def test_results_are_made_without_an_encoder_of_videos() -> None:
+    code = "import sys, lemma.cli.reproduce; sys.exit('av' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 @pytest.mark.parametrize(
     ("typed", "meant"), [("evalaute", "evaluate"), ("task", "tasks")]
 )

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import av
 import numpy as np
 from PIL import Image
 
@@ -68,6 +67,9 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
     Raises:
         RenderingError: OpenGL does not work here.
     """
+    # Who films nothing needs no encoder: results are written without.
+    import av  # noqa: PLC0415
+
     scene = Scene(recording.instance.scene)
     renderer = Renderer(style.width_px, style.height_px, style.quality)
     states = [state for _, state in recording.frames]
