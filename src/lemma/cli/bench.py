@@ -1,5 +1,6 @@
 """`lemma bench`: the benchmark's own figures, measured here."""
 
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import tyro
@@ -67,6 +68,32 @@ _POLICY_TARGETS = {
     "success_rate": ("success in these episodes", "{:.0%}", ""),
     "peak_mb": ("memory of a process that plays", "{:.0f} MB", "< 1500 MB"),
 }
+_PAGE_TARGETS = {
+    "up_s": ("until the page answers", "{:.1f} s", "< 10 s"),
+    "first_scene_s": ("until a visitor has the scene", "{:.1f} s", ""),
+    "updates_hz": ("moves of the scene a second", "{:.1f}", "≥ 20"),
+    "slowest_ms": ("between two messages, 99 of 100", "{:.0f} ms", ""),
+    "realtime": ("simulated seconds shown a second", "{:.2f}", "1"),
+    "kb_s": ("sent to a visitor a second", "{:.0f} kB", ""),
+    "same_state": ("last state as without a page", "{}", "True"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Instead:
+    """What is measured instead of speed and memory."""
+
+    policy: Annotated[
+        str | None, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")
+    ] = None
+    """Measure instead how fast this policy decides, and how much memory it needs."""
+    rendering: Flag = False
+    """Measure instead how fast recorded episodes become pictures."""
+    play: Flag = False
+    """Measure instead how the page of lemma play keeps up."""
+
+
+_NOTHING_ELSE = Instead()
 
 
 def bench(
@@ -74,10 +101,7 @@ def bench(
     expert: Flag = False,
     episodes: int = SPLITS[_SPLIT],
     workers: Number = None,
-    policy: Annotated[
-        str | None, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")
-    ] = None,
-    rendering: Flag = False,
+    instead: Annotated[Instead, tyro.conf.arg(name="")] = _NOTHING_ELSE,
     as_json: JsonFlag = False,
 ) -> int:
     """Measure speed, memory and, if asked to, the expert's success.
@@ -87,9 +111,7 @@ def bench(
         expert: Measure the expert's success as well, which takes minutes.
         episodes: Frozen instances per task, and as many fresh ones, for the expert.
         workers: Processes for the expert and for --rendering; one per core by default.
-        policy: Measure instead how fast this policy decides, and how much memory it
-            needs.
-        rendering: Measure instead how fast recorded episodes become pictures.
+        instead: What to measure instead.
         as_json: Print one JSON object on the output, and the progress elsewhere.
     """
     names = tuple(task_named(name).name for name in dict.fromkeys(tasks)) or SUITE
@@ -101,11 +123,14 @@ def bench(
     each = min(episodes, _SPEED_EPISODES)
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
-    if policy is not None:
-        _bench_policy(machine, policy, instances, as_json)
+    if instead.policy is not None:
+        _bench_policy(machine, instead.policy, instances, as_json)
         return 0
-    if rendering:
+    if instead.rendering:
         _bench_rendering(machine, instances[::each], workers, as_json)
+        return 0
+    if instead.play:
+        _bench_page(machine, instances[0], as_json)
         return 0
     with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
         speed = measure_speed(instances)
@@ -153,6 +178,19 @@ def _bench_rendering(
     else:
         _print_machine(machine)
         _print_rendering(found)
+
+
+def _bench_page(machine: dict[str, Any], instance: Instance, as_json: bool) -> None:
+    from lemma.bench.page import measure_page
+
+    with messages().status("Watching an episode at real time ..."):
+        found = measure_page(instance)
+    if as_json:
+        print_json({"machine": machine, "play": found.to_dict()})
+    else:
+        _print_machine(machine)
+        title = f"The page of lemma play, one visitor, {instance.key}"
+        output().print(_figures(title, found, _PAGE_TARGETS))
 
 
 def report(

@@ -1,0 +1,158 @@
+"""The figures of `lemma bench --play`: how the page of `lemma play` keeps up."""
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from urllib.request import urlopen
+
+import viser
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
+from websockets.typing import Subprotocol
+
+from lemma.core.errors import InvalidConfigError
+from lemma.evaluation.run.rollout import Player, Rollout, roll_out
+from lemma.policies.spec import ORACLE, PolicySpec
+from lemma.tasks.instance import Instance
+from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.wish import Phase, Wish
+from lemma.viewer.page import Page
+
+HOST = "127.0.0.1"
+_LOOK_S = 0.002
+_LONGEST_S = 300.0
+
+
+@dataclass(frozen=True, slots=True)
+class PageFigures:
+    """How a page runs on this machine while the expert acts at real time."""
+
+    up_s: float
+    """Until the page answers, from the call that opens it [s]."""
+    first_scene_s: float
+    """Until a visitor has the scene, from the call that opens the page [s]."""
+    updates_hz: float
+    """How often a second the scene was moved, while robots acted."""
+    slowest_ms: float
+    """Between two messages to a visitor: of 100 such times, 99 are shorter [ms]."""
+    realtime: float
+    """Simulated seconds that were shown a second."""
+    kb_s: float
+    """What a visitor was sent a second [kB]."""
+    same_state: bool
+    """Whether the episode ended in the same state as without a page."""
+
+    def to_dict(self) -> dict[str, float | bool]:
+        """Return plain data, ready for JSON."""
+        return {
+            name: value if isinstance(value, bool) else round(value, 3)
+            for name, value in asdict(self).items()
+        }
+
+
+class _Visitor:
+    """Somebody who looks: takes what the page sends, and notes when."""
+
+    def __init__(self, socket_: Connection) -> None:
+        self._socket = socket_
+        self.arrived: list[tuple[float, int]] = []
+        """Time [s] and size [B] of each message."""
+        self._thread = threading.Thread(target=self._take, daemon=True)
+        self._thread.start()
+
+    def _take(self) -> None:
+        for message in self._socket:
+            self.arrived.append((time.perf_counter(), len(message)))
+
+    def leave(self) -> None:
+        """Go away."""
+        self._socket.close()
+        self._thread.join()
+
+
+def measure_page(instance: Instance, speed: float = 1.0) -> PageFigures:
+    """Open a page, let somebody look at it, and let the expert act there.
+
+    Args:
+        instance: What is played.
+        speed: How many times real time.
+
+    Raises:
+        InvalidConfigError: The expert did not come to an end.
+    """
+    begin = time.perf_counter()
+    wish = Wish(instance.task, instance.split, instance.index, policy=ORACLE)
+    page = Page(Session(wish, (ORACLE,)), HOST, _free_port())
+    loop = threading.Thread(target=page.run, daemon=True)
+    loop.start()
+    try:
+        with urlopen(page.address) as answer:
+            answer.read()
+        up_s = time.perf_counter() - begin
+        address = page.address.replace("http", "ws")
+        protocol = Subprotocol(f"viser-v{viser.__version__}")
+        # Neither proxies nor a limit of size: a scene comes at once.
+        with connect(
+            address, subprotocols=[protocol], max_size=None, proxy=None
+        ) as socket_:
+            visitor = _Visitor(socket_)
+            _wait(lambda: page.session.play.status.phase is Phase.READY)
+            _wait(lambda: bool(visitor.arrived))
+            first_scene_s = time.perf_counter() - begin
+            page.session.set_speed(speed)
+            page.session.ask(wish, acts=True)
+            figures = _watch(page, visitor)
+            visitor.leave()
+        rollout = page.session.play.rollout
+        assert rollout is not None
+        state = rollout.episode.simulation.scene.state_hash()
+    finally:
+        page.close()
+        loop.join()
+    return PageFigures(up_s, first_scene_s, *figures, state == _alone(instance))
+
+
+def _watch(page: Page, visitor: _Visitor) -> tuple[float, float, float, float]:
+    """Return updates a second, the slowest [ms], pace, and kB a second."""
+    transport = page.session.play.transport
+    _wait(lambda: transport.cursor_s > 0.0)
+    start, shown_s, updates = time.perf_counter(), transport.cursor_s, page.updates
+    _wait(lambda: transport.over and transport.at_end)
+    end = time.perf_counter()
+    took_s = end - start
+    arrived = [each for each in visitor.arrived if start <= each[0] <= end]
+    gaps = sorted(
+        1000.0 * (after - before) for (before, _), (after, _) in pairwise(arrived)
+    )
+    return (
+        (page.updates - updates) / took_s,
+        gaps[int(0.99 * (len(gaps) - 1))],
+        (transport.end_s - shown_s) / took_s,
+        sum(size for _, size in arrived) / 1000.0 / took_s,
+    )
+
+
+def _alone(instance: Instance) -> str:
+    """Return the hash of the last state of the same episode in ``lemma evaluate``."""
+    rollout = Rollout(instance)
+    for _ in roll_out([rollout], Player.load(PolicySpec(ORACLE))):
+        pass
+    return rollout.episode.simulation.scene.state_hash()
+
+
+def _wait(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + _LONGEST_S
+    while not true():
+        if time.monotonic() > end:
+            raise InvalidConfigError(f"The page did nothing for {_LONGEST_S:g} s.")
+        time.sleep(_LOOK_S)
+
+
+def _free_port() -> int:
+    with socket.socket() as found:
+        found.bind((HOST, 0))
+        port: int = found.getsockname()[1]
+        return port
