@@ -149,6 +149,19 @@ def check_heads(width: int, heads: int) -> None:
         )
 
 
+def made_without_numbers() -> bool:
+    """Return whether tensors are being made on "meta", for the sake of their sizes.
+
+    For arithmetic there, torch would load its compiler, which takes a second.
+    """
+    return torch.get_default_device().type == "meta"
+
+
+def drawn(*shape: int) -> nn.Parameter:
+    """Return new weights from a normal distribution, mostly within 0.1 of zero."""
+    return nn.Parameter(nn.init.normal_(torch.empty(shape), std=0.1))
+
+
 def sinusoids(length: int, width: int) -> Tensor:
     """Return what is added to tokens to tell their places, (length, width).
 
@@ -156,6 +169,8 @@ def sinusoids(length: int, width: int) -> Tensor:
         length: Number of places.
         width: Of a token; even.
     """
+    if made_without_numbers():
+        return torch.empty(length, width)
     rates = torch.exp(torch.arange(0, width, 2) * (-math.log(_LONGEST_PERIOD) / width))
     angles = torch.arange(length)[:, None] * rates
     return torch.stack([angles.sin(), angles.cos()], dim=2).flatten(1)

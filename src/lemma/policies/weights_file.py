@@ -5,7 +5,7 @@ metadata are JSON beside them. A file may come from anybody: nothing in it is ex
 and all of it is checked before memory is taken for it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +15,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
+from torch.overrides import TorchFunctionMode
 
 from lemma.core.errors import LemmaError, WeightsError
 from lemma.core.files import write_whole
@@ -173,11 +174,12 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
     metadata = read_metadata(path)
     try:
         # First a model that takes no memory: sizes may be anything.
-        with torch.device("meta"):
+        with torch.device("meta"), _Unfilled():
             wanted = make_model(metadata.model, metadata.options).state_dict()
         with safe_open(path, "pt") as file:
             _check_shapes(path, metadata, file, wanted)
-            model = make_model(metadata.model, metadata.options)
+            with _Unfilled():
+                model = make_model(metadata.model, metadata.options)
             model.load_state_dict(
                 {
                     name: _read_tensor(file, name, metadata, value)
@@ -196,6 +198,27 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
         # torch has RuntimeErrors for sizes that cannot be.
         raise _damaged(path, error) from error
     return model.to(device).eval()
+
+
+class _Unfilled(TorchFunctionMode):
+    """Leaves out the numbers that new weights begin with: those of a file follow.
+
+    Drawing them takes time, and on the device "meta", which has none to draw, torch
+    would load its compiler for it: a second.
+    """
+
+    def __torch_function__(
+        self,
+        func: Callable[..., Any],
+        types: Any,
+        args: tuple[Any, ...] = (),
+        kwargs: dict[str, Any] | None = None,
+    ) -> Any:
+        """Call a function of torch, unless it fills a tensor."""
+        given = kwargs or {}
+        if getattr(func, "__module__", "") == "torch.nn.init":
+            return given["tensor"] if "tensor" in given else args[0]
+        return func(*args, **given)
 
 
 def _check_shapes(

@@ -25,6 +25,7 @@ from lemma.policies.layers import (
     Network,
     ResidualBlock,
     TransformerLayer,
+    drawn,
     norm,
     sinusoids,
 )
@@ -154,7 +155,7 @@ class EpisodicTransformer(Model):
         sizes = (config.robots, len(PRIMITIVES), len(named), len(named.places))
         # Number 0 is nobody.
         self.decisions = nn.ModuleList(nn.Embedding(n + 1, width) for n in sizes)
-        self.kinds = nn.Parameter(torch.randn(3, width) * 0.1)
+        self.kinds = drawn(3, width)
         self.times: Tensor
         self.register_buffer("times", sinusoids(SLOTS, width), persistent=False)
         self.norm_in = nn.LayerNorm(width)

@@ -18,7 +18,7 @@ from torch.nn import functional as F
 from lemma.core.config import Count, Depth, Share, Width
 from lemma.policies.batch import NOBODY
 from lemma.policies.entities import BENCHMARK, EntitySet
-from lemma.policies.layers import TransformerLayer
+from lemma.policies.layers import TransformerLayer, made_without_numbers
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS
 from lemma.policies.models.reachnet.sentences import (
     NO_NAME,
@@ -93,8 +93,8 @@ class GoalReader(nn.Module):
         self.meaning = nn.Linear(vectors.shape[1], width, bias=False)
         nn.init.normal_(self.meaning.weight, std=0.5)
         self.near = nn.Conv1d(width, width, _NEAR, padding="same")
-        self.apart = nn.Parameter(_slopes(config.heads) / _SCALE)
-        self.alike = nn.Parameter(torch.ones(config.heads) / _SCALE)
+        self.apart = nn.Parameter(_slopes(config.heads))
+        self.alike = nn.Parameter(torch.full((config.heads,), 1.0 / _SCALE))
         self.layers = nn.ModuleList(
             TransformerLayer(width, config.heads, 2 * width, config.dropout)
             for _ in range(config.layers)
@@ -251,10 +251,12 @@ def _slopes(heads: int) -> Tensor:
 
     Half of the heads begin with the words before, the others with those behind.
     """
+    if made_without_numbers():
+        return torch.empty(2 * _FAR + 1, heads)
     away = torch.arange(-_FAR, _FAR + 1.0)[:, None]
     slope = 2.0 ** -torch.arange(1, heads + 1.0)
     side = torch.tensor([1.0, -1.0]).repeat(heads)[:heads]
-    return -slope * away.abs() - (away * side < 0) * 2.0
+    return (-slope * away.abs() - (away * side < 0) * 2.0) / _SCALE
 
 
 def _goals(cargo: int, targets: int) -> tuple[Tensor, Tensor]:

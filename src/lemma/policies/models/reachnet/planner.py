@@ -19,7 +19,7 @@ from lemma.core.robot_names import robot_name
 from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, decision_numbers
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import PolicyInput
-from lemma.policies.layers import check_heads
+from lemma.policies.layers import check_heads, drawn
 from lemma.policies.models.reachnet.drags import DragUtility
 from lemma.policies.models.reachnet.features import (
     PAIR,
@@ -83,8 +83,8 @@ class ReachNetPlanner(nn.Module):
         width = config.width
         self.entity_in = _mlp(entity_feature_count(robots), width, width)
         self.robot_in = _mlp(ROBOT_FEATURES, width, width)
-        self.whole = nn.Parameter(0.1 * torch.randn(2, width))
-        self.numbers = nn.Parameter(0.1 * torch.randn(robots, width))
+        self.whole = drawn(2, width)
+        self.numbers = drawn(robots, width)
         self.past_in = nn.Linear(len(PRIMITIVES) + robots, width)
         self.relation = _mlp(RELATIONS, 32, config.heads)
         self.layers = nn.ModuleList(
@@ -98,7 +98,7 @@ class ReachNetPlanner(nn.Module):
         self.move_out = nn.Sequential(nn.SiLU(), nn.Linear(width, 1))
         self.tool_cube, self.tool_robot = (nn.Linear(width, width) for _ in range(2))
         self.tool_drag = nn.Linear(3 + 4, width)
-        self.tool_kind = nn.Parameter(0.1 * torch.randn(len(_TOOL_ROWS), width))
+        self.tool_kind = drawn(len(_TOOL_ROWS), width)
         self.tool_out = nn.Sequential(nn.SiLU(), nn.Linear(width, 1))
         self.hand_over = _mlp(2 * width, width, 1)
         self.stop = _mlp(width, width, 1)

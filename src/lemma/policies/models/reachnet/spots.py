@@ -26,8 +26,9 @@ _YAWS = 24
 def _grid(half_x_m: float, half_y_m: float, step_m: float) -> Tensor:
     """Return the points of a grid around the origin, (N, 2) [m]."""
     columns, rows = round(half_x_m / step_m), round(half_y_m / step_m)
-    x = step_m * torch.arange(-columns, columns + 1)
-    y = step_m * torch.arange(-rows, rows + 1)
+    # On "meta", torch would load its compiler for this.
+    x = step_m * torch.arange(-columns, columns + 1, device="cpu")
+    y = step_m * torch.arange(-rows, rows + 1, device="cpu")
     return torch.cartesian_prod(x, y).float()
 
 
