@@ -39,39 +39,53 @@ MAX_MODULES = 12
 VERBS = "src/lemma/cli"
 """Has a file for each verb of the command, however many there are."""
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "misc", "common"}
+LATE_IMPORTS = ("import_module", "__import__")
 TOP_FOLDERS = ("src", "tests", "examples", "docs", "scripts", "integrations", ".ci")
 
 
+@cache
 def relative(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-@pytest.mark.parametrize("path", PYTHON_FILES, ids=relative)
-def test_file_is_short_and_named_by_a_noun(path: Path) -> None:
-    lines = len(path.read_text().splitlines())
-    assert lines <= MAX_FILE_LINES, f"{lines} lines: split it"
-    assert path.stem not in VAGUE_NAMES, "name it after what it holds"
+@cache
+def text_of(path: Path) -> str:
+    return path.read_text()
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=relative)
-def test_functions_are_short(path: Path) -> None:
+def test_files_are_short() -> None:
+    sizes = {relative(path): len(text_of(path).splitlines()) for path in PYTHON_FILES}
+    too_long = {name: lines for name, lines in sizes.items() if lines > MAX_FILE_LINES}
+    assert too_long == {}, "split them"
+
+
+def test_files_are_named_by_a_noun() -> None:
+    vague = [relative(path) for path in PYTHON_FILES if path.stem in VAGUE_NAMES]
+    assert vague == [], "name them after what they hold"
+
+
+def test_functions_are_short() -> None:
     too_long = {
-        f"{node.name} (line {node.lineno})": lines
-        for node in ast.walk(ast.parse(path.read_text()))
+        f"{relative(path)}:{node.lineno} {node.name}": lines
+        for path in SOURCES
+        for node in ast.walk(ast.parse(text_of(path)))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and (lines := (node.end_lineno or 0) - node.lineno + 1) > MAX_FUNCTION_LINES
     }
-    assert not too_long
+    assert too_long == {}
 
 
-@pytest.mark.parametrize(
-    "folder", sorted({path.parent for path in SOURCES}), ids=relative
-)
-def test_folders_are_small(folder: Path) -> None:
+def counted_modules(folder: Path) -> int:
     modules = [path for path in folder.glob("*.py") if path.stem != "__init__"]
     beside_verbs = [m for m in modules if m.stem not in verb_modules()]
-    counted = beside_verbs if relative(folder) == VERBS else modules
-    assert len(counted) <= MAX_MODULES, "give what belongs together a sub-package"
+    return len(beside_verbs if relative(folder) == VERBS else modules)
+
+
+def test_folders_are_small() -> None:
+    folders = sorted({path.parent for path in SOURCES})
+    sizes = {relative(folder): counted_modules(folder) for folder in folders}
+    too_many = {name: size for name, size in sizes.items() if size > MAX_MODULES}
+    assert too_many == {}, "give what belongs together a sub-package"
 
 
 def test_folders_of_tests_are_small() -> None:
@@ -86,27 +100,34 @@ def verb_modules() -> set[str]:
 
 def modules_imported_by_string(path: Path) -> list[str]:
     """Return modules of this package that a file imports by a constant string."""
+    if not any(name in text_of(path) for name in LATE_IMPORTS):
+        return []
     calls = (
         node
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in ast.walk(ast.parse(text_of(path)))
         if isinstance(node, ast.Call)
     )
     return [
         str(call.args[0].value)
         for call in calls
-        if ast.unparse(call.func).rpartition(".")[2] in ("import_module", "__import__")
+        if ast.unparse(call.func).rpartition(".")[2] in LATE_IMPORTS
         and call.args
         and isinstance(call.args[0], ast.Constant)
         and str(call.args[0].value).startswith("lemma")
     ]
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=relative)
-def test_no_layer_is_dodged_by_a_string(path: Path) -> None:
+def test_no_layer_is_dodged_by_a_string() -> None:
     # import-linter and mypy see what is written as an import, and nothing else. Only
     # the two entrances of the package import late by name, from above all layers.
-    if relative(path) not in ("src/lemma/__init__.py", "src/lemma/registration.py"):
-        assert modules_imported_by_string(path) == []
+    entrances = ("src/lemma/__init__.py", "src/lemma/registration.py")
+    dodging = {
+        relative(path): names
+        for path in SOURCES
+        if relative(path) not in entrances
+        and (names := modules_imported_by_string(path))
+    }
+    assert dodging == {}
 
 
 def test_names_are_taken_apart_in_one_place() -> None:
@@ -118,7 +139,7 @@ def test_names_are_taken_apart_in_one_place() -> None:
     found = [
         relative(path)
         for path in SOURCES
-        if apart.search(path.read_text()) and not relative(path).endswith(homes)
+        if apart.search(text_of(path)) and not relative(path).endswith(homes)
     ]
     assert found == []
 
@@ -186,10 +207,15 @@ def pins() -> dict[str, str]:
     return {canonicalize_name(name): pinned for name, pinned in pairs}
 
 
-@pytest.mark.parametrize("requirement", requirements(), ids=lambda r: r.name)
-def test_dependency_is_pinned_within_its_range(requirement: Requirement) -> None:
-    pinned = pins()[canonicalize_name(requirement.name)]
-    assert requirement.specifier.contains(Version(pinned))
+def is_pinned_within_its_range(requirement: Requirement) -> bool:
+    pinned = pins().get(canonicalize_name(requirement.name))
+    return pinned is not None and requirement.specifier.contains(Version(pinned))
+
+
+def test_dependencies_are_pinned_within_their_ranges() -> None:
+    assert requirements()
+    wrong = [str(one) for one in requirements() if not is_pinned_within_its_range(one)]
+    assert wrong == []
 
 
 def test_what_is_not_pinned_is_not_installed_here() -> None:
@@ -226,7 +252,7 @@ def is_pattern(text: str) -> bool:
 
 def paths_in(page: Path) -> set[Path]:
     """Return the files of the repository that a page mentions or links to."""
-    text = page.read_text()
+    text = text_of(page)
     folders = "|".join(re.escape(folder) for folder in TOP_FOLDERS)
     mentioned = {
         ROOT / word.rstrip(".,:;")
@@ -243,32 +269,39 @@ def paths_in(page: Path) -> set[Path]:
     return mentioned | linked
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_paths_in_the_documentation_exist(page: Path) -> None:
+def test_paths_in_the_documentation_exist() -> None:
     # A MyST link may leave out ".md"; what commands write is not in the repository.
     missing = [
-        relative(path.resolve())
+        f"{relative(page)}: {path}"
+        for page in PAGES
         for path in sorted(paths_in(page))
         if not path.exists() and not path.with_name(path.name + ".md").exists()
     ]
-    assert not missing
+    assert missing == []
 
 
 def commands_in(page: Path, program: str) -> list[list[str]]:
     """Return the words that follow ``program`` wherever a page's code calls it."""
-    lines = (line.split("#")[0] for line in code_in(page.read_text()))
+    lines = (line.split("#")[0] for line in code_in(text_of(page)))
     calls = (
         re.match(rf"\s*\$?\s*(?:\.venv/bin/)?{program}\s+(.*)", line) for line in lines
     )
     return [match[1].split() for match in calls if match]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_python_names_in_the_documentation_exist(page: Path) -> None:
-    text = page.read_text()
-    names = set(re.findall(r"(?<![\w./-])lemma(?:\.[A-Za-z_]\w*)+(?![\w/-])", text))
-    names -= {ENTRY_POINTS}
-    assert sorted(name for name in names if not resolves(name)) == []
+def python_names_in(page: Path) -> set[str]:
+    names = re.findall(r"(?<![\w./-])lemma(?:\.[A-Za-z_]\w*)+(?![\w/-])", text_of(page))
+    return set(names) - {ENTRY_POINTS}
+
+
+def test_python_names_in_the_documentation_exist() -> None:
+    wrong = [
+        f"{relative(page)}: {name}"
+        for page in PAGES
+        for name in sorted(python_names_in(page))
+        if not resolves(name)
+    ]
+    assert wrong == []
 
 
 @cache
@@ -298,30 +331,36 @@ def test_the_life_of_an_episode_runs_as_printed() -> None:
     assert done.stdout.startswith("True ["), done.stdout
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_make_targets_in_the_documentation_exist(page: Path) -> None:
+def test_make_targets_in_the_documentation_exist() -> None:
     makefile = (ROOT / "Makefile").read_text()
     targets = set(re.findall(r"^([a-z][a-z-]*):", makefile, re.MULTILINE))
-    used = {
-        word
+    wrong = [
+        f"{relative(page)}: make {word}"
+        for page in PAGES
         for words in commands_in(page, "make")
         for word in words
-        if re.fullmatch(r"[a-z][a-z-]*", word)
-    }
-    assert used <= targets
+        if re.fullmatch(r"[a-z][a-z-]*", word) and word not in targets
+    ]
+    assert wrong == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_lemma_commands_in_the_documentation_exist(page: Path) -> None:
-    wrong = []
-    for all_words in commands_in(page, "lemma"):
-        words, plugins = main.split_plugins(all_words)
-        assert all((ROOT / plugin).exists() for plugin in plugins)
-        options = {word.split("=")[0].strip("[],") for word in words if "--" in word}
-        verb = words[0] if re.fullmatch(r"[a-z][a-z-]*", words[0]) else ""
-        known = options_of(verb)
-        wrong += [f"lemma {verb} {option}" for option in options - known]
-    assert not wrong
+def wrong_words(all_words: list[str]) -> list[str]:
+    """Return the plugins and options of a call of ``lemma`` that do not exist."""
+    words, plugins = main.split_plugins(all_words)
+    options = {word.split("=")[0].strip("[],") for word in words if "--" in word}
+    verb = words[0] if re.fullmatch(r"[a-z][a-z-]*", words[0]) else ""
+    missing = [plugin for plugin in plugins if not (ROOT / plugin).exists()]
+    return [f"lemma {verb} {word}" for word in (*missing, *options - options_of(verb))]
+
+
+def test_lemma_commands_in_the_documentation_exist() -> None:
+    wrong = [
+        f"{relative(page)}: {found}"
+        for page in PAGES
+        for words in commands_in(page, "lemma")
+        for found in wrong_words(words)
+    ]
+    assert wrong == []
 
 
 @cache
@@ -346,6 +385,6 @@ def test_no_path_of_a_developers_machine() -> None:
     found = [
         f"{relative(path)}: {match[0]}"
         for path in (*PYTHON_FILES, *PAGES, ROOT / "Makefile", ROOT / "pyproject.toml")
-        for match in pattern.finditer(path.read_text())
+        for match in pattern.finditer(text_of(path))
     ]
     assert not found
