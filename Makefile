@@ -19,6 +19,8 @@ INPUTS := pyproject.toml constraints.txt Makefile scripts/prepare_system.py
 CHECKED := src tests examples scripts docs integrations
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Tests start hundreds of interpreters: each would compile the whole package again.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: help setup setup-dev play demo bench test lint types layers docs tests \
 	test-lerobot test-warp test-vla-eval format clean
@@ -40,8 +42,9 @@ bench: setup ## Measure speed and the expert's success (takes long).
 	$(BIN)/lemma bench --expert
 
 test: setup-dev ## All checks and tests.
-	$(MAKE) -j $(JOBS) lint types layers docs
-	$(MAKE) tests
+	$(MAKE) -j $(JOBS) lint layers
+	@# Tests wait now and then; checks that take a minute fill that time.
+	$(MAKE) -j $(JOBS) types docs tests
 
 lint: setup-dev ## Style, formatting and spelling.
 	$(BIN)/ruff check $(CHECKED)

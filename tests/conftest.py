@@ -8,6 +8,10 @@ from hypothesis import HealthCheck, settings
 
 from lemma.core.errors import RenderingError
 
+# With a thread per core in each of several workers, and in what they start, torch's
+# threads wait for each other, spinning: up to four times the work itself.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 IN_CI = os.environ.get("CI", "").lower() == "true"
 
 # Fixed examples in CI: a failure there is always the change's own. No deadline: the

@@ -1,14 +1,15 @@
 import io
 import json
 from dataclasses import replace
+from functools import partial
 
 import av
 import numpy as np
 import pytest
 
 from lemma.bench import filming
-from lemma.bench.expert_loop import record_loop, time_loop
-from lemma.bench.speed import Trial, expert_figures, run_trials
+from lemma.bench.expert_loop import measure_expert_loop, record_loop, time_loop
+from lemma.bench.speed import Trial, expert_figures, measure_speed, run_trials
 from lemma.cli import bench as bench_verb
 from lemma.cli.main import main
 from lemma.core.errors import PhysicsError
@@ -34,7 +35,14 @@ EXPERT = {
 
 @pytest.mark.slow
 @pytest.mark.render
-def test_bench_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bench_as_json(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Everything is measured, a few times each.
+    few = partial(measure_speed, repeats=5)
+    monkeypatch.setattr(bench_verb, "measure_speed", few)
+    twice = partial(measure_expert_loop, turns=2)
+    monkeypatch.setattr(bench_verb, "measure_expert_loop", twice)
     words = "bench stack --expert --episodes 1 --workers 1 --json"
     with pytest.raises(SystemExit) as end:
         main(words.split())

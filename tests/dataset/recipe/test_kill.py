@@ -8,6 +8,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -40,13 +41,15 @@ def start(folder: Path) -> subprocess.Popen[bytes]:
 def workers(parent: int) -> list[int]:
     """Return the workers of a process that are at work, or about to be."""
     found = []
-    for entry in Path("/proc").iterdir():
+    for entry in Path("/proc").glob("[0-9]*"):
         try:
             above = (entry / "stat").read_text().rpartition(")")[2].split()[1]
+            if above != str(parent):
+                continue
             words = (entry / "cmdline").read_bytes()
         except OSError:
             continue
-        if above == str(parent) and b"spawn_main" in words:
+        if b"spawn_main" in words:
             found.append(int(entry.name))
     return found
 
@@ -61,8 +64,20 @@ def kill(process: int) -> bool:
 
 def episodes_in(folder: Path) -> int:
     """Return how many episodes lie in parts, or in files put together from them."""
-    parts = len(list(folder.glob(".parts/*/*.parquet")))
-    return parts + EPISODES * len(list(folder.glob("*/*.parquet")))
+    parts = count(folder / ".parts")
+    return parts + EPISODES * count(folder)
+
+
+def count(folder: Path) -> int:
+    """Return how many tables lie in the folders of a folder."""
+    found = 0
+    with suppress(FileNotFoundError):
+        for inner in os.listdir(folder):
+            if not inner.startswith("."):
+                with suppress(FileNotFoundError, NotADirectoryError):
+                    names = os.listdir(folder / inner)
+                    found += sum(name.endswith(".parquet") for name in names)
+    return found
 
 
 def wait_for(process: subprocess.Popen[bytes], what: Callable[[], bool]) -> None:
