@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from itertools import product
@@ -24,11 +25,18 @@ from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset, write_sha
 from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.lerobot.shortcuts import counting
 from lemma.dataset.lerobot.whole_videos import encode_whole_videos
+from lemma.dataset.recipe.replay import grounded
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.labels import label
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import iterate_steps
+from lemma.dataset.teleoperation.done import Executed, Teleoperation, joints_sha256
+from lemma.dataset.teleoperation.perform import perform
+from lemma.dataset.teleoperation.record import read_record
+from lemma.env.episode import Episode
 from lemma.scene.rendering.renderer import Renderer
+from lemma.tasks.instance import Instance
+from lemma.tasks.subtask import Primitive, SubTask
 
 os.environ["HF_HUB_OFFLINE"] = "1"
 
@@ -271,6 +279,36 @@ def test_no_frame_is_dropped_where_encoding_takes_long(
     video, _ = encoder.finish_episode()["depth"]
     with import_module("av").open(str(video)) as container:
         assert sum(1 for _ in container.decode(video=0)) == SLOWLY
+
+
+def test_what_was_led_by_hand_becomes_a_data_set(tmp_path: Path) -> None:
+    known = record(0)
+    instance = Instance.from_dict(known.instance_data())
+    row = known.subtasks[0]
+    names = row.robot, Primitive(row.primitive), row.pick, row.place
+    begun = Executed(0.0, SubTask(*names), grounded(row), until_s=2.0)
+    episode = Episode(instance)
+    done = Teleoperation(instance, "Watch me.", (begun,), (), 3.0, "")
+    perform(done, episode)
+    last = joints_sha256(episode.simulation.scene.data.qpos)
+    (tmp_path / "led").mkdir()
+    for name in ("first", "second"):
+        path = tmp_path / "led" / f"{name}.json"
+        path.write_text(replace(done, end_sha256=last).to_json())
+    out = tmp_path / "set"
+    words = f"render {tmp_path / 'led'} --form lerobot --size 64x48 --no-depth"
+    with pytest.raises(SystemExit) as end:
+        main([*words.split(), "--workers", "1", "--out", str(out)])
+    assert end.value.code == 0
+    module = import_module("lerobot.datasets.lerobot_dataset")
+    found = module.LeRobotDataset("lemma/led", root=out, video_backend="pyav")
+    assert (found.num_episodes, found.num_frames) == (2, 62)
+    item = found[45]
+    assert item["task"] == "Watch me."
+    assert item["observation.images.robot_0"].shape == (3, 48, 64)
+    steps = list(iterate_steps(read_record(path), FPS))
+    assert np.allclose(item["action"].numpy(), steps[14].action.ravel(), atol=1e-6)
+    assert (out / "extras" / "first.json").is_file()
 
 
 def test_an_export_that_was_stopped_goes_on(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.dataset.rendered.render import render as render_form
+from lemma.dataset.teleoperation.record import files_in
 from lemma.scene.rendering.batch import choose_renderer
 from lemma.tasks.language.template import KINDS
 
@@ -92,7 +93,8 @@ def render(
     What is there already is kept, so the same command goes on where it was stopped.
 
     Args:
-        data: The recipe: what lemma generate wrote.
+        data: The recipe: what lemma generate wrote. With --form lerobot also an episode
+            that was led by hand on the page of lemma play, or a folder of such files.
         out: Folder of what is made.
         form: keyframes: images and labels before every sub-task, for planners;
             lerobot: LeRobotDataset v3.0, states, commands and videos at a rate, for
@@ -124,6 +126,11 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
         UnknownNameError: No such kind of instructions.
     """
     width, height = parse_size(look.size)
+    if name == "keyframes" and files_in(order.recipe):
+        raise InvalidConfigError(
+            "What was led by hand has no keyframes, which lie between sub-tasks. Film "
+            "all of it: --form lerobot."
+        )
     if name == "keyframes":
         for field in _FILMED:
             if getattr(look, field) != getattr(EVERYTHING, field):

@@ -16,6 +16,7 @@ from lemma.dataset.recipe.reader import Recipe, load
 from lemma.dataset.recipe.replay import Replay, replay_all
 from lemma.dataset.teleoperation.done import Teleoperation
 from lemma.dataset.teleoperation.perform import is_same, perform
+from lemma.env.episode import Episode
 
 _AT_INTERRUPT = (
     "{done} of {total} episodes were compared; nothing was changed, and what was "
@@ -108,7 +109,9 @@ def _again(file: Path, *, as_json: bool) -> int:
     """Do what was led by hand again."""
     done = Teleoperation.load(file)
     start = perf_counter()
-    same = is_same(done, perform(done))
+    episode = Episode(done.instance)
+    perform(done, episode)
+    same = is_same(done, episode)
     seconds = perf_counter() - start
     if as_json:
         print_json({"episodes": 1, "same": same, "seconds": round(seconds, 3)})

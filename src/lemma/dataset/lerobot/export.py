@@ -10,11 +10,10 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from shutil import copyfile, rmtree
+from shutil import rmtree
 from time import perf_counter
 from typing import Any
 
@@ -26,11 +25,9 @@ from lemma.core.files import (
     sha256_of,
     write_json,
     write_text,
-    write_whole,
 )
 from lemma.core.workers.pool import Engine
-from lemma.dataset.files import CARD, MANIFEST, check_files
-from lemma.dataset.instructions import check_recorded
+from lemma.dataset.files import CARD
 from lemma.dataset.lerobot.card import EXTRAS, card
 from lemma.dataset.lerobot.frames import (
     Style,
@@ -39,11 +36,14 @@ from lemma.dataset.lerobot.frames import (
     frames,
 )
 from lemma.dataset.lerobot.shortcuts import take_shortcuts
+from lemma.dataset.lerobot.sources import (
+    check_source,
+    keep_source,
+    name_in_source,
+    read_records,
+)
 from lemma.dataset.lerobot.whole_videos import encode_whole_videos
-from lemma.dataset.recipe.files import open_table, versions
-from lemma.dataset.recipe.reader import read_group
-from lemma.dataset.recipe.replay import check_versions
-from lemma.dataset.recipe.schema import perturbed_as
+from lemma.dataset.recipe.files import versions
 from lemma.dataset.rendered.film import rig_of, robots_of
 from lemma.dataset.rendered.render import (
     RenderConfig,
@@ -159,10 +159,12 @@ def write_dataset(
     start = perf_counter()
     shards = order.shards()
     files = list(dict.fromkeys(shard.path for shard in shards))
-    _check_recipe(order, files)
+    check_source(order.source.recipe, files, order.style.instructions)
     check_installed()
     for shard in shards[:1]:
-        features(robots_of(read_group(shard.path, shard.group)[0]), order.style)
+        features(
+            robots_of(read_records(shard.path, shard.group, shard.rows)[0]), order.style
+        )
     total = sum(len(shard.rows) for shard in shards)
     with only_writer(order.out):
         clear_drafts(order.out)
@@ -181,27 +183,6 @@ def write_dataset(
     count = read_json(order.out / INFO)["total_frames"]
     size = sum(path.stat().st_size for path in order.out.rglob("*") if path.is_file())
     return RenderSummary(total, count, made, perf_counter() - start, size / 1e6)
-
-
-def _check_recipe(order: LeRobotConfig, files: Sequence[Path]) -> None:
-    """Check that the recipe can be exported here and as it was asked for.
-
-    Raises:
-        DatasetError: It cannot.
-    """
-    for kind in order.style.instructions:
-        check_recorded(kind, [path.parent.name for path in files])
-    for path in files:
-        found = open_table(path)[1]
-        check_versions(found)
-        if perturbed_as(found):
-            raise DatasetError(
-                f"{order.source.recipe} holds perturbed executions, in which what was "
-                "done is not what is right, and a LeRobotDataset says what was done. "
-                "Render keyframes, whose labels are the expert's, or a recipe of "
-                "demonstrations."
-            )
-    check_files(order.source.recipe, partial=True)
 
 
 def check_installed() -> None:
@@ -237,7 +218,7 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
         },
         "renderer": rig_of(*order.style.rig).describe(),
         "per_video": order.per_video,
-        "recipe": {_name_in_recipe(path): sha256_of(path) for path in files},
+        "recipe": {name_in_source(path): sha256_of(path) for path in files},
     }
     path = order.out / _EXPORT
     if path.exists():
@@ -251,10 +232,6 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
         write_json(path, about)
 
 
-def _name_in_recipe(path: Path) -> str:
-    return f"{path.parent.name}/{path.name}"
-
-
 def write_shard(shard: Shard, style: Style) -> int:
     """Write some episodes as a LeRobotDataset; return how many are in the recipe.
 
@@ -266,8 +243,7 @@ def write_shard(shard: Shard, style: Style) -> int:
         DatasetError: The motion is not the recorded one.
         RenderingError: OpenGL does not work here.
     """
-    group = read_group(shard.path, shard.group)
-    records = [group[row] for row in shard.rows]
+    records = read_records(shard.path, shard.group, shard.rows)
     draft = shard.folder.with_name(f".{shard.folder.name}")
     rmtree(draft, ignore_errors=True)
     dataset = _create(draft, features(robots_of(records[0]), style), style)
@@ -372,7 +348,7 @@ def _assemble(
         order.out / EPISODES,
         {"episodes": [{"episode_index": n, **e} for n, e in enumerate(episodes)]},
     )
-    _write_recipe(order.out / EXTRAS, files)
+    keep_source(order.out / EXTRAS, files)
     write_text(order.out / CARD, card(info))
     for part in _PARTS:
         rmtree(order.out / part, ignore_errors=True)
@@ -385,15 +361,3 @@ def _splits(episodes: Sequence[dict[str, Any]]) -> Iterator[tuple[str, str]]:
     for name in dict.fromkeys(names):
         first = names.index(name)
         yield name, f"{first}:{first + names.count(name)}"
-
-
-def _write_recipe(folder: Path, files: Sequence[Path]) -> None:
-    """Add the recipe of the episodes: instances, and states of the physics."""
-    manifest = read_json(files[0].parents[1] / MANIFEST)
-    listed = {}
-    for path in files:
-        name = _name_in_recipe(path)
-        write_whole(folder / name, partial(copyfile, path))
-        if name in manifest["files"]:
-            listed[name] = manifest["files"][name]
-    write_json(folder / MANIFEST, {**manifest, "files": listed})

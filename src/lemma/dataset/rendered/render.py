@@ -12,7 +12,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
 
-from lemma.core.errors import DatasetError, UnknownNameError
+from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.files import (
     clear_drafts,
     only_writer,
@@ -28,6 +28,7 @@ from lemma.dataset.recipe.reader import load, read_group
 from lemma.dataset.recipe.replay import check_versions
 from lemma.dataset.recipe.schema import EpisodeRecord, perturbed_as
 from lemma.dataset.rendered.shards import changed, read_manifest
+from lemma.dataset.teleoperation.record import files_in
 from lemma.tasks.instance import BENCHMARK_VERSION
 
 _PERTURBED_NOTE = """
@@ -102,7 +103,8 @@ class RenderConfig:
     """What to render."""
 
     recipe: Path
-    """Folder of the recipe."""
+    """Folder of the recipe; or, for what films whole episodes, a file of an episode
+    that was led by hand, or a folder of such files."""
     out: Path
     """Folder of what is made."""
     tasks: tuple[str, ...] = ()
@@ -113,10 +115,21 @@ class RenderConfig:
     def groups(self) -> list[tuple[Path, int, tuple[int, ...]]]:
         """Return the row groups of the recipe that are wanted: file, number, rows.
 
+        A file of an episode that was led by hand is a group of one row.
+
         Raises:
             DatasetError: There is no recipe.
-            UnknownNameError: It has no such task or split.
+            InvalidConfigError: Tasks or splits are named of what was led by hand.
+            UnknownNameError: The recipe has no such task or split.
         """
+        led = files_in(self.recipe)
+        if led and (self.tasks or self.splits):
+            raise InvalidConfigError(
+                "Episodes that were led by hand are chosen by their files, not by task "
+                "or split. Leave --tasks and --splits out."
+            )
+        if led:
+            return [(path, 0, (0,)) for path in led]
         groups = load(self.recipe).groups()
         for kind, names, valid in (
             ("task in this recipe", self.tasks, {path.stem for path, *_ in groups}),

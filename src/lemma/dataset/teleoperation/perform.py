@@ -32,6 +32,10 @@ class _Clock:
         self.until_s: float | None = None
         simulation.observers.append(self._look)
 
+    def stop(self) -> None:
+        """Let everything happen that comes now."""
+        self._simulation.observers.remove(self._look)
+
     @property
     def at_end(self) -> bool:
         """Whether the episode has been done as far as it was kept."""
@@ -47,40 +51,48 @@ class _Clock:
 
 
 def perform(
-    done: Teleoperation, before: Callable[[Episode, int], None] = lambda *_: None
-) -> Episode:
-    """Do a teleoperated episode again.
+    done: Teleoperation,
+    episode: Episode,
+    before: Callable[[int], None] = lambda number: None,
+) -> None:
+    """Do a teleoperated episode again, up to the end of what was kept.
 
     Args:
         done: What was done.
-        before: Told of the episode before each of its parts, from 0.
-
-    Returns:
-        The episode as it was at the end of what was kept, which needs not be over.
+        episode: Of its instance, just begun; at the end it needs not be over.
+        before: Told of each part, from 0, before it begins.
 
     Raises:
         LemmaError: What was done cannot be: the file was changed.
     """
-    episode = Episode(done.instance)
+    clock = _Clock(episode.simulation, done)
+    try:
+        _perform(done, episode, clock, before)
+    finally:
+        clock.stop()
+
+
+def _perform(
+    done: Teleoperation,
+    episode: Episode,
+    clock: _Clock,
+    before: Callable[[int], None],
+) -> None:
     simulation = episode.simulation
-    before(episode, 0)
-    clock = _Clock(simulation, done)
     for number, part in enumerate(done.parts):
         try:
             while simulation.time_s < part.start_s - _EARLY_S:
                 simulation.tick()
-            if number:
-                before(episode, number)
+            before(number)
             _do(episode, part, clock)
         except _ReachedError:
             if clock.at_end:
-                return episode
+                return
     try:
         while not clock.at_end:
             simulation.tick()
     except _ReachedError:
         pass
-    return episode
 
 
 def _do(episode: Episode, part: Executed | Commanded, clock: _Clock) -> None:

@@ -66,13 +66,9 @@ def teleoperation_again(done: Teleoperation) -> tuple[Track, bool]:
     Raises:
         LemmaError: It cannot be done.
     """
-    reels: list[Reel] = []
-
-    def watch(episode: Episode, number: int) -> None:
-        if number == 0:
-            reels.append(Reel(episode.simulation))
-
-    episode = perform(done, watch)
+    episode = Episode(done.instance)
+    reel = Reel(episode.simulation)
+    perform(done, episode)
     starts = [part.start_s for part in done.parts]
     lines = []
     for part, next_s in zip(done.parts, [*starts[1:], done.end_s], strict=True):
@@ -89,9 +85,7 @@ def teleoperation_again(done: Teleoperation) -> tuple[Track, bool]:
     lines.sort(key=lambda line: line.start_s)
     solved = episode.is_success
     verdict = SOLVED if solved else unsolved(episode.failure)
-    track = Track(
-        BY_HAND, done.instance, reels[0].frames, tuple(lines), verdict, solved
-    )
+    track = Track(BY_HAND, done.instance, reel.frames, tuple(lines), verdict, solved)
     return track, is_same(done, episode)
 
 

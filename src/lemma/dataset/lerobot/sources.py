@@ -1,0 +1,119 @@
+"""What is exported: episodes of a recipe, or those that were led by hand."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from shutil import copyfile
+
+from lemma.core.errors import DatasetError
+from lemma.core.files import read_json, write_json, write_whole
+from lemma.dataset.files import MANIFEST, check_files
+from lemma.dataset.instructions import TRAINING_KINDS, check_recorded
+from lemma.dataset.recipe.files import open_table
+from lemma.dataset.recipe.reader import read_group
+from lemma.dataset.recipe.replay import check_versions
+from lemma.dataset.recipe.schema import EpisodeRecord, perturbed_as
+from lemma.dataset.teleoperation.done import Teleoperation
+from lemma.dataset.teleoperation.record import read_record
+from lemma.tasks.language.template import KINDS
+
+PARQUET = ".parquet"
+"""End of the names of files of a recipe."""
+
+
+def read_records(
+    path: Path, group: int, rows: tuple[int, ...]
+) -> Sequence[EpisodeRecord]:
+    """Return episodes.
+
+    Args:
+        path: File of a recipe, or of an episode that was led by hand.
+        group: Row group of the file.
+        rows: Rows of the group.
+
+    Raises:
+        DatasetError: It is damaged, or comes to another state here.
+    """
+    if path.suffix != PARQUET:
+        return [read_record(path)]
+    found = read_group(path, group)
+    return [found[row] for row in rows]
+
+
+def check_source(
+    source: Path, files: Sequence[Path], instructions: tuple[str, ...]
+) -> None:
+    """Check that episodes can be exported here and as it was asked for.
+
+    Args:
+        source: A recipe, or what was led by hand.
+        files: What is read of it.
+        instructions: Kinds of sentences that become tasks.
+
+    Raises:
+        DatasetError: They cannot.
+        InvalidConfigError: A file is none of an episode that was led by hand.
+    """
+    if all(path.suffix != PARQUET for path in files):
+        _check_led(files, instructions)
+        return
+    for kind in instructions:
+        check_recorded(kind, [path.parent.name for path in files])
+    for path in files:
+        found = open_table(path)[1]
+        check_versions(found)
+        if perturbed_as(found):
+            raise DatasetError(
+                f"{source} holds perturbed executions, in which what was "
+                "done is not what is right, and a LeRobotDataset says what was done. "
+                "Render keyframes, whose labels are the expert's, or a recipe of "
+                "demonstrations."
+            )
+    check_files(source, partial=True)
+
+
+def _check_led(files: Sequence[Path], instructions: tuple[str, ...]) -> None:
+    """Check that episodes that were led by hand can be exported as it was asked for.
+
+    Raises:
+        DatasetError: They cannot.
+        InvalidConfigError: A file is none of such an episode.
+    """
+    if instructions != TRAINING_KINDS[:1]:
+        raise DatasetError(
+            "An episode that was led by hand has one sentence, which was said. Leave "
+            "--instructions out."
+        )
+    for path in files:
+        done = Teleoperation.load(path)
+        sentences = done.instance.instructions
+        held_out = {sentences[kind] for kind in KINDS if kind not in TRAINING_KINDS}
+        if done.instruction in held_out:
+            raise DatasetError(
+                f"{path}: what was said is held out for evaluation. Say something else "
+                "where episodes are led to learn from."
+            )
+
+
+def name_in_source(path: Path) -> str:
+    """Return what a file is called within its folder: ``"train/stack.parquet"``."""
+    return f"{path.parent.name}/{path.name}"
+
+
+def keep_source(folder: Path, files: Sequence[Path]) -> None:
+    """Add the recipe of the episodes: instances, and states of the physics.
+
+    Of those that were led by hand, their files.
+    """
+    if all(path.suffix != PARQUET for path in files):
+        for path in files:
+            write_whole(folder / path.name, partial(copyfile, path))
+        return
+    manifest = read_json(files[0].parents[1] / MANIFEST)
+    listed = {}
+    for path in files:
+        name = name_in_source(path)
+        write_whole(folder / name, partial(copyfile, path))
+        if name in manifest["files"]:
+            listed[name] = manifest["files"][name]
+    write_json(folder / MANIFEST, {**manifest, "files": listed})

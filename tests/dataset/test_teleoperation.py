@@ -1,0 +1,142 @@
+"""Episodes that were led by hand, as data: done again, filmed, and what is refused."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lemma.cli.render import EVERYTHING, choose_form
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.poses import quaternion_from_matrix
+from lemma.dataset.lerobot.frames import Style, frames
+from lemma.dataset.lerobot.sources import check_source
+from lemma.dataset.rendered.render import RenderConfig
+from lemma.dataset.rendered.steps import count_steps, iterate_steps
+from lemma.dataset.teleoperation.done import (
+    Commanded,
+    Executed,
+    Teleoperation,
+    joints_sha256,
+)
+from lemma.dataset.teleoperation.perform import perform
+from lemma.dataset.teleoperation.record import LED, files_in, read_record
+from lemma.env.episode import Episode
+from lemma.evaluation.run.rollout import Player, Rollout, roll_out
+from lemma.policies.spec import ORACLE, PolicySpec
+from lemma.tasks.suite import load_instance
+
+STARTS_S = 2.0
+"""When somebody takes over."""
+ROWS, HZ = 30, 20.0
+END_S = STARTS_S + ROWS / HZ
+
+
+@pytest.fixture(scope="module")
+def done() -> Teleoperation:
+    """The first sub-task of the expert, broken off; then a hand that is moved up."""
+    instance = load_instance("stack", "val", 0)
+    rollout = Rollout(instance)
+    player = Player.load(PolicySpec(ORACLE))
+    for _ in roll_out([rollout], player):
+        pass
+    step = rollout.steps[0]
+    assert step.grounded is not None
+    begun = Executed(0.0, step.subtask, step.grounded, until_s=STARTS_S)
+    episode = Episode(instance)
+    draft = Teleoperation(instance, "put it there", (begun,), (), STARTS_S, "")
+    perform(draft, episode)
+    rows = []
+    for arm in episode.simulation.arms.values():
+        pose = arm.tcp_pose()
+        turn = quaternion_from_matrix(pose[:3, :3])
+        rows.append([*pose[:3, 3], *turn, arm.opening_m])
+    row = np.array(rows)
+    row[:, 2] += 0.05
+    led = Commanded(STARTS_S, "ee_pose", HZ, [row] * ROWS)
+    draft = replace(draft, parts=(begun, led), end_s=END_S)
+    episode = Episode(instance)
+    perform(draft, episode)
+    return replace(draft, end_sha256=joints_sha256(episode.simulation.scene.data.qpos))
+
+
+@pytest.fixture(scope="module")
+def file(done: Teleoperation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("led") / "mine.json"
+    path.write_text(done.to_json())
+    return path
+
+
+def test_a_file_says_all_of_it(done: Teleoperation, file: Path) -> None:
+    found = Teleoperation.load(file)
+    # A table from a file is on no list.
+    assert found.instance == replace(done.instance, split="own")
+    assert found.to_json() == replace(done, instance=found.instance).to_json()
+
+
+def test_it_is_a_record_with_a_keyframe_before_each_part(file: Path) -> None:
+    record = read_record(file)
+    assert [row.instruction for row in record.subtasks][1:] == [LED]
+    assert record.subtasks[0].outcome == "taken_over"
+    assert record.keyframe_time_s == pytest.approx((0.0, STARTS_S, END_S))
+    assert record.high_level == "put it there"
+    assert not record.success
+
+
+def test_it_is_filmed_step_by_step(file: Path) -> None:
+    record = read_record(file)
+    steps = list(iterate_steps(record, 10))
+    assert len(steps) == count_steps(record, 10) == round(10 * END_S) + 1
+    owners = [step.subtask for step in steps]
+    assert owners == [0] * 20 + [1] * 15 + [-1]
+    assert steps[-1].is_done
+    # The hand went where it was led: up.
+    before, after = steps[20].joints, steps[-1].joints
+    assert np.abs(after - before).max() > 0.02
+
+
+def test_frames_are_those_of_a_lerobot_data_set(file: Path) -> None:
+    style = Style(fps=10, width_px=64, height_px=48, depth=False)
+    found = list(frames(read_record(file), style))
+    assert {frame["task"] for frame in found} == {"put it there"}
+    assert [frame["subtask"] for frame in found][20:35] == [LED] * 15
+    assert found[0]["observation.images.robot_0"].shape == (48, 64, 3)
+
+
+def test_files_of_a_folder_are_found(file: Path, tmp_path: Path) -> None:
+    assert files_in(file) == files_in(file.parent) == [file]
+    assert files_in(tmp_path) == []
+    config = RenderConfig(recipe=file.parent, out=tmp_path)
+    assert config.episodes() == 1
+    with pytest.raises(InvalidConfigError, match="no keyframes"):
+        choose_form("keyframes", config, EVERYTHING)
+    with pytest.raises(InvalidConfigError, match="--tasks"):
+        replace(config, tasks=("stack",)).groups()
+
+
+def test_another_state_is_no_episode(done: Teleoperation, tmp_path: Path) -> None:
+    path = tmp_path / "other.json"
+    path.write_text(replace(done, end_sha256="0" * 64).to_json())
+    with pytest.raises(DatasetError, match="another state"):
+        read_record(path)
+
+
+def test_held_out_sentences_are_not_learned_from(
+    done: Teleoperation, file: Path, tmp_path: Path
+) -> None:
+    check_source(file, [file], ("high_level",))
+    with pytest.raises(DatasetError, match="--instructions"):
+        check_source(file, [file], ("high_level", "human"))
+    path = tmp_path / "unseen.json"
+    said = replace(done, instruction=done.instance.instructions["unseen"])
+    path.write_text(said.to_json())
+    with pytest.raises(DatasetError, match="held out"):
+        check_source(path, [path], ("high_level",))
+
+
+def test_a_table_alone_is_no_episode(done: Teleoperation, tmp_path: Path) -> None:
+    path = tmp_path / "table.json"
+    path.write_text(json.dumps(done.instance.to_dict()))
+    with pytest.raises(InvalidConfigError, match="not what was done"):
+        check_source(path, [path], ("high_level",))
