@@ -1,6 +1,7 @@
 """Episodes that were led by hand, as data: done again, filmed, and what is refused."""
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from lemma.cli.render import EVERYTHING, choose_form
-from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.errors import DatasetError, InvalidConfigError, LemmaError
 from lemma.core.poses import quaternion_from_matrix
 from lemma.dataset.lerobot.frames import Style, frames
 from lemma.dataset.lerobot.sources import check_source
@@ -140,3 +141,32 @@ def test_a_table_alone_is_no_episode(done: Teleoperation, tmp_path: Path) -> Non
     path.write_text(json.dumps(done.instance.to_dict()))
     with pytest.raises(InvalidConfigError, match="not what was done"):
         check_source(path, [path], ("high_level",))
+
+
+@pytest.mark.parametrize(
+    ("part", "field", "value", "message"),
+    [
+        ("commanded", "control", "telepathy", "control"),
+        ("commanded", "control", "joint_torque", "drives motors"),
+        ("commanded", "control_hz", 33.0, "control_hz"),
+        ("commanded", "rows", [[[0.0, 0.0]]], "shape"),
+        ("commanded", "rows", [[[math.nan] * 8] * 2], "NaN|finite|number"),
+        ("executed", "robot", "robot_7", "robot"),
+        ("executed", "primitive", "juggle", "not what was done"),
+        ("executed", "pick_pose", [0.0, 0.0], "not what was done"),
+        ("executed", "pick_pose", [math.nan, 0.0, 0.0], "state"),
+        ("", "end_s", math.nan, "nan s"),
+        ("", "end_s", 1e9, "Episodes end"),
+        ("", "nudged", [{"time_s": 1.0, "name": "moon", "pose": [0, 0, 0]}], "moon"),
+    ],
+)
+def test_what_was_written_by_somebody_else_ends_in_words(
+    file: Path, tmp_path: Path, part: str, field: str, value: object, message: str
+) -> None:
+    data = json.loads(file.read_text())
+    place = data["done"][part][0] if part else data["done"]
+    place[field] = value
+    path = tmp_path / "evil.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(LemmaError, match=message):
+        read_record(path)

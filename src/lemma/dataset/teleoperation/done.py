@@ -18,6 +18,8 @@ import numpy as np
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray, Pose2
+from lemma.env.episode import STILL_S
+from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
@@ -25,6 +27,8 @@ KEY = "done"
 """Under which it is what was done, beside the fields of the instance."""
 
 
+LONGEST_S = HORIZON_S + STILL_S + TICK_S
+"""How long an episode can go on, until it has been judged, and a tick [s]."""
 _Pose = tuple[float, float, float]
 
 
@@ -182,6 +186,11 @@ class Teleoperation:
             )
         if not parts:
             raise InvalidConfigError(f"{path}: nothing was done.")
+        if not 0.0 < found["end_s"] <= LONGEST_S:
+            raise InvalidConfigError(
+                f"{path} goes to {found['end_s']:g} s. Episodes end within "
+                f"{LONGEST_S:g} s."
+            )
         nudged = (
             Nudged(each["time_s"], each["name"], Pose2(*each["pose"]))
             for each in found["nudged"]
