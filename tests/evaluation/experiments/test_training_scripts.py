@@ -1,0 +1,112 @@
+"""Scripts that train and evaluate what the tables need, without training anything."""
+
+import argparse
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import control_baselines
+import train_all
+from lemma.evaluation.experiments.catalog import SEEDS, TRAININGS, selected
+from test_repository import options_of
+from train_all import Job, Machine
+
+ROUNDS = (1, 2)
+SLOTS, GPUS = 2, 2
+
+
+def check_options(command: str) -> None:
+    verb, *words = command.split()[1:]
+    given = {word.split("=")[0] for word in words if word.startswith("--")}
+    assert given <= options_of(verb), command
+
+
+def test_each_training_is_done_once_and_each_row_in_each_round() -> None:
+    experiments = [*selected("all"), *selected("ablations")]
+    jobs, rows = train_all.plan(experiments, SEEDS, ROUNDS)
+    assert len(jobs) == len(set(jobs))
+    assert {job.name for job in jobs} == set(TRAININGS)
+    assert {job for row in rows for job in row.jobs} == set(jobs)
+    first, second = ([row for row in rows if row.episodes == n] for n in ROUNDS)
+    assert rows == [*first, *second]
+    assert len({(row.experiment.name, row.runs) for row in first}) == len(first)
+    # What learns nothing, and ablations, have one seed.
+    counted = [row.experiment.name for row in first]
+    assert counted.count("oracle") == counted.count("no-reach") == 1
+    assert counted.count("reachnet") == len(SEEDS)
+
+
+def test_printed_commands_can_be_given() -> None:
+    jobs, rows = train_all.plan(selected("all"), SEEDS[:1], ROUNDS[:1])
+    for command in (
+        *(job.command("--compile") for job in jobs[:2]),
+        rows[0].command("o", 1),
+    ):
+        check_options(command)
+    plan = control_baselines.Plan(
+        Path("out"), "pass", "64x48", 10, 4, 2, 2, 1, 1, 1, "cpu"
+    )
+    checkpoint = plan.run("act", 0) / "checkpoint"
+    for command in (
+        *plan.data_commands(),
+        plan.evaluation(checkpoint, "test", 1, checkpoint / "test"),
+    ):
+        check_options(command)
+
+
+class Rehearsal(Machine):
+    """Starts nothing, and notes what it was asked to start."""
+
+    def start(
+        self, command: str, log: str, gpu: int | None
+    ) -> "subprocess.Popen[bytes]":
+        self.begun = [*getattr(self, "begun", []), command]
+        going = [each for each in self.training if each[2].poll() is None]
+        assert len(going) < SLOTS * GPUS or gpu is None
+        words = command.split()
+        if words[1] == "train":
+            out = Path(words[words.index("--out") + 1])
+            out.mkdir(parents=True)
+            (out / train_all.REPORT).write_text("{}")
+            if "fails" in out.parts:
+                return subprocess.Popen(["false"])
+        return subprocess.Popen(["true"])
+
+
+@pytest.fixture
+def options() -> argparse.Namespace:
+    forever = float("inf")
+    return argparse.Namespace(
+        until_s=forever, stop_s=forever, train="", out="results", workers=1
+    )
+
+
+def test_rows_are_played_when_their_weights_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: argparse.Namespace
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(train_all, "LOOK_S", 0.01)
+    jobs, rows = train_all.plan(selected("paper"), SEEDS[:2], ROUNDS)
+    wanted = {row.command("results", 1): row for row in rows}
+    machine = Rehearsal(tmp_path / "logs", SLOTS, GPUS)
+    assert train_all.work(machine, jobs, list(rows), options) == []
+    begun = machine.begun
+    assert {c for c in begun if " reproduce " in c} == set(wanted)
+    for command, row in wanted.items():
+        trained = [begun.index(job.command("")) for job in row.jobs]
+        assert max(trained) < begun.index(command)
+    # The same command goes on where it was stopped: nothing is trained again.
+    again = Rehearsal(tmp_path / "logs", SLOTS, GPUS)
+    train_all.work(again, jobs, list(rows), options)
+    assert all(" reproduce " in command for command in again.begun)
+
+
+def test_a_training_that_failed_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: argparse.Namespace
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(train_all, "LOOK_S", 0.01)
+    job = Job("reachnet", 0, "fails")
+    machine = Rehearsal(tmp_path / "logs", SLOTS, GPUS)
+    assert train_all.work(machine, [job], [], options) == [job]
