@@ -33,6 +33,13 @@ EXPERT = {
 }
 
 
+def test_one_thing_is_measured_at_a_time(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["bench", "--play", "--rendering"])
+    assert end.value.code == 2
+    assert "Name one of them" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.slow
 @pytest.mark.render
 def test_bench_as_json(

@@ -22,7 +22,7 @@ from lemma.dataset.teleoperation.done import (
     joints_sha256,
 )
 from lemma.dataset.teleoperation.perform import perform
-from lemma.dataset.teleoperation.record import LED, files_in, read_record
+from lemma.dataset.teleoperation.record import files_in, read_record
 from lemma.env.episode import Episode
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.spec import ORACLE, PolicySpec
@@ -78,7 +78,7 @@ def test_a_file_says_all_of_it(done: Teleoperation, file: Path) -> None:
 
 def test_it_is_a_record_with_a_keyframe_before_each_part(file: Path) -> None:
     record = read_record(file)
-    assert [row.instruction for row in record.subtasks][1:] == [LED]
+    assert [row.instruction for row in record.subtasks][1:] == ["Led by hand."]
     assert record.subtasks[0].outcome == "taken_over"
     assert record.keyframe_time_s == pytest.approx((0.0, STARTS_S, END_S))
     assert record.high_level == "put it there"
@@ -101,13 +101,19 @@ def test_frames_are_those_of_a_lerobot_data_set(file: Path) -> None:
     style = Style(fps=10, width_px=64, height_px=48, depth=False)
     found = list(frames(read_record(file), style))
     assert {frame["task"] for frame in found} == {"put it there"}
-    assert [frame["subtask"] for frame in found][20:35] == [LED] * 15
+    assert [frame["subtask"] for frame in found][20:35] == ["Led by hand."] * 15
     assert found[0]["observation.images.robot_0"].shape == (48, 64, 3)
 
 
 def test_files_of_a_folder_are_found(file: Path, tmp_path: Path) -> None:
     assert files_in(file) == files_in(file.parent) == [file]
     assert files_in(tmp_path) == []
+    # Whatever else is JSON, or is not, is none: results, tables, pages.
+    (tmp_path / "seed-0.json").write_text("{}")
+    (tmp_path / "page.json").write_bytes(b"\xff")
+    assert files_in(tmp_path) == files_in(tmp_path / "page.json") == []
+    with pytest.raises(DatasetError, match="no recipe"):
+        RenderConfig(recipe=tmp_path / "seed-0.json", out=tmp_path).groups()
     config = RenderConfig(recipe=file.parent, out=tmp_path)
     assert config.episodes() == 1
     with pytest.raises(InvalidConfigError, match="no keyframes"):

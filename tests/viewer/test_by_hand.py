@@ -150,6 +150,16 @@ def test_it_is_replayed_to_the_bit(taken: Path, tmp_path: Path) -> None:
     assert left.value.code == 1
 
 
+def test_a_part_of_one_episode_is_nothing(
+    taken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for more in ([], ["--browser", str(tmp_path / "page")]):
+        with pytest.raises(SystemExit) as left:
+            main(["replay", str(taken), "--limit", "1", *more])
+        assert left.value.code == 2
+        assert "one episode" in capsys.readouterr().err
+
+
 def test_it_is_shown_again(taken: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as left:
         main(["replay", str(taken), "--browser", str(tmp_path / "page")])

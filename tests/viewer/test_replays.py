@@ -13,6 +13,7 @@ from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
+from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.report.episodes import Case
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.viewer.recording.again import Again, expert_instead, line_again
@@ -174,6 +175,13 @@ def test_recipe_is_looked_at_too(tmp_path: Path) -> None:
     assert side.solved
     assert [step.ok for step in side.steps] == [True, True]
     assert len(found.recording) > 50_000
+
+
+def test_results_are_named_by_their_files_too(cases: dict[int, Case]) -> None:
+    lines = cases[0].lines
+    for place in (lines, lines.with_name(SUMMARY), lines.parent):
+        count, _ = replays_in(place, None, None, EPISODES)
+        assert count == EPISODES
 
 
 def test_folders_without_episodes_are_refused(

@@ -123,6 +123,12 @@ def bench(
     each = min(episodes, _SPEED_EPISODES)
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
+    chosen = (instead.policy is not None, instead.rendering, instead.play, expert)
+    if sum(chosen) > 1:
+        raise InvalidConfigError(
+            "--policy, --rendering, --play and --expert measure different things. Name "
+            "one of them."
+        )
     if instead.policy is not None:
         _bench_policy(machine, instead.policy, instances, as_json)
         return 0

@@ -14,7 +14,7 @@ from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.reader import Recipe, load
 from lemma.dataset.recipe.replay import Replay, replay_all
-from lemma.dataset.teleoperation.done import Teleoperation
+from lemma.dataset.teleoperation.done import Teleoperation, is_teleoperated
 from lemma.dataset.teleoperation.perform import is_same, perform
 from lemma.env.episode import Episode
 
@@ -73,8 +73,8 @@ def replay(
     """
     if browser is not None:
         return _show(data, browser, part)
-    if data.is_file():
-        return _again(data, as_json=as_json)
+    if is_teleoperated(data):
+        return _again(data, part, as_json=as_json)
     recipe = choose(load(data), part.task, part.split, part.limit)
     engine = working.make_engine()
     start = perf_counter()
@@ -92,6 +92,7 @@ def _show(data: Path, out: Path, part: Part) -> int:
     from lemma.viewer.recording.pages import write_folder
     from lemma.viewer.recording.sources import replays_in
 
+    _check_part(data, part)
     _check(part.limit)
     most = part.limit or _IN_A_PAGE
     count, replays = replays_in(data, part.task, part.split, most)
@@ -105,8 +106,13 @@ def _show(data: Path, out: Path, part: Part) -> int:
     return 0
 
 
-def _again(file: Path, *, as_json: bool) -> int:
-    """Do what was led by hand again."""
+def _again(file: Path, part: Part, *, as_json: bool) -> int:
+    """Do what was led by hand again.
+
+    Raises:
+        InvalidConfigError: A part of it is asked for, or it cannot be done.
+    """
+    _check_part(file, part)
     done = Teleoperation.load(file)
     start = perf_counter()
     episode = Episode(done.instance)
@@ -124,6 +130,14 @@ def _again(file: Path, *, as_json: bool) -> int:
         output().print("It comes to another state.", style="bold red")
         output().print(_WHY)
     return 0 if same else 1
+
+
+def _check_part(data: Path, part: Part) -> None:
+    if part != _ALL and is_teleoperated(data):
+        raise InvalidConfigError(
+            f"{data} is one episode that was led by hand: leave --task, --split and "
+            "--limit out."
+        )
 
 
 def _check(limit: int | None) -> None:

@@ -5,7 +5,9 @@ of real robots do not wait; all frames that follow are then seen one too early. 
 renders can wait.
 """
 
+from contextlib import suppress
 from importlib import import_module
+from queue import Full
 from time import sleep
 from typing import Any
 
@@ -40,10 +42,14 @@ def waiting(kind: type) -> type:
             super().feed_frame(video_key, image)
 
         def finish_episode(self) -> Any:
-            # It is given two minutes for what is left.
+            # It would give encoders two minutes for what is left.
             for video_key, queue in self._frame_queues.items():
-                while not queue.empty() and self._works(video_key):
-                    sleep(_LOOK_S)
+                told = False
+                while not told and self._works(video_key):
+                    with suppress(Full):
+                        queue.put(None, timeout=_LOOK_S)
+                        told = True
+                self._threads[video_key].join()
             lost = [name for name, count in self._dropped_frames.items() if count]
             if lost:
                 raise DatasetError(

@@ -25,8 +25,8 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 KEY = "done"
 """Under which it is what was done, beside the fields of the instance."""
-
-
+LED = "Led by hand"
+"""What was done, in words, where somebody gave motor commands."""
 LONGEST_S = HORIZON_S + STILL_S + TICK_S
 """How long an episode can go on, until it has been judged, and a tick [s]."""
 _Pose = tuple[float, float, float]
@@ -218,6 +218,15 @@ def _executed(part: _Executed) -> Executed:
         GroundedSubTask(*who, *poses),
         part["until_s"],
     )
+
+
+def is_teleoperated(path: Path) -> bool:
+    """Whether a file means to be that of a teleoperated episode."""
+    try:
+        data = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(data, dict) and KEY in data
 
 
 def joints_sha256(qpos: FloatArray) -> str:

@@ -6,12 +6,16 @@ from pathlib import Path
 from lemma.core.errors import DatasetError
 from lemma.dataset.recipe.record import EpisodeRecorder, in_words
 from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord
-from lemma.dataset.teleoperation.done import Commanded, Executed, Teleoperation
+from lemma.dataset.teleoperation.done import (
+    LED,
+    Commanded,
+    Executed,
+    Teleoperation,
+    is_teleoperated,
+)
 from lemma.dataset.teleoperation.perform import is_same, perform
 from lemma.env.episode import Episode
 
-LED = "Led by hand."
-"""What was done, in words, where somebody gave motor commands."""
 _NOWHERE = (0.0, 0.0, 0.0)
 
 
@@ -27,13 +31,10 @@ def files_in(place: Path) -> list[Path]:
     """Return the files of teleoperated episodes: one, or those of a folder.
 
     Args:
-        place: A file, or a folder; one that holds a recipe has none.
+        place: A file or a folder; what else lies there is passed over.
     """
-    if place.is_file():
-        return [place]
-    if any(place.glob("*/*.parquet")):
-        return []
-    return sorted(place.glob("*.json"))
+    found = [place] if place.is_file() else sorted(place.glob("*.json"))
+    return [path for path in found if is_teleoperated(path)]
 
 
 def read_record(path: Path) -> TeleoperatedRecord:
@@ -76,7 +77,7 @@ def _row(
 ) -> SubTaskRecord:
     took_s = end_s - part.start_s
     if isinstance(part, Commanded):
-        nobody = ("", "", "", "", LED, _NOWHERE, _NOWHERE)
+        nobody = ("", "", "", "", f"{LED}.", _NOWHERE, _NOWHERE)
         return SubTaskRecord(*nobody, "by_hand", part.start_s, took_s)
     subtask, pick, place = part.subtask, part.grounded.pick, part.grounded.place
     return SubTaskRecord(

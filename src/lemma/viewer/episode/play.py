@@ -74,7 +74,9 @@ class Play:
         self._insight: Insight | None = None
         self.hand: ByHand | None = None
         """Of a visitor who leads, or led last; None if nobody has."""
-        self._deeds, self._controls, self._leads = Deeds(), False, False
+        self._deeds, self._controls = Deeds(), False
+        self._taking = threading.Lock()
+        self._asked = self._leads = False
         self.moved: Moved | None = None
         """What visitors did last to things of the running episode."""
         self._load = load
@@ -118,7 +120,7 @@ class Play:
     @property
     def can_be_taken_over(self) -> bool:
         """Whether a visitor could lead from now on."""
-        return self._goes_on and not self._leads and not self._controls
+        return self._goes_on and not (self._asked or self._leads or self._controls)
 
     @property
     def can_hand_back(self) -> bool:
@@ -131,15 +133,19 @@ class Play:
         Raises:
             InvalidConfigError: Nothing is done that could be taken over.
         """
-        if not self._goes_on or self._leads:
-            raise InvalidConfigError("Robots are taken over while an episode goes on.")
-        if self._controls:
+        if self._goes_on and self._controls:
             raise InvalidConfigError(
                 "This policy commands motors, and is not asked in between. Choose the "
                 "policy 'by hand' to lead from the beginning."
             )
-        self.hand = ByHand()
-        self.transport.interrupt()
+        with self._taking:
+            # Of two visitors who press at the same time, one leads.
+            if not self.can_be_taken_over:
+                raise InvalidConfigError(
+                    "Robots are taken over while an episode goes on, and nobody leads."
+                )
+            self._asked, self.hand = True, ByHand()
+            self.transport.interrupt()
 
     def hand_back(self) -> None:
         """Let the policy go on from where the robots are now."""
@@ -155,10 +161,12 @@ class Play:
         """
         if self._controls and self.hand is None:
             raise InvalidConfigError("Motor commands of policies are not kept.")
-        latest = self.transport.latest
-        if self.instance is None or latest is None or not self._deeds.by_hand:
-            raise InvalidConfigError("Nothing was done by hand yet.")
-        return self._deeds.kept(self.instance, self._status.said, latest)
+        # Between what a visitor changes and the state that comes of it is nothing.
+        with self.transport.changing:
+            latest = self.transport.latest
+            if self.instance is None or latest is None or not self._deeds.by_hand:
+                raise InvalidConfigError("Nothing was done by hand yet.")
+            return self._deeds.kept(self.instance, self._status.said, latest)
 
     def nudge(self, name: str, pose: Pose2) -> None:
         """Lay an object elsewhere while the episode goes on, and pause there.
@@ -288,7 +296,7 @@ class Play:
         led = Line("You lead the robots", now_s)
         self.thoughts = (*self.thoughts, Thought(now_s))
         self._tell(Phase.LED, lines=(*lines, led))
-        self._leads = True
+        self._leads, self._asked = True, False
         try:
             hand.take_over(episode)
         finally:

@@ -34,6 +34,8 @@ class Transport:
     def __init__(self, speed: float = 1.0) -> None:
         """Begin paused, without any state."""
         self._changed = threading.Condition()
+        self.changing = threading.Lock()
+        """Held while a state is changed by hand."""
         self._frames: list[FloatArray] = []
         self._marks: list[float] = []
         self._changes: list[Callable[[], None]] = []
@@ -170,13 +172,14 @@ class Transport:
             if time_s > len(self._frames) * FRAME_S - 1e-6:
                 self._frames.append(qpos.copy())
         while changes := self._wait(time_s):
-            for change in changes:
-                change()
-            with self._changed:
-                # What was changed is looked at.
-                self._frames[-1] = qpos.copy()
-                self._latest = time_s, qpos.copy()
-                self._cursor_s = self.end_s
+            with self.changing:
+                for change in changes:
+                    change()
+                with self._changed:
+                    # What was changed is looked at.
+                    self._frames[-1] = qpos.copy()
+                    self._latest = time_s, qpos.copy()
+                    self._cursor_s = self.end_s
         if self._interrupted:
             self._interrupted = False
             raise InterruptedEpisodeError

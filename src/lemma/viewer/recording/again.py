@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from lemma.dataset.recipe.replay import grounded
 from lemma.dataset.recipe.schema import EpisodeRecord
-from lemma.dataset.teleoperation.done import Commanded, Teleoperation
+from lemma.dataset.teleoperation.done import LED, Commanded, Teleoperation
 from lemma.dataset.teleoperation.perform import is_same, perform
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.evaluation.analysis.failure_causes import Cause
@@ -73,7 +73,7 @@ def teleoperation_again(done: Teleoperation) -> tuple[Track, bool]:
     lines = []
     for part, next_s in zip(done.parts, [*starts[1:], done.end_s], strict=True):
         if isinstance(part, Commanded):
-            line = Line("Led by hand", part.start_s, next_s, "by hand")
+            line = Line(LED, part.start_s, next_s, "by hand")
         else:
             words = describe_subtask(part.subtask, done.instance)
             cut = part.until_s is not None

@@ -7,7 +7,7 @@ from pathlib import Path
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.workers.pool import Engine
 from lemma.dataset.recipe.reader import Recipe, load
-from lemma.dataset.teleoperation.done import Teleoperation
+from lemma.dataset.teleoperation.done import Teleoperation, is_teleoperated
 from lemma.evaluation.report.episodes import Case, cases_of
 from lemma.evaluation.report.policy_results import entries_of, read_results
 from lemma.viewer.recording.again import (
@@ -41,7 +41,7 @@ def replays_in(
         DatasetError: It holds neither, or is damaged.
     """
     found: Sequence[Callable[[], Replay]]
-    if folder.is_file():
+    if is_teleoperated(folder):
         found = [partial(_of_teleoperation, Teleoperation.load(folder), folder.stem)]
     elif any(folder.glob("*/*.parquet")):
         recipe = load(folder).select(task=task, split=split)[:limit]
