@@ -159,12 +159,17 @@ def test_controls_of_language_stand_in_one_row() -> None:
         control("swapped", 1),
         asked=(Asked("high_level", "pass", 8, 6), Asked("high_level", "stack", 10, 9)),
     )
-    entries = entries_of([control("full", 9), control("none", 3), swapped])
+    few, fewer = control("none", 3), control("none", 1)
+    bare = [replace(c, distractors=0) for c in few.cells if c.task == "pass"]
+    full = [replace(c, distractors=2) for c in fewer.cells if c.task == "stack"]
+    none = replace(few, cells=(*bare, *full))
+    entries = entries_of([control("full", 9), none, swapped])
     assert len(entries) == 3
     (line,) = tables.language(entries).rows
     assert line[:3] == ("ReachNet (ours)", "high-level", "90.0 (70–97) †")
-    assert [cell.split(" ")[0] for cell in line[3:6]] == ["30.0", "–", "10.0"]
-    assert line[6] == "83.3 of 18"
+    assert [cell.split(" ")[0] for cell in line[3:6]] == ["20.0", "–", "10.0"]
+    assert [cell.split(" ")[0] for cell in line[6:8]] == ["30.0", "10.0"]
+    assert line[8] == "83.3 of 18"
     assert tables.language(entries_of([control("full", 9)])).rows == ()
 
 

@@ -15,6 +15,8 @@ from lemma.evaluation.report.policy_results import (
     is_plain,
     mean_cell,
     policy_of,
+    pooled,
+    shown,
     shown_mean,
     starts_perturbed,
     tasks_of,
@@ -138,8 +140,10 @@ def coordination(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
 def language(entries: Iterable[PolicyResults]) -> ResultTable:
     """Return how much each policy needs the sentence, where a control was run.
 
-    The success is at the goal of the instance, whatever is said. The last column is how
-    often the other goal holds that swapped colors ask for, where the table allows it.
+    The success is at the goal of the instance, whatever is said. Where nothing is, it is
+    told apart by whether something lies there that the goal does not need: else there
+    is little to guess. The last column is how often the other goal holds that swapped
+    colors ask for, where the table allows it.
     """
     families = _families(entries, lambda result: not starts_perturbed(result))
     rows = []
@@ -148,9 +152,20 @@ def language(entries: Iterable[PolicyResults]) -> ResultTable:
         for kind in EVALUATION_KINDS:
             each = [_mean_of(by_control[told], kind) for told in LANGUAGES]
             if any(cell != NOTHING for cell in each[1:]):
+                guessed = (
+                    _mean_of_tables(by_control["none"], kind, bare=bare)
+                    for bare in (True, False)
+                )
                 held = _asked(by_control["swapped"], kind)
-                rows.append((title, words(kind, "-"), *each, held))
-    header = ("mean over the tasks [%]", "instructions", *LANGUAGES, "swapped goal")
+                rows.append((title, words(kind, "-"), *each, *guessed, held))
+    header = (
+        "mean over the tasks [%]",
+        "instructions",
+        *LANGUAGES,
+        "none, no distractors",
+        "none, others",
+        "swapped goal",
+    )
     return ResultTable(header, tuple(rows), labels=2)
 
 
@@ -273,6 +288,15 @@ def _by_language(results: Iterable[Result], told: str) -> list[Result]:
 def _mean_of(results: Iterable[Result], kind: str) -> str:
     seeds = [[cell for cell in one.cells if cell.kind == kind] for one in results]
     return shown_mean(seeds)
+
+
+def _mean_of_tables(results: Iterable[Result], kind: str, *, bare: bool) -> str:
+    """Return success [%] on tables without distractors, or on the others."""
+    seeds = [
+        [c for c in one.cells if c.kind == kind and (c.distractors == 0) is bare]
+        for one in results
+    ]
+    return shown(seeds, pooled)
 
 
 def _asked(results: Iterable[Result], kind: str) -> str:
