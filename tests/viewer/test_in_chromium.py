@@ -21,6 +21,10 @@ PRESS = (
     "[...document.querySelectorAll('button')]"
     ".find(button => button.innerText.trim() == {!r}).click()"
 )
+THERE = (
+    "[...document.querySelectorAll('button')]"
+    ".find(button => button.innerText.trim() == {!r})"
+)
 
 
 class Raises:
@@ -110,6 +114,29 @@ def test_cube_is_dragged_and_the_table_is_ones_own(
     page.panel.table.forget()
     until_phase(page, Phase.READY)
     browser.wait_for(f"!{SHOWS.format('Your own table')}")
+
+
+def test_robot_is_taken_over_and_handed_back(browser: Browser, page: Page) -> None:
+    page.session.set_speed(8.0)
+    browser.run(PRESS.format("Do it"))
+    browser.wait_for(THERE.format("Take over"))
+    browser.run(PRESS.format("Take over"))
+    browser.wait_for(THERE.format("Hand back"))
+    play = page.session.play
+    led = page.panel.pilot.robot
+    number = led.options.index(led.value)
+
+    def opening_m() -> float:
+        goal = None if play.hand is None else play.hand.target(number)
+        return -1.0 if goal is None else float(goal[7])
+
+    browser.run(PRESS.format("Close"))
+    until(lambda: opening_m() == 0.0)
+    browser.run(PRESS.format("Open"))
+    until(lambda: opening_m() > 0.0)
+    browser.run(PRESS.format("Hand back"))
+    browser.wait_for("document.querySelector('[data-phase=SOLVED]')")
+    assert [line.outcome for line in play.status.lines][:2] == ["taken over", "by hand"]
 
 
 def test_two_tabs_see_the_same(browser: Browser, page: Page) -> None:

@@ -123,12 +123,7 @@ def bench(
     each = min(episodes, _SPEED_EPISODES)
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
-    chosen = (instead.policy is not None, instead.rendering, instead.play, expert)
-    if sum(chosen) > 1:
-        raise InvalidConfigError(
-            "--policy, --rendering, --play and --expert measure different things. Name "
-            "one of them."
-        )
+    _check_one(instead, expert=expert)
     if instead.policy is not None:
         _bench_policy(machine, instead.policy, instances, as_json)
         return 0
@@ -159,6 +154,15 @@ def bench(
         if figures:
             _print_expert(figures)
     return 0
+
+
+def _check_one(instead: Instead, *, expert: bool) -> None:
+    chosen = (instead.policy is not None, instead.rendering, instead.play, expert)
+    if sum(chosen) > 1:
+        raise InvalidConfigError(
+            "--policy, --rendering, --play and --expert measure different things. Name "
+            "one of them."
+        )
 
 
 def _bench_policy(

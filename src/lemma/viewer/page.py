@@ -1,7 +1,5 @@
 """The page: a server, a session, a panel, and the loop that keeps them in step."""
 
-import threading
-
 import viser
 
 from lemma.viewer.episode.play import Play
@@ -9,7 +7,7 @@ from lemma.viewer.episode.session import Session
 from lemma.viewer.panel.panel import Panel, set_theme
 from lemma.viewer.scene.pictures import Pictures
 from lemma.viewer.scene.stage import Stage
-from lemma.viewer.server import close_server, go_round, open_server
+from lemma.viewer.server import Rounds, close_server, open_server
 
 _LOOK_AT_FIRST = {"names"}
 
@@ -40,7 +38,7 @@ class Page:
         )
         self.pictures = Pictures(self.panel.show_picture)
         self._shown: Play | None = None
-        self._closed = threading.Event()
+        self._rounds = Rounds()
         self.updates = 0
         """How often the loop has gone round."""
 
@@ -74,11 +72,12 @@ class Page:
 
     def run(self) -> None:
         """Go on until it is closed from another thread, or interrupted."""
-        go_round(self.tick, self._closed)
+        self._rounds.go(self.tick)
 
     def close(self) -> None:
         """Stop listening, and free what was held."""
-        self._closed.set()
+        # What moves the scene finds it there until it has moved it.
+        self._rounds.end()
         self.session.close()
         self.pictures.close()
         close_server(self._server)

@@ -45,19 +45,34 @@ def close_server(server: viser.ViserServer) -> None:
         server.stop()
 
 
-def go_round(tick: Callable[[float], None], closed: threading.Event) -> None:
-    """Call something :data:`UPDATES_HZ` times a second.
+class Rounds:
+    """Calls something :data:`UPDATES_HZ` times a second, until somebody ends it."""
 
-    Args:
-        tick: Told how much real time has passed since the last time [s].
-        closed: Set in another thread to end it.
-    """
-    period, last = 1.0 / UPDATES_HZ, time.perf_counter()
-    while not closed.is_set():
-        now = time.perf_counter()
-        tick(now - last)
-        last = now
-        closed.wait(max(0.0, period - (time.perf_counter() - now)))
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._over, self._turn = threading.Event(), threading.Lock()
+
+    def go(self, tick: Callable[[float], None]) -> None:
+        """Go round until it is ended.
+
+        Args:
+            tick: Told how much real time has passed since the last time [s].
+        """
+        period, last = 1.0 / UPDATES_HZ, time.perf_counter()
+        while True:
+            with self._turn:
+                if self._over.is_set():
+                    return
+                now = time.perf_counter()
+                tick(now - last)
+                last = now
+            self._over.wait(max(0.0, period - (time.perf_counter() - now)))
+
+    def end(self) -> None:
+        """End it; what is called now has come to its end then."""
+        self._over.set()
+        with self._turn:
+            pass
 
 
 def _check_address(host: str, port: int) -> None:

@@ -162,9 +162,8 @@ def _own_sections(
     yield (
         "Other sentences",
         "How much a policy needs the sentence: success at the goal of the instance "
-        "when something else is said, or nothing; strict. Nothing is told on tables "
-        "with and without distractors: without them there is little to guess. Last: "
-        "how often the goal holds that swapped colors ask for.",
+        "when something else is said, or nothing; strict. Without distractors there "
+        "is little to guess. Last: how often what swapped colors ask for holds.",
         tables.language(entries),
     )
     yield (

@@ -140,10 +140,10 @@ def coordination(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
 def language(entries: Iterable[PolicyResults]) -> ResultTable:
     """Return how much each policy needs the sentence, where a control was run.
 
-    The success is at the goal of the instance, whatever is said. Where nothing is, it is
-    told apart by whether something lies there that the goal does not need: else there
-    is little to guess. The last column is how often the other goal holds that swapped
-    colors ask for, where the table allows it.
+    The success is at the goal of the instance, whatever is said. Where nothing is said,
+    tables without distractors stand apart, because they leave little to guess. The last
+    column is how often the other goal holds that swapped colors ask for, where the
+    table allows it.
     """
     families = _families(entries, lambda result: not starts_perturbed(result))
     rows = []

@@ -1,14 +1,12 @@
 """A page of failures: two tables side by side, at the moment where it went wrong."""
 
-import threading
-
 from lemma.viewer.failures.catalog import Catalog, Filter
 from lemma.viewer.failures.panel import FailurePanel
 from lemma.viewer.failures.viewing import Cursor, Sight, Viewing
 from lemma.viewer.panel.panel import set_theme
 from lemma.viewer.recording.tables import Tables
 from lemma.viewer.scene.eyes import Eyes
-from lemma.viewer.server import close_server, go_round, open_server
+from lemma.viewer.server import Rounds, close_server, open_server
 
 _HALF_WIDTH_M = 3.6
 """What is seen at first to the left and right of two tables [m]."""
@@ -42,7 +40,7 @@ class FailurePage:
         self._eyes = Eyes(self._server, _HALF_WIDTH_M)
         self._shown: Sight | None = None
         self._tables: Tables | None = None
-        self._closed = threading.Event()
+        self._rounds = Rounds()
 
     def tick(self, real_s: float) -> None:
         """Move on by some real time [s], and show it."""
@@ -66,10 +64,11 @@ class FailurePage:
 
     def run(self) -> None:
         """Go on until it is closed from another thread, or interrupted."""
-        go_round(self.tick, self._closed)
+        self._rounds.go(self.tick)
 
     def close(self) -> None:
         """Stop listening, and free what was held."""
-        self._closed.set()
+        # What moves the scene finds it there until it has moved it.
+        self._rounds.end()
         self.viewing.close()
         close_server(self._server)
