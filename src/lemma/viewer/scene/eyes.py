@@ -1,6 +1,7 @@
 """From where visitors look at first: they see all robots, however narrow the window."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import viser
@@ -18,6 +19,7 @@ _COVERED = 0.55
 _HALF_HEIGHT_M = 0.9
 """What shall be seen at least above and below [m]."""
 _MUCH_M = 0.5
+_SAME_M = 1e-3
 
 
 class Eyes:
@@ -34,15 +36,15 @@ class Eyes:
             aspect: Width of a window nobody knows yet, in heights.
         """
         self._server, self._aspect = server, aspect
-        self._fitted: dict[int, float] = {}
+        self._places: dict[int, _Place] = {}
         server.initial_camera.look_at = _TARGET_M
         server.initial_camera.fov = _FOV_RAD
         self._set(half_width_m)
 
     def _set(self, half_width_m: float) -> None:
         self.half_width_m = half_width_m
-        eye = eye_for(self._aspect, half_width_m)
-        self._server.initial_camera.position = eye
+        self._start = eye_for(self._aspect, half_width_m)
+        self._server.initial_camera.position = self._start
 
     def widen(self, half_width_m: float) -> None:
         """Let more be seen, or much less [m]; a little less changes nothing."""
@@ -52,24 +54,50 @@ class Eyes:
     def step_back(self) -> None:
         """Let visitors see all of it who do not yet."""
         visitors, half_m = self._server.get_clients(), self.half_width_m
+        places = {}
         for number, client in visitors.items():
-            if self._fitted.get(number) != half_m:
-                width, height = client.camera.image_width, client.camera.image_height
-                # In pixels that are drawn, of which the page's may have many or few.
-                portrait = width < _PORTRAIT * height
-                new = number not in self._fitted
-                if new and width > 2 * _PANEL_PX and not portrait:
-                    # The panel docks later.
-                    width -= _PANEL_PX
-                eye = eye_for(width / max(height, 1), half_m)
-                down = 0.0
-                if portrait:
-                    # The panel covers what is below.
-                    away = float(np.linalg.norm(eye - _TARGET_M))
-                    down = _COVERED * away * math.tan(_FOV_RAD / 2.0)
-                client.camera.position = eye - down * _UP
-                client.camera.look_at = _TARGET_M - down * _UP
-        self._fitted = dict.fromkeys(visitors, half_m)
+            place = self._places.get(number)
+            if place is None or place.half_width_m != half_m:
+                place = self._place_for(client, new=place is None)
+                _put(client, place)
+            elif _is_at(client, self._start) and not _is_at(client, place.eye):
+                # Where everybody begins: a page that is slow goes there afterwards.
+                _put(client, place)
+            places[number] = place
+        self._places = places
+
+    def _place_for(self, client: viser.ClientHandle, *, new: bool) -> "_Place":
+        width, height = client.camera.image_width, client.camera.image_height
+        # In pixels that are drawn, of which the page's may have many or few.
+        portrait = width < _PORTRAIT * height
+        if new and width > 2 * _PANEL_PX and not portrait:
+            # The panel docks later.
+            width -= _PANEL_PX
+        eye = eye_for(width / max(height, 1), self.half_width_m)
+        down = 0.0
+        if portrait:
+            # The panel covers what is below.
+            away = float(np.linalg.norm(eye - _TARGET_M))
+            down = _COVERED * away * math.tan(_FOV_RAD / 2.0)
+        return _Place(self.half_width_m, eye - down * _UP, _TARGET_M - down * _UP)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a visitor was put."""
+
+    half_width_m: float
+    """To see so much to the left and right [m]."""
+    eye: FloatArray
+    target: FloatArray
+
+
+def _put(client: viser.ClientHandle, place: _Place) -> None:
+    client.camera.position, client.camera.look_at = place.eye, place.target
+
+
+def _is_at(client: viser.ClientHandle, eye: FloatArray) -> bool:
+    return bool(np.allclose(client.camera.position, eye, atol=_SAME_M))
 
 
 def eye_for(aspect: float, half_width_m: float) -> FloatArray:
