@@ -77,9 +77,11 @@ def player_of(**policies: object) -> Callable[[str], Player]:
     return load
 
 
-def until(true: Callable[[], bool], play: Play | None = None) -> None:
+def until(
+    true: Callable[[], bool], play: Play | None = None, wait_s: float = WAIT_S
+) -> None:
     """Wait until something is true, while time passes for a play."""
-    end = time.monotonic() + WAIT_S
+    end = time.monotonic() + wait_s
     while not true():
         assert time.monotonic() < end, "never true"
         if play is not None:

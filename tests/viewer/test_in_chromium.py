@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from lemma.viewer.page import Page
 
 pytestmark = pytest.mark.slow
 
+TRIES = 4
 EVIL = "<img src=x onerror=window.evil=1>"
 SHOWS = "document.body.innerText.includes({!r})"
 PRESS = (
@@ -104,9 +106,14 @@ def test_cube_is_dragged_and_the_table_is_ones_own(
     to = (0.6 * lies.x, lies.y + 0.2)
     canvas = "document.querySelector('canvas').getBoundingClientRect()"
     size = browser.run(f"[{canvas}.width, {canvas}.height]")
-    start, end = (seen_at(visitor, (*xy, 0.03), size) for xy in (lies.xy, to))
-    browser.drag(start, end)
-    until(lambda: page.session.play.wish.own is not None)
+    for _ in range(TRIES):
+        # A browser that is slow draws another view yet than it has been told of: the
+        # mouse misses the cube and turns the scene, and whoever sees that tries again.
+        start, end = (seen_at(visitor, (*xy, 0.03), size) for xy in (lies.xy, to))
+        browser.drag(start, end)
+        with suppress(AssertionError):
+            until(lambda: page.session.play.wish.own is not None, wait_s=5.0)
+            break
     own = page.session.play.wish.own
     assert own is not None
     assert own.scene.placement(cube).pose.xy == pytest.approx(to, abs=0.05)
