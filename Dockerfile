@@ -21,7 +21,7 @@ COPY constraints.txt ./
 ARG TORCH_INDEX=""
 RUN pip install --no-cache-dir --no-compile -c constraints.txt torch==2.13.0 \
     ${TORCH_INDEX:+--index-url "$TORCH_INDEX"} \
-    && rm -r $SITE/torch/include $SITE/torch/test \
+    && rm -rf $SITE/torch/include $SITE/torch/test \
     && find $SITE/torch/bin -type f ! -name torch_shm_manager -delete
 
 COPY pyproject.toml README.md LICENSE ./
