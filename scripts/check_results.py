@@ -1,19 +1,19 @@
 """Check that shipped policies still decide as the committed lines say.
 
-    python scripts/check_results.py                      # every entry of leaderboard/
+    python scripts/check_results.py                      # whatever has lines
     python scripts/check_results.py reachnet --episodes 5 --kinds high_level
 
 Plays the first episodes of every task with the weights that ship, and compares each
-with its line in ``leaderboard/NAME.jsonl.xz``: sub-tasks, outcomes, success and why not
-must be equal, poses within 1 mm and 0.01 rad. Leaves with 1 if anything differs, and
-prints what.
+with its line in ``results/NAME/seed-0.jsonl.xz`` or ``leaderboard/NAME.jsonl.xz``:
+sub-tasks, outcomes, success and why not must be equal, poses within 1 mm and 0.01 rad.
+Leaves with 1 if anything differs, and prints what.
 
-Images of another renderer (the lines of the learned policies were made with a graphics
-card) move poses by some millimetres, and a few decisions with them. To see whether a
-change of the code does, write lines with the code before it, on the same machine, and
-compare with those:
+Images of another renderer (some lines of the learned policies were made with a graphics
+card) move poses by some millimetres, and a few decisions with them; see
+docs/determinism.md. To see whether a change of the code does, write lines with the code
+before it, on the same machine, and compare with those:
 
-    lemma evaluate --policy reachnet --episodes 5 --out before/reachnet
+    lemma reproduce reachnet --episodes 5 --out before
     python scripts/check_results.py reachnet --lines before
 """
 
@@ -22,20 +22,60 @@ import math
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import ProcessPool, usable_cores
-from lemma.evaluation.lines import lines_at, read_lines
+from lemma.evaluation.experiments.catalog import EXPERIMENTS, SEEDS
+from lemma.evaluation.experiments.reproduction import Reproduction
+from lemma.evaluation.lines import lines_at, packed_beside, read_lines
 from lemma.evaluation.records import PACKED, Row, key_of, read_about
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
-BOARD = Path(__file__).parents[1] / "leaderboard"
+ROOT = Path(__file__).parents[1]
+BOARD = "leaderboard"
+RESULTS = "results"
+SHIPPED = SEEDS[0]
+"""Seed of the weights that ship."""
 TOLERANCE_M = 0.001
 TOLERANCE_RAD = 0.01
+
+
+def committed(root: Path) -> dict[str, Path]:
+    """Return all lines of policies whose weights ship, by what they are called here."""
+    results = root / RESULTS
+    found = {
+        name: packed_beside(EXPERIMENTS[name].summary_path(results, SHIPPED))
+        for name in EXPERIMENTS
+    }
+    for path in sorted((root / BOARD).glob(f"*{PACKED}")):
+        found[f"{BOARD}/{path.name.removesuffix(PACKED)}"] = path
+    return {name: path for name, path in found.items() if path.is_file()}
+
+
+def order_of(name: str, path: Path, out: Path, episodes: int) -> EvaluationConfig:
+    """Return how what is committed was played.
+
+    Args:
+        name: Of an experiment, or of an entry of the leaderboard.
+        path: Its lines.
+        out: Folder to play into.
+        episodes: Of each task.
+    """
+    if name in EXPERIMENTS:
+        order, seed = Reproduction(out=out, episodes=episodes).config(EXPERIMENTS[name])
+        if seed != SHIPPED:
+            raise DatasetError(f"Weights of {name} ship with seed {seed}.")
+        return order
+    policy = policy_of(path)
+    return EvaluationConfig(
+        out=out, policy=policy, kinds=EVALUATION_KINDS, episodes=episodes
+    )
 
 
 def policy_of(path: Path) -> PolicySpec:
@@ -101,20 +141,21 @@ def largest_shift(line: Row, now: Row) -> float:
     return max(shifts, default=0.0)
 
 
-def check(name: str, asked: argparse.Namespace) -> int:
-    """Play episodes of an entry; print and count those that differ."""
-    path = BOARD / f"{name}{PACKED}"
+def check(name: str, path: Path, asked: argparse.Namespace) -> int:
+    """Play episodes of what is committed; print and count those that differ.
+
+    Args:
+        name: What it is called here.
+        path: Its lines.
+        asked: What the command line says.
+    """
     source = lines_at(asked.lines / name) if asked.lines else path
     lines = {key_of(row): row for row in read_lines(source)}
     there = {kind for kind, _, _ in lines}
+    kinds = tuple(kind for kind in asked.kinds if kind in there)
     with tempfile.TemporaryDirectory() as folder:
-        order = EvaluationConfig(
-            out=Path(folder),
-            policy=policy_of(path),
-            tasks=tuple(asked.tasks),
-            kinds=tuple(kind for kind in asked.kinds if kind in there),
-            episodes=asked.episodes,
-        )
+        order = order_of(name, path, Path(folder), asked.episodes)
+        order = replace(order, tasks=tuple(asked.tasks), kinds=kinds)
         rows = evaluate(order, ProcessPool(asked.workers))
     differing = 0
     for row in rows:
@@ -134,18 +175,23 @@ def check(name: str, asked: argparse.Namespace) -> int:
 
 def main() -> int:
     """Do what the command line says."""
-    names = sorted(path.name.removesuffix(PACKED) for path in BOARD.glob(f"*{PACKED}"))
+    found = committed(ROOT)
     parser = argparse.ArgumentParser(description="Policies against committed lines.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(names))
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(found))
     parser.add_argument("--episodes", type=int, default=5, help="of every task")
     parser.add_argument("--tasks", nargs="+", default=SUITE, choices=SUITE)
     parser.add_argument(
         "--kinds", nargs="+", default=EVALUATION_KINDS[:1], choices=EVALUATION_KINDS
     )
-    parser.add_argument("--lines", type=Path, help="folder of NAME/episodes.jsonl")
+    parser.add_argument("--lines", type=Path, help="folder of NAME/... with lines")
     parser.add_argument("--workers", type=int, default=usable_cores())
     asked = parser.parse_args()
-    return min(sum(check(name, asked) for name in asked.names or names), 1)
+    if unknown := sorted(set(asked.names) - set(found)):
+        parser.error(f"no lines of {', '.join(unknown)}; there are {', '.join(found)}")
+    if not found:
+        parser.error("nothing is committed that could be checked")
+    names = asked.names or list(found)
+    return min(sum(check(name, found[name], asked) for name in names), 1)
 
 
 if __name__ == "__main__":

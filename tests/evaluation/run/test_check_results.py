@@ -12,6 +12,7 @@ from made_up import row, step
 
 import check_results
 from lemma.core.workers.serial import Serial
+from lemma.evaluation.lines import write_packed
 from lemma.evaluation.records import read_about
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.spec import PolicySpec
@@ -74,15 +75,38 @@ def test_the_expert_does_what_its_lines_say(
     order = EvaluationConfig(
         out=tmp_path / "expert", policy=PolicySpec(), tasks=tasks, episodes=2
     )
-    evaluate(order, Serial())
+    rows = evaluate(order, Serial())
+    board, results = tmp_path / "leaderboard", tmp_path / "results" / "oracle"
+    board.mkdir()
+    results.mkdir(parents=True)
     entry = {"about": read_about(order.out), "protocol": "5" * 64}
-    (tmp_path / "expert.json").write_text(json.dumps(entry))
-    (tmp_path / "expert.jsonl.xz").touch()
-    monkeypatch.setattr(check_results, "BOARD", tmp_path)
-    words = ["check_results.py", "expert", "--lines", str(tmp_path)]
-    words += ["--episodes", "2", "--tasks", *tasks, "--workers", "1"]
+    (board / "mine.json").write_text(json.dumps(entry))
+    write_packed(board / "mine.jsonl.xz", rows)
+    # Of one episode a result says something else.
+    lost = [{**rows[0], "success": False}, *rows[1:]]
+    write_packed(results / "seed-0.jsonl.xz", lost)
+    monkeypatch.setattr(check_results, "ROOT", tmp_path)
+    words = ["check_results.py", "--episodes", "2", "--tasks", *tasks, "--workers", "1"]
     monkeypatch.setattr(sys, "argv", words)
-    assert check_results.main() == 0
-    assert "0 of 4 episodes differ; poses moved by at most 0.0000 mm" in (
-        capsys.readouterr().out
-    )
+    assert check_results.main() == 1
+    said = capsys.readouterr().out
+    assert "success was False, is True" in said
+    assert "oracle: 1 of 4 episodes differ; poses moved by at most 0.0000 mm" in said
+    assert "leaderboard/mine: 0 of 4 episodes differ; poses moved by at most" in said
+
+
+@pytest.mark.parametrize("names", [[], ["mine"]])
+def test_a_check_of_nothing_is_none(
+    names: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check_results, "ROOT", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["check_results.py", *names])
+    with pytest.raises(SystemExit) as left:
+        check_results.main()
+    assert left.value.code == 2
+
+
+def test_results_that_ship_with_lines_are_found() -> None:
+    found = check_results.committed(check_results.ROOT)
+    assert "reachnet" in found
+    assert all(path.is_file() for path in found.values())
