@@ -10,16 +10,17 @@ import sys
 import threading
 import time
 
+from lemma.viewer.episode.request import EpisodeRequest
 from lemma.viewer.episode.session import Session
-from lemma.viewer.episode.wish import ENDS, Wish
+from lemma.viewer.episode.status import ENDS
 from lemma.viewer.page import Page
 
 port = int(sys.argv[1]) if len(sys.argv) > 1 else 8080
 once = "--once" in sys.argv
 
 # Policies have the names of ``lemma evaluate``: a class of yours, weights, a server.
-wish = Wish("stack", "test", 0, policy="oracle")
-session = Session(wish, ("oracle",))
+request = EpisodeRequest("stack", "test", 0, policy="oracle")
+session = Session(request, ("oracle",))
 page = Page(session, "127.0.0.1", port)
 print(page.address)
 
@@ -28,7 +29,7 @@ loop = threading.Thread(target=page.run)
 loop.start()
 try:
     session.set_speed(8.0)
-    session.ask(wish, acts=True)
+    session.ask(request, acts=True)
     while session.play.status.phase not in ENDS:
         time.sleep(0.05)
     for line in session.play.status.lines:

@@ -15,14 +15,14 @@ from lemma.dataset.lerobot.frames import Style, frames
 from lemma.dataset.lerobot.sources import check_source
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import count_steps, iterate_steps
-from lemma.dataset.teleoperation.done import (
+from lemma.dataset.teleoperation.perform import perform
+from lemma.dataset.teleoperation.record import files_in, read_record
+from lemma.dataset.teleoperation.schema import (
     Commanded,
     Executed,
     Teleoperation,
     joints_sha256,
 )
-from lemma.dataset.teleoperation.perform import perform
-from lemma.dataset.teleoperation.record import files_in, read_record
 from lemma.env.episode import Episode
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.spec import ORACLE, PolicySpec

@@ -24,15 +24,15 @@ from lemma.core.workers.serial import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset, write_shard
 from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.lerobot.shortcuts import counting
-from lemma.dataset.lerobot.whole_videos import encode_whole_videos
+from lemma.dataset.lerobot.video_encoder import encode_whole_videos
 from lemma.dataset.recipe.replay import grounded
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.labels import label
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import iterate_steps
-from lemma.dataset.teleoperation.done import Executed, Teleoperation, joints_sha256
 from lemma.dataset.teleoperation.perform import perform
 from lemma.dataset.teleoperation.record import read_record
+from lemma.dataset.teleoperation.schema import Executed, Teleoperation, joints_sha256
 from lemma.env.episode import Episode
 from lemma.scene.rendering.renderer import Renderer
 from lemma.tasks.instance import Instance

@@ -19,16 +19,16 @@ from lemma.policies.interfaces import (
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 from lemma.viewer.episode.play import Play
+from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
 from lemma.viewer.episode.session import Session
-from lemma.viewer.episode.wish import OWN_WORDS, Wish
 
 WAIT_S = 120.0
-STACK = Wish("stack", "test", 0)
+STACK = EpisodeRequest("stack", "test", 0)
 SAID = "Put it there, please"
 
 
-def own(text: str, policy: str = "oracle") -> Wish:
-    return Wish("stack", "test", 0, OWN_WORDS, text, policy)
+def own(text: str, policy: str = "oracle") -> EpisodeRequest:
+    return EpisodeRequest("stack", "test", 0, OWN_WORDS, text, policy)
 
 
 class Reads:
@@ -89,8 +89,8 @@ def until(
         time.sleep(0.002)
 
 
-def session_of(wish: Wish = STACK, **policies: object) -> Session:
-    return Session(wish, ("oracle", *policies), player_of(**policies))
+def session_of(request: EpisodeRequest = STACK, **policies: object) -> Session:
+    return Session(request, ("oracle", *policies), player_of(**policies))
 
 
 def seen_at(

@@ -11,7 +11,8 @@ from browser import page_in_chromium
 from looked_at import STACK, seen_at, session_of, until
 
 from lemma.policies.interfaces import Decision, PolicyInput
-from lemma.viewer.episode.wish import OWN_WORDS, Phase
+from lemma.viewer.episode.request import OWN_WORDS
+from lemma.viewer.episode.status import Phase
 from lemma.viewer.page import Page
 
 pytestmark = pytest.mark.slow
@@ -112,9 +113,9 @@ def test_cube_is_dragged_and_the_table_is_ones_own(
         start, end = (seen_at(visitor, (*xy, 0.03), size) for xy in (lies.xy, to))
         browser.drag(start, end)
         with suppress(AssertionError):
-            until(lambda: page.session.play.wish.own is not None, wait_s=5.0)
+            until(lambda: page.session.play.request.own is not None, wait_s=5.0)
             break
-    own = page.session.play.wish.own
+    own = page.session.play.request.own
     assert own is not None
     assert own.scene.placement(cube).pose.xy == pytest.approx(to, abs=0.05)
     browser.wait_for(SHOWS.format("Your own table"))
@@ -131,11 +132,11 @@ def test_robot_is_taken_over_and_handed_back(browser: Browser, page: Page) -> No
     browser.run(PRESS.format("Take over"))
     browser.wait_for(THERE.format("Hand back"))
     play = page.session.play
-    led = page.panel.pilot.robot
+    led = page.panel.teleoperation.robot
     number = led.options.index(led.value)
 
     def opening_m() -> float:
-        goal = None if play.hand is None else play.hand.target(number)
+        goal = None if play.teleoperator is None else play.teleoperator.target(number)
         return -1.0 if goal is None else float(goal[7])
 
     browser.run(PRESS.format("Close"))

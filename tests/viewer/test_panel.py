@@ -13,12 +13,13 @@ from looked_at import STACK, Explains, Reads, own, session_of, until
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.tasks.suite import SUITE, load_instance
-from lemma.viewer.episode.by_hand import BY_HAND, ByHand
-from lemma.viewer.episode.wish import OWN_WORDS, Line, Phase, Reading, Status
+from lemma.viewer.episode.request import OWN_WORDS
+from lemma.viewer.episode.status import Line, Phase, Reading, Status
+from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 from lemma.viewer.origins import is_own
 from lemma.viewer.page import Page
 from lemma.viewer.panel.panel import PAUSE, PLAY, RESTART, STEP
-from lemma.viewer.panel.pilot import CLOSE
+from lemma.viewer.panel.teleoperation import CLOSE
 from lemma.viewer.panel.words import complaint_html, status_html, timeline_html
 from lemma.viewer.scene.pictures import MAP
 
@@ -146,10 +147,10 @@ def test_overlays_are_switched(page: Page) -> None:
 
 def test_way_of_the_hand_is_drawn(page: Page) -> None:
     until_phase(page, Phase.READY)
-    page.panel.overlays["way"].value = True
+    page.panel.overlays["path"].value = True
     page.panel.move(PLAY)
-    until_true(page, lambda: bool(page.stage.overlays["way"]))
-    lines, _ = page.stage.overlays["way"]
+    until_true(page, lambda: bool(page.stage.overlays["path"]))
+    lines, _ = page.stage.overlays["path"]
     assert lines.visible
     (bottom,) = [bottom for _, bottom in GOAL]
     at = load_instance("stack", "test", 0).scene.placement(bottom).pose
@@ -236,13 +237,13 @@ def test_table_is_saved_and_opened_again(page: Page) -> None:
     assert page.session.play.instance == load_instance("stack", "test", 3)
 
 
-def led(page: Page) -> ByHand:
-    return page.session.play.hand or ByHand()
+def led(page: Page) -> Teleoperator:
+    return page.session.play.teleoperator or Teleoperator()
 
 
 def test_visitor_takes_over_and_hands_back(page: Page) -> None:
     until_phase(page, Phase.READY)
-    pilot = page.panel.pilot
+    pilot = page.panel.teleoperation
     pilot.take_over()
     page.tick(0.0)
     assert "while an episode goes on" in page.panel.status.content
@@ -254,7 +255,7 @@ def test_visitor_takes_over_and_hands_back(page: Page) -> None:
     assert pilot.grips.visible
     # Of the robot that was acting.
     assert page.session.play.instance is not None
-    acted = page.session.play.thoughts[0].robot
+    acted = page.session.play.explanations[0].robot
     names = page.session.play.instance.scene.robot_names
     assert pilot.robot.value == pilot.robot.options[names.index(acted)]
     assert not pilot.take.visible
@@ -267,29 +268,29 @@ def test_visitor_takes_over_and_hands_back(page: Page) -> None:
 def test_handles_of_a_hand_are_there_while_it_is_led(page: Page) -> None:
     until_phase(page, Phase.READY)
     visitor = Client()
-    page.panel.pilot.download(visitor)
+    page.panel.teleoperation.download(visitor)
     assert not visitor.files
     page.panel.policy.value = BY_HAND
     page.panel.act()
     until_true(page, lambda: led(page).target(1) is not None)
-    assert page.panel.pilot.folder.visible
-    robots = page.panel.pilot.robot
+    assert page.panel.teleoperation.folder.visible
+    robots = page.panel.teleoperation.robot
     robots.value = robots.options[1]
-    page.panel.pilot.grip(CLOSE)
+    page.panel.teleoperation.grip(CLOSE)
     goal = led(page).target(1)
     assert goal is not None
     assert goal[7] == 0.0
     until_true(page, lambda: page.session.play.transport.cursor_s > 0.3)
-    page.panel.pilot.download(visitor)
+    page.panel.teleoperation.download(visitor)
     ((name, content),) = visitor.files.items()
     assert name == "stack-test-0-by-hand.json"
     (part,) = json.loads(content)["done"]["commanded"]
     assert len(part["rows"]) >= 6
-    assert not page.panel.pilot.back.visible
+    assert not page.panel.teleoperation.back.visible
     page.panel.policy.value = "oracle"
     page.panel.set_table()
     until_phase(page, Phase.READY)
-    assert not page.panel.pilot.folder.visible
+    assert not page.panel.teleoperation.folder.visible
 
 
 def test_file_that_holds_no_table_is_refused(page: Page) -> None:
@@ -298,12 +299,12 @@ def test_file_that_holds_no_table_is_refused(page: Page) -> None:
         page.panel.table.read(content)
         page.tick(0.0)
         assert "The file" in page.panel.status.content
-    assert page.session.play.wish.own is None
+    assert page.session.play.request.own is None
 
 
 def test_what_is_carried_is_shown_and_snaps_back(page: Page) -> None:
     until_phase(page, Phase.READY)
-    hands, bodies = page.panel.table.hands, page.stage.bodies
+    hands, bodies = page.panel.table.dragging, page.stage.bodies
     assert bodies is not None
     before = bodies.pose("red_cube")
     bodies.elsewhere["red_cube"] = Pose2(0.1, 0.0)

@@ -16,8 +16,8 @@ from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.report.episodes import Case
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
-from lemma.viewer.recording.again import Again, expert_instead, line_again
 from lemma.viewer.recording.pages import PAGE, VISER
+from lemma.viewer.recording.replays import Replayed, expert_instead, replay_line
 from lemma.viewer.recording.sources import cases_in, replays_in, write_cases
 from lemma.viewer.recording.track import FRAME_S, SOLVED, Reel
 from lemma.viz.pages.replays import PLAYER
@@ -33,13 +33,13 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Case]:
 
 
 @pytest.fixture(scope="module")
-def again(cases: dict[int, Case]) -> dict[int, Again]:
-    return {index: line_again(case) for index, case in cases.items()}
+def again(cases: dict[int, Case]) -> dict[int, Replayed]:
+    return {index: replay_line(case) for index, case in cases.items()}
 
 
 @pytest.mark.parametrize("index", range(EPISODES))
 def test_line_gives_the_very_episode(
-    index: int, cases: dict[int, Case], again: dict[int, Again]
+    index: int, cases: dict[int, Case], again: dict[int, Replayed]
 ) -> None:
     case, found = cases[index], again[index]
     played = Rollout(case.instance)
@@ -63,7 +63,7 @@ def test_line_gives_the_very_episode(
 
 def test_line_that_lies_is_found_out(cases: dict[int, Case]) -> None:
     row = {**cases[0].row, "elapsed_s": 1.0}
-    assert "elapsed s" in line_again(replace(cases[0], row=row)).differs
+    assert "elapsed s" in replay_line(replace(cases[0], row=row)).differs
 
 
 def test_motor_commands_are_in_no_line(cases: dict[int, Case]) -> None:
@@ -74,7 +74,7 @@ def test_motor_commands_are_in_no_line(cases: dict[int, Case]) -> None:
 
 @pytest.mark.parametrize("index", [1, 2, 3])
 def test_expert_goes_on_from_the_mistake(
-    index: int, cases: dict[int, Case], again: dict[int, Again]
+    index: int, cases: dict[int, Case], again: dict[int, Replayed]
 ) -> None:
     case, found = cases[index], again[index]
     instead = expert_instead(case, found)

@@ -27,14 +27,15 @@ from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE, load_instance, task_named
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan
-from lemma.viewer.episode.wish import Phase, Reading, Wish
+from lemma.viewer.episode.request import EpisodeRequest
+from lemma.viewer.episode.status import Phase, Reading
 
 INSTANCE = load_instance("stack", "test", 0)
 ABSENT = [c for c in BENCHMARK_COLORS if f"{c}_cube" not in INSTANCE.scene.object_names]
 
 
-def played(wish: Wish, **policies: object) -> Play:
-    play = Play(wish, player_of(**policies), acts=True)
+def played(request: EpisodeRequest, **policies: object) -> Play:
+    play = Play(request, player_of(**policies), acts=True)
     until(lambda: play.wait(0.0), play)
     return play
 
@@ -81,7 +82,7 @@ def test_expert_follows_another_goal_that_it_can_parse() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wish", "says"),
+    ("asked", "says"),
     [
         (own("fetch me a coffee"), "none of them"),
         (
@@ -91,8 +92,10 @@ def test_expert_follows_another_goal_that_it_can_parse() -> None:
         (own(SAID, "vague"), "could not be read"),
     ],
 )
-def test_what_is_not_understood_is_not_acted_on(wish: Wish, says: str) -> None:
-    play = played(wish, vague=Reads((("red_cube", "blue_pad"),), 0.2))
+def test_what_is_not_understood_is_not_acted_on(
+    asked: EpisodeRequest, says: str
+) -> None:
+    play = played(asked, vague=Reads((("red_cube", "blue_pad"),), 0.2))
     assert play.status.phase is Phase.FAILED
     assert play.status.reading is not None
     assert says in play.status.reading.note

@@ -17,8 +17,9 @@ from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.tasks.instance import Instance
+from lemma.viewer.episode.request import EpisodeRequest
 from lemma.viewer.episode.session import Session
-from lemma.viewer.episode.wish import Phase, Wish
+from lemma.viewer.episode.status import Phase
 from lemma.viewer.page import Page
 
 HOST = "127.0.0.1"
@@ -84,8 +85,10 @@ def measure_page(instance: Instance, speed: float = 1.0) -> PageFigures:
         InvalidConfigError: The expert did not come to an end.
     """
     begin = time.perf_counter()
-    wish = Wish(instance.task, instance.split, instance.index, policy=ORACLE)
-    page = Page(Session(wish, (ORACLE,)), HOST, _free_port())
+    request = EpisodeRequest(
+        instance.task, instance.split, instance.index, policy=ORACLE
+    )
+    page = Page(Session(request, (ORACLE,)), HOST, _free_port())
     loop = threading.Thread(target=page.run, daemon=True)
     loop.start()
     try:
@@ -103,7 +106,7 @@ def measure_page(instance: Instance, speed: float = 1.0) -> PageFigures:
             _wait(lambda: bool(visitor.arrived))
             first_scene_s = time.perf_counter() - begin
             page.session.set_speed(speed)
-            page.session.ask(wish, acts=True)
+            page.session.ask(request, acts=True)
             figures = _watch(page, visitor)
             visitor.leave()
         rollout = page.session.play.rollout

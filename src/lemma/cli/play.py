@@ -12,7 +12,7 @@ from lemma.cli.selection import Selection, read_instance
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.tasks.suite import default_split
 from lemma.tasks.task import TASKS
-from lemma.viewer.episode.wish import OWN_WORDS, Wish
+from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
 
 if TYPE_CHECKING:
     from lemma.viewer.failures.page import FailurePage
@@ -99,9 +99,9 @@ def play(
     split = split or default_split(task, "test")
     kind = "high_level" if say is None else OWN_WORDS
     who = policy or policies[0]
-    wish = Wish(task, split, index or 0, kind, say or "", who, own)
+    request = EpisodeRequest(task, split, index or 0, kind, say or "", who, own)
     return _open(
-        Page(Session(wish, policies, acts=say is not None), at.host, at.port), at
+        Page(Session(request, policies, acts=say is not None), at.host, at.port), at
     )
 
 

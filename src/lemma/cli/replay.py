@@ -14,8 +14,8 @@ from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.reader import Recipe, load
 from lemma.dataset.recipe.replay import Replay, replay_all
-from lemma.dataset.teleoperation.done import Teleoperation, is_teleoperated
 from lemma.dataset.teleoperation.perform import is_same, perform
+from lemma.dataset.teleoperation.schema import Teleoperation, is_teleoperated
 from lemma.env.episode import Episode
 
 _AT_INTERRUPT = (

@@ -50,16 +50,18 @@ class Page:
         if play.scene is not None and play.instance is not None and qpos is not None:
             new = play is not self._shown
             if new and self.stage.set_scene(play.scene, play.instance):
-                self.panel.pilot.forget()
-            self.stage.eyes.step_back()
+                self.panel.teleoperation.forget()
+            self.stage.viewpoint.step_back()
             self.stage.show(qpos)
             if play is not self._shown:
                 assert self.stage.bodies is not None
-                self.panel.table.hands.watch(self.stage.bodies, play.scene)
+                self.panel.table.dragging.watch(self.stage.bodies, play.scene)
                 self._shown = play
             self.panel.table.allow(play.instance)
-            thought = play.thought()
-            self.stage.think(thought.insight, thought.robot, thought.way)
+            explanation = play.explanation()
+            self.stage.explain(
+                explanation.insight, explanation.robot, explanation.waypoints
+            )
             self.pictures.want(self.panel.picture.value, play.instance, qpos)
         else:
             self.stage.refresh()

@@ -4,7 +4,7 @@ from importlib.util import find_spec
 
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.policies.weights import are_here
-from lemma.viewer.episode.by_hand import BY_HAND
+from lemma.viewer.episode.teleoperator import BY_HAND
 
 _LEARNED = ("reachnet", "episodic-transformer+cliport", "m-cliport")
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from lemma.core.errors import DatasetError
-from lemma.dataset.lerobot.whole_videos import waiting
+from lemma.dataset.lerobot.video_encoder import waiting
 
 FRAMES = 12
 

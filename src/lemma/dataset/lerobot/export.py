@@ -42,7 +42,7 @@ from lemma.dataset.lerobot.sources import (
     name_in_source,
     read_records,
 )
-from lemma.dataset.lerobot.whole_videos import encode_whole_videos
+from lemma.dataset.lerobot.video_encoder import encode_whole_videos
 from lemma.dataset.recipe.files import versions
 from lemma.dataset.rendered.film import rig_of, robots_of
 from lemma.dataset.rendered.render import (

@@ -13,8 +13,8 @@ from lemma.dataset.recipe.files import open_table
 from lemma.dataset.recipe.reader import read_group
 from lemma.dataset.recipe.replay import check_versions
 from lemma.dataset.recipe.schema import EpisodeRecord, perturbed_as
-from lemma.dataset.teleoperation.done import Teleoperation
 from lemma.dataset.teleoperation.record import read_record
+from lemma.dataset.teleoperation.schema import Teleoperation
 from lemma.tasks.language.template import KINDS
 
 PARQUET = ".parquet"

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 
-from lemma.dataset.teleoperation.done import (
+from lemma.dataset.teleoperation.nudge import nudge
+from lemma.dataset.teleoperation.schema import (
     Commanded,
     Executed,
     Teleoperation,
     joints_sha256,
 )
-from lemma.dataset.teleoperation.nudge import nudge
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode

@@ -6,14 +6,14 @@ from pathlib import Path
 from lemma.core.errors import DatasetError
 from lemma.dataset.recipe.record import EpisodeRecorder, in_words
 from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord
-from lemma.dataset.teleoperation.done import (
+from lemma.dataset.teleoperation.perform import is_same, perform
+from lemma.dataset.teleoperation.schema import (
     LED,
     Commanded,
     Executed,
     Teleoperation,
     is_teleoperated,
 )
-from lemma.dataset.teleoperation.perform import is_same, perform
 from lemma.env.episode import Episode
 
 _NOWHERE = (0.0, 0.0, 0.0)

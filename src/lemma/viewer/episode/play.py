@@ -7,12 +7,11 @@ is left behind, and the next one begins beside it.
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.poses import Pose2
-from lemma.dataset.teleoperation.done import Teleoperation
 from lemma.dataset.teleoperation.nudge import nudge
+from lemma.dataset.teleoperation.schema import Teleoperation
 from lemma.evaluation.run.control.rollout import ControlPlayer
 from lemma.evaluation.run.language_controls import LanguageControl
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
@@ -23,19 +22,20 @@ from lemma.scene.objects.entity import entity_named
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.by_hand import ByHand
-from lemma.viewer.episode.deeds import Deeds
+from lemma.viewer.episode.explanation import NOTHING, Explanation, Moved
+from lemma.viewer.episode.log import EpisodeLog
+from lemma.viewer.episode.observed_policy import ObservedPolicy
+from lemma.viewer.episode.planned_path import planned_path
 from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan, parse_goal
-from lemma.viewer.episode.thoughts import NOTHING, Moved, Thought
-from lemma.viewer.episode.told import ToldPolicy
+from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
+from lemma.viewer.episode.status import Line, Phase, Reading, Status, StatusBoard
+from lemma.viewer.episode.teleoperator import Teleoperator
 from lemma.viewer.episode.transport import (
     FRAME_S,
     AbandonedError,
     InterruptedEpisodeError,
     Transport,
 )
-from lemma.viewer.episode.way import way_of
-from lemma.viewer.episode.wish import OWN_WORDS, Line, Phase, Reading, Status, Wish
 from lemma.viz.recording import describe_step, describe_subtask
 
 Load = Callable[[str], Player]
@@ -47,7 +47,7 @@ class Play:
 
     def __init__(
         self,
-        wish: Wish,
+        request: EpisodeRequest,
         load: Load,
         *,
         acts: bool,
@@ -57,37 +57,37 @@ class Play:
         """Set the table in another thread, and act there if that is wanted.
 
         Args:
-            wish: What is asked for.
+            request: What is asked for.
             load: Loads policies.
             acts: Whether to go on and act; else the table is set, and no more.
             steps: Whether to pause after the first sub-task.
             speed: How many times real time it is played.
         """
-        self.wish, self.acts, self._steps = wish, acts, steps
+        self.request, self.acts, self._steps = request, acts, steps
         self.transport = Transport(speed)
         self.instance: Instance | None = None
         self.scene: Scene | None = None
         """Of the simulation: its model may be read, its data belong to the thread."""
         self.rollout: Rollout | None = None
-        self.thoughts: tuple[Thought, ...] = ()
-        """What was thought before each sub-task, oldest first."""
+        self.explanations: tuple[Explanation, ...] = ()
+        """Why and how each sub-task was done, oldest first."""
         self._insight: Insight | None = None
-        self.hand: ByHand | None = None
+        self.teleoperator: Teleoperator | None = None
         """Of a visitor who leads, or led last; None if nobody has."""
-        self._deeds, self._controls = Deeds(), False
+        self._log, self._controls = EpisodeLog(), False
         self._taking = threading.Lock()
         self._asked = self._leads = False
         self.moved: Moved | None = None
         """What visitors did last to things of the running episode."""
         self._load = load
-        self._status = Status(policy=wish.policy)
+        self._board = StatusBoard(request.policy)
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     @property
     def status(self) -> Status:
         """How it stands; a new object whenever that changes."""
-        return self._status
+        return self._board.status
 
     def leave(self, wait_s: float = 0.0) -> bool:
         """Abandon it.
@@ -110,11 +110,15 @@ class Play:
     @property
     def is_led(self) -> bool:
         """Whether a visitor leads the robots."""
-        return self._leads and self.hand is not None and not self.hand.is_done
+        return (
+            self._leads
+            and self.teleoperator is not None
+            and not self.teleoperator.is_done
+        )
 
     @property
     def _goes_on(self) -> bool:
-        acts = self._status.phase in (Phase.DECIDING, Phase.ACTING, Phase.LED)
+        acts = self.status.phase in (Phase.DECIDING, Phase.ACTING, Phase.LED)
         return acts and not self.transport.over
 
     @property
@@ -144,13 +148,13 @@ class Play:
                 raise InvalidConfigError(
                     "Robots are taken over while an episode goes on, and nobody leads."
                 )
-            self._asked, self.hand = True, ByHand()
+            self._asked, self.teleoperator = True, Teleoperator()
             self.transport.interrupt()
 
     def hand_back(self) -> None:
         """Let the policy go on from where the robots are now."""
-        if self.hand is not None and self.can_hand_back:
-            self.hand.is_done = True
+        if self.teleoperator is not None and self.can_hand_back:
+            self.teleoperator.is_done = True
             self.transport.play()
 
     def kept(self) -> Teleoperation:
@@ -159,14 +163,14 @@ class Play:
         Raises:
             InvalidConfigError: Nothing was done by hand.
         """
-        if self._controls and self.hand is None:
+        if self._controls and self.teleoperator is None:
             raise InvalidConfigError("Motor commands of policies are not kept.")
         # Between what a visitor changes and the state that comes of it is nothing.
         with self.transport.changing:
             latest = self.transport.latest
-            if self.instance is None or latest is None or not self._deeds.by_hand:
+            if self.instance is None or latest is None or not self._log.by_hand:
                 raise InvalidConfigError("Nothing was done by hand yet.")
-            return self._deeds.kept(self.instance, self._status.said, latest)
+            return self._log.kept(self.instance, self.status.said, latest)
 
     def nudge(self, name: str, pose: Pose2) -> None:
         """Lay an object elsewhere while the episode goes on, and pause there.
@@ -189,18 +193,10 @@ class Play:
             self.moved = Moved(name)
             words = f"You moved the {entity_named(name).phrase}"
             now_s = rollout.episode.simulation.time_s
-            self._deeds.move(name, pose, now_s)
-            line = Line(words, now_s, now_s, "by hand")
-            done = [line for line in self._status.lines if line.end_s is not None]
-            runs = [line for line in self._status.lines if line.end_s is None]
-            self._tell(lines=(*done, line, *runs))
+            self._log.move(name, pose, now_s)
+            self._board.insert(Line(words, now_s, now_s, "by hand"))
 
         self.transport.change(change)
-
-    def _tell(self, phase: Phase | None = None, **changes: Any) -> None:
-        if phase is not None:
-            changes["phase"] = phase
-        self._status = replace(self._status, **changes)
 
     def _run(self) -> None:
         try:
@@ -208,33 +204,33 @@ class Play:
             if self.acts:
                 self._act(rollout)
             else:
-                self._tell(Phase.READY)
+                self._board.tell(Phase.READY)
         except AbandonedError:
             pass
         except Exception as error:
             # Whatever it is, the page is there to say it.
             what = str(error) if isinstance(error, LemmaError) else repr(error)
-            self._tell(Phase.BROKEN, note=what)
+            self._board.tell(Phase.BROKEN, note=what)
         finally:
             self._leads = False
             self.transport.finish()
 
     def _set_table(self) -> Rollout:
-        wish = self.wish
-        instance = wish.instance()
-        kind, control = wish.saying, LanguageControl()
+        request = self.request
+        instance = request.instance()
+        kind, control = request.saying, LanguageControl()
         if kind == OWN_WORDS:
-            kind, control = "high_level", LanguageControl(wish.text)
-            if self.acts and wish.policy == ORACLE:
+            kind, control = "high_level", LanguageControl(request.text)
+            if self.acts and request.policy == ORACLE:
                 # The expert reads no sentence: it is given the goal.
-                reading = parse_goal(wish.text, instance)
-                self._tell(reading=reading)
+                reading = parse_goal(request.text, instance)
+                self._board.tell(reading=reading)
                 if reading.acts and reading.pairs:
                     goal = Goal.from_pairs(reading.pairs)
                     instance = replace(instance, goal=goal)
         rollout = Rollout(instance, kind, control=control)
         self._watch(rollout)
-        self._tell(said=rollout.instruction)
+        self._board.tell(said=rollout.instruction)
         return rollout
 
     def _watch(self, rollout: Rollout) -> None:
@@ -250,20 +246,20 @@ class Play:
         self.rollout = rollout
 
     def _act(self, rollout: Rollout) -> None:
-        self._tell(Phase.LOADING)
-        player = self._load(self.wish.policy)
+        self._board.tell(Phase.LOADING)
+        player = self._load(self.request.policy)
         controls = self._controls = isinstance(player, ControlPlayer)
         if controls:
             # The same table, in the environment that this policy asks for.
             rollout = player.begin(rollout.instance, rollout.kind, rollout.control)
             self._watch(rollout)
-        if isinstance(player.policy, ByHand):
-            self.hand, self._leads = player.policy, True
-            self._deeds.lead(self.hand, rollout.episode.elapsed_s)
+        if isinstance(player.policy, Teleoperator):
+            self.teleoperator, self._leads = player.policy, True
+            self._log.lead(self.teleoperator, rollout.episode.elapsed_s)
         try:
             if not self._read(rollout, player):
                 return
-            told = ToldPolicy(player.policy, self._decided, self._explained)
+            told = ObservedPolicy(player.policy, self._decided, self._explained)
             (self.transport.step if self._steps else self.transport.play)()
             heard = ControlPlayer(told) if controls else Player(told, player.rig)
             while not (rollout.episode.is_over or rollout.fault):
@@ -275,123 +271,97 @@ class Play:
                         self._lead(rollout)
                     # Else robots stand still, to be judged: nobody can lead them.
                     rollout.episode.conclude()
-            self._conclude(rollout)
+            reading, own = self.status.reading, self.request.saying == OWN_WORDS
+            nobody_knows = own and (reading is None or reading.pairs is None)
+            self._board.conclude(rollout, judged=not nobody_knows)
         finally:
             if player.rig is not None:
                 player.rig.close()
 
     def _lead(self, rollout: Rollout) -> None:
         """Let a visitor lead until they hand back, or it is over."""
-        episode, hand = rollout.episode, self.hand
-        assert hand is not None
+        episode, teleoperator = rollout.episode, self.teleoperator
+        assert teleoperator is not None
         now_s = episode.simulation.time_s
-        self._deeds.end(until_s=now_s)
-        self._deeds.lead(hand, now_s)
-        lines = [
-            line
-            if line.end_s is not None
-            else replace(line, end_s=now_s, outcome="taken over")
-            for line in self._status.lines
-        ]
-        led = Line("You lead the robots", now_s)
-        self.thoughts = (*self.thoughts, Thought(now_s))
-        self._tell(Phase.LED, lines=(*lines, led))
+        self._log.end(until_s=now_s)
+        self._log.lead(teleoperator, now_s)
+        self.explanations = (*self.explanations, Explanation(now_s))
+        self._board.end(now_s, "taken over")
+        self._board.begin(Phase.LED, "You lead the robots", now_s)
         self._leads, self._asked = True, False
         try:
-            hand.take_over(episode)
+            teleoperator.take_over(episode)
         finally:
             self._leads = False
         end_s = episode.elapsed_s
-        led = Line(led.words, led.start_s, end_s, "by hand")
-        self._tell(lines=(*self._status.lines[:-1], led))
+        self._board.end(end_s, "by hand")
         self.transport.mark(end_s)
 
     def _read(self, rollout: Rollout, player: Player) -> bool:
         """Say what is understood; return whether to act on it."""
-        self._tell(Phase.READING)
-        reading = self._status.reading
-        if reading is None and self.wish.policy == ORACLE:
+        self._board.tell(Phase.READING)
+        reading = self.status.reading
+        if reading is None and self.request.policy == ORACLE:
             reading = Reading(rollout.instance.goal.pairs)
         if reading is None and isinstance(player, ControlPlayer):
             reading = SILENT
         if reading is None:
             given = player.given(rollout)
             reading = ask_reader(player.policy, given, rollout.instance)
-        own, knows = self.wish.saying == OWN_WORDS, self.wish.policy == ORACLE
+        own, knows = self.request.saying == OWN_WORDS, self.request.policy == ORACLE
         if own:
             scene = rollout.episode.simulation.scene
             reading = check_plan(reading, scene, needed=knows)
-        self._tell(reading=reading)
+        self._board.tell(reading=reading)
         if not reading.acts:
-            self._tell(Phase.FAILED)
+            self._board.tell(Phase.FAILED)
             return False
         if own and reading.pairs and not knows:
-            rollout.control = LanguageControl(self.wish.text, reading.pairs)
+            rollout.control = LanguageControl(self.request.text, reading.pairs)
         return True
 
     def _decided(self, decision: Decision | Actions | None) -> None:
         """Say what is about to happen; None while it is being decided."""
         if decision is None:
-            self._tell(Phase.DECIDING)
+            self._board.tell(Phase.DECIDING)
             return
         assert self.rollout is not None
         if isinstance(decision, Actions):
-            if self._status.phase is not Phase.ACTING:
-                self._tell(Phase.ACTING)
+            if self.status.phase is not Phase.ACTING:
+                self._board.tell(Phase.ACTING)
             return
         episode, subtask = self.rollout.episode, decision.subtask
-        lines, way = self._status.lines, NOTHING.way
-        if not decision.stops:
-            words = describe_subtask(subtask, self.rollout.instance)
-            lines = (*lines, Line(words, episode.elapsed_s))
+        waypoints = NOTHING.waypoints
         if decision.grounded is not None:
-            way = way_of(episode.simulation, decision.grounded)
-        self._deeds.begin(decision, episode.elapsed_s)
-        thought = Thought(episode.elapsed_s, self._insight, subtask.robot, way)
-        self.thoughts = (*self.thoughts, thought)
-        self._tell(Phase.ACTING, lines=lines)
+            waypoints = planned_path(episode.simulation, decision.grounded)
+        self._log.begin(decision, episode.elapsed_s)
+        explanation = Explanation(
+            episode.elapsed_s, self._insight, subtask.robot, waypoints
+        )
+        self.explanations = (*self.explanations, explanation)
+        if decision.stops:
+            self._board.tell(Phase.ACTING)
+        else:
+            words = describe_subtask(subtask, self.rollout.instance)
+            self._board.begin(Phase.ACTING, words, episode.elapsed_s)
 
     def _explained(self, insight: Insight) -> None:
         """Keep why something is about to happen."""
         self._insight = insight
 
-    def thought(self) -> Thought:
-        """Return what was thought last at the moment that is looked at."""
+    def explanation(self) -> Explanation:
+        """Return why and how what is looked at is done."""
         now_s = self.transport.cursor_s + FRAME_S
-        before = (each for each in reversed(self.thoughts) if each.time_s <= now_s)
+        before = (each for each in reversed(self.explanations) if each.time_s <= now_s)
         return next(before, NOTHING)
 
     def _stepped(self, rollout: Rollout, step: TakenStep) -> None:
-        self._deeds.end()
+        self._log.end()
         told = describe_step(step, rollout.instance)
-        done = self._status.lines
-        if done and done[-1].end_s is None:
-            done = done[:-1]
         end_s = told.start_s + told.duration_s
-        line = Line(
-            told.words, told.start_s, end_s, told.outcome, told.explanation, told.ok
-        )
-        self._tell(lines=(*done, line))
-        self.transport.mark(rollout.episode.elapsed_s)
-
-    def _conclude(self, rollout: Rollout) -> None:
-        took = f"{rollout.episode.elapsed_s:.1f} s"
-        if rollout.fault is not None:
-            self._tell(
-                Phase.BROKEN,
-                note=f"The policy failed: {rollout.fault.explanation}",
-                lines=tuple(line for line in self._status.lines if line.end_s),
+        self._board.replace_running(
+            Line(
+                told.words, told.start_s, end_s, told.outcome, told.explanation, told.ok
             )
-            return
-        reading, own = self._status.reading, self.wish.saying == OWN_WORDS
-        if own and (reading is None or reading.pairs is None):
-            self._tell(Phase.ENDED, note=f"after {took}: nobody can judge it")
-            return
-        asked = rollout.asked_holds
-        verdict = rollout.verdict()
-        holds = verdict.success if asked is None else asked
-        what = (verdict.failure or "goal_not_reached").replace("_", " ")
-        note = f"after {took}" if holds else f"after {took}: {what}"
-        if holds and rollout.protective_stop is not None:
-            note += ", though a robot was asked for what it cannot do"
-        self._tell(Phase.SOLVED if holds else Phase.FAILED, note=note)
+        )
+        self.transport.mark(rollout.episode.elapsed_s)

@@ -15,7 +15,7 @@ from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import parse, phrase
 from lemma.tasks.language.template import GoalPairs
-from lemma.viewer.episode.wish import Reading
+from lemma.viewer.episode.status import Reading
 
 _DENIES = re.compile(
     "\\b(?:not|never|cannot|dont|nor)\\b|n['\u2019]t\\b", re.IGNORECASE

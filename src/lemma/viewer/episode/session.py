@@ -13,10 +13,10 @@ from lemma.policies.control.interfaces import is_model_server
 from lemma.policies.spec import PolicySpec
 from lemma.serve.client.websocket import is_address
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.by_hand import BY_HAND, ByHand
 from lemma.viewer.episode.play import Play
+from lemma.viewer.episode.request import EpisodeRequest
 from lemma.viewer.episode.tables import moved
-from lemma.viewer.episode.wish import Wish
+from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 
 _PATIENCE_S = 1.0
 """How long a policy is waited for that shall stop [s]."""
@@ -32,7 +32,7 @@ class Session:
 
     def __init__(
         self,
-        wish: Wish,
+        request: EpisodeRequest,
         policies: tuple[str, ...],
         load: Callable[[str], Player] = load_player,
         *,
@@ -41,7 +41,7 @@ class Session:
         """Set the first table.
 
         Args:
-            wish: What to begin with.
+            request: What to begin with.
             policies: Names of those that may be chosen.
             load: Loads one.
             acts: Whether to act at once.
@@ -52,15 +52,15 @@ class Session:
         self._loading = threading.Lock()
         self._commands = threading.Lock()
         self._speed = 1.0
-        self._check(wish)
-        self.play = self._begin(wish, acts)
+        self._check(request)
+        self.play = self._begin(request, acts)
 
-    def _begin(self, wish: Wish, acts: bool, steps: bool = False) -> Play:
-        return Play(wish, self._player, acts=acts, steps=steps, speed=self._speed)
+    def _begin(self, request: EpisodeRequest, acts: bool, steps: bool = False) -> Play:
+        return Play(request, self._player, acts=acts, steps=steps, speed=self._speed)
 
     def _player(self, name: str) -> Player:
         if name == BY_HAND:
-            return ControlPlayer(ByHand())
+            return ControlPlayer(Teleoperator())
         with self._loading:
             if name not in self._loaded:
                 self._loaded[name] = self._load(name)
@@ -91,24 +91,24 @@ class Session:
         if address not in self.policies:
             self.policies = (*self.policies, address)
 
-    def ask(self, wish: Wish, *, acts: bool, steps: bool = False) -> None:
+    def ask(self, request: EpisodeRequest, *, acts: bool, steps: bool = False) -> None:
         """Leave what is played, and set the table for something else.
 
         Args:
-            wish: What is asked for.
+            request: What is asked for.
             acts: Whether to act; else the table is looked at.
             steps: Whether to pause after the first sub-task.
 
         Raises:
             UnknownNameError: The policy is none of those that may be chosen.
         """
-        self._check(wish)
+        self._check(request)
         with self._commands:
             before = self.play
             if not before.leave(_PATIENCE_S) and not self._loading.locked():
                 # It is still at work on what it was asked: the next play loads another.
-                self._loaded.pop(before.wish.policy, None)
-            self.play = self._begin(wish, acts, steps)
+                self._loaded.pop(before.request.policy, None)
+            self.play = self._begin(request, acts, steps)
 
     def move(self, name: str, pose: Pose2) -> None:
         """Put a robot or an object elsewhere.
@@ -126,8 +126,8 @@ class Session:
         """
         play = self.play
         if not play.acts or play.rollout is None or play.transport.over:
-            own = moved(play.wish.instance(), name, pose)
-            self.ask(replace(play.wish, own=own), acts=False)
+            own = moved(play.request.instance(), name, pose)
+            self.ask(replace(play.request, own=own), acts=False)
         elif name in play.rollout.instance.scene.robot_names:
             raise InvalidConfigError(
                 "Robots are moved before an episode or after it, not while it goes on."
@@ -141,20 +141,20 @@ class Session:
         Args:
             instance: Any.
         """
-        wish = replace(self.play.wish, task=instance.task, own=instance)
-        self.ask(wish, acts=False)
+        request = replace(self.play.request, task=instance.task, own=instance)
+        self.ask(request, acts=False)
 
     def take_listed(self) -> None:
         """Set the table of the list again that was changed."""
-        self.ask(replace(self.play.wish, own=None), acts=False)
+        self.ask(replace(self.play.request, own=None), acts=False)
 
-    def _check(self, wish: Wish) -> None:
-        if wish.policy not in self.policies:
-            raise UnknownNameError("policy", wish.policy, self.policies)
+    def _check(self, request: EpisodeRequest) -> None:
+        if request.policy not in self.policies:
+            raise UnknownNameError("policy", request.policy, self.policies)
 
     def restart(self) -> None:
         """Set the same table again, and act again if it was acted on."""
-        self.ask(self.play.wish, acts=self.play.acts)
+        self.ask(self.play.request, acts=self.play.acts)
 
     def set_speed(self, speed: float) -> None:
         """Set how many times real time is played, from now on."""

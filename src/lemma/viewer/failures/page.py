@@ -5,7 +5,7 @@ from lemma.viewer.failures.panel import FailurePanel
 from lemma.viewer.failures.viewing import Cursor, Sight, Viewing
 from lemma.viewer.panel.panel import set_theme
 from lemma.viewer.recording.tables import Tables
-from lemma.viewer.scene.eyes import Eyes
+from lemma.viewer.scene.viewpoint import Viewpoint
 from lemma.viewer.server import Rounds, close_server, open_server
 
 _HALF_WIDTH_M = 3.6
@@ -37,7 +37,7 @@ class FailurePage:
         self.panel = FailurePanel(
             self._server, catalog, self.viewing, self.cursor, wanted or Filter()
         )
-        self._eyes = Eyes(self._server, _HALF_WIDTH_M)
+        self._eyes = Viewpoint(self._server, _HALF_WIDTH_M)
         self._shown: Sight | None = None
         self._tables: Tables | None = None
         self._rounds = Rounds()

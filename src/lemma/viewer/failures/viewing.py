@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lemma.core.errors import LemmaError
 from lemma.evaluation.report.episodes import Case
-from lemma.viewer.recording.again import Again, expert_instead, line_again
+from lemma.viewer.recording.replays import Replayed, expert_instead, replay_line
 from lemma.viewer.recording.track import Track
 
 _KEPT = 16
@@ -39,7 +39,7 @@ class Viewing:
         self._asked: tuple[Case, Case | None] | None = None
         self._sight: Sight | None = None
         self._busy = self._closed = False
-        self._done: OrderedDict[tuple[str, Path, str], Again] = OrderedDict()
+        self._done: OrderedDict[tuple[str, Path, str], Replayed] = OrderedDict()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -101,10 +101,10 @@ class Viewing:
         note = " ".join(f"It went differently here. {text}" for text in notes if text)
         return Sight(case, (again.track, beside), again.turn_s, note)
 
-    def _again(self, case: Case) -> Again:
+    def _again(self, case: Case) -> Replayed:
         key = case.policy, case.lines, case.name
         if key not in self._done:
-            self._done[key] = line_again(case)
+            self._done[key] = replay_line(case)
             if len(self._done) > _KEPT:
                 self._done.popitem(last=False)
         return self._done[key]

@@ -11,13 +11,14 @@ from lemma.env.camera_rig import camera_names
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.suite import FREE_SPLIT
 from lemma.tasks.task import TASKS
+from lemma.viewer.episode.explanation import Explanation
 from lemma.viewer.episode.play import Play
+from lemma.viewer.episode.request import LONGEST, OWN_WORDS, SAYINGS, EpisodeRequest
 from lemma.viewer.episode.session import Session
-from lemma.viewer.episode.thoughts import Thought
+from lemma.viewer.episode.status import Phase, Status
 from lemma.viewer.episode.transport import SPEEDS
-from lemma.viewer.episode.wish import LONGEST, OWN_WORDS, SAYINGS, Phase, Status, Wish
-from lemma.viewer.panel.hands import HandsPanel
-from lemma.viewer.panel.pilot import Pilot
+from lemma.viewer.panel.dragging import DraggingPanel
+from lemma.viewer.panel.teleoperation import TeleoperationPanel
 from lemma.viewer.panel.words import (
     complaint_html,
     insight_html,
@@ -61,28 +62,28 @@ class Panel:
         self._gui: Any = server.gui
         self._status: Status | None = None
         self._timeline = ""
-        self._thought: Thought | None = None
+        self._explanation: Explanation | None = None
         self._instance: Instance | None = None
         self._complaint = ""
-        wish = session.play.wish
-        self._add_choices(wish)
+        request = session.play.request
+        self._add_choices(request)
         self._add_transport()
-        self.pilot = Pilot(server, session, self.complain)
-        self.table = HandsPanel(server, session, self.complain)
+        self.teleoperation = TeleoperationPanel(server, session, self.complain)
+        self.table = DraggingPanel(server, session, self.complain)
         self._add_overlays(overlays, set_overlay)
-        self._add_details(wish)
+        self._add_details(request)
 
-    def _add_choices(self, wish: Wish) -> None:
+    def _add_choices(self, request: EpisodeRequest) -> None:
         gui = self._gui
         self.status = gui.add_html("")
         names = tuple(TASKS)
-        self.task = gui.add_dropdown("Task", names, initial_value=wish.task)
-        self.index = gui.add_number("Instance", wish.index, min=0, max=_MOST)
+        self.task = gui.add_dropdown("Task", names, initial_value=request.task)
+        self.index = gui.add_number("Instance", request.index, min=0, max=_MOST)
         self.text = gui.add_text(
-            "Say", wish.text, multiline=True, hint="Type anything, then press Do it."
+            "Say", request.text, multiline=True, hint="Type anything, then press Do it."
         )
         self.policy = gui.add_dropdown(
-            "Policy", self._session.policies, initial_value=wish.policy
+            "Policy", self._session.policies, initial_value=request.policy
         )
         self.do = gui.add_button("Do it", color="blue")
         self.do.on_click(lambda _: self.act())
@@ -90,14 +91,14 @@ class Panel:
         for widget in (self.task, self.index):
             widget.on_update(self.chosen)
 
-    def _add_details(self, wish: Wish) -> None:
+    def _add_details(self, request: EpisodeRequest) -> None:
         gui = self._gui
         with gui.add_folder("More", expand_by_default=False):
             self.split = gui.add_dropdown(
-                "Split", (*SPLITS, FREE_SPLIT), initial_value=wish.split
+                "Split", (*SPLITS, FREE_SPLIT), initial_value=request.split
             )
             self.saying = gui.add_dropdown(
-                "Sentence", SAYINGS, initial_value=wish.saying
+                "Sentence", SAYINGS, initial_value=request.saying
             )
             self.address = gui.add_text(
                 "Server", "", hint="Of a policy: http://HOST:PORT or vla-eval://..."
@@ -139,16 +140,16 @@ class Panel:
             self.picture = gui.add_dropdown("Picture", (NO_PICTURE,))
             self.image = gui.add_image(_ANY, format="jpeg", visible=False)
 
-    def wish(self) -> Wish:
+    def request(self) -> EpisodeRequest:
         """Return what is chosen now.
 
         Raises:
             LemmaError: That cannot be.
         """
         chosen = self.task.value, self.split.value, self.index.value
-        set_now = self._session.play.wish
+        set_now = self._session.play.request
         same = (set_now.task, set_now.split, set_now.index) == chosen
-        return Wish(
+        return EpisodeRequest(
             *chosen,
             self.saying.value,
             self.text.value.strip() if self.saying.value == OWN_WORDS else "",
@@ -196,7 +197,7 @@ class Panel:
 
     def _ask(self, *, acts: bool, steps: bool = False) -> None:
         try:
-            self._session.ask(self.wish(), acts=acts, steps=steps)
+            self._session.ask(self.request(), acts=acts, steps=steps)
             self._complaint = ""
         except LemmaError as error:
             self.complain(str(error))
@@ -233,13 +234,13 @@ class Panel:
         """Say how an episode stands; what has not changed is not sent again."""
         status, transport = play.status, play.transport
         self.table.refresh(play)
-        self.pilot.refresh(play)
+        self.teleoperation.refresh(play)
         if play.instance is not None and play.instance != self._instance:
             self._show_instance(play)
         if status is not self._status and not self._complaint:
             self._status = status
             self.status.content = status_html(status)
-            own = play.wish.saying == OWN_WORDS
+            own = play.request.saying == OWN_WORDS
             if status.phase is Phase.READY and not own:
                 self.text.value = status.said
         end_s, now_s = transport.end_s, transport.cursor_s
@@ -255,18 +256,21 @@ class Panel:
     def _show_instance(self, play: Play) -> None:
         assert play.instance is not None
         self._instance = play.instance
-        if self.task.value != play.wish.task and play.wish.task in self.task.options:
-            self.task.value = play.wish.task
+        if (
+            self.task.value != play.request.task
+            and play.request.task in self.task.options
+        ):
+            self.task.value = play.request.task
         names = camera_names(play.instance.scene.robot_names)
         options = (NO_PICTURE, MAP, *names)
         if self.picture.options != options:
             self.picture.options = options
 
     def _show_why(self, play: Play) -> None:
-        thought = play.thought()
-        if thought is not self._thought and play.instance is not None:
-            self._thought = thought
-            self.why.content = insight_html(thought.insight, play.instance)
+        explanation = play.explanation()
+        if explanation is not self._explanation and play.instance is not None:
+            self._explanation = explanation
+            self.why.content = insight_html(explanation.insight, play.instance)
 
     def show_picture(self, picture: Any | None) -> None:
         """Show a picture, (H, W, 3) uint8; None for none."""

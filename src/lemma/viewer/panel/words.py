@@ -9,7 +9,7 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.subtask import Primitive
 from lemma.viewer.episode.reading import say_goal
-from lemma.viewer.episode.wish import ENDS, Line, Phase, Status
+from lemma.viewer.episode.status import ENDS, Line, Phase, Status
 from lemma.viz.recording import describe_subtask
 
 _FRAME = '<div style="padding:0 1em 0.5em;font-size:0.9em;line-height:1.45">{}</div>'

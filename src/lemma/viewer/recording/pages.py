@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from lemma.core.files import write_whole
-from lemma.viewer.episode.wish import Line
+from lemma.viewer.episode.status import Line
 from lemma.viewer.recording.serializer import client_page, serialize
 from lemma.viewer.recording.track import EXPERT, Track, track_of
 from lemma.viz.pages.replays import Replay, Side, Told, write_replays

@@ -9,7 +9,7 @@ import viser
 
 from lemma.viewer.recording.tables import Tables
 from lemma.viewer.recording.track import FRAME_S, Track
-from lemma.viewer.scene.eyes import Eyes
+from lemma.viewer.scene.viewpoint import Viewpoint
 from lemma.viewer.server import close_server, open_server
 
 LAST_S = 1.5
@@ -28,7 +28,7 @@ def serialize(tracks: Sequence[Track]) -> bytes:
     """
     with _server() as server:
         tables = Tables(server, tracks)
-        Eyes(server, tables.half_width_m, _ASPECTS[len(tracks) > 1])
+        Viewpoint(server, tables.half_width_m, _ASPECTS[len(tracks) > 1])
         serializer = server.get_scene_serializer()
         times = sorted({time_s for track in tracks for time_s in track.times})
         before_s = 0.0

@@ -7,16 +7,16 @@ from pathlib import Path
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.workers.pool import Engine
 from lemma.dataset.recipe.reader import Recipe, load
-from lemma.dataset.teleoperation.done import Teleoperation, is_teleoperated
+from lemma.dataset.teleoperation.schema import Teleoperation, is_teleoperated
 from lemma.evaluation.report.episodes import Case, cases_of
 from lemma.evaluation.report.policy_results import entries_of, read_results
-from lemma.viewer.recording.again import (
-    expert_instead,
-    line_again,
-    record_again,
-    teleoperation_again,
-)
 from lemma.viewer.recording.pages import replay_of
+from lemma.viewer.recording.replays import (
+    expert_instead,
+    replay_line,
+    replay_record,
+    replay_teleoperation,
+)
 from lemma.viewer.recording.serializer import client_page
 from lemma.viz.pages.replays import Replay, write_replays
 
@@ -110,7 +110,7 @@ def _numbered(number: int, case: Case) -> tuple[int, Replay]:
 
 def replay_of_case(case: Case) -> Replay:
     """Return an episode of a result; one that failed, beside the expert."""
-    again = line_again(case)
+    again = replay_line(case)
     tracks = [again.track]
     if case.cause is not None:
         tracks.append(expert_instead(case, again))
@@ -126,7 +126,7 @@ def replay_of_case(case: Case) -> Replay:
 
 
 def _of_teleoperation(done: Teleoperation, name: str) -> Replay:
-    track, same = teleoperation_again(done)
+    track, same = replay_teleoperation(done)
     note = "" if same else "It went differently here."
     title = f"{done.instance.task} {done.instance.index}, by hand"
     return replay_of(name, title, [track], sentence=done.instruction, note=note)
@@ -136,4 +136,4 @@ def _of_record(recipe: Recipe, number: int) -> Replay:
     record = recipe[number]
     name = f"{record.task}-{record.split}-{record.index}"
     title = f"{record.task} {record.index} ({record.split})"
-    return replay_of(name, title, [record_again(record)])
+    return replay_of(name, title, [replay_record(record)])

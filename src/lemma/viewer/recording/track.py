@@ -8,7 +8,7 @@ from lemma.core.poses import FloatArray
 from lemma.env.simulation import TICK_S, Simulation
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.wish import Line
+from lemma.viewer.episode.status import Line
 from lemma.viz.recording import Recording
 
 FRAME_S = 0.05

@@ -15,8 +15,8 @@ from lemma.robots.reach import reach_of
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.viewer.scene.bodies import Bodies, light_room, name_bodies
-from lemma.viewer.scene.eyes import Eyes
-from lemma.viewer.scene.thoughts import Point, draw_perceived, draw_way, ring
+from lemma.viewer.scene.overlays import Point, draw_path, draw_perceived, ring
+from lemma.viewer.scene.viewpoint import Viewpoint
 from lemma.viz.annotate import ROBOT_INK
 
 OVERLAYS = {
@@ -24,7 +24,7 @@ OVERLAYS = {
     "reach": "Where a robot surely works (solid), what it could touch (dashed).",
     "contacts": "Where things touch.",
     "perceived": "What the policy saw: things, their part in the goal, robots' reach.",
-    "way": "Where the hand is to go in this sub-task.",
+    "path": "Where the hand is to go in this sub-task.",
 }
 """What may be laid over the scene."""
 _BESIDE_M = 0.5
@@ -55,8 +55,8 @@ class Stage:
         self._qpos: FloatArray | None = None
         self._scene: Scene | None = None
         self._contacts: Any = None
-        self._thought: tuple[Insight | None, Sequence[Point]] = (None, ())
-        self.eyes = Eyes(server, 1.0)
+        self._explanation: tuple[Insight | None, Sequence[Point]] = (None, ())
+        self.viewpoint = Viewpoint(server, 1.0)
 
     def set_scene(self, scene: Scene, instance: Instance) -> bool:
         """Show another scene; what is the same table stays as it is.
@@ -80,7 +80,7 @@ class Stage:
             self.bodies = Bodies(self._server, scene)
             for handles in self.overlays.values():
                 handles.clear()
-            self._thought = (None, ())
+            self._explanation = (None, ())
             for label in name_bodies(self._server, instance):
                 label.visible = "names" in self._visible
                 self._keep("names", label)
@@ -91,7 +91,7 @@ class Stage:
         wide_m += [
             abs(o.pose.x) / (1.0 + _NEARER * o.pose.y) for o in instance.scene.objects
         ]
-        self.eyes.widen(max(wide_m))
+        self.viewpoint.widen(max(wide_m))
         return True
 
     def _draw_reach(self, instance: Instance) -> None:
@@ -118,29 +118,33 @@ class Stage:
                 )
                 self._keep("reach", handle)
 
-    def think(self, insight: Insight | None, robot: str, way: Sequence[Point]) -> None:
+    def explain(
+        self, insight: Insight | None, robot: str, waypoints: Sequence[Point]
+    ) -> None:
         """Show why and how something is being done; nothing where that is not said.
 
         Args:
             insight: What the policy perceived.
-            robot: Name of who goes a way.
-            way: Points on it [m].
+            robot: Name of who goes there.
+            waypoints: Points on it [m].
         """
         instance = self.instance
-        if instance is None or (insight, way) == self._thought:
+        if instance is None or (insight, waypoints) == self._explanation:
             return
-        self._thought = insight, way
-        nodes: dict[str, list[Any]] = {"perceived": [], "way": []}
+        self._explanation = insight, waypoints
+        nodes: dict[str, list[Any]] = {"perceived": [], "path": []}
         with self._server.atomic():
             for overlay in nodes:
                 for old in self.overlays[overlay]:
                     old.remove()
             if insight is not None:
                 nodes["perceived"] = draw_perceived(self._server, instance, insight)
-            if way:
+            if waypoints:
                 placed = instance.scene.robots[robot_number(robot)]
                 ink = ROBOT_INK[placed.color]
-                nodes["way"] = draw_way(self._server, way, (ink[0], ink[1], ink[2]))
+                nodes["path"] = draw_path(
+                    self._server, waypoints, (ink[0], ink[1], ink[2])
+                )
             for overlay, found in nodes.items():
                 self.overlays[overlay] = found
                 self.set_visible(overlay, overlay in self._visible)

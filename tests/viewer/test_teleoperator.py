@@ -15,24 +15,29 @@ from lemma import make
 from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
-from lemma.dataset.teleoperation.done import Commanded, Executed, Teleoperation
+from lemma.dataset.teleoperation.schema import Commanded, Executed, Teleoperation
 from lemma.evaluation.run.loading import load_policy
 from lemma.policies.control.recorded import Recorded
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.by_hand import BY_HAND, ByHand
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.session import Session
-from lemma.viewer.episode.wish import Phase
+from lemma.viewer.episode.status import Phase
+from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 
-WISH = replace(STACK, policy=BY_HAND)
+REQUEST = replace(STACK, policy=BY_HAND)
 STEPS = 30
 
 
-def hand_of(play: Play) -> ByHand:
-    until(lambda: play.hand is not None and play.hand.target(0) is not None, play)
-    assert play.hand is not None
-    return play.hand
+def hand_of(play: Play) -> Teleoperator:
+    until(
+        lambda: (
+            play.teleoperator is not None and play.teleoperator.target(0) is not None
+        ),
+        play,
+    )
+    assert play.teleoperator is not None
+    return play.teleoperator
 
 
 def lead(play: Play, seconds: float) -> None:
@@ -47,8 +52,8 @@ def lead(play: Play, seconds: float) -> None:
 
 @pytest.fixture(scope="module")
 def session() -> Iterator[Session]:
-    found = Session(WISH, ("oracle", BY_HAND), player_of())
-    found.ask(WISH, acts=True)
+    found = Session(REQUEST, ("oracle", BY_HAND), player_of())
+    found.ask(REQUEST, acts=True)
     lead(found.play, 3.0)
     found.play.transport.pause()
     yield found

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from lemma.core.poses import FloatArray, Pose2
-from lemma.dataset.teleoperation.done import (
+from lemma.dataset.teleoperation.schema import (
     Commanded,
     Executed,
     Nudged,
@@ -12,10 +12,10 @@ from lemma.dataset.teleoperation.done import (
 )
 from lemma.policies.interfaces import Decision
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.by_hand import CONTROL, CONTROL_HZ, ByHand
+from lemma.viewer.episode.teleoperator import CONTROL, CONTROL_HZ, Teleoperator
 
 
-class Deeds:
+class EpisodeLog:
     """What robots and visitors did; written by the thread that simulates."""
 
     def __init__(self) -> None:
@@ -51,14 +51,14 @@ class Deeds:
             done = replace(begun, until_s=until_s)
             self._parts, self._begun = (*self._parts, done), None
 
-    def lead(self, hand: ByHand, start_s: float) -> None:
+    def lead(self, teleoperator: Teleoperator, start_s: float) -> None:
         """Take note that a visitor leads from now on.
 
         Args:
-            hand: Which keeps what it commands.
+            teleoperator: Which keeps what it commands.
             start_s: Simulated time [s].
         """
-        led = Commanded(start_s, CONTROL, CONTROL_HZ, hand.rows)
+        led = Commanded(start_s, CONTROL, CONTROL_HZ, teleoperator.rows)
         self._parts = (*self._parts, led)
 
     def move(self, name: str, pose: Pose2, time_s: float) -> None:

@@ -22,7 +22,7 @@ _MUCH_M = 0.5
 _SAME_M = 1e-3
 
 
-class Eyes:
+class Viewpoint:
     """Cameras of all visitors of a page; moved once for each width of what is shown."""
 
     def __init__(

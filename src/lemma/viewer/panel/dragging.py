@@ -1,4 +1,4 @@
-"""The part of the panel for hands: what may be dragged, and tables of one's own."""
+"""The part of the panel for dragging: what may be dragged, and tables of one's own."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,13 +12,13 @@ from lemma.tasks.rules import problems
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.session import Session
 from lemma.viewer.panel.words import table_html
-from lemma.viewer.scene.hands import Hands
+from lemma.viewer.scene.dragging import Dragging
 
 LARGEST_FILE = 1_000_000
 """Bytes of a file that are read."""
 
 
-class HandsPanel:
+class DraggingPanel:
     """Widgets of a page for what is done to a table by hand."""
 
     def __init__(
@@ -27,7 +27,7 @@ class HandsPanel:
         session: Session,
         complain: Callable[[str], None],
     ) -> None:
-        """Make the widgets, and hands that they command.
+        """Make the widgets, and the dragging that they command.
 
         Args:
             server: The page.
@@ -35,7 +35,7 @@ class HandsPanel:
             complain: Told why something cannot be done.
         """
         self._session, self._complain = session, complain
-        self.hands = Hands(server, self.drop)
+        self.dragging = Dragging(server, self.drop)
         gui: Any = server.gui
         with gui.add_folder("Table"):
             self.told = gui.add_html("")
@@ -62,7 +62,7 @@ class HandsPanel:
             self._session.move(name, pose)
             self._complain("")
         except LemmaError as error:
-            self.hands.let_go()
+            self.dragging.let_go()
             self._complain(str(error))
 
     def table(self) -> Instance:
@@ -71,7 +71,7 @@ class HandsPanel:
         Raises:
             LemmaError: There is no such instance.
         """
-        return self._session.play.wish.instance()
+        return self._session.play.request.instance()
 
     def download(self, client: Any) -> None:
         """Give a visitor the table as a file, as ``--instance`` takes it."""
@@ -99,17 +99,17 @@ class HandsPanel:
 
     def refresh(self, play: Play) -> None:
         """Say what is wrong with a table, and take back what could not be done."""
-        wish = play.wish
+        request = play.request
         if play.instance is not None and play.instance is not self._instance:
             self._instance = play.instance
-            own = wish.own is not None
-            bad = problems(wish.instance()) if own else ()
+            own = request.own is not None
+            bad = problems(request.instance()) if own else ()
             self.told.content = table_html(own, bad)
             if self.reset.visible != own:
                 self.reset.visible = own
         if play.moved is not None and play.moved is not self._moved:
             self._moved = play.moved
-            self.hands.let_go()
+            self.dragging.let_go()
             self._complain(play.moved.problem)
 
     def allow(self, instance: Instance) -> None:
@@ -117,4 +117,4 @@ class HandsPanel:
         names = set(instance.scene.object_names) if self.things.value else set()
         if self.robots.value:
             names |= set(instance.scene.robot_names)
-        self.hands.allow(names)
+        self.dragging.allow(names)

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 from lemma.dataset.recipe.replay import grounded
 from lemma.dataset.recipe.schema import EpisodeRecord
-from lemma.dataset.teleoperation.done import LED, Commanded, Teleoperation
 from lemma.dataset.teleoperation.perform import is_same, perform
+from lemma.dataset.teleoperation.schema import LED, Commanded, Teleoperation
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation, subtask_words
@@ -14,7 +14,7 @@ from lemma.expert.expert import Expert, ExpertStep, solve
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.wish import Line
+from lemma.viewer.episode.status import Line
 from lemma.viewer.recording.track import (
     BY_HAND,
     EXPERT,
@@ -28,7 +28,7 @@ from lemma.viz.recording import describe_subtask
 
 
 @dataclass(frozen=True)
-class Again:
+class Replayed:
     """An episode of a result, done again from its line."""
 
     track: Track
@@ -44,7 +44,7 @@ class Again:
     """How many sub-tasks came before."""
 
 
-def record_again(record: EpisodeRecord) -> Track:
+def replay_record(record: EpisodeRecord) -> Track:
     """Execute what an episode of a recipe executed."""
     instance = Instance.from_dict(record.instance_data())
     episode = Episode(instance)
@@ -57,7 +57,7 @@ def record_again(record: EpisodeRecord) -> Track:
     return _track(EXPERT, episode, reel.frames, lines)
 
 
-def teleoperation_again(done: Teleoperation) -> tuple[Track, bool]:
+def replay_teleoperation(done: Teleoperation) -> tuple[Track, bool]:
     """Do what a policy and somebody's hand did.
 
     Returns:
@@ -101,7 +101,7 @@ def turn_of(case: Case) -> int:
     return 0 if late else len(case.row["subtasks"])
 
 
-def line_again(case: Case) -> Again:
+def replay_line(case: Case) -> Replayed:
     """Execute what a line of a result says was executed.
 
     Args:
@@ -138,10 +138,10 @@ def line_again(case: Case) -> Again:
         case.policy, case.instance, reels[0].frames, lines, verdict, row["success"]
     )
     state_hash = episodes[0].simulation.scene.state_hash()
-    return Again(track, differs, state_hash, *turns[0], turn)
+    return Replayed(track, differs, state_hash, *turns[0], turn)
 
 
-def expert_instead(case: Case, again: Again) -> Track:
+def expert_instead(case: Case, again: Replayed) -> Track:
     """Let the expert go on from where an episode went wrong.
 
     Args:

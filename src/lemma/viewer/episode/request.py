@@ -1,12 +1,11 @@
-"""What a user asks for, and how an episode stands: plain data between threads."""
+"""What a user asks for: an instance, a sentence, and a policy."""
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.policies.spec import ORACLE
 from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.language.template import KINDS, GoalPairs
+from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
 
 OWN_WORDS = "your own words"
@@ -17,7 +16,7 @@ LONGEST = 300
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class EpisodeRequest:
     """An instance, a sentence, and who shall follow it."""
 
     task: str = SUITE[0]
@@ -55,63 +54,3 @@ class Wish:
             LemmaError: There is no such instance.
         """
         return self.own or load_instance(self.task, self.split, self.index)
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """What was understood of a sentence."""
-
-    pairs: GoalPairs | None
-    """(top, bottom) pairs that shall hold; None where nothing says."""
-    note: str = ""
-    """What else there is to say of it, in a sentence."""
-    acts: bool = True
-    """Whether somebody who read this should act."""
-
-
-class Phase(StrEnum):
-    """What happens."""
-
-    SETTING = "Setting the table"
-    READY = "Ready"
-    LOADING = "Loading the policy"
-    READING = "Reading the sentence"
-    DECIDING = "Deciding"
-    ACTING = "Acting"
-    LED = "You lead"
-    SOLVED = "Done"
-    FAILED = "Not done"
-    ENDED = "Ended"
-    BROKEN = "Stopped"
-
-
-ENDS = (Phase.SOLVED, Phase.FAILED, Phase.ENDED, Phase.BROKEN)
-"""Phases that do not end by themselves."""
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One sub-task of the timeline."""
-
-    words: str
-    start_s: float
-    """Simulated time at which it began [s]."""
-    end_s: float | None = None
-    """Simulated time at which it ended [s]; None while it runs."""
-    outcome: str = ""
-    explanation: str = ""
-    ok: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    """How an episode stands, in words."""
-
-    phase: Phase = Phase.SETTING
-    said: str = ""
-    """The sentence."""
-    policy: str = ""
-    note: str = ""
-    """Why it is so, or what came of it."""
-    reading: Reading | None = None
-    lines: tuple[Line, ...] = ()

@@ -1,4 +1,4 @@
-"""Hands: tables that visitors change, and things that they move while robots wait."""
+"""Dragging: tables that visitors change, and things moved while robots wait."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,8 +12,8 @@ from lemma.tasks.instance import OWN_SPLIT
 from lemma.tasks.rules import problems
 from lemma.tasks.suite import load_instance
 from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.status import Phase
 from lemma.viewer.episode.tables import moved
-from lemma.viewer.episode.wish import Phase
 
 INSTANCE = load_instance("stack", "test", 0)
 ((TOP, BOTTOM),) = INSTANCE.goal.pairs
@@ -46,7 +46,7 @@ def test_moved_table_is_set_and_played(session: Session) -> None:
     assert own is not None
     assert own.split == OWN_SPLIT
     assert own.scene.placement(TOP).pose.y == pytest.approx(at.y + 0.02)
-    session.ask(replace(session.play.wish), acts=True)
+    session.ask(replace(session.play.request), acts=True)
     until_phase(session, Phase.SOLVED)
 
 

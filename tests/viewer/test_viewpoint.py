@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lemma.viewer.scene.eyes import Eyes, eye_for
+from lemma.viewer.scene.viewpoint import Viewpoint, eye_for
 
 HALF_M = 3.0
 NARROW = (812, 660)
@@ -40,48 +40,50 @@ def server() -> Server:
 
 
 @pytest.fixture
-def eyes(server: Server) -> Eyes:
+def view(server: Server) -> Viewpoint:
     found: Any = server
-    return Eyes(found, HALF_M)
+    return Viewpoint(found, HALF_M)
 
 
-def test_who_has_a_narrow_window_steps_back(server: Server, eyes: Eyes) -> None:
+def test_who_has_a_narrow_window_steps_back(server: Server, view: Viewpoint) -> None:
     camera = server.enter(0, 700, 600)
-    eyes.step_back()
+    view.step_back()
     assert np.array_equal(camera.position, eye_for(700 / 600, HALF_M))
     far = np.linalg.norm(camera.position - camera.look_at)
     start = server.initial_camera.position
     assert far > np.linalg.norm(start - server.initial_camera.look_at)
 
 
-def test_a_page_that_begins_late_is_moved_again(server: Server, eyes: Eyes) -> None:
+def test_a_page_that_begins_late_is_moved_again(
+    server: Server, view: Viewpoint
+) -> None:
     camera = server.enter(0, *NARROW)
-    eyes.step_back()
+    view.step_back()
     fits = camera.position
     # The browser says where it stands: where everybody begins.
     camera.position = np.array(server.initial_camera.position)
-    eyes.step_back()
+    view.step_back()
     assert np.array_equal(camera.position, fits)
 
 
-def test_who_moved_is_left_there(server: Server, eyes: Eyes) -> None:
+def test_who_moved_is_left_there(server: Server, view: Viewpoint) -> None:
     camera = server.enter(0, *NARROW)
-    eyes.step_back()
+    view.step_back()
     camera.position = np.array([1.0, -2.0, 3.0])
-    eyes.step_back()
+    view.step_back()
     assert camera.position.tolist() == [1.0, -2.0, 3.0]
     # Another scene, of which much more is to be seen, is looked at anew.
-    eyes.widen(2.0 * HALF_M)
-    eyes.step_back()
+    view.widen(2.0 * HALF_M)
+    view.step_back()
     assert np.linalg.norm(camera.position) > 2.0 * HALF_M
 
 
-def test_who_comes_again_is_somebody_new(server: Server, eyes: Eyes) -> None:
+def test_who_comes_again_is_somebody_new(server: Server, view: Viewpoint) -> None:
     server.enter(0, *NARROW)
-    eyes.step_back()
+    view.step_back()
     server.clients.clear()
-    eyes.step_back()
+    view.step_back()
     camera = server.enter(0, *NARROW)
-    eyes.step_back()
+    view.step_back()
     # As wide as without the panel, which docks later.
     assert np.array_equal(camera.position, eye_for((812 - 390) / 660, HALF_M))

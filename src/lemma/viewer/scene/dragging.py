@@ -12,14 +12,14 @@ from lemma.core.poses import FloatArray, Pose2
 from lemma.scene.scene import Scene
 from lemma.viewer.scene.bodies import Bodies
 
-RING = "/hands"
+RING = "/dragging"
 """Name of the node with handles, by which what was taken last is turned."""
 _RING_SCALE = 0.22
 _ROBOT_SCALE = 0.45
 _LEAST_SLOPE = 0.05
 
 
-class Hands:
+class Dragging:
     """What may be dragged, and where it is while it is."""
 
     def __init__(

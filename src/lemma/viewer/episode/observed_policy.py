@@ -10,7 +10,7 @@ from lemma.policies.interfaces import Composite, Decision, Explainer, Insight, t
 
 
 @dataclass(frozen=True)
-class ToldPolicy(Composite):
+class ObservedPolicy(Composite):
     """Asks a policy, and tells what it answers."""
 
     policy: Any

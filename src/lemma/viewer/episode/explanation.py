@@ -1,13 +1,13 @@
-"""What a policy thought, and what became of what visitors did."""
+"""Why and how something is done, and what became of what visitors did."""
 
 from dataclasses import dataclass
 
 from lemma.policies.interfaces import Insight
-from lemma.viewer.episode.way import Way
+from lemma.viewer.episode.planned_path import Waypoints
 
 
 @dataclass(frozen=True, slots=True)
-class Thought:
+class Explanation:
     """Why, or how, something is about to be done."""
 
     time_s: float
@@ -16,11 +16,11 @@ class Thought:
     """What its policy perceived and weighed; None where that is not said."""
     robot: str = ""
     """Name of who shall do it."""
-    way: Way = ()
+    waypoints: Waypoints = ()
     """Where its hand is to go [m]."""
 
 
-NOTHING = Thought(0.0)
+NOTHING = Explanation(0.0)
 
 
 @dataclass(frozen=True, slots=True)

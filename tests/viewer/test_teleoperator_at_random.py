@@ -9,11 +9,11 @@ from looked_at import session_of, until
 
 from lemma.core.errors import LemmaError
 from lemma.core.poses import Pose2
-from lemma.dataset.teleoperation.done import Commanded, Executed, Teleoperation
 from lemma.dataset.teleoperation.perform import is_same, perform
+from lemma.dataset.teleoperation.schema import Commanded, Executed, Teleoperation
 from lemma.env.episode import Episode
 from lemma.viewer.episode.play import Play
-from lemma.viewer.episode.wish import Wish
+from lemma.viewer.episode.request import EpisodeRequest
 
 TASKS = ("pass", "stack", "poke", "hook")
 DEEDS = 30
@@ -21,7 +21,7 @@ MOST_S = 25.0
 
 
 def lead(play: Play, luck: Random) -> None:
-    robot, hand = luck.randrange(2), play.hand
+    robot, hand = luck.randrange(2), play.teleoperator
     goal = None if hand is None else hand.target(robot)
     if hand is not None and goal is not None:
         by = np.array([luck.uniform(-0.2, 0.2) for _ in range(3)])
@@ -56,8 +56,8 @@ WHAT = {
 @pytest.mark.parametrize("seed", range(4))
 def test_what_is_kept_at_any_moment_is_done_again(seed: int, tmp_path: Path) -> None:
     luck, kept = Random(seed), []
-    session = session_of(Wish(TASKS[seed], "train", seed))
-    session.ask(session.play.wish, acts=True)
+    session = session_of(EpisodeRequest(TASKS[seed], "train", seed))
+    session.ask(session.play.request, acts=True)
     play = session.play
     until(lambda: play.transport.latest is not None, play)
     # So that something is done by hand.

@@ -92,7 +92,7 @@ def roles(insight: Insight) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def draw_way(
+def draw_path(
     server: viser.ViserServer, points: Sequence[Point], rgb: tuple[int, int, int]
 ) -> list[Any]:
     """Draw where a hand is to go.
@@ -107,13 +107,13 @@ def draw_way(
     """
     at = np.asarray(points, np.float32)
     lines = server.scene.add_line_segments(
-        "/way/lines",
+        "/path/lines",
         np.stack([at[:-1], at[1:]], 1),
         rgb,
         thickness=4.0,
         thickness_units="screen",
     )
     ends = server.scene.add_point_cloud(
-        "/way/points", at[1:], rgb, point_size=0.02, point_shape="circle"
+        "/path/points", at[1:], rgb, point_size=0.02, point_shape="circle"
     )
     return [lines, ends]

@@ -5,13 +5,13 @@ from lemma.motion.skills import DRAG_HEIGHT_M, stand_at
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 
-Way = tuple[tuple[float, float, float], ...]
+Waypoints = tuple[tuple[float, float, float], ...]
 """Points of the hand, oldest first [m]."""
 
 _DRAGS = (Primitive.HOOK, Primitive.POKE)
 
 
-def way_of(simulation: Simulation, grounded: GroundedSubTask) -> Way:
+def planned_path(simulation: Simulation, grounded: GroundedSubTask) -> Waypoints:
     """Return where a hand goes from where it is now: over, down, and on.
 
     An arm keeps away from what is around, so it goes beside these lines where it must.

@@ -22,7 +22,7 @@ CONTROL, CONTROL_HZ = "ee_pose", 20.0
 """What it commands, and how often a second."""
 
 
-class ByHand:
+class Teleoperator:
     """Sends each robot to where its target is; safe to use from any thread."""
 
     control_options: ClassVar[Mapping[str, object]] = {

@@ -11,12 +11,12 @@ from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.session import Session
 
 OPEN, CLOSE = GRIPS = ("Open", "Close")
-TARGET = "/pilot"
+TARGET = "/teleoperation"
 """Name of the node with the handles of the hand."""
 _SCALE = 0.3
 
 
-class Pilot:
+class TeleoperationPanel:
     """Widgets for hands that are led; to be seen while an episode goes on."""
 
     def __init__(
@@ -65,7 +65,9 @@ class Pilot:
         except LemmaError as error:
             self._complain(str(error))
             return
-        acted = next((each.robot for each in reversed(play.thoughts) if each.robot), "")
+        acted = next(
+            (each.robot for each in reversed(play.explanations) if each.robot), ""
+        )
         assert play.instance is not None
         names = play.instance.scene.robot_names
         if acted in names:
@@ -75,9 +77,9 @@ class Pilot:
 
     def grip(self, what: str) -> None:
         """Open or close the gripper of the robot that is led."""
-        hand = self._session.play.hand
-        if hand is not None:
-            hand.grip(self._number, opened=what == OPEN)
+        teleoperator = self._session.play.teleoperator
+        if teleoperator is not None:
+            teleoperator.grip(self._number, opened=what == OPEN)
 
     def download(self, client: Any) -> None:
         """Give a visitor what was done as a file."""
@@ -95,7 +97,7 @@ class Pilot:
         """Show the handles where the hand shall be, if somebody leads one."""
         leads, goes_on = play.is_led, play.acts and not play.transport.over
         for widget, needed in (
-            (self.folder, goes_on or play.hand is not None),
+            (self.folder, goes_on or play.teleoperator is not None),
             (self.take, play.can_be_taken_over),
             (self.back, leads and play.can_hand_back),
             (self.robot, leads),
@@ -103,15 +105,19 @@ class Pilot:
         ):
             if widget.visible != needed:
                 widget.visible = needed
-        hand = play.hand
-        goal = hand.target(self._number) if leads and hand is not None else None
-        if hand is None or goal is None or play.instance is None:
+        teleoperator = play.teleoperator
+        goal = (
+            teleoperator.target(self._number)
+            if leads and teleoperator is not None
+            else None
+        )
+        if teleoperator is None or goal is None or play.instance is None:
             self._remove()
             return
         phrases = robot_phrases(play.instance.scene.robots)
         if self.robot.options != phrases:
             self.robot.options = phrases
-        led = (hand, self._number)
+        led = (teleoperator, self._number)
         if self._target is None or self._led != led:
             self._led = led
             self._remove()
@@ -136,6 +142,6 @@ class Pilot:
 
     async def _moved(self, event: Any) -> None:
         position, wxyz = event.target.position, event.target.wxyz
-        hand = self._session.play.hand
-        if hand is not None:
-            hand.lead(self._number, position, wxyz)
+        teleoperator = self._session.play.teleoperator
+        if teleoperator is not None:
+            teleoperator.lead(self._number, position, wxyz)

@@ -1,0 +1,154 @@
+"""How an episode stands, in words: plain data that its thread writes and pages read."""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+from lemma.evaluation.run.rollout import Rollout
+from lemma.tasks.language.template import GoalPairs
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What was understood of a sentence."""
+
+    pairs: GoalPairs | None
+    """(top, bottom) pairs that shall hold; None where nothing says."""
+    note: str = ""
+    """What else there is to say of it, in a sentence."""
+    acts: bool = True
+    """Whether somebody who read this should act."""
+
+
+class Phase(StrEnum):
+    """What happens."""
+
+    SETTING = "Setting the table"
+    READY = "Ready"
+    LOADING = "Loading the policy"
+    READING = "Reading the sentence"
+    DECIDING = "Deciding"
+    ACTING = "Acting"
+    LED = "You lead"
+    SOLVED = "Done"
+    FAILED = "Not done"
+    ENDED = "Ended"
+    BROKEN = "Stopped"
+
+
+ENDS = (Phase.SOLVED, Phase.FAILED, Phase.ENDED, Phase.BROKEN)
+"""Phases that do not end by themselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One sub-task of the timeline."""
+
+    words: str
+    start_s: float
+    """Simulated time at which it began [s]."""
+    end_s: float | None = None
+    """Simulated time at which it ended [s]; None while it runs."""
+    outcome: str = ""
+    explanation: str = ""
+    ok: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How an episode stands, in words."""
+
+    phase: Phase = Phase.SETTING
+    said: str = ""
+    """The sentence."""
+    policy: str = ""
+    note: str = ""
+    """Why it is so, or what came of it."""
+    reading: Reading | None = None
+    lines: tuple[Line, ...] = ()
+
+
+class StatusBoard:
+    """Says how an episode stands; written by its thread, read by any."""
+
+    def __init__(self, policy: str) -> None:
+        """Begin with a table that is being set.
+
+        Args:
+            policy: Name of who shall act.
+        """
+        self.status = Status(policy=policy)
+        """A new object whenever something changes."""
+
+    def tell(self, phase: Phase | None = None, **changes: Any) -> None:
+        """Change some of it.
+
+        Args:
+            phase: What happens now; as before if None.
+            changes: Fields of :class:`Status`.
+        """
+        if phase is not None:
+            changes["phase"] = phase
+        self.status = replace(self.status, **changes)
+
+    def begin(self, phase: Phase, words: str, start_s: float) -> None:
+        """Add a line that runs.
+
+        Args:
+            phase: What happens now.
+            words: What is done.
+            start_s: Simulated time [s].
+        """
+        self.tell(phase, lines=(*self.status.lines, Line(words, start_s)))
+
+    def end(self, end_s: float, outcome: str) -> None:
+        """End the line that runs, if one does.
+
+        Args:
+            end_s: Simulated time [s].
+            outcome: How it ended.
+        """
+        done, running = self._split()
+        ended = (replace(line, end_s=end_s, outcome=outcome) for line in running)
+        self.tell(lines=(*done, *ended))
+
+    def insert(self, line: Line) -> None:
+        """Add a line that has ended, before the one that runs."""
+        done, running = self._split()
+        self.tell(lines=(*done, line, *running))
+
+    def replace_running(self, line: Line) -> None:
+        """Put a line that has ended in the place of the one that runs."""
+        done, _ = self._split()
+        self.tell(lines=(*done, line))
+
+    def _split(self) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
+        """Return the lines that have ended, and the one that runs if one does."""
+        lines = self.status.lines
+        running = tuple(line for line in lines if line.end_s is None)
+        return tuple(line for line in lines if line.end_s is not None), running
+
+    def conclude(self, rollout: Rollout, *, judged: bool) -> None:
+        """Say how an episode ended.
+
+        Args:
+            rollout: The episode.
+            judged: Whether there is a goal to judge it by.
+        """
+        took = f"{rollout.episode.elapsed_s:.1f} s"
+        if rollout.fault is not None:
+            done, _ = self._split()
+            note = f"The policy failed: {rollout.fault.explanation}"
+            self.tell(Phase.BROKEN, note=note, lines=done)
+            return
+        if not judged:
+            self.tell(Phase.ENDED, note=f"after {took}: nobody can judge it")
+            return
+        asked = rollout.asked_holds
+        verdict = rollout.verdict()
+        holds = verdict.success if asked is None else asked
+        what = (verdict.failure or "goal_not_reached").replace("_", " ")
+        note = f"after {took}" if holds else f"after {took}: {what}"
+        if holds and rollout.protective_stop is not None:
+            note += ", though a robot was asked for what it cannot do"
+        self.tell(Phase.SOLVED if holds else Phase.FAILED, note=note)
