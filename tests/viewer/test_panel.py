@@ -250,6 +250,8 @@ def test_visitor_takes_over_and_hands_back(page: Page) -> None:
     page.panel.act()
     until_true(page, lambda: pilot.take.visible)
     assert not pilot.grips.visible
+    # Nothing was done by hand that could be saved.
+    assert not pilot.save.visible
     pilot.take_over()
     until_true(page, lambda: pilot.back.visible)
     assert pilot.grips.visible
@@ -263,6 +265,7 @@ def test_visitor_takes_over_and_hands_back(page: Page) -> None:
     page.session.play.hand_back()
     until_true(page, lambda: pilot.take.visible)
     assert not pilot.grips.visible
+    assert pilot.save.visible
 
 
 def test_handles_of_a_hand_are_there_while_it_is_led(page: Page) -> None:

@@ -131,6 +131,11 @@ class Play:
         """Whether there is a policy that could go on."""
         return self.is_led and not self._controls
 
+    @property
+    def was_led(self) -> bool:
+        """Whether a visitor did something, which could be kept."""
+        return self._log.by_hand
+
     def take_over(self) -> None:
         """Let a visitor lead from now on; what robots are doing is broken off.
 

@@ -97,11 +97,12 @@ class TeleoperationPanel:
         """Show the handles where the hand shall be, if somebody leads one."""
         leads, goes_on = play.is_led, play.acts and not play.transport.over
         for widget, needed in (
-            (self.folder, goes_on or play.teleoperator is not None),
+            (self.folder, goes_on or play.teleoperator is not None or play.was_led),
             (self.take, play.can_be_taken_over),
             (self.back, leads and play.can_hand_back),
             (self.robot, leads),
             (self.grips, leads),
+            (self.save, play.was_led),
         ):
             if widget.visible != needed:
                 widget.visible = needed

@@ -27,7 +27,7 @@ OVERLAYS = {
     "path": "Where the hand is to go in this sub-task.",
 }
 """What may be laid over the scene."""
-_BESIDE_M = 0.5
+_BESIDE_M = 0.6
 """What shall be seen at least beside each robot [m]."""
 _NEARER = 0.25
 """How much nearer one comes in a meter towards a visitor, in distances from them."""
