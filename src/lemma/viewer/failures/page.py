@@ -37,7 +37,7 @@ class FailurePage:
         self.panel = FailurePanel(
             self._server, catalog, self.viewing, self.cursor, wanted or Filter()
         )
-        self._eyes = Viewpoint(self._server, _HALF_WIDTH_M)
+        self._viewpoint = Viewpoint(self._server, _HALF_WIDTH_M)
         self._shown: Sight | None = None
         self._tables: Tables | None = None
         self._rounds = Rounds()
@@ -52,13 +52,13 @@ class FailurePage:
             if sight.tracks:
                 with self._server.atomic():
                     self._tables = Tables(self._server, sight.tracks)
-                self._eyes.widen(self._tables.half_width_m)
+                self._viewpoint.widen(self._tables.half_width_m)
             else:
                 self._server.scene.reset()
                 self._tables = None
         self.cursor.advance(real_s)
         if self._tables is not None:
-            self._eyes.step_back()
+            self._viewpoint.step_back()
             self._tables.show(self.cursor.at_s)
         self.panel.refresh(sight)
 
