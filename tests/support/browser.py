@@ -20,7 +20,7 @@ NAMES = (
     *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"),
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
 )
-_START_S = 30.0
+_START_S = 60.0
 _FLAGS = (
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"),
     *("--no-first-run", "--disable-extensions", "--disable-background-networking"),
@@ -189,7 +189,12 @@ def _page_at(tabs: str, target: str) -> Iterator[Page]:
         yield page
 
 
-_WIDE: dict[str, Any] = {"max_size": None, "proxy": None, "compression": None}
+_WIDE: dict[str, Any] = {
+    "max_size": None,
+    "proxy": None,
+    "compression": None,
+    "open_timeout": _START_S,
+}
 
 
 def _port(process: "subprocess.Popen[bytes]", profile: Path) -> tuple[int, str]:
