@@ -70,11 +70,13 @@ def say(browser: Browser, text: str) -> None:
 def test_expert_is_played_to_success_and_looked_at_again(
     browser: Browser, page: Page
 ) -> None:
-    page.session.set_speed(8.0)
+    # Slow enough that it goes on until a slow browser has pressed the button.
+    page.session.set_speed(1.0)
     browser.run(PRESS.format("Do it"))
     browser.wait_for("document.querySelectorAll('.subtask').length == 2")
     browser.run(PRESS.format("Pause"))
     until(lambda: not page.session.play.transport.playing)
+    page.session.set_speed(8.0)
     browser.run(PRESS.format("Play"))
     browser.wait_for("document.querySelector('[data-phase=SOLVED]')")
     until(lambda: page.session.play.transport.at_end)
