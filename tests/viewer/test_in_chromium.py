@@ -22,11 +22,7 @@ pytestmark = pytest.mark.slow
 TRIES, SETTLES_S, NEARER = 6, 0.5, 0.4
 EVIL = "<img src=x onerror=window.evil=1>"
 SHOWS = "document.body.innerText.includes({!r})"
-PRESS = (
-    "[...document.querySelectorAll('button')]"
-    ".find(button => button.innerText.trim() == {!r}).click()"
-)
-THERE = (
+BUTTON = (
     "[...document.querySelectorAll('button')]"
     ".find(button => button.innerText.trim() == {!r})"
 )
@@ -61,6 +57,12 @@ def until_phase(page: Page, phase: Phase) -> None:
     until(lambda: page.session.play.status.phase is phase)
 
 
+def press(browser: Browser, name: str) -> None:
+    """Press a button as soon as it is there."""
+    browser.wait_for(BUTTON.format(name))
+    browser.run(f"{BUTTON.format(name)}.click()")
+
+
 def say(browser: Browser, text: str) -> None:
     browser.run("document.querySelector('textarea').select()")
     browser.run("document.querySelector('textarea').focus()")
@@ -72,12 +74,12 @@ def test_expert_is_played_to_success_and_looked_at_again(
 ) -> None:
     # Slow enough that it goes on until a slow browser has pressed the button.
     page.session.set_speed(1.0)
-    browser.run(PRESS.format("Do it"))
+    press(browser, "Do it")
     browser.wait_for("document.querySelectorAll('.subtask').length == 2")
-    browser.run(PRESS.format("Pause"))
+    press(browser, "Pause")
     until(lambda: not page.session.play.transport.playing)
     page.session.set_speed(8.0)
-    browser.run(PRESS.format("Play"))
+    press(browser, "Play")
     browser.wait_for("document.querySelector('[data-phase=SOLVED]')")
     until(lambda: page.session.play.transport.at_end)
     slider = "document.querySelector('[role=slider]')"
@@ -91,7 +93,7 @@ def test_expert_is_played_to_success_and_looked_at_again(
 def test_what_is_typed_is_shown_as_it_is(browser: Browser, page: Page) -> None:
     say(browser, f"Fetch me a {EVIL}")
     until(lambda: page.panel.saying.value == OWN_WORDS)
-    browser.run(PRESS.format("Do it"))
+    press(browser, "Do it")
     browser.wait_for("document.querySelector('[data-phase=FAILED]')")
     assert browser.run(SHOWS.format("none of them"))
     assert browser.run(SHOWS.format(EVIL))
@@ -136,10 +138,9 @@ def test_cube_is_dragged_and_the_table_is_ones_own(
 def test_robot_is_taken_over_and_handed_back(browser: Browser, page: Page) -> None:
     # Slow enough for a browser that is slower.
     page.session.set_speed(0.25)
-    browser.run(PRESS.format("Do it"))
-    browser.wait_for(THERE.format("Take over"))
-    browser.run(PRESS.format("Take over"))
-    browser.wait_for(THERE.format("Hand back"))
+    press(browser, "Do it")
+    press(browser, "Take over")
+    browser.wait_for(BUTTON.format("Hand back"))
     play = page.session.play
     led = page.panel.teleoperation.robot
     number = led.options.index(led.value)
@@ -148,12 +149,12 @@ def test_robot_is_taken_over_and_handed_back(browser: Browser, page: Page) -> No
         goal = None if play.teleoperator is None else play.teleoperator.target(number)
         return -1.0 if goal is None else float(goal[7])
 
-    browser.run(PRESS.format("Close"))
+    press(browser, "Close")
     until(lambda: opening_m() == 0.0)
-    browser.run(PRESS.format("Open"))
+    press(browser, "Open")
     until(lambda: opening_m() > 0.0)
     page.session.set_speed(8.0)
-    browser.run(PRESS.format("Hand back"))
+    press(browser, "Hand back")
     browser.wait_for("document.querySelector('[data-phase=SOLVED]')")
     assert [line.outcome for line in play.status.lines][:2] == ["taken over", "by hand"]
 
@@ -174,13 +175,13 @@ def test_two_tabs_see_the_same(browser: Browser, page: Page) -> None:
 
 def test_policy_that_breaks_leaves_the_page_alive(browser: Browser, page: Page) -> None:
     page.panel.policy.value = "broken"
-    browser.run(PRESS.format("Do it"))
+    press(browser, "Do it")
     browser.wait_for("document.querySelector('[data-phase=BROKEN]')")
     assert browser.run(SHOWS.format("The policy failed"))
     assert browser.run("window.evil") is None
     page.panel.policy.value = "oracle"
-    browser.run(PRESS.format("Step"))
-    browser.run(PRESS.format("Do it"))
+    press(browser, "Step")
+    press(browser, "Do it")
     browser.wait_for(SHOWS.format("Understood"))
 
 
