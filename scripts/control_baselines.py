@@ -6,10 +6,11 @@ with what Diffusion Policy needs (``pip install 'lerobot[diffusion]'``):
     python scripts/control_baselines.py --out runs/control --print
     python scripts/control_baselines.py --out runs/control --seeds 0,1,2
 
-It runs the commands that it prints: demonstrations, their videos, one training for each
-policy and seed, all at the same time, each GPU in turn; then each checkpoint on split
-val, which is the learning curve, and the last one on split test. What is there already
-is kept, so the same command goes on where it was stopped.
+It runs the commands that it prints: demonstrations, their videos, what is decoded of
+them once; one training for each policy and seed, all at the same time, each GPU in
+turn; then the last checkpoint of each on split test, and some on split val, which is
+the learning curve. What is there already is kept, so the same command goes on where it
+was stopped, and ``--phases`` does a part of it.
 
 One policy learns all tasks. It is told the sentence as numbers, because neither ACT nor
 Diffusion Policy of LeRobot reads text.
@@ -20,7 +21,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,18 +35,29 @@ POLICIES = {
     "act": (
         "--policy.type=act --policy.pretrained_backbone_weights=null "
         "--policy.chunk_size=20 --policy.n_action_steps=10 --policy.dim_model=256 "
-        "--policy.dim_feedforward=1024 --policy.optimizer_lr=1e-4 "
-        "--policy.optimizer_lr_backbone=1e-4"
+        "--policy.dim_feedforward=1024 --policy.optimizer_lr=2e-4 "
+        "--policy.optimizer_lr_backbone=2e-4"
     ),
     "diffusion": (
         "--policy.type=diffusion --policy.pretrained_backbone_weights=null "
         "--policy.horizon=16 --policy.n_action_steps=8 "
-        "--policy.crop_ratio=1.0 --policy.down_dims=[128,256,512] "
-        "--policy.noise_scheduler_type=DDIM --policy.num_inference_steps=10"
+        "--policy.crop_ratio=1.0 --policy.down_dims=[64,128,256] "
+        "--policy.use_separate_rgb_encoder_per_camera=false "
+        "--policy.noise_scheduler_type=DDIM --policy.num_inference_steps=10 "
+        "--policy.optimizer_lr=2e-4"
     ),
 }
 """Name and arguments of ``lerobot-train``; the rest is LeRobot's default."""
+PHASES = ("data", "train", "test", "curve")
+PRECISION = {"ACCELERATE_MIXED_PRECISION": "bf16"}
+"""Of the arithmetic in training; the environment is where lerobot-train reads it."""
+UNPACKED = "scripts/lerobot_train_unpacked.py"
 CURVE = "curve.json"
+LOOK_S = 0.5
+
+
+Run = tuple[str, int]
+"""A policy and a seed."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +65,17 @@ class Plan:
     """What is wanted."""
 
     out: Path
+    pictures: Path
+    """Folder of what is decoded."""
     tasks: str
     size: str
     fps: int
     steps: int
     batch: int
-    points: int
-    """Checkpoints of the learning curve."""
+    every: int
+    """Steps between two checkpoints."""
+    loaders: int
+    """Processes that load samples, of each training."""
     workers: int
     episodes: int
     """Of each task and split train."""
@@ -90,16 +106,17 @@ class Plan:
             f"lemma render {self.recipe} --form lerobot --size {self.size} --no-depth "
             f"--fps {self.fps} --sentence-vector --out {self.videos} "
             f"--workers {self.workers}",
+            f"python {UNPACKED} unpack {self.videos} {self.pictures}",
         ]
 
-    def training(self, name: str, seed: int, loaders: int) -> str:
+    def training(self, name: str, seed: int) -> str:
         """Return the command of a training."""
         return (
-            f"lerobot-train --dataset.repo_id=lemma/control "
+            f"python {UNPACKED} train {self.pictures} --dataset.repo_id=lemma/control "
             f"--dataset.root={self.videos} {POLICIES[name]} "
             f"--policy.device={self.device} --policy.push_to_hub=false --seed={seed} "
-            f"--steps={self.steps} --batch_size={self.batch} --num_workers={loaders} "
-            f"--save_freq={max(1, self.steps // self.points)} --log_freq=100 "
+            f"--steps={self.steps} --batch_size={self.batch} "
+            f"--num_workers={self.loaders} --save_freq={self.every} --log_freq=100 "
             f"--output_dir={self.run(name, seed)}"
         )
 
@@ -121,9 +138,10 @@ def checkpoints(run: Path) -> list[tuple[int, Path]]:
 
 def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[bytes]":
     """Start a command of this environment; what it says goes into a file."""
+    print(f"{time.strftime('%X')} {command}", flush=True)
     log.parent.mkdir(parents=True, exist_ok=True)
     program, *words = command.split()
-    environment = {**os.environ, "TOKENIZERS_PARALLELISM": "false"}
+    environment = {**os.environ, **PRECISION, "TOKENIZERS_PARALLELISM": "false"}
     if gpu is not None:
         environment["CUDA_VISIBLE_DEVICES"] = str(gpu)
     with log.open("ab") as told:
@@ -135,110 +153,136 @@ def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[byt
         )
 
 
-def finish(command: str, log: Path) -> None:
-    """Run a command to its end.
+def finish(
+    commands: Sequence[tuple[str, Path]], at_a_time: int, until: float = float("inf")
+) -> None:
+    """Run commands to their end, some at a time, each GPU in turn.
+
+    Args:
+        commands: Each with the file that takes what it says.
+        at_a_time: How many go on at the same time.
+        until: When those that still go on are ended.
 
     Raises:
-        SystemExit: It failed.
+        SystemExit: One failed.
     """
-    print(command, flush=True)
-    if do(command, log).wait() != 0:
-        raise SystemExit(f"This failed; see {log}: {command}")
-
-
-def train(plan: Plan, runs: list[tuple[str, int]], until: float) -> None:
-    """Train what is missing, all at once, until it is done or the time is over."""
-    missing = [run for run in runs if not checkpoints(plan.run(*run))]
     gpus = torch.cuda.device_count()
-    loaders = max(1, plan.workers // max(1, len(missing)))
-    going = []
-    for number, (name, seed) in enumerate(missing):
-        command = plan.training(name, seed, loaders)
-        print(command, flush=True)
-        log = plan.out / f"{name}-{seed}.log"
-        going.append((do(command, log, number % gpus if gpus else None), log))
-    for process, log in going:
-        try:
-            code = process.wait(max(1.0, until - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            print(f"The time is over; see {log}.", flush=True)
-            continue
-        if code != 0:
-            raise SystemExit(f"A training failed; see {log}.")
+    waiting = [*enumerate(commands)]
+    going: list[tuple[tuple[str, Path], subprocess.Popen[bytes]]] = []
+    while (waiting or going) and time.monotonic() < until:
+        while waiting and len(going) < at_a_time:
+            number, command = waiting.pop(0)
+            gpu = number % gpus if gpus else None
+            going.append((command, do(*command, gpu)))
+        for command, process in [*going]:
+            if process.poll() is not None:
+                going.remove((command, process))
+                if process.returncode != 0:
+                    raise SystemExit(f"This failed; see {command[1]}: {command[0]}")
+        time.sleep(LOOK_S)
+    for _, process in going:
+        process.terminate()
+        process.wait()
 
 
-def curve(
-    plan: Plan, run: tuple[str, int], episodes: int
-) -> Iterator[dict[str, float]]:
-    """Yield steps and success [%] on split val of each checkpoint of a training."""
-    for steps, checkpoint in checkpoints(plan.run(*run)):
-        out = plan.run(*run) / "val" / f"{steps}"
-        command = plan.evaluation(checkpoint, "val", episodes, out)
-        finish(command, plan.out / "evaluations.log")
-        cells = read_json(out / SUMMARY)["cells"]
+def points(plan: Plan, run: Run, count: int) -> list[tuple[int, Path]]:
+    """Return checkpoints for the learning curve, evenly spaced, the last one too."""
+    found = checkpoints(plan.run(*run))
+    count = min(count, len(found))
+    return [found[len(found) * (number + 1) // count - 1] for number in range(count)]
+
+
+def write_curve(plan: Plan, run: Run, count: int) -> None:
+    """Write steps and success [%] on split val of some checkpoints of a training."""
+    curve = []
+    for steps, _ in points(plan, run, count):
+        cells = read_json(plan.run(*run) / "val" / f"{steps}" / SUMMARY)["cells"]
         played = sum(cell["episodes"] for cell in cells)
         solved = sum(cell["successes"] for cell in cells)
-        yield {"steps": steps, "success": round(100.0 * solved / played, 1)}
+        curve.append({"steps": steps, "success": round(100.0 * solved / played, 1)})
+    write_json(plan.run(*run) / CURVE, {"val": curve})
+    print(*run, curve, flush=True)
 
 
-def main() -> None:
-    """Do what the arguments say."""
+def arguments() -> argparse.Namespace:
+    """Return what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("runs/control"))
+    parser.add_argument("--pictures", type=Path, help="in OUT; /dev/shm is fast")
     parser.add_argument("--tasks", default=TASKS)
     parser.add_argument("--policies", default=",".join(POLICIES))
     parser.add_argument("--seeds", default="0")
+    parser.add_argument("--phases", default=",".join(PHASES))
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--fps", type=int, default=10)
     parser.add_argument("--steps", type=int, default=20_000)
-    parser.add_argument("--batch", type=int, default=64)
-    parser.add_argument("--points", type=int, default=5)
+    parser.add_argument("--batch", type=int, default=256)
+    parser.add_argument("--every", type=int, default=1_000)
+    parser.add_argument("--points", type=int, default=4, help="of the learning curve")
+    parser.add_argument("--loaders", type=int, default=6, help="of each training")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--at-a-time", type=int, default=1, help="evaluations")
     parser.add_argument("--episodes", type=int, default=0, help="of each task; 0: all")
     parser.add_argument("--val", type=int, default=10, help="episodes of each task")
     parser.add_argument("--test", type=int, default=0, help="of each task; 0: all")
     parser.add_argument("--train-s", type=float, default=float("inf"))
     parser.add_argument("--print", action="store_true", help="do nothing")
-    args = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Do what the arguments say."""
+    args = arguments()
     plan = Plan(
-        args.out,
-        *(args.tasks, args.size, args.fps, args.steps, args.batch, args.points),
+        *(args.out, args.pictures or args.out / "pictures", args.tasks, args.size),
+        *(args.fps, args.steps, args.batch, args.every, args.loaders),
         *(args.workers, args.episodes, args.test),
         "cuda" if torch.cuda.is_available() else "cpu",
     )
     seeds = [int(seed) for seed in args.seeds.split(",")]
     runs = [(name, seed) for seed in seeds for name in args.policies.split(",")]
     if args.print:
-        for command in (
-            *plan.data_commands(),
-            *(plan.training(*run, plan.workers) for run in runs),
-            *(
-                plan.evaluation(
-                    plan.run(*run) / "checkpoints/last/pretrained_model",
-                    "test",
-                    args.test,
-                    plan.run(*run) / "test",
-                )
-                for run in runs
-            ),
-        ):
-            print(command)
+        last = "checkpoints/last/pretrained_model"
+        tests = [
+            plan.evaluation(
+                plan.run(*r) / last, "test", plan.tests, plan.run(*r) / "test"
+            )
+            for r in runs
+        ]
+        trainings = [plan.training(*run) for run in runs]
+        print("\n".join([*plan.data_commands(), *trainings, *tests]))
         return
-    for command in plan.data_commands():
-        finish(command, plan.out / "data.log")
-    train(plan, runs, time.monotonic() + args.train_s)
-    for run in runs:
-        _, last = checkpoints(plan.run(*run))[-1]
-        out = plan.run(*run) / "test"
-        finish(
-            plan.evaluation(last, "test", args.test, out), plan.out / "evaluations.log"
-        )
-    for run in runs:
-        points = list(curve(plan, run, args.val))
-        write_json(plan.run(*run) / CURVE, {"val": points})
-        print(*run, points, flush=True)
+    begin = time.monotonic()
+    if "data" in args.phases:
+        log = plan.out / "data.log"
+        finish([(command, log) for command in plan.data_commands()], 1)
+    if "train" in args.phases:
+        missing = [run for run in runs if not checkpoints(plan.run(*run))]
+        trainings = [
+            (plan.training(*run), plan.run(*run).with_suffix(".log")) for run in missing
+        ]
+        finish(trainings, len(trainings), begin + args.train_s)
+    log = plan.out / "evaluations.log"
+    if "test" in args.phases:
+        evaluations = [
+            plan.evaluation(
+                checkpoints(plan.run(*run))[-1][1],
+                *("test", plan.tests, plan.run(*run) / "test"),
+            )
+            for run in runs
+        ]
+        finish([(command, log) for command in evaluations], args.at_a_time)
+    if "curve" in args.phases:
+        evaluations = [
+            plan.evaluation(
+                checkpoint, "val", args.val, plan.run(*run) / "val" / f"{steps}"
+            )
+            for run in runs
+            for steps, checkpoint in points(plan, run, args.points)
+        ]
+        finish([(command, log) for command in evaluations], args.at_a_time)
+        for run in runs:
+            write_curve(plan, run, args.points)
 
 
 if __name__ == "__main__":
