@@ -60,7 +60,7 @@ Run = tuple[str, int]
 """A policy and a seed."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """What is wanted."""
 
@@ -129,6 +129,19 @@ class Plan:
             f"--workers {self.workers} --out {out}"
         )
 
+    def test(self, run: Run, checkpoint: Path) -> str:
+        """Return the command that evaluates a checkpoint on split test."""
+        return self.evaluation(checkpoint, "test", self.tests, self.run(*run) / "test")
+
+    def commands(self, runs: Sequence[Run]) -> list[str]:
+        """Return all commands, but those of the learning curve."""
+        last = "checkpoints/last/pretrained_model"
+        return [
+            *self.data_commands(),
+            *(self.training(*run) for run in runs),
+            *(self.test(run, self.run(*run) / last) for run in runs),
+        ]
+
 
 def checkpoints(run: Path) -> list[tuple[int, Path]]:
     """Return what a training has saved, by number of steps."""
@@ -192,10 +205,10 @@ def points(plan: Plan, run: Run, count: int) -> list[tuple[int, Path]]:
     return [found[len(found) * (number + 1) // count - 1] for number in range(count)]
 
 
-def write_curve(plan: Plan, run: Run, count: int) -> None:
-    """Write steps and success [%] on split val of some checkpoints of a training."""
+def write_curve(plan: Plan, run: Run) -> None:
+    """Write steps and success [%] on split val of all checkpoints that were tried."""
     curve = []
-    for steps, _ in points(plan, run, count):
+    for steps in sorted(int(each.name) for each in (plan.run(*run) / "val").iterdir()):
         cells = read_json(plan.run(*run) / "val" / f"{steps}" / SUMMARY)["cells"]
         played = sum(cell["episodes"] for cell in cells)
         solved = sum(cell["successes"] for cell in cells)
@@ -234,55 +247,49 @@ def main() -> None:
     """Do what the arguments say."""
     args = arguments()
     plan = Plan(
-        *(args.out, args.pictures or args.out / "pictures", args.tasks, args.size),
-        *(args.fps, args.steps, args.batch, args.every, args.loaders),
-        *(args.workers, args.episodes, args.test),
-        "cuda" if torch.cuda.is_available() else "cpu",
+        out=args.out,
+        pictures=args.pictures or args.out / "pictures",
+        tasks=args.tasks,
+        size=args.size,
+        fps=args.fps,
+        steps=args.steps,
+        batch=args.batch,
+        every=args.every,
+        loaders=args.loaders,
+        workers=args.workers,
+        episodes=args.episodes,
+        tests=args.test,
+        device="cuda" if torch.cuda.is_available() else "cpu",
     )
     seeds = [int(seed) for seed in args.seeds.split(",")]
     runs = [(name, seed) for seed in seeds for name in args.policies.split(",")]
     if args.print:
-        last = "checkpoints/last/pretrained_model"
-        tests = [
-            plan.evaluation(
-                plan.run(*r) / last, "test", plan.tests, plan.run(*r) / "test"
-            )
-            for r in runs
-        ]
-        trainings = [plan.training(*run) for run in runs]
-        print("\n".join([*plan.data_commands(), *trainings, *tests]))
+        print("\n".join(plan.commands(runs)))
         return
-    begin = time.monotonic()
+    begin, log = time.monotonic(), plan.out / "evaluations.log"
     if "data" in args.phases:
-        log = plan.out / "data.log"
-        finish([(command, log) for command in plan.data_commands()], 1)
+        made = plan.out / "data.log"
+        finish([(command, made) for command in plan.data_commands()], 1)
     if "train" in args.phases:
         missing = [run for run in runs if not checkpoints(plan.run(*run))]
         trainings = [
             (plan.training(*run), plan.run(*run).with_suffix(".log")) for run in missing
         ]
         finish(trainings, len(trainings), begin + args.train_s)
-    log = plan.out / "evaluations.log"
     if "test" in args.phases:
-        evaluations = [
-            plan.evaluation(
-                checkpoints(plan.run(*run))[-1][1],
-                *("test", plan.tests, plan.run(*run) / "test"),
-            )
-            for run in runs
+        tests = [
+            (plan.test(run, checkpoints(plan.run(*run))[-1][1]), log) for run in runs
         ]
-        finish([(command, log) for command in evaluations], args.at_a_time)
+        finish(tests, args.at_a_time)
     if "curve" in args.phases:
-        evaluations = [
-            plan.evaluation(
-                checkpoint, "val", args.val, plan.run(*run) / "val" / f"{steps}"
-            )
+        tried = [
+            plan.evaluation(path, "val", args.val, plan.run(*run) / "val" / f"{steps}")
             for run in runs
-            for steps, checkpoint in points(plan, run, args.points)
+            for steps, path in points(plan, run, args.points)
         ]
-        finish([(command, log) for command in evaluations], args.at_a_time)
+        finish([(command, log) for command in tried], args.at_a_time)
         for run in runs:
-            write_curve(plan, run, args.points)
+            write_curve(plan, run)
 
 
 if __name__ == "__main__":

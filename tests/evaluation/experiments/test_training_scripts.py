@@ -2,7 +2,9 @@
 
 import argparse
 import subprocess
+import time
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 
@@ -44,15 +46,62 @@ def test_printed_commands_can_be_given() -> None:
         rows[0].command("o", 1),
     ):
         check_options(command)
-    plan = control_baselines.Plan(
-        Path("out"), "pass", "64x48", 10, 4, 2, 2, 1, 1, 1, "cpu"
+    for command in control_plan(Path("out")).commands([("act", 0)]):
+        if command.startswith("lemma "):
+            check_options(command)
+
+
+def control_plan(out: Path) -> control_baselines.Plan:
+    numbers = {
+        name: 1
+        for name, kind in get_type_hints(control_baselines.Plan).items()
+        if kind is int
+    }
+    return control_baselines.Plan(
+        out=out,
+        pictures=out / "pictures",
+        tasks="pass",
+        size="64x48",
+        device="cpu",
+        **numbers,
     )
-    checkpoint = plan.run("act", 0) / "checkpoint"
-    for command in (
-        *plan.data_commands(),
-        plan.evaluation(checkpoint, "test", 1, checkpoint / "test"),
-    ):
-        check_options(command)
+
+
+def test_a_learning_curve_has_evenly_spaced_checkpoints_and_the_last(
+    tmp_path: Path,
+) -> None:
+    plan, run = control_plan(tmp_path), ("act", 0)
+    for steps in range(1, 11):
+        name = f"{1000 * steps:06d}"
+        (plan.run(*run) / "checkpoints" / name / "pretrained_model").mkdir(parents=True)
+    found = control_baselines.points(plan, run, 4)
+    assert [steps for steps, _ in found] == [2000, 5000, 7000, 10_000]
+    assert len(control_baselines.points(plan, run, 99)) == 10
+
+
+def test_commands_go_on_together_and_a_failure_is_told(tmp_path: Path) -> None:
+    done = [tmp_path / name for name in ("one", "two")]
+    log = tmp_path / "log"
+    script = tmp_path / "script.py"
+    # Each waits for the other one's file: they must be there at the same time.
+    script.write_text(
+        "import pathlib, sys, time\n"
+        "mine, other = map(pathlib.Path, sys.argv[1:])\n"
+        "mine.touch()\n"
+        "while not other.exists(): time.sleep(0.01)\n"
+    )
+    commands = [f"python {script} {a} {b}" for a, b in (done, done[::-1])]
+    control_baselines.finish([(command, log) for command in commands], 2)
+    assert all(path.exists() for path in done)
+    with pytest.raises(SystemExit, match="This failed"):
+        control_baselines.finish([(f"python {script}", log)], 1)
+
+
+def test_commands_end_with_the_time(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text("import time; time.sleep(600)")
+    command = (f"python {script}", tmp_path / "log")
+    control_baselines.finish([command], 1, time.monotonic() + 0.5)
 
 
 class Rehearsal(Machine):

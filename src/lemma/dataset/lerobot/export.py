@@ -6,8 +6,6 @@ A run that was stopped loses the shards that were being written; the next one go
 """
 
 import importlib
-import logging
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
@@ -28,6 +26,7 @@ from lemma.core.files import (
 )
 from lemma.core.workers.pool import Engine
 from lemma.dataset.files import CARD
+from lemma.dataset.lerobot.aggregation import REPO_ID, aggregate_in_groups, silence
 from lemma.dataset.lerobot.card import EXTRAS, card
 from lemma.dataset.lerobot.frames import (
     Style,
@@ -59,7 +58,6 @@ EPISODES = f"{EXTRAS}/episodes.json"
 _EXPORT = f"{EXTRAS}/export.json"
 _SHARDS = ".shards"
 _WHOLE = ".whole"
-_NAME = "lemma/export"
 _PARTS = ("data", "videos", "meta")
 """Folders of a LeRobotDataset; the last one is the one that makes it whole."""
 DEPTH_LARGEST_M = 4.095
@@ -178,7 +176,7 @@ def write_dataset(
         for episodes in engine.run(write_shard, jobs):
             advance(episodes)
         if not (order.out / INFO).exists():
-            _assemble(order, shards, files)
+            _assemble(order, shards, files, engine)
         rmtree(order.out / _SHARDS, ignore_errors=True)
     count = read_json(order.out / INFO)["total_frames"]
     size = sum(path.stat().st_size for path in order.out.rglob("*") if path.is_file())
@@ -263,7 +261,7 @@ def write_shard(shard: Shard, style: Style) -> int:
 
 def _create(folder: Path, holds: dict[str, dict[str, Any]], style: Style) -> Any:
     """Return a new LeRobotDataset that encodes what it is given at once."""
-    _silence()
+    silence()
     take_shortcuts()
     encode_whole_videos()
     from lerobot.configs import DepthEncoderConfig, RGBEncoderConfig  # noqa: PLC0415
@@ -277,7 +275,7 @@ def _create(folder: Path, holds: dict[str, dict[str, Any]], style: Style) -> Any
     x265 = "lossless=1:pools=none:frame-threads=1:log-level=none"
     levels = {"bf": "0", "x265-params": x265}
     return LeRobotDataset.create(
-        _NAME,
+        REPO_ID,
         style.fps,
         holds,
         root=folder,
@@ -299,28 +297,17 @@ def _create(folder: Path, holds: dict[str, dict[str, Any]], style: Style) -> Any
     )
 
 
-def _silence() -> None:
-    """Keep encoders and tables from talking over the progress bar."""
-    os.environ.setdefault("TQDM_DISABLE", "1")
-    logging.getLogger("lerobot").setLevel(logging.ERROR)
-    import av  # noqa: PLC0415
-    import datasets  # noqa: PLC0415
-
-    av.logging.set_libav_level(av.logging.ERROR)
-    datasets.disable_progress_bars()
-
-
 def _assemble(
-    order: LeRobotConfig, shards: Sequence[Shard], files: Sequence[Path]
+    order: LeRobotConfig,
+    shards: Sequence[Shard],
+    files: Sequence[Path],
+    engine: Engine,
 ) -> None:
     """Aggregate the shards, and add what the format has no place for.
 
     Raises:
         DatasetError: They have different numbers of robots.
     """
-    _silence()
-    from lerobot.datasets.aggregate import aggregate_datasets  # noqa: PLC0415
-
     episodes = [
         episode
         for shard in shards
@@ -332,15 +319,7 @@ def _assemble(
             "LeRobotDataset. Export the tasks into folders of their own, with --tasks."
         )
     whole = order.out / _SHARDS / _WHOLE
-    rmtree(whole, ignore_errors=True)
-    aggregate_datasets(
-        [_NAME] * len(shards),
-        _NAME,
-        roots=[shard.folder for shard in shards],
-        aggr_root=whole,
-        # Joined videos would be longer than readers can look frames up in.
-        concatenate_videos=False,
-    )
+    aggregate_in_groups([shard.folder for shard in shards], whole, engine)
     info = read_json(whole / INFO)
     info["splits"] = dict(_splits(episodes))
     write_json(whole / INFO, info)

@@ -15,7 +15,6 @@ import av
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import torch
 from numpy.typing import NDArray
 
 from lemma.core.errors import DatasetError
@@ -165,6 +164,7 @@ class _Rows:
             index: Of the frame.
             deltas: Which frames before and after are wanted, by name.
         """
+        torch = import_module("torch")  # lerobot brings it, this package does not
         numbers = {
             name: torch.tensor(rows[index]) for name, rows in self.numbers.items()
         }

@@ -1,4 +1,4 @@
-"""What a page offers, and what it refuses before it opens."""
+"""What `lemma play` offers, and what it refuses before a page opens."""
 
 from pathlib import Path
 
