@@ -257,6 +257,24 @@ def test_statistics_of_pictures_are_those_of_lerobot() -> None:
         assert ours[name] == pytest.approx(value, abs=0.06, rel=0.01), name
 
 
+def test_statistics_of_a_sentence_are_those_of_lerobot() -> None:
+    own = import_module("lerobot.datasets.compute_stats")
+    plain = own.RunningQuantileStats
+    plain = plain.__base__ if hasattr(plain, "_counts_levels") else plain
+    same = np.tile(np.array([0.5, -0.2, 0.0], np.float32), (9, 1))
+    for batches in ([same], [same, same + 1.0], [same[:, ::-1], same, same]):
+        pair = plain(), counting(plain, tuple(own.DEFAULT_QUANTILES))()
+        for running in pair:
+            for batch in batches:
+                running.update(batch)
+        theirs, ours = (running.get_statistics() for running in pair)
+        assert set(theirs) == set(ours)
+        for name, value in theirs.items():
+            assert ours[name].dtype == value.dtype, name
+            # Lerobot takes squares in single precision from one another.
+            assert ours[name] == pytest.approx(value, abs=1e-3), name
+
+
 def test_no_frame_is_dropped_where_encoding_takes_long(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -48,9 +48,25 @@ def test_statistics_are_those_of_the_pixels() -> None:
 
 def test_what_is_no_picture_goes_the_usual_way() -> None:
     running = counting(Plain, QUANTILES)()
-    running.update(np.zeros((5, 14)))
-    running.update(np.zeros((5, 1), np.uint16))
+    running.update(np.eye(14))
+    running.update(np.arange(5, dtype=np.uint16)[:, None])
+    running.update(np.zeros((5, 1)))
+    assert running.get_statistics() == {"batches": 3}
+
+
+def test_rows_that_are_all_the_same_are_their_own_statistics() -> None:
+    row = np.array([0.25, -1.0], np.float32)
+    running = counting(Plain, QUANTILES)()
+    running.update(np.tile(row, (7, 1)))
+    found = running.get_statistics()
+    assert found.pop("count").tolist() == [7]
+    assert found.pop("std").tolist() == [0.0, 0.0]
+    assert set(found) == {"min", "max", "mean", "q01", "q50", "q99"}
+    assert all(value.tolist() == row.tolist() for value in found.values())
+    # Whatever comes later, nothing is forgotten.
+    running.update(np.tile(row, (2, 1)))
     assert running.get_statistics() == {"batches": 2}
+    assert [len(batch) for batch in running.given] == [7, 2]
 
 
 def test_one_level_alone() -> None:

@@ -35,31 +35,73 @@ def _nothing_to_embed(dataset: Any) -> Any:
 def counting(kind: type, quantiles: tuple[float, ...]) -> type:
     """Return a kind of running statistics that counts the levels of 8-bit pictures.
 
+    Rows that are all the same, as a sentence is in all frames of an episode, are not
+    looked at one by one either.
+
     Args:
-        kind: The one of lerobot, which sorts every pixel into 5,000 bins. It is still
-            used for what is no 8-bit picture.
+        kind: The one of lerobot, which sorts every number into 5,000 bins. It is still
+            used for what is no 8-bit picture and changes.
         quantiles: Which ones are wanted, from 0 to 1.
     """
 
     class Counting(kind):  # type: ignore[misc]
         _counts_levels = True
         _counts: NDArray[np.int64] | None = None
+        _same: NDArray[Any] | None = None
+        _changes = False
 
         def update(self, batch: NDArray[Any]) -> None:
-            if batch.dtype != np.uint8:
+            if batch.dtype == np.uint8:
+                found = [np.bincount(row, minlength=_LEVELS) for row in batch.T]
+                before = 0 if self._counts is None else self._counts
+                self._counts = before + np.array(found)
+            elif not self._changes and self._same is None and is_constant(batch):
+                self._same = batch
+            else:
+                if self._same is not None:
+                    super().update(self._same)
+                self._same, self._changes = None, True
                 super().update(batch)
-                return
-            found = [np.bincount(row, minlength=_LEVELS) for row in batch.T]
-            before = 0 if self._counts is None else self._counts
-            self._counts = before + np.array(found)
 
         def get_statistics(self) -> dict[str, Any]:
-            if self._counts is None:
-                told: dict[str, Any] = super().get_statistics()
-                return told
-            return statistics_of_levels(self._counts, quantiles)
+            if self._counts is not None:
+                return statistics_of_levels(self._counts, quantiles)
+            if self._same is not None:
+                return statistics_of_one_row(self._same[0], len(self._same), quantiles)
+            told: dict[str, Any] = super().get_statistics()
+            return told
 
     return Counting
+
+
+def is_constant(batch: NDArray[Any]) -> bool:
+    """Return whether an array has rows, and all of them are the same."""
+    return batch.ndim > 1 and len(batch) > 0 and bool((batch == batch[0]).all())
+
+
+def statistics_of_one_row(
+    row: NDArray[Any], count: int, quantiles: tuple[float, ...]
+) -> dict[str, NDArray[Any]]:
+    """Return statistics of rows that are all the same, as lerobot names them.
+
+    Args:
+        row: The row, shape (columns,).
+        count: How many there are.
+        quantiles: Which ones are wanted, from 0 to 1.
+    """
+    value = row.astype(np.result_type(row.dtype, np.float32))
+    return {
+        **{name: value.copy() for name in ("min", "max", "mean")},
+        "std": np.zeros_like(value),
+        "count": np.array([count]),
+        **{
+            _quantile_name(quantile): value.astype(np.float64) for quantile in quantiles
+        },
+    }
+
+
+def _quantile_name(quantile: float) -> str:
+    return f"q{int(quantile * 100):02d}"
 
 
 def statistics_of_levels(
@@ -88,7 +130,7 @@ def statistics_of_levels(
         "std": np.sqrt(np.maximum(0.0, variance)),
         "count": np.array([total]),
         **{
-            f"q{int(quantile * 100):02d}": (up_to >= quantile * total)
+            _quantile_name(quantile): (up_to >= quantile * total)
             .argmax(axis=1)
             .astype(np.float64)
             for quantile in quantiles
