@@ -4,10 +4,12 @@ Run from the repository:
 
     python scripts/publish_weights.py pack runs/seed-0/reachnet reachnet --coarse 32
     lemma evaluate --policy reachnet --episodes 5 --out out/reachnet
+    python scripts/publish_weights.py pack FOLDER act --coarse 32 --command "..."
     python scripts/publish_weights.py compare out/reachnet results/reachnet/seed-0.json
     python scripts/publish_weights.py upload OWNER/NAME
 
-``pack`` rounds the weights of a training run into ``weights/``; ``compare`` tells
+``pack`` rounds the weights of a training run, of ``lemma train`` or of LeRobot, into
+``weights/``; ``compare`` tells
 whether a policy still does what it did before; ``upload`` pins what it uploads by its
 revision.
 """
@@ -17,11 +19,18 @@ import math
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from lemma.core.errors import WeightsError
 from lemma.core.files import read_json, sha256_of, write_json
 from lemma.evaluation.lines import lines_at, read_lines
 from lemma.evaluation.records import key_of
+from lemma.policies.control.checkpoint_file import (
+    MODEL,
+    is_checkpoint,
+    pack_checkpoint,
+    unpack_checkpoint,
+)
 from lemma.policies.packing import Fineness
 from lemma.policies.weights import CHECKOUT, LIST, SUFFIX, find_weights
 from lemma.policies.weights_file import (
@@ -37,29 +46,46 @@ NEAR_MM = 1.0
 _SYMBOLS = ("robot", "primitive", "pick", "place", "outcome")
 
 
-def pack(source: Path, name: str, fineness: Fineness, folder: Path = CHECKOUT) -> Path:
+def pack(
+    source: Path,
+    name: str,
+    fineness: Fineness,
+    folder: Path = CHECKOUT,
+    command: str = "",
+) -> Path:
     """Add the weights of a training run to those that are published.
 
     Args:
-        source: A file of weights in 16 bits, or the folder of a run.
+        source: A file of weights in 16 bits, the folder of a run, or a checkpoint of
+            LeRobot, ``.../checkpoints/last/pretrained_model``.
         name: What they shall be called.
         fineness: How finely they are rounded.
         folder: Where published weights lie.
+        command: What trained a checkpoint of LeRobot.
 
     Returns:
         The file.
 
     Raises:
-        WeightsError: They are missing, damaged or too large.
+        WeightsError: They are missing, damaged or too large, or nobody says what
+            trained them.
     """
-    source = find_weights(str(source))
-    metadata = read_metadata(source)
-    if metadata.packed:
-        raise WeightsError(f"{source} is packed already. Take what training wrote.")
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}{SUFFIX}"
-    write_weights(path, load_weights(source).state_dict(), metadata, fineness)
-    load_weights(path)
+    if is_checkpoint(source):
+        if not command:
+            raise WeightsError(f"Say with --command what trained {source}.")
+        metadata = pack_checkpoint(source, path, command, fineness)
+        source = source / MODEL
+        with TemporaryDirectory() as there:
+            unpack_checkpoint(path, Path(there))
+    else:
+        source = find_weights(str(source))
+        metadata = read_metadata(source)
+        if metadata.packed:
+            raise WeightsError(f"{source} is packed already. Take what training wrote.")
+        write_weights(path, load_weights(source).state_dict(), metadata, fineness)
+        load_weights(path)
     size = path.stat().st_size
     if size > LARGEST_MB * 1e6:
         path.unlink()
@@ -166,6 +192,7 @@ def main() -> None:
     packing.add_argument("--fine", type=float, default=Fineness.fine)
     packing.add_argument("--small", type=int, default=Fineness.small)
     packing.add_argument("--only", default=Fineness.only)
+    packing.add_argument("--command", default="", help="what trained a LeRobot policy")
     comparing = verbs.add_parser("compare", help="compare the lines of two evaluations")
     comparing.add_argument("found", type=Path)
     comparing.add_argument("wanted", type=Path)
@@ -173,7 +200,7 @@ def main() -> None:
     asked = parser.parse_args()
     if asked.verb == "pack":
         fineness = Fineness(asked.coarse, asked.fine, asked.small, asked.only)
-        print(pack(asked.source, asked.name, fineness))
+        print(pack(asked.source, asked.name, fineness, command=asked.command))
     elif asked.verb == "upload":
         print(upload(asked.repository))
     elif problems := compare(asked.found, asked.wanted):

@@ -24,6 +24,7 @@ from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.control.interfaces import ControlInput, chunk_of
+from lemma.policies.packing import Fineness
 from lemma.tasks.language.vector import NUMBERS, sentence_vector
 
 WIDTH, HEIGHT = 64, 48
@@ -270,6 +271,26 @@ def test_it_acts_as_in_lerobots_evaluation(one_by_one: bool) -> None:
         expected = as_lerobot(policy, observation)
         assert np.allclose(np.array(own).reshape(CHUNK, 14), expected, atol=1e-4)
     assert not np.allclose(rows[0], rows[1], atol=1e-4)
+
+
+def test_published_in_one_file_it_acts_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = import_module("lemma.policies.control.lerobot")
+    publish = import_module("publish_weights")
+    monkeypatch.setattr(import_module("lemma.policies.weights"), "CHECKOUT", tmp_path)
+    publish.pack(checkpoint(), "moves", Fineness(512.0), tmp_path, "lerobot-train")
+    before, after = (
+        module.LeRobotPolicy(name) for name in (str(checkpoint()), "moves")
+    )
+    assert after.control_options == before.control_options
+    env = lemma.make("pass", split="val", **dict(before.control_options))
+    given = ControlInput(
+        instruction="", robots=("red robot", "white robot"), observation=env.reset()[0]
+    )
+    expected, found = (policy.act([given])[0].rows for policy in (before, after))
+    # Of an angle [rad], or a share of an opening.
+    assert np.allclose(expected, found, atol=5e-3)
 
 
 def as_lerobot(policy: Any, observation: Any) -> NDArray[Any]:

@@ -19,6 +19,7 @@ from torch.overrides import TorchFunctionMode
 
 from lemma.core.errors import LemmaError, WeightsError
 from lemma.core.files import write_whole
+from lemma.policies.class_path import LEROBOT
 from lemma.policies.model import Model
 from lemma.policies.models.catalog import make_model
 from lemma.policies.packing import Fineness, PackingError, Rounding, pack, unpack
@@ -172,6 +173,11 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
         WeightsError: The file is missing, damaged, or does not fit its model.
     """
     metadata = read_metadata(path)
+    if metadata.model.startswith(LEROBOT):
+        raise WeightsError(
+            f"{path} holds a checkpoint of LeRobot, which commands motors. Put "
+            f"{LEROBOT!r} before its name."
+        )
     try:
         # First a model that takes no memory: sizes may be anything.
         with torch.device("meta"), _Unfilled():

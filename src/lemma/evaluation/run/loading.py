@@ -102,30 +102,39 @@ def weights_of(spec: PolicySpec) -> Weights:
         LemmaError: They are missing or damaged.
     """
     if spec.name.startswith(LEROBOT):
-        return _lerobot_weights(Path(spec.name.removeprefix(LEROBOT)))
-    found: Weights = {}
+        return _lerobot_weights(spec.name.removeprefix(LEROBOT))
     eyes = (getattr(planner, "weights", ()) for planner in spec.planners())
     parts = dict.fromkeys([*learned_parts(spec.name), *(w for e in eyes for w in e)])
-    if not parts:
-        return found
-    paths = [_find(part) for part in parts]
+    return dict(_weights_in(_find(part)) for part in parts)
+
+
+def _weights_in(path: Path) -> tuple[str, dict[str, Any]]:
+    """Return the model of a file of weights, and what is said of it.
+
+    Raises:
+        WeightsError: It is damaged.
+    """
     # torch is an extra, which the oracle and other people's policies do without.
     from lemma.policies.weights_file import TIME_LIMIT, read_metadata  # noqa: PLC0415
 
-    for path in paths:
-        about = read_metadata(path)
-        found[about.model] = {
-            "sha256": sha256_of(path),
-            "seed": about.training.get("seed", 0),
-            "data": about.data,
-        }
-        if about.ended == TIME_LIMIT:
-            found[about.model]["ended"] = about.ended
-    return found
+    about = read_metadata(path)
+    ended = {"ended": about.ended} if about.ended == TIME_LIMIT else {}
+    return about.model.removeprefix(LEROBOT), {
+        "sha256": sha256_of(path),
+        "seed": about.training.get("seed", 0),
+        "data": about.data,
+        **ended,
+    }
 
 
-def _lerobot_weights(checkpoint: Path) -> Weights:
-    """Return the weights of a folder that LeRobot saved; none of a name on the Hub."""
+def _lerobot_weights(name: str) -> Weights:
+    """Return the weights of a folder that LeRobot saved, or that are published.
+
+    Of a name on the Hub there are none.
+    """
+    if name in published_weights():
+        return dict([_weights_in(find_weights(name))])
+    checkpoint = Path(name)
     weights = checkpoint / "model.safetensors"
     if not weights.exists():
         return {}

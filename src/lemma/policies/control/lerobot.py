@@ -16,6 +16,7 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 from lemma.core.errors import InvalidConfigError
 from lemma.core.robot_names import robot_names
 from lemma.env.camera_rig import camera_names
+from lemma.policies.control.checkpoint_file import checkpoint_folder
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.tasks.language.vector import NUMBERS as SENTENCE_NUMBERS
 from lemma.tasks.language.vector import sentence_vector
@@ -39,29 +40,31 @@ class LeRobotPolicy:
         """Load a policy and its processors.
 
         Args:
-            checkpoint: A folder, ``.../checkpoints/last/pretrained_model``, or a name
-                on the Hub.
+            checkpoint: A folder, ``.../checkpoints/last/pretrained_model``, a name on
+                the Hub, or of weights that this package publishes.
             hz: Actions per second: the frames per second of its training data.
             device: Where it is computed: ``"cuda"``.
 
         Raises:
             InvalidConfigError: It observes or commands what there is not here.
             OSError: There is no such checkpoint.
+            WeightsError: Published weights are missing or damaged.
         """
-        config = PreTrainedConfig.from_pretrained(checkpoint)
-        config.pretrained_path = checkpoint
-        config.device = device
-        self.control_options = control_options(config, hz)
-        self._config = config
-        self._policy = get_policy_class(config.type).from_pretrained(
-            checkpoint, config=config
-        )
-        self._policy.eval()
-        self._before, self._after = make_pre_post_processors(
-            config,
-            pretrained_path=checkpoint,
-            preprocessor_overrides={"device_processor": {"device": device}},
-        )
+        with checkpoint_folder(checkpoint) as folder:
+            config = PreTrainedConfig.from_pretrained(folder)
+            config.pretrained_path = folder
+            config.device = device
+            self.control_options = control_options(config, hz)
+            self._config = config
+            self._policy = get_policy_class(config.type).from_pretrained(
+                folder, config=config
+            )
+            self._policy.eval()
+            self._before, self._after = make_pre_post_processors(
+                config,
+                pretrained_path=folder,
+                preprocessor_overrides={"device_processor": {"device": device}},
+            )
         ensembles = getattr(config, "temporal_ensemble_coeff", None) is not None
         self._one_by_one = config.n_obs_steps > 1 or ensembles
 
