@@ -53,6 +53,18 @@ def browser(page: Page, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Br
         yield found
 
 
+@pytest.fixture(autouse=True)
+def anew(page: Page, browser: Browser) -> None:
+    """Begin with the same choices, whichever test was there before."""
+    page.session.set_speed(8.0)
+    panel = page.panel
+    panel.task.value, panel.policy.value = STACK.task, STACK.policy
+    panel.index.value, panel.saying.value = STACK.index, "high_level"
+    panel.set_table()
+    until_phase(page, Phase.READY)
+    browser.wait_for("document.querySelector('[data-phase=READY]')")
+
+
 def until_phase(page: Page, phase: Phase) -> None:
     until(lambda: page.session.play.status.phase is phase)
 
@@ -103,9 +115,6 @@ def test_what_is_typed_is_shown_as_it_is(browser: Browser, page: Page) -> None:
 def test_cube_is_dragged_and_the_table_is_ones_own(
     browser: Browser, page: Page
 ) -> None:
-    page.panel.task.value, page.panel.saying.value = "stack", "high_level"
-    page.panel.set_table()
-    until_phase(page, Phase.READY)
     (visitor,) = page.visitors()
     assert page.session.play.instance is not None
     ((cube, _),) = page.session.play.instance.goal.pairs
@@ -164,9 +173,6 @@ def test_two_tabs_see_the_same(browser: Browser, page: Page) -> None:
         other.resize(500, 300)
         other.open(page.address)
         other.wait_for("document.querySelector('[data-phase]')")
-        page.panel.saying.value = "high_level"
-        page.panel.set_table()
-        until_phase(page, Phase.READY)
         assert page.session.play.instance is not None
         said = page.session.play.instance.instructions["high_level"]
         for tab in (browser, other):
