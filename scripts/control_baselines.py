@@ -9,8 +9,8 @@ with what Diffusion Policy needs (``pip install 'lerobot[diffusion]'``):
 It runs the commands that it prints: demonstrations, their videos, what is decoded of
 them once; one training for each policy and seed, all at the same time, each GPU in
 turn; then the last checkpoint of each on split test, and some on split val, which is
-the learning curve. What is there already is kept, so the same command goes on where it
-was stopped, and ``--phases`` does a part of it.
+the learning curve. What is there already is kept: the same command goes on where it was
+stopped, trainings at their last checkpoint. ``--phases`` does a part of it.
 
 One policy learns all tasks. It is told the sentence as numbers, because neither ACT nor
 Diffusion Policy of LeRobot reads text.
@@ -24,6 +24,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import rmtree
 
 import torch
 
@@ -49,12 +50,13 @@ POLICIES = {
 }
 """Name and arguments of ``lerobot-train``; the rest is LeRobot's default."""
 PHASES = ("data", "train", "test", "curve")
-PRECISION = {"ACCELERATE_MIXED_PRECISION": "bf16"}
+PRECISION = "ACCELERATE_MIXED_PRECISION=bf16"
 """Of the arithmetic in training; the environment is where lerobot-train reads it."""
 UNPACKED = "scripts/lerobot_train_unpacked.py"
+WEIGHTS, CONFIG = "pretrained_model", "train_config.json"
+"""Of a checkpoint: its folder for policies, and what it was trained with."""
 CURVE = "curve.json"
 LOOK_S = 0.5
-
 
 Run = tuple[str, int]
 """A policy and a seed."""
@@ -110,9 +112,12 @@ class Plan:
         ]
 
     def training(self, name: str, seed: int) -> str:
-        """Return the command of a training."""
+        """Return the command of a training, which goes on with what is there."""
+        begin = f"{PRECISION} python {UNPACKED} train {self.pictures}"
+        if saved := checkpoints(self.run(name, seed)):
+            return f"{begin} --config_path={saved[-1][1] / CONFIG} --resume=true"
         return (
-            f"python {UNPACKED} train {self.pictures} --dataset.repo_id=lemma/control "
+            f"{begin} --dataset.repo_id=lemma/control "
             f"--dataset.root={self.videos} {POLICIES[name]} "
             f"--policy.device={self.device} --policy.push_to_hub=false --seed={seed} "
             f"--steps={self.steps} --batch_size={self.batch} "
@@ -129,13 +134,18 @@ class Plan:
             f"--workers {self.workers} --out {out}"
         )
 
+    def trained(self, run: Run) -> bool:
+        """Return whether a training has done its steps."""
+        saved = checkpoints(self.run(*run))
+        return bool(saved) and saved[-1][0] >= self.steps
+
     def test(self, run: Run, checkpoint: Path) -> str:
         """Return the command that evaluates a checkpoint on split test."""
         return self.evaluation(checkpoint, "test", self.tests, self.run(*run) / "test")
 
     def commands(self, runs: Sequence[Run]) -> list[str]:
         """Return all commands, but those of the learning curve."""
-        last = "checkpoints/last/pretrained_model"
+        last = f"checkpoints/last/{WEIGHTS}"
         return [
             *self.data_commands(),
             *(self.training(*run) for run in runs),
@@ -144,9 +154,10 @@ class Plan:
 
 
 def checkpoints(run: Path) -> list[tuple[int, Path]]:
-    """Return what a training has saved, by number of steps."""
-    found = sorted((run / "checkpoints").glob("[0-9]*/pretrained_model"))
-    return [(int(each.parent.name), each) for each in found]
+    """Return what a training has saved, whole, by number of steps."""
+    # The number of the step is written last.
+    whole = sorted((run / "checkpoints").glob("[0-9]*/training_state/*_step.json"))
+    return [(int(each.parts[-3]), each.parents[1] / WEIGHTS) for each in whole]
 
 
 def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[bytes]":
@@ -154,7 +165,11 @@ def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[byt
     print(f"{time.strftime('%X')} {command}", flush=True)
     log.parent.mkdir(parents=True, exist_ok=True)
     program, *words = command.split()
-    environment = {**os.environ, **PRECISION, "TOKENIZERS_PARALLELISM": "false"}
+    environment = {**os.environ, "TOKENIZERS_PARALLELISM": "false"}
+    if "=" in program:
+        name, _, value = program.partition("=")
+        environment[name] = value
+        program, *words = words
     if gpu is not None:
         environment["CUDA_VISIBLE_DEVICES"] = str(gpu)
     with log.open("ab") as told:
@@ -182,20 +197,23 @@ def finish(
     gpus = torch.cuda.device_count()
     waiting = [*enumerate(commands)]
     going: list[tuple[tuple[str, Path], subprocess.Popen[bytes]]] = []
-    while (waiting or going) and time.monotonic() < until:
-        while waiting and len(going) < at_a_time:
-            number, command = waiting.pop(0)
-            gpu = number % gpus if gpus else None
-            going.append((command, do(*command, gpu)))
-        for command, process in [*going]:
-            if process.poll() is not None:
-                going.remove((command, process))
-                if process.returncode != 0:
-                    raise SystemExit(f"This failed; see {command[1]}: {command[0]}")
-        time.sleep(LOOK_S)
-    for _, process in going:
-        process.terminate()
-        process.wait()
+    try:
+        while (waiting or going) and time.monotonic() < until:
+            while waiting and len(going) < at_a_time:
+                number, command = waiting.pop(0)
+                gpu = number % gpus if gpus else None
+                going.append((command, do(*command, gpu)))
+            for command, process in [*going]:
+                if process.poll() is not None:
+                    going.remove((command, process))
+                    if process.returncode != 0:
+                        raise SystemExit(f"This failed; see {command[1]}: {command[0]}")
+            time.sleep(LOOK_S)
+    finally:
+        # Those that still go on when the time is over, or another one has failed.
+        for _, process in going:
+            process.terminate()
+            process.wait()
 
 
 def points(plan: Plan, run: Run, count: int) -> list[tuple[int, Path]]:
@@ -225,7 +243,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--tasks", default=TASKS)
     parser.add_argument("--policies", default=",".join(POLICIES))
     parser.add_argument("--seeds", default="0")
-    parser.add_argument("--phases", default=",".join(PHASES))
+    parser.add_argument("--phases", default=",".join(PHASES), help="some of these")
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--fps", type=int, default=10)
     parser.add_argument("--steps", type=int, default=20_000)
@@ -240,7 +258,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--test", type=int, default=0, help="of each task; 0: all")
     parser.add_argument("--train-s", type=float, default=float("inf"))
     parser.add_argument("--print", action="store_true", help="do nothing")
-    return parser.parse_args()
+    args = parser.parse_args()
+    if unknown := set(args.phases.split(",")) - set(PHASES):
+        parser.error(f"{', '.join(unknown)}: valid are {', '.join(PHASES)}")
+    return args
 
 
 def main() -> None:
@@ -271,7 +292,11 @@ def main() -> None:
         made = plan.out / "data.log"
         finish([(command, made) for command in plan.data_commands()], 1)
     if "train" in args.phases:
-        missing = [run for run in runs if not checkpoints(plan.run(*run))]
+        missing = [run for run in runs if not plan.trained(run)]
+        for run in missing:
+            if not checkpoints(plan.run(*run)):
+                # lerobot begins in no folder that is there.
+                rmtree(plan.run(*run), ignore_errors=True)
         trainings = [
             (plan.training(*run), plan.run(*run).with_suffix(".log")) for run in missing
         ]

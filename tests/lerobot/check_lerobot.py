@@ -237,19 +237,25 @@ def test_statistics_are_those_of_the_frames() -> None:
     assert stats["observation.state"]["max"] == pytest.approx(states.max(0), abs=1e-4)
 
 
-def test_statistics_of_pictures_are_those_of_lerobot() -> None:
+def both_statistics(batches: list[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what lerobot tells of batches, and what it tells with our shortcuts."""
     own = import_module("lerobot.datasets.compute_stats")
-    rng = np.random.default_rng(0)
-    given = [seen(0)["rgb"][n, 0].reshape(-1, 3) for n in range(3)]
-    given.append(rng.integers(0, 255, (500, 3), np.uint8))
     plain = own.RunningQuantileStats
     plain = plain.__base__ if hasattr(plain, "_counts_levels") else plain
     pair = plain(), counting(plain, tuple(own.DEFAULT_QUANTILES))()
-    for batch in given:
-        for running in pair:
+    for running in pair:
+        for batch in batches:
             running.update(batch)
     theirs, ours = (running.get_statistics() for running in pair)
     assert set(theirs) == set(ours)
+    return theirs, ours
+
+
+def test_statistics_of_pictures_are_those_of_lerobot() -> None:
+    rng = np.random.default_rng(0)
+    given = [seen(0)["rgb"][n, 0].reshape(-1, 3) for n in range(3)]
+    given.append(rng.integers(0, 255, (500, 3), np.uint8))
+    theirs, ours = both_statistics(given)
     for name, value in theirs.items():
         # Lerobot interpolates within bins of 0.05, and adds up in single precision,
         # which makes a deviation of 38.51 one of 38.63.
@@ -258,17 +264,9 @@ def test_statistics_of_pictures_are_those_of_lerobot() -> None:
 
 
 def test_statistics_of_a_sentence_are_those_of_lerobot() -> None:
-    own = import_module("lerobot.datasets.compute_stats")
-    plain = own.RunningQuantileStats
-    plain = plain.__base__ if hasattr(plain, "_counts_levels") else plain
     same = np.tile(np.array([0.5, -0.2, 0.0], np.float32), (9, 1))
     for batches in ([same], [same, same + 1.0], [same[:, ::-1], same, same]):
-        pair = plain(), counting(plain, tuple(own.DEFAULT_QUANTILES))()
-        for running in pair:
-            for batch in batches:
-                running.update(batch)
-        theirs, ours = (running.get_statistics() for running in pair)
-        assert set(theirs) == set(ours)
+        theirs, ours = both_statistics(batches)
         for name, value in theirs.items():
             assert ours[name].dtype == value.dtype, name
             # Lerobot takes squares in single precision from one another.

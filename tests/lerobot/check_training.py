@@ -88,11 +88,9 @@ def export() -> Path:
     return out
 
 
-@cache
-def checkpoint() -> Path:
-    """Return a policy that lerobot trained for a few steps and saved."""
-    told = run(
-        "lerobot-train",
+def small_act(out: str, loaders: int = 0) -> tuple[str, ...]:
+    """Return the options of a training of a few steps."""
+    return (
         "--dataset.repo_id=lemma/small",
         f"--dataset.root={export()}",
         "--dataset.video_backend=pyav",
@@ -107,10 +105,16 @@ def checkpoint() -> Path:
         "--policy.dim_feedforward=64",
         f"--steps={STEPS}",
         "--batch_size=2",
-        "--num_workers=0",
+        f"--num_workers={loaders}",
         "--log_freq=1",
-        "--output_dir=trained",
+        f"--output_dir={out}",
     )
+
+
+@cache
+def checkpoint() -> Path:
+    """Return a policy that lerobot trained for a few steps and saved."""
+    told = run("lerobot-train", *small_act("trained"))
     losses = [float(loss) for loss in re.findall(r"\sloss:(\S+)", told)]
     assert len(losses) == STEPS
     assert all(map(math.isfinite, losses))

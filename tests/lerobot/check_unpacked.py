@@ -1,14 +1,16 @@
 """What is unpacked is what lerobot reads, and groups come to one data set."""
 
+import re
 import sys
 from importlib import import_module
 from pathlib import Path
+from shutil import copytree
 from tempfile import mkdtemp
 from typing import Any
 
 import pytest
 import torch
-from check_training import CHUNK, STEPS, export, run, work
+from check_training import CHUNK, STEPS, export, run, small_act
 
 from lemma.core.errors import DatasetError
 from lemma.core.workers.serial import Serial
@@ -85,27 +87,32 @@ def test_what_is_not_unpacked_is_refused(
         read(export())
 
 
-def test_lerobot_trains_on_it(pictures: Path) -> None:
-    run(
-        Path(sys.executable).name,
-        *(str(SCRIPT), "train", str(pictures)),
-        "--dataset.repo_id=lemma/small",
-        f"--dataset.root={export()}",
-        "--policy.type=act",
-        "--policy.device=cpu",
-        "--policy.push_to_hub=false",
-        "--policy.pretrained_backbone_weights=null",
-        f"--policy.chunk_size={CHUNK}",
-        f"--policy.n_action_steps={CHUNK}",
-        "--policy.dim_model=64",
-        "--policy.n_heads=2",
-        "--policy.dim_feedforward=64",
-        f"--steps={STEPS}",
-        "--batch_size=2",
-        "--num_workers=1",
-        "--output_dir=trained-unpacked",
-    )
-    assert (work() / "trained-unpacked/checkpoints/last/pretrained_model").is_dir()
+def test_lerobot_trains_on_it_and_learns_the_same(pictures: Path) -> None:
+    options = small_act("trained-unpacked", loaders=1)
+    python = Path(sys.executable).name
+    told = run(python, str(SCRIPT), "train", str(pictures), *options)
+    assert losses(told) == losses(run("lerobot-train", *small_act("trained-again")))
+
+
+def losses(told: str) -> list[str]:
+    found = re.findall(r"\sloss:(\S+)", told)
+    assert len(found) == STEPS
+    return found
+
+
+def test_pictures_of_another_export_are_not_taken_for_them(
+    tmp_path: Path, pictures: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever exports again into the same folder has other videos of the same names."""
+    root = tmp_path / "set"
+    copytree(export(), root)
+    first, second = sorted((root / "videos" / CAMERAS[0]).rglob("*.mp4"))[:2]
+    first.write_bytes(second.read_bytes() + bytes(1))
+    module = import_module("lerobot.datasets.lerobot_dataset")
+    kind = unpacked(module.DatasetReader, pictures)
+    monkeypatch.setattr(module, "DatasetReader", kind)
+    with pytest.raises(DatasetError, match="is not unpacked"):
+        read(root, return_uint8=True)
 
 
 def test_groups_are_aggregated_in_order(tmp_path: Path) -> None:

@@ -22,7 +22,12 @@ from lemma.policies.control.checkpoint_file import (
 from lemma.policies.packing import Fineness
 from lemma.policies.spec import PolicySpec
 from lemma.policies.weights import load_model
-from lemma.policies.weights_file import WeightsMetadata, read_metadata, write_weights
+from lemma.policies.weights_file import (
+    TIME_LIMIT,
+    WeightsMetadata,
+    read_metadata,
+    write_weights,
+)
 
 COMMAND = "lerobot-train --policy.type=act"
 STATISTICS = "policy_preprocessor_step_3_normalizer_processor.safetensors"
@@ -43,6 +48,7 @@ def checkpoint(tmp_path: Path) -> Path:
     config = {"type": "act", "device": "cuda", "pretrained_path": str(tmp_path)}
     training = {
         "seed": SEED,
+        "steps": STEPS,
         "batch_size": 256,
         "dataset": {"repo_id": "lemma/control", "root": str(tmp_path)},
     }
@@ -86,8 +92,19 @@ def test_what_is_unpacked_is_the_checkpoint(
 
 def test_it_says_what_trained_it_and_not_where(tmp_path: Path, published: Path) -> None:
     about = read_metadata(published)
-    assert (about.model, about.steps, about.command) == ("lerobot:act", STEPS, COMMAND)
+    assert (about.model, about.command) == ("lerobot:act", COMMAND)
+    assert (about.ended, about.steps) == ("steps", STEPS)
     assert str(tmp_path).encode() not in published.read_bytes()
+
+
+def test_a_training_that_was_cut_short_is_told_of(
+    tmp_path: Path, checkpoint: Path
+) -> None:
+    training = json.loads((checkpoint / TRAINING).read_text()) | {"steps": STEPS + 1}
+    (checkpoint / TRAINING).write_text(json.dumps(training))
+    path = tmp_path / "weights.safetensors"
+    pack_checkpoint(checkpoint, path, COMMAND, Fineness(COARSE))
+    assert (read_metadata(path).ended, read_metadata(path).steps) == (TIME_LIMIT, STEPS)
 
 
 def test_it_is_found_by_its_name(published: Path) -> None:
@@ -136,3 +153,11 @@ def test_nobody_publishes_what_nobody_says_how_to_make(
         publish.pack(checkpoint, "moves", Fineness(COARSE), tmp_path)
     with pytest.raises(DatasetError):
         pack_checkpoint(tmp_path, tmp_path / "a", COMMAND, Fineness(COARSE))
+
+
+def test_a_folder_that_was_moved_says_no_steps(
+    tmp_path: Path, checkpoint: Path
+) -> None:
+    moved = checkpoint.rename(tmp_path / "mine")
+    with pytest.raises(WeightsError, match="how many steps"):
+        pack_checkpoint(moved, tmp_path / "a", COMMAND, Fineness(COARSE))

@@ -3,8 +3,9 @@
 import argparse
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 import pytest
 
@@ -71,12 +72,32 @@ def test_a_learning_curve_has_evenly_spaced_checkpoints_and_the_last(
     tmp_path: Path,
 ) -> None:
     plan, run = control_plan(tmp_path), ("act", 0)
-    for steps in range(1, 11):
-        name = f"{1000 * steps:06d}"
-        (plan.run(*run) / "checkpoints" / name / "pretrained_model").mkdir(parents=True)
+    for steps in range(1000, 11_000, 1000):
+        save(plan.run(*run), steps)
+    # Whoever is stopped while it is written leaves a part of one.
+    (plan.run(*run) / "checkpoints/011000/pretrained_model").mkdir(parents=True)
     found = control_baselines.points(plan, run, 4)
     assert [steps for steps, _ in found] == [2000, 5000, 7000, 10_000]
     assert len(control_baselines.points(plan, run, 99)) == 10
+
+
+def save(run: Path, steps: int) -> None:
+    """Leave what lerobot leaves at a step, as far as it is looked at."""
+    state = run / "checkpoints" / f"{steps:06d}" / "training_state"
+    state.mkdir(parents=True)
+    (state / "training_step.json").write_text("{}")
+
+
+def test_a_training_goes_on_at_its_last_checkpoint(tmp_path: Path) -> None:
+    plan, run = replace(control_plan(tmp_path), steps=30), ("act", 0)
+    assert "--steps=30" in plan.training(*run)
+    assert not plan.trained(run)
+    save(plan.run(*run), 20)
+    assert "checkpoints/000020/" in plan.training(*run)
+    assert plan.training(*run).endswith("--resume=true")
+    assert not plan.trained(run)
+    save(plan.run(*run), 30)
+    assert plan.trained(run)
 
 
 def test_commands_go_on_together_and_a_failure_is_told(tmp_path: Path) -> None:
@@ -97,11 +118,42 @@ def test_commands_go_on_together_and_a_failure_is_told(tmp_path: Path) -> None:
         control_baselines.finish([(f"python {script}", log)], 1)
 
 
-def test_commands_end_with_the_time(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
-    script.write_text("import time; time.sleep(600)")
-    command = (f"python {script}", tmp_path / "log")
-    control_baselines.finish([command], 1, time.monotonic() + 0.5)
+@pytest.fixture
+def endless(tmp_path: Path) -> tuple[str, Path]:
+    """A command that says so if it is not ended before its time."""
+    script, log = tmp_path / "script.py", tmp_path / "log"
+    script.write_text("import time; time.sleep(600); print('not ended')")
+    return f"python {script}", log
+
+
+def test_commands_end_with_the_time(endless: tuple[str, Path]) -> None:
+    begin = time.monotonic()
+    control_baselines.finish([endless], 1, begin + 0.5)
+    assert time.monotonic() - begin < 60.0
+
+
+def test_where_one_fails_the_others_end(
+    endless: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[subprocess.Popen[bytes]] = []
+    do = control_baselines.do
+
+    def noted(*args: Any) -> "subprocess.Popen[bytes]":
+        begun.append(do(*args))
+        return begun[-1]
+
+    monkeypatch.setattr(control_baselines, "do", noted)
+    with pytest.raises(SystemExit, match="This failed"):
+        control_baselines.finish([endless, ("python --nonsense", endless[1])], 2)
+    assert len(begun) == 2
+    assert all(process.poll() is not None for process in begun)
+
+
+def test_what_stands_before_a_command_is_its_environment(tmp_path: Path) -> None:
+    script, log = tmp_path / "script.py", tmp_path / "log"
+    script.write_text("import os; print(os.environ['WHAT'])")
+    assert control_baselines.do(f"WHAT=this python {script}", log).wait() == 0
+    assert log.read_text().split() == ["this"]
 
 
 class Rehearsal(Machine):

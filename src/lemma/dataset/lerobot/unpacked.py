@@ -1,11 +1,12 @@
 """A LeRobotDataset whose pictures are decoded once, for training.
 
 lerobot opens a video for every picture that it reads and looks a row up for every
-number, which takes 25 ms of a core a sample; a GPU learns from thousands a second.
-Unpacked, pictures lie in files that all trainings of a machine map into memory.
+number: for a GPU that learns from thousands of samples a second, that is too slow.
+Unpacked, pictures lie in files that all trainings of a machine map into memory. A file
+has the name of its video's hash: another export's pictures are never taken for them.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +19,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from lemma.core.errors import DatasetError
-from lemma.core.files import only_writer, write_whole
+from lemma.core.files import only_writer, sha256_of, write_whole
 from lemma.core.workers.pool import Engine
 from lemma.dataset.lerobot.export import INFO
 
@@ -27,19 +28,13 @@ _TAKEN = "_reads_unpacked"
 _VIDEOS = "videos"
 
 
-def unpack(
-    root: Path,
-    folder: Path,
-    engine: Engine,
-    advance: Callable[[int], None] = lambda count: None,
-) -> int:
+def unpack(root: Path, folder: Path, engine: Engine) -> int:
     """Decode all videos of a data set; those that are there already are kept.
 
     Args:
         root: Folder of the data set.
         folder: Where to put the pictures: width × height × 3 bytes each.
         engine: Where to work.
-        advance: Told how many videos were there, and then of each that is done.
 
     Returns:
         How many videos there are.
@@ -51,14 +46,10 @@ def unpack(
         raise DatasetError(f"There is no LeRobotDataset in {root}.")
     videos = sorted((root / _VIDEOS).rglob("*.mp4"))
     with only_writer(folder):
-        jobs = [
-            (video, target)
-            for video in videos
-            if not (target := _unpacked(root, folder, video)).exists()
-        ]
-        advance(len(videos) - len(jobs))
+        targets = [(video, _unpacked(folder, video)) for video in videos]
+        jobs = [(video, target) for video, target in targets if not target.exists()]
         for _ in engine.run(decode, jobs):
-            advance(1)
+            pass
     return len(videos)
 
 
@@ -143,18 +134,17 @@ class _Rows:
             raise DatasetError("Unpacked pictures are read by lerobot-train alone.")
         table = pq.read_table(reader.root / "data")
         words = {f.name: table[f.name] for f in table.schema if f.type == pa.string()}
-        episodes = [meta.episodes[index] for index in range(meta.total_episodes)]
-        ends = [episode["dataset_to_index"] for episode in episodes]
+        numbers = [name for name in table.column_names if name not in words]
+        starts = np.array([0, *meta.episodes["dataset_to_index"]])
         return cls(
-            {
-                name: _array(table[name])
-                for name in table.column_names
-                if name not in words
-            },
+            {name: _array(table[name]) for name in numbers},
             words,
-            {name: [*_pictures(reader, name, folder)] for name in meta.video_keys},
+            {
+                camera: [*_pictures(reader, camera, np.diff(starts), folder)]
+                for camera in meta.video_keys
+            },
             [str(name) for name in meta.tasks.index],
-            np.array([0, *ends]),
+            starts,
         )
 
     def item(self, index: int, deltas: dict[str, list[int]]) -> dict[str, Any]:
@@ -189,25 +179,32 @@ class _Rows:
         return found
 
 
-def _pictures(reader: Any, camera: str, folder: Path) -> Iterator[NDArray[np.uint8]]:
-    """Yield the pictures of each episode."""
-    meta, root = reader._meta, reader.root
+def _pictures(
+    reader: Any, camera: str, lengths: NDArray[np.int64], folder: Path
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield the pictures of each episode.
+
+    Raises:
+        DatasetError: They are not unpacked.
+    """
+    meta = reader._meta
     opened: dict[Path, NDArray[np.uint8]] = {}
-    for index in range(meta.total_episodes):
-        episode = meta.episodes[index]
-        path = _unpacked(root, folder, root / meta.get_video_file_path(index, camera))
-        if path not in opened:
-            opened[path] = np.load(path, mmap_mode="r")
-        first = round(episode[f"videos/{camera}/from_timestamp"] * meta.fps)
-        count = episode["dataset_to_index"] - episode["dataset_from_index"]
-        pictures = opened[path][first : first + count]
-        if len(pictures) < count:
-            raise DatasetError(f"{path} lacks pictures. Remove it, and unpack again.")
-        yield pictures
+    begins = meta.episodes[f"videos/{camera}/from_timestamp"]
+    for index, (begin_s, length) in enumerate(zip(begins, lengths, strict=True)):
+        video = reader.root / meta.get_video_file_path(index, camera)
+        if video not in opened:
+            path = _unpacked(folder, video)
+            if not path.is_file():
+                raise DatasetError(
+                    f"{video} is not unpacked in {folder}. Unpack first."
+                )
+            opened[video] = np.load(path, mmap_mode="r")
+        first = round(begin_s * meta.fps)
+        yield opened[video][first : first + length]
 
 
-def _unpacked(root: Path, folder: Path, video: Path) -> Path:
-    return folder / video.relative_to(root).with_suffix(_SUFFIX)
+def _unpacked(folder: Path, video: Path) -> Path:
+    return folder / f"{sha256_of(video)}{_SUFFIX}"
 
 
 def _array(column: pa.ChunkedArray) -> NDArray[Any]:

@@ -22,7 +22,12 @@ from lemma.core.files import read_json
 from lemma.policies.class_path import LEROBOT
 from lemma.policies.packing import Fineness, PackingError, unpack
 from lemma.policies.weights import find_published, published_weights
-from lemma.policies.weights_file import WeightsMetadata, read_metadata, write_weights
+from lemma.policies.weights_file import (
+    TIME_LIMIT,
+    WeightsMetadata,
+    read_metadata,
+    write_weights,
+)
 
 CONFIG, MODEL, TRAINING = "config.json", "model.safetensors", "train_config.json"
 _FILE = "file:"
@@ -43,7 +48,7 @@ def pack_checkpoint(
     """Write a checkpoint into one file.
 
     Args:
-        folder: ``.../checkpoints/last/pretrained_model``.
+        folder: ``.../checkpoints/last/pretrained_model``, or that of a number of steps.
         path: The file.
         command: What trained it.
         fineness: How finely weights are rounded.
@@ -52,20 +57,28 @@ def pack_checkpoint(
         What the file says about itself.
 
     Raises:
-        WeightsError: A weight does not fit into 16 bits.
+        WeightsError: A weight does not fit into 16 bits, or lerobot-train has not
+            written the folder.
         DatasetError: It is no checkpoint, the disk is full, or the folder cannot be
             written to.
     """
     config, training = read_json(folder / CONFIG), read_json(folder / TRAINING)
-    steps = folder.resolve().parent.name
+    # The folder above has the number of steps for its name; the last one is a link.
+    above = folder.resolve().parent.name
+    if not above.isdigit():
+        raise WeightsError(
+            f"{folder} does not say after how many steps it was saved. Take the folder "
+            "that lerobot-train wrote: .../checkpoints/last/pretrained_model."
+        )
+    steps = int(above)
     metadata = WeightsMetadata(
         model=f"{LEROBOT}{config['type']}",
         options={},
         data={"repo_id": training["dataset"]["repo_id"]},
         command=command,
         training={"seed": training["seed"] or 0, "batch_size": training["batch_size"]},
-        ended="steps",
-        steps=int(steps) if steps.isdigit() else None,
+        ended="steps" if steps >= training["steps"] else TIME_LIMIT,
+        steps=steps,
     )
     here = {name: value for name, value in config.items() if name not in _PLACES}
     files = {CONFIG: json.dumps(here, indent=4).encode()}
