@@ -3,8 +3,9 @@
 In an environment with lerobot, such as the one that ``make test-lerobot`` makes, and
 with what Diffusion Policy needs (``pip install 'lerobot[diffusion]'``):
 
-    python scripts/control_baselines.py --out runs/control --print
-    python scripts/control_baselines.py --out runs/control --seeds 0,1,2
+    python scripts/control_baselines.py --print
+    python scripts/control_baselines.py --seeds 0,1,2
+    python scripts/control_baselines.py --observation privileged
 
 It runs the commands that it prints: demonstrations, their videos, what is decoded of
 them once; one training for each policy and seed, all at the same time, each GPU in
@@ -13,7 +14,8 @@ the learning curve. What is there already is kept: the same command goes on wher
 stopped, trainings at their last checkpoint. ``--phases`` does a part of it.
 
 One policy learns all tasks. It is told the sentence as numbers, because neither ACT nor
-Diffusion Policy of LeRobot reads text.
+Diffusion Policy of LeRobot reads text. With ``--observation privileged`` it is told the
+truth instead, poses and goal, and sees nothing: an oracle, which needs no GPU.
 """
 
 import argparse
@@ -28,34 +30,53 @@ from shutil import rmtree
 
 import torch
 
-from lemma.core.files import read_json, write_json
+from lemma.core.files import read_json
 from lemma.evaluation.records import SUMMARY
+from lemma.evaluation.report.learning_curves import CURVE, LearningCurve, Point
+from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
 
 TASKS = "pass,stack,poke,hook"
+COSINE = (
+    "--use_policy_training_preset=false --optimizer.type=adamw "
+    "--optimizer.weight_decay=1e-4 --optimizer.grad_clip_norm=10 "
+    "--scheduler.type=cosine_annealing_with_warmup --scheduler.num_warmup_steps=200"
+)
+"""Of both: steps become smaller to the end, for which ACT has no preset."""
 POLICIES = {
-    "act": (
-        "--policy.type=act --policy.pretrained_backbone_weights=null "
-        "--policy.chunk_size=20 --policy.n_action_steps=10 --policy.dim_model=256 "
-        "--policy.dim_feedforward=1024 --policy.optimizer_lr=2e-4 "
-        "--policy.optimizer_lr_backbone=2e-4"
-    ),
+    "act": f"--policy.type=act --policy.use_vae=false --policy.dropout=0 {COSINE}",
     "diffusion": (
-        "--policy.type=diffusion --policy.pretrained_backbone_weights=null "
-        "--policy.horizon=16 --policy.n_action_steps=8 "
-        "--policy.crop_ratio=1.0 --policy.down_dims=[64,128,256] "
+        "--policy.type=diffusion --policy.use_group_norm=true --policy.horizon=16 "
+        "--policy.n_action_steps=8 --policy.crop_ratio=1.0 "
         "--policy.use_separate_rgb_encoder_per_camera=false "
         "--policy.noise_scheduler_type=DDIM --policy.num_inference_steps=10 "
-        "--policy.optimizer_lr=2e-4"
+        f"{COSINE}"
     ),
 }
 """Name and arguments of ``lerobot-train``; the rest is LeRobot's default."""
+SIZES = {
+    "rgb": {
+        "act": (
+            "--policy.chunk_size=20 --policy.n_action_steps=10 --policy.dim_model=256 "
+            "--policy.dim_feedforward=1024 --optimizer.lr=2e-4"
+        ),
+        "diffusion": "--policy.down_dims=[64,128,256] --optimizer.lr=3e-4",
+    },
+    "privileged": {
+        "act": (
+            "--policy.chunk_size=10 --policy.n_action_steps=5 --policy.dim_model=128 "
+            "--policy.n_heads=4 --policy.dim_feedforward=512 --optimizer.lr=5e-4"
+        ),
+        "diffusion": "--policy.down_dims=[32,64,128] --optimizer.lr=5e-4",
+    },
+}
+"""By what is observed: numbers are learned by less than pictures."""
+OBSERVATIONS = tuple(SIZES)
 PHASES = ("data", "train", "test", "curve")
 PRECISION = "ACCELERATE_MIXED_PRECISION=bf16"
 """Of the arithmetic in training; the environment is where lerobot-train reads it."""
 UNPACKED = "scripts/lerobot_train_unpacked.py"
 WEIGHTS, CONFIG = "pretrained_model", "train_config.json"
 """Of a checkpoint: its folder for policies, and what it was trained with."""
-CURVE = "curve.json"
 LOOK_S = 0.5
 
 Run = tuple[str, int]
@@ -70,6 +91,7 @@ class Plan:
     pictures: Path
     """Folder of what is decoded."""
     tasks: str
+    observation: str
     size: str
     fps: int
     steps: int
@@ -102,12 +124,14 @@ class Plan:
     def data_commands(self) -> list[str]:
         """Return what makes the training data."""
         episodes = f" --episodes {self.episodes}" if self.episodes else ""
+        seen = f"--size {self.size} --environment-state sentence"
+        if self.observation != OBSERVATIONS[0]:
+            seen = f"--no-images --environment-state {self.observation}"
         return [
             f"lemma generate --tasks {self.tasks} --split train{episodes} "
             f"--out {self.recipe} --workers {self.workers}",
-            f"lemma render {self.recipe} --form lerobot --size {self.size} --no-depth "
-            f"--fps {self.fps} --sentence-vector --out {self.videos} "
-            f"--workers {self.workers}",
+            f"lemma render {self.recipe} --form lerobot {seen} --no-depth "
+            f"--fps {self.fps} --out {self.videos} --workers {self.workers}",
             f"python {UNPACKED} unpack {self.videos} {self.pictures}",
         ]
 
@@ -119,6 +143,8 @@ class Plan:
         return (
             f"{begin} --dataset.repo_id=lemma/control "
             f"--dataset.root={self.videos} {POLICIES[name]} "
+            "--policy.pretrained_backbone_weights=null "
+            f"{SIZES[self.observation][name]} "
             f"--policy.device={self.device} --policy.push_to_hub=false --seed={seed} "
             f"--steps={self.steps} --batch_size={self.batch} "
             f"--num_workers={self.loaders} --save_freq={self.every} --log_freq=100 "
@@ -128,8 +154,9 @@ class Plan:
     def evaluation(self, checkpoint: Path, split: str, episodes: int, out: Path) -> str:
         """Return the command that evaluates a checkpoint."""
         some = f" --episodes {episodes}" if episodes else ""
+        kind = LEROBOT if self.observation == OBSERVATIONS[0] else LEROBOT_PRIVILEGED
         return (
-            f"lemma evaluate --policy lerobot:{checkpoint} --tasks {self.tasks} "
+            f"lemma evaluate --policy {kind}{checkpoint} --tasks {self.tasks} "
             f"--policy-args hz={self.fps},device={self.device} --split {split}{some} "
             f"--workers {self.workers} --out {out}"
         )
@@ -224,26 +251,27 @@ def points(plan: Plan, run: Run, count: int) -> list[tuple[int, Path]]:
 
 
 def write_curve(plan: Plan, run: Run) -> None:
-    """Write steps and success [%] on split val of all checkpoints that were tried."""
-    curve = []
+    """Write success on split val of all checkpoints that were tried."""
+    points = []
     for steps in sorted(int(each.name) for each in (plan.run(*run) / "val").iterdir()):
         cells = read_json(plan.run(*run) / "val" / f"{steps}" / SUMMARY)["cells"]
         played = sum(cell["episodes"] for cell in cells)
         solved = sum(cell["successes"] for cell in cells)
-        curve.append({"steps": steps, "success": round(100.0 * solved / played, 1)})
-    write_json(plan.run(*run) / CURVE, {"val": curve})
-    print(*run, curve, flush=True)
+        points.append(Point(steps, played, solved))
+    LearningCurve(tuple(points)).write(plan.run(*run) / CURVE)
+    print(*run, *points, sep="\n", flush=True)
 
 
-def arguments() -> argparse.Namespace:
-    """Return what is asked for."""
+def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
+    """Return what is asked for, on the command line by default."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("runs/control"))
+    parser.add_argument("--out", type=Path, help="runs/OBSERVATION by default")
     parser.add_argument("--pictures", type=Path, help="in OUT; /dev/shm is fast")
     parser.add_argument("--tasks", default=TASKS)
     parser.add_argument("--policies", default=",".join(POLICIES))
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--phases", default=",".join(PHASES), help="some of these")
+    parser.add_argument("--observation", default="rgb", choices=OBSERVATIONS)
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--fps", type=int, default=10)
     parser.add_argument("--steps", type=int, default=20_000)
@@ -258,7 +286,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--test", type=int, default=0, help="of each task; 0: all")
     parser.add_argument("--train-s", type=float, default=float("inf"))
     parser.add_argument("--print", action="store_true", help="do nothing")
-    args = parser.parse_args()
+    args = parser.parse_args(words)
+    args.out = args.out or Path("runs", args.observation)
     if unknown := set(args.phases.split(",")) - set(PHASES):
         parser.error(f"{', '.join(unknown)}: valid are {', '.join(PHASES)}")
     return args
@@ -271,6 +300,7 @@ def main() -> None:
         out=args.out,
         pictures=args.pictures or args.out / "pictures",
         tasks=args.tasks,
+        observation=args.observation,
         size=args.size,
         fps=args.fps,
         steps=args.steps,

@@ -3,8 +3,8 @@ r"""Measure what reading and assembling LeRobotDatasets cost, on an export.
 In an environment with lerobot:
 
     lemma generate --tasks pass --split val --episodes 10 --out data/few
-    lemma render data/few --form lerobot --size 160x120 --no-depth --sentence-vector \
-        --out data/few-videos
+    lemma render data/few --form lerobot --size 160x120 --no-depth \
+        --environment-state sentence --out data/few-videos
     python scripts/measure_lerobot.py data/few-videos --copies 289
 
 Samples are read in one process: two cameras and a chunk of 20 actions, as ACT asks for.

@@ -7,6 +7,7 @@ the README say that nothing was run.
 from pathlib import Path
 
 from lemma.evaluation.experiments.catalog import SUITES
+from lemma.evaluation.report.learning_curves import read_curves
 from lemma.evaluation.report.policy_results import (
     PolicyResults,
     entries_of,
@@ -36,7 +37,8 @@ def entries(results: Path = RESULTS) -> list[PolicyResults]:
 def text(results: Path = RESULTS) -> str:
     """Return the page."""
     told = "the files in `results/`"
-    return page(entries(results), source=told, guide="[](evaluation.md)")
+    curves = read_curves(results)
+    return page(entries(results), source=told, guide="[](evaluation.md)", curves=curves)
 
 
 def headline(results: Path = RESULTS) -> str:

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
+from lemma.core.errors import UnknownNameError
 from lemma.dataset.lerobot.frames import Style, features
 from lemma.env.config import EnvConfig
 from lemma.env.learning.flat_view import FlatView
+from lemma.env.observation import truth_names
 from lemma.tasks.language.vector import sentence_vector
 from lemma.tasks.names import SUITE
 from lemma.tasks.suite import load_instance
@@ -96,7 +98,14 @@ def test_what_is_observed_and_commanded_is_what_data_sets_hold(plugin: Any) -> N
             {**SMALL, "cameras": ",".join(cameras)},
             Style(width_px=48, height_px=32, depth=False, cameras=cameras),
         ),
-        ({"sentence_vector": True}, Style(depth=False, sentence_vector=True)),
+        (
+            {"environment_state": "sentence"},
+            Style(depth=False, environment_state="sentence"),
+        ),
+        (
+            {"environment_state": "privileged"},
+            Style(depth=False, images=False, environment_state="privileged"),
+        ),
     ):
         config = plugin.LemmaEnvConfig(**options)
         held = {
@@ -119,12 +128,27 @@ def test_options_are_those_of_an_environment_and_have_its_defaults(plugin: Any) 
 
 @pytest.mark.render
 def test_a_sentence_is_observed_as_numbers(plugin: Any) -> None:
-    config = plugin.LemmaEnvConfig(task="pass", sentence_vector=True, **SMALL)
+    config = plugin.LemmaEnvConfig(task="pass", environment_state="sentence", **SMALL)
     env = config.create_envs(n_envs=1)["pass"][0]
     observation, _ = env.reset(seed=[plugin.FIRST_SEED])
     said = sentence_vector(load_instance("pass", "test", 0).instructions["high_level"])
     assert np.array_equal(observation["environment_state"], said[None])
     env.close()
+
+
+def test_an_oracle_observes_the_truth_instead_of_pictures(plugin: Any) -> None:
+    config = plugin.LemmaEnvConfig(task="pass", environment_state="privileged", **SMALL)
+    env = config.create_envs(n_envs=1)["pass"][0]
+    observation, _ = env.reset(seed=[plugin.FIRST_SEED])
+    assert set(observation) == {"agent_pos", "environment_state"}
+    names = truth_names(TEAM)
+    (told,) = observation["environment_state"]
+    pairs = {name for name, value in zip(names, told, strict=True) if value == 1.0}
+    for top, bottom in load_instance("pass", "test", 0).goal.pairs:
+        assert f"{top}.on.{bottom}" in pairs
+    env.close()
+    with pytest.raises(UnknownNameError, match="sentence"):
+        plugin.LemmaEnvConfig(environment_state="all of it")
 
 
 @pytest.mark.render

@@ -16,8 +16,12 @@ from lerobot.envs.utils import _LazyAsyncVectorEnv, freeze_after_episode_end
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
 import lemma
+from lemma.core.arguments import known
+from lemma.core.robot_names import robot_names
+from lemma.dataset.lerobot.frames import ENVIRONMENT_STATES, NONE, PRIVILEGED, SENTENCE
 from lemma.env.learning.flat_view import FlatView
 from lemma.env.learning.harness_episodes import HarnessEpisodes
+from lemma.env.observation import truth_names
 from lemma.env.simulation import HORIZON_S
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.tasks.language.vector import NUMBERS as SENTENCE_NUMBERS
@@ -26,8 +30,8 @@ from lemma.tasks.names import SUITE
 
 STATE = "agent_pos"
 """What lerobot calls the state in an environment's observation."""
-SENTENCE = "environment_state"
-"""The sentence as numbers, in an environment's observation."""
+TOLD = "environment_state"
+"""What lerobot calls what else is told in numbers."""
 NUMBERS = 14
 """Of a state and of an action: six joint angles and an opening for each robot."""
 FIRST_SEED = 1000
@@ -41,18 +45,22 @@ class LeRobotNames(gym.ObservationWrapper):
         """Rename the spaces as well."""
         super().__init__(env)
         named = self.observation(env.observation_space)
-        pixels = gym.spaces.Dict(named["pixels"])
-        self.observation_space = gym.spaces.Dict({**named, "pixels": pixels})
+        if "pixels" in named:
+            named["pixels"] = gym.spaces.Dict(named["pixels"])
+        self.observation_space = gym.spaces.Dict(named)
 
     def observation(self, observation: Any) -> dict[str, Any]:
-        """Return the state, and pictures by the names of their cameras."""
+        """Return the state, and pictures by their cameras' names, or the truth."""
         prefix = f"{OBS_IMAGES}."
         pixels = {
             name.removeprefix(prefix): observation[name]
             for name in observation
             if name.startswith(prefix)
         }
-        return {STATE: observation[OBS_STATE], "pixels": pixels}
+        found = {STATE: observation[OBS_STATE]}
+        if OBS_ENV_STATE in list(observation):
+            return {**found, TOLD: observation[OBS_ENV_STATE]}
+        return {**found, "pixels": pixels}
 
 
 class SentenceVector(gym.ObservationWrapper):
@@ -64,36 +72,37 @@ class SentenceVector(gym.ObservationWrapper):
         space = gym.spaces.Box(-1.0, 1.0, (SENTENCE_NUMBERS,), np.float32)
         assert isinstance(env.observation_space, gym.spaces.Dict)
         self.observation_space = gym.spaces.Dict(
-            {**env.observation_space.spaces, SENTENCE: space}
+            {**env.observation_space.spaces, TOLD: space}
         )
 
     def observation(self, observation: Any) -> dict[str, Any]:
         """Return what was observed, and the sentence."""
         said = sentence_vector(self.env.get_wrapper_attr("task_description"))
-        return {**observation, SENTENCE: said}
+        return {**observation, TOLD: said}
 
 
 def make_one(
-    task: str, options: dict[str, Any], sentence_vector: bool = False
+    task: str, options: dict[str, Any], environment_state: str = NONE
 ) -> gym.Env:
     """Return one environment for one episode after the other.
 
     Args:
         task: Name of the task.
         options: Fields of :class:`lemma.env.config.EnvConfig`.
-        sentence_vector: Whether the sentence is observed as numbers too.
+        environment_state: What else is told in numbers: the sentence, or, instead of
+            pictures, the truth.
     """
     env = lemma.make(
         task,
         level="control",
         control="joint_position",
-        observation="rgb",
+        observation=PRIVILEGED if environment_state == PRIVILEGED else "rgb",
         render_mode="rgb_array",
         clip_actions=True,
         **options,
     )
     named = LeRobotNames(FlatView(HarnessEpisodes(env, FIRST_SEED)))
-    return SentenceVector(named) if sentence_vector else named
+    return SentenceVector(named) if environment_state == SENTENCE else named
 
 
 @EnvConfig.register_subclass("lemma")
@@ -115,8 +124,9 @@ class LemmaEnvConfig(EnvConfig):
     """Width of camera images [px]: that of the training data."""
     height: int = CAMERA_HEIGHT_PX
     """Height of camera images [px]."""
-    sentence_vector: bool = False
-    """Whether the sentence is observed as numbers too: that of the training data."""
+    environment_state: str = NONE
+    """What else is told in numbers, none, sentence, or, instead of pictures,
+    privileged: that of the training data."""
     render_width: int = 320
     """Width of the pictures of videos [px]; drawn at every step."""
     render_height: int = 180
@@ -130,20 +140,25 @@ class LemmaEnvConfig(EnvConfig):
 
     def __post_init__(self) -> None:
         """Say what is observed and what an action is."""
+        known("environment state", self.environment_state, ENVIRONMENT_STATES)
         row = (NUMBERS,)
         image = (self.height, self.width, 3)
         self.features = {
             ACTION: PolicyFeature(FeatureType.ACTION, row),
             STATE: PolicyFeature(FeatureType.STATE, row),
-            **{
-                f"{OBS_IMAGES}.{name}": PolicyFeature(FeatureType.VISUAL, image)
-                for name in _listed(self.cameras)
-            },
         }
-        if self.sentence_vector:
-            shape = (SENTENCE_NUMBERS,)
-            self.features[SENTENCE] = PolicyFeature(FeatureType.ENV, shape)
-        named = {STATE: OBS_STATE, SENTENCE: OBS_ENV_STATE}
+        if self.environment_state != PRIVILEGED:
+            for name in _listed(self.cameras):
+                seen = PolicyFeature(FeatureType.VISUAL, image)
+                self.features[f"{OBS_IMAGES}.{name}"] = seen
+        told = {
+            SENTENCE: SENTENCE_NUMBERS,
+            PRIVILEGED: len(truth_names(robot_names(2))),
+        }
+        if self.environment_state != NONE:
+            shape = (told[self.environment_state],)
+            self.features[TOLD] = PolicyFeature(FeatureType.ENV, shape)
+        named = {STATE: OBS_STATE, TOLD: OBS_ENV_STATE}
         self.features_map = {name: named.get(name, name) for name in self.features}
 
     @property
@@ -170,7 +185,7 @@ class LemmaEnvConfig(EnvConfig):
         """
         found = {}
         for task in SUITE if self.task in (None, "all") else _listed(self.task):
-            maker = partial(make_one, task, self.gym_kwargs, self.sentence_vector)
+            maker = partial(make_one, task, self.gym_kwargs, self.environment_state)
             makers = [maker] * n_envs
             if use_async_envs and n_envs > 1:
                 # Processes start when their task's turn comes.

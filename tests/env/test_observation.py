@@ -8,7 +8,14 @@ from gymnasium import spaces
 
 import lemma
 from lemma.core.poses import matrix_from_quaternion
-from lemma.env.observation import OBSERVATIONS, read_text, write_text
+from lemma.env.observation import (
+    OBSERVATIONS,
+    TRUTH,
+    read_text,
+    truth_names,
+    truth_vector,
+    write_text,
+)
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import RASTER
@@ -74,6 +81,13 @@ def test_truth_is_complete() -> None:
     assert not absent.any()
     pairs = {(ENTITIES[a], ENTITIES[b]) for a, b in np.argwhere(found["goal"])}
     assert pairs == set(instance.goal.pairs)
+    # What stands first is asked for first; behind the last pair is nothing.
+    asked = [
+        [found["objects"][ENTITIES.index(name)] for name in pair]
+        for pair in instance.goal.pairs
+    ]
+    assert np.array_equal(found["goal_poses"][: len(pairs)], asked)
+    assert not found["goal_poses"][len(pairs) :].any()
     assert found["robots"].shape == (2, 4)
     assert found["robots"][0, 0] < 0.0 < found["robots"][1, 0]
 
@@ -85,8 +99,22 @@ def test_images_are_only_where_asked_for() -> None:
         if not contents.renders
     }
     joints = {"agent_pos", "agent_vel", "tcp_pose", "instruction"}
-    truth = {"objects", "present", "robots", "goal"}
-    assert keys == {"state": joints, "privileged": joints | truth}
+    assert keys == {"state": joints, "privileged": joints | {*TRUTH}}
+
+
+def test_every_number_of_the_truth_has_a_name_of_its_own() -> None:
+    found, env = observe("privileged")
+    names = truth_names(env.robot_names)
+    told = dict(zip(names, truth_vector(found), strict=True))
+    assert len(told) == len(names)
+    for name, pose in env.info()["state"].items():
+        assert told[f"{name}.present"] == 1.0
+        assert told[f"{name}.z"] == np.float32(pose[2])
+    for top, bottom in env.instance.goal.pairs:
+        assert told[f"{top}.on.{bottom}"] == 1.0
+    top, bottom = env.instance.goal.pairs[0]
+    assert told["goal_0.bottom.y"] == told[f"{bottom}.y"]
+    assert told["robot_1.base_x"] == found["robots"][1, 0]
 
 
 @pytest.mark.render

@@ -80,7 +80,7 @@ def export() -> Path:
     words = (
         f"render {recipe()} --form lerobot --split train --fps 10 --no-depth "
         f"--size {WIDTH}x{HEIGHT} --instructions high-level,human "
-        "--sentence-vector --workers 1"
+        "--environment-state sentence --workers 1"
     )
     with pytest.raises(SystemExit) as end:
         main([*words.split(), "--out", str(out)])
@@ -169,7 +169,7 @@ def test_lerobot_eval_evaluates_what_was_trained() -> None:
         f"--env.task={','.join(EVALUATED)}",
         f"--env.width={WIDTH}",
         f"--env.height={HEIGHT}",
-        "--env.sentence_vector=true",
+        "--env.environment_state=sentence",
         "--env.horizon_s=1.5",
         f"--env.render_width={WIDTH}",
         f"--env.render_height={HEIGHT}",

@@ -17,6 +17,12 @@ def test_a_policy_of_lerobot_is_one_at_control_level() -> None:
         PolicySpec("lerobot:out/act", gta=True)
 
 
+def test_one_that_is_told_the_truth_is_an_oracle_by_name() -> None:
+    spec = PolicySpec("lerobot-privileged:out/act")
+    assert spec.controls
+    assert spec.oracle
+
+
 def test_without_the_lerobot_package_it_is_said_how_to_get_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

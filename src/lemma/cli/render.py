@@ -29,6 +29,7 @@ _ALL = "all"
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
 """A recipe."""
 FormName = Literal["keyframes", "lerobot"]
+EnvironmentState = Literal["none", "sentence", "privileged"]
 Make = Callable[[Engine, Callable[[int], None]], RenderSummary]
 """Makes what is missing, given where to work and whom to tell how many are done."""
 _ROWS = {"keyframes": "keyframes", "lerobot": "frames"}
@@ -56,9 +57,12 @@ class RenderOptions:
     instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
     """LeRobotDataset: kinds of instructions, high-level, human, unseen, or all; for
     each of them there is an episode of which it is the task."""
-    sentence_vector: Flag = False
-    """LeRobotDataset: the task as numbers too, as observation.environment_state, for
-    policies that read no text, such as ACT and Diffusion Policy."""
+    no_images: Flag = False
+    """LeRobotDataset: leave all pictures out."""
+    environment_state: EnvironmentState = "none"
+    """LeRobotDataset: what observation.environment_state is, for policies that read no
+    text, such as ACT and Diffusion Policy. sentence: the task as numbers; privileged:
+    the truth, poses and goal, for oracles."""
     renderer: str = "auto"
     """LeRobotDataset: what draws: opengl, or warp, which auto means where MuJoCo Warp
     is installed and finds a GPU."""
@@ -71,7 +75,8 @@ _FILMED = (
     "no_depth",
     "cameras",
     "instructions",
-    "sentence_vector",
+    "no_images",
+    "environment_state",
     "renderer",
 )
 """What is of LeRobotDatasets alone."""
@@ -147,7 +152,8 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
         depth=not look.no_depth,
         cameras=words(look.cameras) if look.cameras else (),
         instructions=words(look.instructions.replace("-", "_")) or KINDS,
-        sentence_vector=look.sentence_vector,
+        images=not look.no_images,
+        environment_state=look.environment_state,
         renderer=choose_renderer(look.renderer),
     )
     return partial(write_dataset, LeRobotConfig(source=order, style=style))

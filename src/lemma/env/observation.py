@@ -1,5 +1,6 @@
 """What is observed: joints and the instruction, and cameras or the truth on request."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,8 @@ from lemma.scene.objects.entity import known_entities
 from lemma.scene.proprioception import Proprioception
 from lemma.scene.raster import CEILING_M, RASTER
 from lemma.scene.scene import Scene
+from lemma.scene.spec import SceneSpec
+from lemma.tasks.goal import Goal
 from lemma.tasks.language.blind import instruction
 
 Observation = dict[str, Any]
@@ -59,6 +62,15 @@ OBSERVATIONS.add("rgb", Contents(rgb=True))
 OBSERVATIONS.add("rgbd", Contents(rgb=True, depth=True))
 OBSERVATIONS.add("map", Contents(topdown=True))
 OBSERVATIONS.add("privileged", Contents(truth=True))
+
+
+TRUTH = ("objects", "present", "robots", "goal", "goal_poses")
+"""What the truth consists of, in the order of :func:`truth_vector`."""
+POSE_AXES = ("x", "y", "z", "qw", "qx", "qy", "qz")
+"""Numbers of a pose."""
+GOAL_PAIRS = 4
+"""For how many pairs of a goal there is room among the goal's poses."""
+_BASE = ("base_x", "base_y", "base_yaw", "reach")
 
 
 class Observer:
@@ -149,6 +161,9 @@ class Observer:
             "present": spaces.MultiBinary(count),
             "robots": _box(-base, base),
             "goal": spaces.MultiBinary([count, count]),
+            "goal_poses": _box(
+                *(sign * np.resize(pose[0], (GOAL_PAIRS, 2, 7)) for sign in (-1, 1))
+            ),
         }
 
     def observe(self, episode: Episode, kind: str) -> Observation:
@@ -181,7 +196,8 @@ class Observer:
         if self.contents.renders:
             found.update(self._see(self.view(scene)))
         if self.contents.truth:
-            found.update(self._know(episode))
+            objects = object_poses(scene)
+            found.update(self.truth(objects, scene.spec, episode.instance.goal))
         return found
 
     def view(self, scene: Scene) -> View:
@@ -206,18 +222,29 @@ class Observer:
             }
         return found
 
-    def _know(self, episode: Episode) -> Observation:
-        scene = episode.simulation.scene
+    def truth(
+        self, poses: Mapping[str, FloatArray], spec: SceneSpec, goal: Goal
+    ) -> Observation:
+        """Return the truth, for an observer of it.
+
+        Args:
+            poses: Of every object, see :func:`object_poses`.
+            spec: What is on the table, and who stands at it.
+            goal: What shall become true.
+        """
         number = {name: i for i, name in enumerate(self._entities)}
         objects = np.zeros((len(number), 7))
         present = np.zeros(len(number), np.int8)
-        goal = np.zeros((len(number), len(number)), np.int8)
-        for name, pose in object_poses(scene).items():
+        wanted = np.zeros((len(number), len(number)), np.int8)
+        for name, pose in poses.items():
             objects[number[name]] = pose
             present[number[name]] = 1
-        for top, bottom in episode.instance.goal.pairs:
-            goal[number[top], number[bottom]] = 1
-        robots = [scene.spec.robots[i] for i in self._robots]
+        asked = np.zeros((GOAL_PAIRS, 2, 7))
+        for pair, (top, bottom) in enumerate(goal.pairs):
+            wanted[number[top], number[bottom]] = 1
+            if pair < GOAL_PAIRS:
+                asked[pair] = poses[top], poses[bottom]
+        robots = [spec.robots[i] for i in self._robots]
         bases = [
             [r.base.x, r.base.y, wrap(r.base.yaw), reach_of(r.arm).travel_m]
             for r in robots
@@ -226,7 +253,8 @@ class Observer:
             "objects": self._fit("objects", objects),
             "present": present,
             "robots": self._fit("robots", bases),
-            "goal": goal,
+            "goal": wanted,
+            "goal_poses": self._fit("goal_poses", asked),
         }
 
     def _fit(self, name: str, values: Any) -> NDArray[np.float32]:
@@ -236,6 +264,32 @@ class Observer:
         array = np.asarray(values, np.float32)
         clipped: NDArray[np.float32] = np.clip(array, space.low, space.high)
         return clipped
+
+
+def truth_vector(observation: Mapping[str, Any]) -> NDArray[np.float32]:
+    """Return the truth in an observation as one row, part after part of :data:`TRUTH`.
+
+    For two robots and the objects that ship 273 numbers.
+    """
+    rows = [np.ravel(observation[part]) for part in TRUTH]
+    return np.concatenate(rows).astype(np.float32)
+
+
+def truth_names(robots: Sequence[str]) -> list[str]:
+    """Return what each number of :func:`truth_vector` is, for a team."""
+    entities = known_entities()
+    return [
+        *(f"{name}.{axis}" for name in entities for axis in POSE_AXES),
+        *(f"{name}.present" for name in entities),
+        *(f"{robot}.{number}" for robot in robots for number in _BASE),
+        *(f"{top}.on.{bottom}" for top in entities for bottom in entities),
+        *(
+            f"goal_{pair}.{end}.{axis}"
+            for pair in range(GOAL_PAIRS)
+            for end in ("top", "bottom")
+            for axis in POSE_AXES
+        ),
+    ]
 
 
 def write_text(text: str) -> NDArray[np.uint8]:

@@ -8,7 +8,21 @@ from lemma.core.errors import InvalidConfigError
 
 LEROBOT = "lerobot:"
 """Begins the name of a checkpoint of LeRobot, ``"lerobot:CHECKPOINT"``."""
-_LEROBOT_CLASS = "lemma.policies.control.lerobot:LeRobotPolicy"
+LEROBOT_PRIVILEGED = "lerobot-privileged:"
+"""Begins the name of one that is told the truth: an oracle."""
+_MODULE = "lemma.policies.control.lerobot"
+_LEROBOT_CLASSES = {
+    LEROBOT: f"{_MODULE}:LeRobotPolicy",
+    LEROBOT_PRIVILEGED: f"{_MODULE}:PrivilegedLeRobotPolicy",
+}
+
+
+def checkpoint_of(name: str) -> str | None:
+    """Return which checkpoint of LeRobot a policy's name means; None if it is none."""
+    for prefix in _LEROBOT_CLASSES:
+        if name.startswith(prefix):
+            return name.removeprefix(prefix)
+    return None
 
 
 def class_of(name: str) -> Any:
@@ -20,7 +34,8 @@ def class_of(name: str) -> Any:
     Raises:
         InvalidConfigError: There is no such class.
     """
-    path = _LEROBOT_CLASS if name.startswith(LEROBOT) else name
+    begin, colon, _ = name.partition(":")
+    path = _LEROBOT_CLASSES.get(f"{begin}{colon}", name)
     module, _, attribute = path.partition(":")
     try:
         return getattr(import_module(module), attribute)
@@ -44,8 +59,9 @@ def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
         InvalidConfigError: There is no such class, or it cannot be made.
     """
     make = class_of(name)
-    if name.startswith(LEROBOT):
-        arguments = {"checkpoint": name.removeprefix(LEROBOT), **(arguments or {})}
+    checkpoint = checkpoint_of(name)
+    if checkpoint is not None:
+        arguments = {"checkpoint": checkpoint, **(arguments or {})}
     try:
         return make(**(arguments or {}))
     except Exception as error:

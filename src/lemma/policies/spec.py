@@ -7,7 +7,12 @@ from inspect import signature
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.policies.class_path import LEROBOT, class_of, instance_of
+from lemma.policies.class_path import (
+    LEROBOT_PRIVILEGED,
+    checkpoint_of,
+    class_of,
+    instance_of,
+)
 from lemma.policies.compose import (
     MultiStep,
     PlannerWithGrounder,
@@ -55,7 +60,8 @@ class PolicySpec:
       ``"greedy-reach"`` or ``"llm:MODEL"``, with a grounder or, alone, with the
       expert's poses;
     - anybody's own class: ``"package.module:Class"``, called with ``arguments``;
-    - a policy that LeRobot trained: ``"lerobot:CHECKPOINT"``;
+    - a policy that LeRobot trained: ``"lerobot:CHECKPOINT"``; one that is told the
+      truth, ``"lerobot-privileged:CHECKPOINT"``;
     - a policy behind a socket: ``"http://127.0.0.1:8000"``;
     - a model server of vla-eval: ``"vla-eval://127.0.0.1:8001"``, whose ``arguments``
       choose the environment.
@@ -122,7 +128,7 @@ class PolicySpec:
     @property
     def controls(self) -> bool:
         """Whether it answers motor commands."""
-        known = is_model_server(self.name) or self.name.startswith(LEROBOT)
+        known = is_model_server(self.name) or checkpoint_of(self.name) is not None
         return known or self.level == CONTROL
 
     def about(self) -> dict[str, Any]:
@@ -176,7 +182,7 @@ class PolicySpec:
         return self.gta or alone or any(map(self._is_oracle, self.parts))
 
     def _is_oracle(self, part: str) -> bool:
-        if part == ORACLE:
+        if part == ORACLE or part.startswith(LEROBOT_PRIVILEGED):
             return True
         if self._is_planner(part):
             return is_oracle(self._planner(part))

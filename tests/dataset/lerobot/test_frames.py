@@ -1,5 +1,6 @@
 """What goes into a LeRobotDataset; `make test-lerobot` looks at what comes out."""
 
+import math
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -8,10 +9,12 @@ import numpy as np
 import pytest
 from rendered_sets import TASKS, recipe, recipe_folder
 
+import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.dataset.lerobot.export import LeRobotConfig
 from lemma.dataset.lerobot.frames import (
     AGENT_PARTS,
+    ENVIRONMENT_STATE,
     Style,
     describe_episode,
     features,
@@ -20,6 +23,8 @@ from lemma.dataset.lerobot.frames import (
 from lemma.dataset.rendered.film import robots_of
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import NO_SUBTASK, iterate_steps
+from lemma.env.learning.flat_view import FlatView
+from lemma.tasks.instance import Instance
 
 STYLE = Style(fps=2, width_px=64, height_px=48)
 
@@ -101,6 +106,40 @@ def test_other_cameras_can_film() -> None:
         features(robots_of(recipe()[0]), Style(cameras=("robot_2",)))
 
 
+def test_without_pictures_frames_may_hold_the_truth_as_environments_tell_it() -> None:
+    record = recipe()[0]
+    style = Style(fps=2, images=False, environment_state="privileged")
+    found = list(frames(record, style))
+    holds = features(robots_of(record), style)
+    assert set(found[0]) == {*holds, "task"}
+    assert not any("images" in name for name in holds)
+    assert describe_episode(record, style, "human", 7)["cameras"] == {}
+    env = FlatView(
+        lemma.make(
+            record.task,
+            level="control",
+            split=record.split,
+            index=record.index,
+            observation="privileged",
+        )
+    )
+    observation, _ = env.reset()
+    for name in ("observation.state", ENVIRONMENT_STATE):
+        assert np.allclose(found[0][name], observation[name], atol=1e-6)
+    names = holds[ENVIRONMENT_STATE]["names"]
+    assert names is not None
+    first, last = (
+        dict(zip(names, found[at][ENVIRONMENT_STATE], strict=True)) for at in (0, -1)
+    )
+    (top, bottom), *_ = Instance.from_dict(record.instance_data()).goal.pairs
+    before_m, after_m = (
+        math.dist(*([told[f"{one}.{axis}"] for axis in "xy"] for one in (top, bottom)))
+        for told in (first, last)
+    )
+    assert after_m < 0.03 < before_m
+    assert first[f"{top}.on.{bottom}"] == 1.0
+
+
 def test_what_the_format_has_no_place_for_is_described() -> None:
     told = describe_episode(recipe()[0], STYLE, "human", 7)
     assert told["key"] == recipe()[0].key
@@ -120,6 +159,7 @@ def test_what_the_format_has_no_place_for_is_described() -> None:
         ({"width_px": 63}, InvalidConfigError),
         ({"height_px": 16}, InvalidConfigError),
         ({"instructions": ("poem",)}, UnknownNameError),
+        ({"environment_state": "poem"}, UnknownNameError),
         ({"cameras": ("overview", "overview")}, InvalidConfigError),
     ],
 )

@@ -82,7 +82,7 @@ def test_the_truth_is_there_only_when_it_was_asked_for() -> None:
     env = flat(observation="privileged")
     found, _ = env.reset()
     truth = found["observation.environment_state"]
-    assert truth.shape == (11 * 7 + 11 + 2 * 4 + 11 * 11,)
+    assert truth.shape == (11 * 7 + 11 + 2 * 4 + 11 * 11 + 4 * 2 * 7,)
     assert truth[:77].any()
 
 

@@ -17,6 +17,7 @@ from lemma.evaluation.experiments.catalog import (
     ABLATION_EPISODES,
     ABLATIONS,
     ALL,
+    CONTROL_LEVEL,
     EXPERIMENTS,
     SUITES,
     TRAININGS,
@@ -30,6 +31,7 @@ from lemma.evaluation.experiments.reproduction import (
 from lemma.evaluation.lines import packed_beside, read_lines
 from lemma.evaluation.run.loading import learned_parts
 from lemma.policies import weights
+from lemma.policies.spec import PolicySpec
 from lemma.policies.training.config import TrainingConfig, model_options
 from lemma.policies.weights import published_weights
 from lemma.policies.weights_file import TIME_LIMIT
@@ -98,7 +100,8 @@ def test_ablations_differ_in_one_thing_each_and_not_in_their_length() -> None:
 def test_suites_share_out_the_experiments() -> None:
     suites = [one.name for suite in SUITES for one in selected(suite)]
     assert sorted(suites) == sorted(EXPERIMENTS)
-    assert {one.suite for one in selected(ALL)} == {*SUITES} - {ABLATIONS}
+    left_out = {ABLATIONS, CONTROL_LEVEL}
+    assert {one.suite for one in selected(ALL)} == {*SUITES} - left_out
     assert [one.name for one in selected("oracle")] == ["oracle"]
     with pytest.raises(UnknownNameError, match="paper"):
         selected("papr")
@@ -112,6 +115,15 @@ def test_figures_of_the_paper_are_of_the_suite() -> None:
             mean = sum(task.mean for task in figures.tasks.values()) / len(SUITE)
             assert mean == pytest.approx(figures.mean.mean, abs=0.006)
         assert set(one.paper) == {"high_level", "human"}
+
+
+def test_what_another_script_trains_is_printed_as_well() -> None:
+    every = commands(selected(CONTROL_LEVEL))
+    names = [one.name for one in selected(CONTROL_LEVEL)]
+    assert every[1::2] == [f"lemma reproduce {name}" for name in names]
+    for one, line in zip(selected(CONTROL_LEVEL), every[::2], strict=True):
+        assert line == one.training
+        assert set(one.tasks) < set(SUITE)
 
 
 def test_every_seed_is_trained_once_for_each_part() -> None:
@@ -165,6 +177,10 @@ def test_missing_weights_are_explained(tmp_path: Path) -> None:
         plan.config(EXPERIMENTS["et-cliport-single-step"])
     with pytest.raises(MissingWeightsError, match="augmentation"):
         Reproduction(out=tmp_path).config(EXPERIMENTS["no-palette"])
+    act = EXPERIMENTS["act-privileged"]
+    none = replace(act, policy=PolicySpec("lerobot-privileged:nobody"))
+    with pytest.raises(MissingWeightsError, match=r"control_baselines.py .* act "):
+        Reproduction(out=tmp_path).config(none)
 
 
 def test_the_page_lists_every_ablation() -> None:

@@ -11,7 +11,12 @@ import pytest
 
 import control_baselines
 import train_all
-from lemma.evaluation.experiments.catalog import SEEDS, TRAININGS, selected
+from lemma.evaluation.experiments.catalog import (
+    CONTROL_LEVEL,
+    SEEDS,
+    TRAININGS,
+    selected,
+)
 from test_repository import options_of
 from train_all import Job, Machine
 
@@ -47,12 +52,28 @@ def test_printed_commands_can_be_given() -> None:
         rows[0].command("o", 1),
     ):
         check_options(command)
-    for command in control_plan(Path("out")).commands([("act", 0)]):
-        if command.startswith("lemma "):
-            check_options(command)
+    for observation in control_baselines.OBSERVATIONS:
+        for command in control_plan(Path("out"), observation).commands([("act", 0)]):
+            if command.startswith("lemma "):
+                check_options(command)
 
 
-def control_plan(out: Path) -> control_baselines.Plan:
+def test_what_the_catalog_says_of_control_level_is_what_the_script_does() -> None:
+    for one in selected(CONTROL_LEVEL):
+        program, script, *words = one.training.split()
+        assert (program, script) == ("python", "scripts/control_baselines.py")
+        asked = control_baselines.arguments(words)
+        assert tuple(asked.tasks.split(",")) == one.tasks
+        name = one.policy.name.rpartition(":")[2]
+        seen = "" if asked.observation == "rgb" else f"-{asked.observation}"
+        assert name == f"{asked.policies}{seen}"
+        assert dict(one.policy.arguments)["hz"] == asked.fps
+    told = control_plan(Path("out"), "privileged").commands([("act", 0)])
+    assert "--no-images --environment-state privileged" in told[1]
+    assert "--policy lerobot-privileged:out/act-0/" in told[-1]
+
+
+def control_plan(out: Path, observation: str = "rgb") -> control_baselines.Plan:
     numbers = {
         name: 1
         for name, kind in get_type_hints(control_baselines.Plan).items()
@@ -62,6 +83,7 @@ def control_plan(out: Path) -> control_baselines.Plan:
         out=out,
         pictures=out / "pictures",
         tasks="pass",
+        observation=observation,
         size="64x48",
         device="cpu",
         **numbers,

@@ -214,7 +214,7 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
             name: list(value) if isinstance(value, tuple) else value
             for name, value in asdict(order.style).items()
         },
-        "renderer": rig_of(*order.style.rig).describe(),
+        "renderer": rig_of(*order.style.rig).describe() if order.style.images else None,
         "per_video": order.per_video,
         "recipe": {name_in_source(path): sha256_of(path) for path in files},
     }
@@ -313,7 +313,7 @@ def _assemble(
         for shard in shards
         for episode in read_json(shard.folder / EPISODES)["episodes"]
     ]
-    if len({len(episode["cameras"]) for episode in episodes}) > 1:
+    if len({len(episode["team"].split("+")) for episode in episodes}) > 1:
         raise DatasetError(
             "These episodes have different numbers of robots and do not fit into one "
             "LeRobotDataset. Export the tasks into folders of their own, with --tasks."
@@ -331,7 +331,9 @@ def _assemble(
     write_text(order.out / CARD, card(info))
     for part in _PARTS:
         rmtree(order.out / part, ignore_errors=True)
-        (whole / part).rename(order.out / part)
+        # Without pictures there are no videos.
+        if (whole / part).exists():
+            (whole / part).rename(order.out / part)
 
 
 def _splits(episodes: Sequence[dict[str, Any]]) -> Iterator[tuple[str, str]]:

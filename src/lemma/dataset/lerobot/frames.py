@@ -21,8 +21,14 @@ from lemma.dataset.rendered.film import (
     robots_of,
 )
 from lemma.dataset.rendered.labels import label
-from lemma.dataset.rendered.steps import NO_SUBTASK, DenseStep, ticks_per_step
+from lemma.dataset.rendered.steps import (
+    NO_SUBTASK,
+    DenseStep,
+    iterate_steps,
+    ticks_per_step,
+)
 from lemma.env.episode import Episode
+from lemma.env.observation import Observer, truth_names, truth_vector
 from lemma.robots.ur.build import JOINTS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.tasks.instance import Instance
@@ -31,9 +37,13 @@ from lemma.tasks.language.vector import NUMBERS, sentence_vector
 
 AGENT_PARTS = ("state", "action")
 """What of each robot has a column of its own: ``robot_0.state``."""
-SENTENCE = "observation.environment_state"
-"""The task as numbers, under the name that policies of LeRobot take vectors by."""
+ENVIRONMENT_STATE = "observation.environment_state"
+"""What is told in numbers, under the name that policies of LeRobot take vectors by."""
+NONE, SENTENCE, PRIVILEGED = ENVIRONMENT_STATES = ("none", "sentence", "privileged")
+"""What that may be: nothing; :func:`lemma.tasks.language.vector.sentence_vector`; or
+the truth, :func:`lemma.env.observation.truth_vector`."""
 _SMALLEST_PX = 32
+_NO_PICTURES = np.zeros((0, 0, 0, 3), np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +63,11 @@ class Style:
     instructions: tuple[str, ...] = ("high_level",)
     """Which of the three instructions is the ``task`` of a frame: for each of these
     kinds there is an episode."""
-    sentence_vector: bool = False
-    """Whether frames hold their task as numbers too, as the state of the environment:
-    :func:`lemma.tasks.language.vector.sentence_vector`."""
+    images: bool = True
+    """Whether cameras film at all."""
+    environment_state: str = NONE
+    """What frames hold as the state of the environment, of
+    :data:`ENVIRONMENT_STATES`."""
     renderer: str = "opengl"
     """A name in :data:`lemma.scene.rendering.batch.BATCH_RENDERERS`."""
 
@@ -70,6 +82,7 @@ class Style:
             )
         for kind in self.instructions:
             known("kind of instruction", kind, KINDS)
+        known("environment state", self.environment_state, ENVIRONMENT_STATES)
         for listed in (self.cameras, self.instructions):
             if len(set(listed)) < len(listed):
                 raise InvalidConfigError(f"{listed} names one twice. Name each once.")
@@ -80,7 +93,7 @@ class Style:
         Raises:
             UnknownNameError: The team has no such camera.
         """
-        return cameras_of(robots, self.cameras)
+        return cameras_of(robots, self.cameras) if self.images else ()
 
     @property
     def rig(self) -> tuple[int, int, str]:
@@ -137,8 +150,11 @@ def features(robots: tuple[str, ...], style: Style) -> dict[str, dict[str, Any]]
         "subtask": _feature("string"),
         **{f"annotation.instruction.{kind}": _feature("string") for kind in KINDS},
     }
-    if style.sentence_vector:
-        found[SENTENCE] = _feature("float32", (NUMBERS,))
+    if style.environment_state == SENTENCE:
+        found[ENVIRONMENT_STATE] = _feature("float32", (NUMBERS,))
+    elif style.environment_state == PRIVILEGED:
+        names = truth_names(robots)
+        found[ENVIRONMENT_STATE] = _feature("float32", (len(names),), names)
     axes = ["height", "width", "channels"]
     for camera in cameras:
         found[image_key(camera)] = _feature("video", (*sides, 3), axes)
@@ -168,18 +184,38 @@ def frames(
         DatasetError: The motion is not the recorded one.
         RenderingError: OpenGL does not work here.
     """
-    cameras = style.cameras_of(robots_of(record))
+    robots = robots_of(record)
+    cameras = style.cameras_of(robots)
     task = getattr(record, kind)
     said = {f"annotation.instruction.{one}": getattr(record, one) for one in KINDS}
-    if style.sentence_vector:
-        said[SENTENCE] = sentence_vector(task)
-    for frame in film(record, style.filming()):
+    if style.environment_state == SENTENCE:
+        said[ENVIRONMENT_STATE] = sentence_vector(task)
+    instance, knower = Instance.from_dict(record.instance_data()), _knower(robots)
+    for frame in _filmed(record, style):
+        if style.environment_state == PRIVILEGED:
+            poses = frame.step.objects
+            truth = knower.truth(poses, instance.scene, instance.goal)
+            said[ENVIRONMENT_STATE] = truth_vector(truth)
         yield {
             **_numbers(record, frame.step),
             **_images(cameras, frame),
             **said,
             "task": task,
         }
+
+
+def _filmed(record: EpisodeRecord, style: Style) -> Iterator[Frame]:
+    if style.images:
+        yield from film(record, style.filming())
+        return
+    for step in iterate_steps(record, style.fps):
+        yield Frame(step, _NO_PICTURES, None)
+
+
+def _knower(robots: tuple[str, ...]) -> Observer:
+    """Return what tells the truth of a team's table; it renders nothing."""
+    numbers = tuple(range(len(robots)))
+    return Observer(PRIVILEGED, numbers, (_SMALLEST_PX, _SMALLEST_PX))
 
 
 def _numbers(record: EpisodeRecord, step: DenseStep) -> dict[str, Any]:
@@ -223,17 +259,6 @@ def describe_episode(
         kind: Which of its instructions is the task.
         length: How many frames it has.
     """
-    cameras = {}
-    scene = Episode(Instance.from_dict(record.instance_data())).simulation.scene
-    scene.refresh()
-    rig = rig_of(*style.rig)
-    for name in style.cameras_of(robots_of(record)):
-        camera = rig.calibrated(scene, scene.data, name)
-        lens = camera.intrinsics
-        cameras[name] = {
-            "intrinsics_px": [lens.fx, lens.fy, lens.cx, lens.cy],
-            "world_from_camera": camera.world_from_camera.matrix().tolist(),
-        }
     return {
         "key": record.key,
         "task": record.task,
@@ -246,5 +271,20 @@ def describe_episode(
         "instruction": kind,
         "instructions": {kind: getattr(record, kind) for kind in KINDS},
         "subtasks": [row.instruction for row in record.subtasks],
-        "cameras": cameras,
+        "cameras": _calibration(record, style) if style.images else {},
     }
+
+
+def _calibration(record: EpisodeRecord, style: Style) -> dict[str, dict[str, Any]]:
+    cameras = {}
+    scene = Episode(Instance.from_dict(record.instance_data())).simulation.scene
+    scene.refresh()
+    rig = rig_of(*style.rig)
+    for name in style.cameras_of(robots_of(record)):
+        camera = rig.calibrated(scene, scene.data, name)
+        lens = camera.intrinsics
+        cameras[name] = {
+            "intrinsics_px": [lens.fx, lens.fy, lens.cx, lens.cy],
+            "world_from_camera": camera.world_from_camera.matrix().tolist(),
+        }
+    return cameras

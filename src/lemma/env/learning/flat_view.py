@@ -11,12 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from lemma.core.errors import InvalidActionError, InvalidConfigError, shown
 from lemma.env.control_env import ControlEnv
-from lemma.env.observation import Observation
+from lemma.env.observation import (
+    POSE_AXES,
+    TRUTH,
+    Observation,
+    truth_vector,
+)
 from lemma.robots.ur.build import JOINTS
 
 STATES = ("agent_pos", "agent_vel", "tcp_pose")
 """What a state may consist of."""
-_TRUTH = ("objects", "present", "robots", "goal")
 
 
 class FlatView(
@@ -99,7 +103,7 @@ class FlatView(
                     found[f"observation.{prefix}.{name}"] = image
         if "objects" in space.spaces:
             found["observation.environment_state"] = _joined(
-                [space[name] for name in _TRUTH]
+                [space[name] for name in TRUTH]
             )
         return spaces.Dict(found)
 
@@ -112,10 +116,11 @@ class FlatView(
                 found[key] = observation["pixels"][name]
             elif kind == "depth":
                 found[key] = observation["depth"][name]
-            else:
-                parts = self._state if kind == "state" else _TRUTH
-                rows = [np.ravel(observation[part]) for part in parts]
+            elif kind == "state":
+                rows = [np.ravel(observation[part]) for part in self._state]
                 found[key] = np.concatenate(rows).astype(np.float32)
+            else:
+                found[key] = truth_vector(observation)
         return found
 
     def reset(
@@ -177,7 +182,7 @@ def _state_names(robots: Sequence[str], parts: Sequence[str]) -> tuple[str, ...]
     numbers = {
         "agent_pos": motors,
         "agent_vel": [f"{motor}_rate" for motor in motors],
-        "tcp_pose": [f"tcp_{axis}" for axis in ("x", "y", "z", "qw", "qx", "qy", "qz")],
+        "tcp_pose": [f"tcp_{axis}" for axis in POSE_AXES],
     }
     return tuple(
         f"{robot}.{number}"

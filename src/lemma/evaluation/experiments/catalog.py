@@ -8,12 +8,15 @@ from lemma.core.errors import UnknownNameError
 from lemma.core.registry import Registry
 from lemma.evaluation.experiments import paper_figures as paper
 from lemma.evaluation.experiments.paper_figures import Figures
+from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.policies.training.config import DEFAULTS
 from lemma.tasks.instance import BENCHMARK_VERSION
 from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.suite import SUITE
 
-SUITES = ("paper", "ours", "controls", "ablations")
+CONTROL_LEVEL = "control-level"
+SUITES = ("paper", "ours", "controls", CONTROL_LEVEL, "ablations")
 ALL = "all"
 SEEDS = (0, 1, 2)
 """Of training; the weights of the first ship."""
@@ -51,6 +54,10 @@ class Experiment:
     """What is said, one of :data:`lemma.evaluation.run.language_controls.LANGUAGES`."""
     perturb_start: bool = False
     """Whether objects begin a little elsewhere."""
+    tasks: tuple[str, ...] = SUITE
+    """Which ones it is played on."""
+    training: str = ""
+    """The command that makes its weights, where ``lemma train`` does not."""
     paper: Mapping[str, Figures] = field(default_factory=dict)
     """By kind; what the paper reports for this row."""
 
@@ -107,7 +114,8 @@ TRAININGS: Registry[Training] = Registry("training")
 def selected(name: str) -> list[Experiment]:
     """Return the experiments of a suite, all of them, or the one of that name.
 
-    ``"all"`` means those whose weights ship: not the ablations.
+    ``"all"`` means those whose weights ship, and that need no other environment:
+    neither the ablations nor those at control level.
 
     Raises:
         UnknownNameError: There is neither a suite nor an experiment of that name.
@@ -120,7 +128,7 @@ def selected(name: str) -> list[Experiment]:
         )
     every = [EXPERIMENTS[each] for each in EXPERIMENTS]
     if name == ALL:
-        return [one for one in every if one.suite != ABLATIONS]
+        return [one for one in every if one.suite not in (ABLATIONS, CONTROL_LEVEL)]
     return [one for one in every if one.suite == name]
 
 
@@ -209,6 +217,38 @@ _add(
         perturb_start=True,
     )
 )
+
+CONTROL_TASKS = ("pass", "stack", "poke", "hook")
+"""What policies at control level are trained on, one for all of them."""
+_ACT, _DIFFUSION = ("act", "ACT"), ("diffusion", "Diffusion Policy")
+for (_learner, _called), _steps in ((_ACT, 20_000), (_DIFFUSION, 20_000)):
+    _add(
+        Experiment(
+            name=_learner,
+            title=f"{_called}, camera images",
+            suite=CONTROL_LEVEL,
+            policy=PolicySpec(f"{LEROBOT}{_learner}", arguments=(("hz", 10),)),
+            tasks=CONTROL_TASKS,
+            training="python scripts/control_baselines.py "
+            f"--policies {_learner} --steps {_steps}",
+        )
+    )
+for (_learner, _called), _steps in ((_ACT, 16_000), (_DIFFUSION, 10_000)):
+    _add(
+        Experiment(
+            name=f"{_learner}-privileged",
+            title=f"{_called}, told poses and goal",
+            suite=CONTROL_LEVEL,
+            policy=PolicySpec(
+                f"{LEROBOT_PRIVILEGED}{_learner}-privileged", arguments=(("hz", 10),)
+            ),
+            # It is told the goal, whatever is said.
+            kinds=EVALUATION_KINDS[:1],
+            tasks=CONTROL_TASKS,
+            training="python scripts/control_baselines.py --observation privileged "
+            f"--policies {_learner} --episodes 500 --steps {_steps}",
+        )
+    )
 
 for _model in ("episodic-transformer", "cliport", "m-cliport", "reachnet"):
     TRAININGS.add(_model, Training(_model, _model))

@@ -20,6 +20,7 @@ from lemma.evaluation.lines import packed_beside, write_packed
 from lemma.evaluation.records import ABOUT, training_seed
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.evaluation.run.loading import learned_parts, weights_of
+from lemma.policies.class_path import checkpoint_of
 from lemma.policies.spec import PolicySpec
 
 _FILE = "weights.safetensors"
@@ -55,6 +56,7 @@ class Reproduction:
             policy=policy,
             split=self.split,
             kinds=experiment.kinds,
+            tasks=experiment.tasks,
             episodes=self.episodes,
             language=experiment.language,
             perturb_start=experiment.perturb_start,
@@ -93,12 +95,20 @@ class Reproduction:
     def _found(self, experiment: Experiment) -> PolicySpec:
         """Return the policy with parts that can be loaded."""
         policy = experiment.policy
+        checkpoint = checkpoint_of(policy.name)
         learned = learned_parts(policy.name)
-        if not learned:
+        if not learned and checkpoint is None:
             return policy
         # torch is an extra, which the expert does without.
         from lemma.policies.weights import published_weights  # noqa: PLC0415
 
+        if checkpoint is not None:
+            if checkpoint not in published_weights():
+                raise MissingWeightsError(
+                    f"The weights of {checkpoint} do not ship yet. They are made by: "
+                    f"{experiment.training}"
+                )
+            return policy
         parts = policy.name.split("+")
         for part in learned:
             if self.weights is not None:
@@ -128,15 +138,20 @@ class Reproduction:
 
 def commands(experiments: list[Experiment]) -> list[str]:
     """Return the command lines that make data, train and evaluate, with every seed."""
-    lines = list(DATA_COMMANDS) if _needed(experiments) else []
-    ablations = bool(experiments) and experiments[0].suite == ABLATIONS
+    elsewhere = [one for one in experiments if one.training]
+    here = [one for one in experiments if not one.training]
+    lines = list(DATA_COMMANDS) if _needed(here) else []
+    ablations = bool(here) and here[0].suite == ABLATIONS
     for seed in SEEDS[:1] if ablations else SEEDS:
-        runs = experiments[0].runs(seed)
-        for training in _needed(experiments):
+        for training in _needed(here):
             if seed == SEEDS[0]:
                 lines += _as_it_was(training.name)
-            lines.append(training.command(runs, seed))
-        lines += [f"lemma reproduce {one.name} --weights {runs}" for one in experiments]
+            lines.append(training.command(here[0].runs(seed), seed))
+        lines += [
+            f"lemma reproduce {one.name} --weights {one.runs(seed)}" for one in here
+        ]
+    for one in elsewhere:
+        lines += [one.training, f"lemma reproduce {one.name}"]
     return lines
 
 

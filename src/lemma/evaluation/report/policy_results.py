@@ -10,7 +10,12 @@ from statistics import fmean, stdev
 from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.intervals import leniently, mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Cell, Result, check_lines, read_result
-from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS, Experiment
+from lemma.evaluation.experiments.catalog import (
+    ABLATIONS,
+    CONTROL_LEVEL,
+    EXPERIMENTS,
+    Experiment,
+)
 from lemma.evaluation.lines import is_lines, lines_beside, read_lines, result_beside
 from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.run.language_controls import FULL
@@ -228,6 +233,11 @@ def is_plain(result: Result) -> bool:
 def is_ablation(entry: PolicyResults) -> bool:
     """Whether a policy stands in the table of the ablations."""
     return entry.experiment is not None and entry.experiment.suite == ABLATIONS
+
+
+def is_control_level(entry: PolicyResults) -> bool:
+    """Whether a policy stands in the table of those at control level."""
+    return entry.experiment is not None and entry.experiment.suite == CONTROL_LEVEL
 
 
 def mean_cell(entry: PolicyResults, kind: str) -> str:

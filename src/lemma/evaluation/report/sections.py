@@ -4,12 +4,18 @@ Made from results and from nothing else.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from lemma.evaluation.analysis.result import Result
-from lemma.evaluation.experiments.catalog import ABLATION_EPISODES, SEEDS, SUITES
+from lemma.evaluation.experiments.catalog import (
+    ABLATION_EPISODES,
+    EXPERIMENTS,
+    SEEDS,
+    SUITES,
+)
 from lemma.evaluation.report import success_tables, tables
+from lemma.evaluation.report.learning_curves import LearningCurve, learning_curves
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     PARTIAL,
@@ -22,6 +28,7 @@ from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
 REPORT = "results.md"
+NONE: Mapping[str, LearningCurve] = {}
 _LIMITED = " (a time limit ended the training: nobody can repeat it)"
 _INTRODUCTION = """\
 # Results
@@ -70,6 +77,7 @@ def page(
     entries: Sequence[PolicyResults],
     source: str = "the files named below",
     guide: str = "docs/evaluation.md",
+    curves: Mapping[str, LearningCurve] = NONE,
 ) -> str:
     """Return the page.
 
@@ -77,6 +85,7 @@ def page(
         entries: What it reports.
         source: Where the results are from, as the page says it.
         guide: The page about evaluation, as the page names it.
+        curves: By experiment.
     """
     text = _INTRODUCTION.format(
         source=source,
@@ -85,18 +94,23 @@ def page(
         not_run=NOT_RUN,
     )
     return text + "".join(
-        _written(section) for section in sections(entries, guide) if section.table.rows
+        _written(section)
+        for section in sections(entries, guide, curves)
+        if section.table.rows
     )
 
 
 def sections(
-    entries: Sequence[PolicyResults], guide: str = "docs/evaluation.md"
+    entries: Sequence[PolicyResults],
+    guide: str = "docs/evaluation.md",
+    curves: Mapping[str, LearningCurve] = NONE,
 ) -> list[Section]:
     """Return all tables, in the order of the report.
 
     Args:
         entries: What it reports.
         guide: The page about evaluation, as notes name it.
+        curves: By experiment.
     """
     every = (*_paper_sections(entries), *_own_sections(entries, guide))
     sample = sample_words(entries)
@@ -104,6 +118,12 @@ def sections(
         *(
             Section(title, f"{note} {sample}".strip(), table)
             for title, note, table in every
+        ),
+        Section(
+            "Learning curves",
+            "Of the policies at control level: checkpoints on episodes of split `val`, "
+            "ten of each task, strict.",
+            learning_curves(curves),
         ),
         _provenance(entries),
     ]
@@ -165,6 +185,13 @@ def _own_sections(
         "when something else is said, or nothing; strict. Without distractors there "
         "is little to guess. Last: how often what swapped colors ask for holds.",
         tables.language(entries),
+    )
+    yield (
+        "Control level",
+        "ACT and Diffusion Policy of LeRobot, which answer 14 joint targets ten times "
+        "a second; one policy for these tasks. *Told poses and goal* is an oracle: it "
+        f"sees no pictures and reads no sentence. {guide} says how they are trained.",
+        success_tables.control_level(entries),
     )
     yield (
         "Perturbed starts",
@@ -289,14 +316,20 @@ def _extents(result: Result) -> dict[tuple[str, str], int]:
     return dict(counted)
 
 
+def _wanted(result: Result) -> tuple[str, ...]:
+    """Return the tasks that a result should be of."""
+    name = result.experiment
+    return EXPERIMENTS[name].tasks if name in EXPERIMENTS else SUITE
+
+
 def _is_whole(result: Result) -> bool:
-    """Whether all episodes of all tasks of the suite were played, with some kinds."""
+    """Whether all episodes of all tasks that it should be of were played."""
     found = _extents(result)
     every = SPLITS.get(result.about["split"])
     kinds = {kind for kind, _ in found}
     # A split that is sampled has no end.
     return every is not None and all(
-        found.get((kind, task)) == every for kind in kinds for task in SUITE
+        found.get((kind, task)) == every for kind in kinds for task in _wanted(result)
     )
 
 
@@ -307,7 +340,8 @@ def _extent(result: Result) -> str:
     split = result.about["split"]
     if _is_whole(result) or split not in SPLITS:
         return str(episodes)
-    return f"{episodes} of {len({k for k, _ in found}) * len(SUITE) * SPLITS[split]}"
+    kinds = {kind for kind, _ in found}
+    return f"{episodes} of {len(kinds) * len(_wanted(result)) * SPLITS[split]}"
 
 
 def _provenance(entries: Iterable[PolicyResults]) -> Section:

@@ -17,6 +17,7 @@ from lemma.evaluation.report.policy_results import (
     NOTHING,
     PolicyResults,
     is_ablation,
+    is_control_level,
     is_plain,
     mean_cell,
     policy_of,
@@ -103,6 +104,22 @@ def by_task(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
             mean = _printed(figures.mean if set(tasks) == set(SUITE) else None)
             rows.append((PAPER, *each, mean))
     return ResultTable(("success [%]", *tasks, "mean"), tuple(rows))
+
+
+def control_level(entries: Iterable[PolicyResults]) -> ResultTable:
+    """Return success by task of what answers motor commands, strict."""
+    entries = [entry for entry in entries if is_control_level(entry)]
+    asked = [one.experiment.tasks for one in entries if one.experiment]
+    tasks = in_order(task for tasks in asked for task in tasks)
+    rows: list[tuple[str, ...]] = []
+    for entry in entries:
+        kinds = entry.experiment.kinds if entry.experiment else ()
+        for kind in kinds:
+            each = (_pooled(entry.select(kind, task=task)) for task in tasks)
+            label = (entry.title, words(kind, "-"))
+            rows.append((*label, *each, mean_cell(entry, kind)))
+    header = ("success [%]", "instructions", *tasks, "mean")
+    return ResultTable(header, tuple(rows), labels=2)
 
 
 def by_distractors(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
@@ -195,10 +212,15 @@ def _printed(figure: Measured | None) -> str:
 def _reporting(entries: Iterable[PolicyResults], kind: str) -> list[PolicyResults]:
     """Return those that are rows of a table of a kind.
 
-    Not the ablations, nor a policy that was told other sentences or began elsewhere, if
-    it stands there without: tables of their own compare the two.
+    Not the ablations and what acts at control level, nor a policy that was told other
+    sentences or began elsewhere, if it stands there without: tables of their own
+    compare the two.
     """
-    entries = [entry for entry in entries if not is_ablation(entry)]
+    entries = [
+        entry
+        for entry in entries
+        if not (is_ablation(entry) or is_control_level(entry))
+    ]
     results = [result for entry in entries for result in entry.results]
     known = {policy_of(result) for result in results if is_plain(result)}
 

@@ -6,7 +6,7 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import read_json, sha256_of
 from lemma.evaluation.run.control.model_server import ask_model_server
-from lemma.policies.class_path import LEROBOT
+from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED, checkpoint_of
 from lemma.policies.control.interfaces import is_model_server
 from lemma.policies.interfaces import is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
@@ -35,7 +35,9 @@ def load_policy(spec: PolicySpec) -> Any:
     def load(name: str) -> Any:
         if is_address(name) or is_model_server(name):
             return connected(spec, name)
-        if ":" in name and spec.timeout_s > 0.0:
+        # The truth travels to no other process.
+        ours = name.startswith(LEROBOT_PRIVILEGED)
+        if ":" in name and spec.timeout_s > 0.0 and not ours:
             return isolate(name, spec.timeout_s, dict(spec.arguments))
         return load_part(name, dict(spec.arguments))
 
@@ -101,8 +103,9 @@ def weights_of(spec: PolicySpec) -> Weights:
     Raises:
         LemmaError: They are missing or damaged.
     """
-    if spec.name.startswith(LEROBOT):
-        return _lerobot_weights(spec.name.removeprefix(LEROBOT))
+    checkpoint = checkpoint_of(spec.name)
+    if checkpoint is not None:
+        return _lerobot_weights(checkpoint)
     eyes = (getattr(planner, "weights", ()) for planner in spec.planners())
     parts = dict.fromkeys([*learned_parts(spec.name), *(w for e in eyes for w in e)])
     return dict(_weights_in(_find(part)) for part in parts)

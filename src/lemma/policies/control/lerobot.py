@@ -1,5 +1,6 @@
 """Policies of LeRobot as policies at control level: ``--policy lerobot:CHECKPOINT``.
 
+Those that are told the truth are oracles: ``--policy lerobot-privileged:CHECKPOINT``.
 It needs the lerobot package, which ``lemma-bench[lerobot]`` brings.
 """
 
@@ -12,18 +13,24 @@ import torch
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies import get_policy_class, make_pre_post_processors
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
+from numpy.typing import NDArray
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.robot_names import robot_names
 from lemma.env.camera_rig import camera_names
+from lemma.env.observation import truth_names, truth_vector
+from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
 from lemma.policies.control.checkpoint_file import checkpoint_folder
 from lemma.policies.control.interfaces import Actions, ControlInput
+from lemma.policies.interfaces import Oracle
 from lemma.tasks.language.vector import NUMBERS as SENTENCE_NUMBERS
 from lemma.tasks.language.vector import sentence_vector
 
 TEAM = robot_names(2)
 NUMBERS = 7
 """Of each robot in a state and in an action: six joint angles and an opening."""
+TRUTH = truth_names(TEAM)
+"""What the numbers are that an oracle is told."""
 _SHARED = ("_parameters", "_buffers", "_modules")
 """What all episodes have in common of a policy: its network."""
 
@@ -54,7 +61,9 @@ class LeRobotPolicy:
             config = PreTrainedConfig.from_pretrained(folder)
             config.pretrained_path = folder
             config.device = device
-            self.control_options = control_options(config, hz)
+            self.control_options = control_options(
+                config, hz, privileged=isinstance(self, Oracle)
+            )
             self._config = config
             self._policy = get_policy_class(config.type).from_pretrained(
                 folder, config=config
@@ -99,14 +108,17 @@ class LeRobotPolicy:
             "task": [given.instruction for given in inputs],
         }
         if OBS_ENV_STATE in self._config.input_features:
-            read = np.stack([sentence_vector(given.instruction) for given in inputs])
-            found[OBS_ENV_STATE] = torch.from_numpy(read)
-        for camera in self.control_options["cameras"]:
+            told = np.stack([self._environment_state(given) for given in inputs])
+            found[OBS_ENV_STATE] = torch.from_numpy(told)
+        for camera in self.control_options.get("cameras", ()):
             images = np.stack([each["pixels"][camera] for each in seen])
             found[f"{OBS_IMAGES}.{camera}"] = (
                 torch.from_numpy(images).permute(0, 3, 1, 2).float() / 255.0
             )
         return found
+
+    def _environment_state(self, given: ControlInput) -> NDArray[np.float32]:
+        return sentence_vector(given.instruction)
 
     def _rows(self, actions: torch.Tensor) -> Any:
         """Return actions (..., 14) as rows of the team, (..., 2, 7)."""
@@ -114,12 +126,25 @@ class LeRobotPolicy:
         return values.reshape(*values.shape[:-1], len(TEAM), NUMBERS)
 
 
-def control_options(config: Any, hz: float) -> dict[str, Any]:
+class PrivilegedLeRobotPolicy(LeRobotPolicy, Oracle):
+    """A checkpoint that was trained on the truth: poses and goal, and no pictures.
+
+    It shows what a policy can do whose eyes and ears make no mistakes.
+    """
+
+    def _environment_state(self, given: ControlInput) -> NDArray[np.float32]:
+        return truth_vector(given.observation)
+
+
+def control_options(
+    config: Any, hz: float, *, privileged: bool = False
+) -> dict[str, Any]:
     """Return the environment that a policy was made for.
 
     Args:
         config: Configuration of a policy of lerobot.
         hz: Actions per second.
+        privileged: Whether the state of its environment is the truth.
 
     Raises:
         InvalidConfigError: It observes or commands what there is not here.
@@ -133,22 +158,25 @@ def control_options(config: Any, hz: float) -> dict[str, Any]:
         for name, shape in shapes.items()
         if not name.startswith(f"{OBS_IMAGES}.")
     }
-    row = (len(TEAM) * NUMBERS,)
-    valid_numbers = {OBS_STATE: row, ACTION: row}
-    if numbers not in (
-        valid_numbers,
-        valid_numbers | {OBS_ENV_STATE: (SENTENCE_NUMBERS,)},
-    ):
-        raise InvalidConfigError(
-            f"The policy has {numbers} beside its images. Valid: {OBS_STATE} and "
-            f"{ACTION} of {row[0]} numbers, as lemma render --form lerobot writes "
-            f"them, and {OBS_ENV_STATE} of {SENTENCE_NUMBERS}, with --sentence-vector."
-        )
     images = {
         name.removeprefix(f"{OBS_IMAGES}."): shape
         for name, shape in shapes.items()
         if name not in numbers
     }
+    options: dict[str, Any] = {
+        "control": "joint_position",
+        "control_hz": hz,
+        "clip_actions": True,
+    }
+    if privileged:
+        _check_numbers(numbers, {OBS_ENV_STATE: (len(TRUTH),)})
+        if images:
+            raise InvalidConfigError(
+                f"The policy sees {', '.join(images)}: it is no one that is told the "
+                f"truth instead. Name it {LEROBOT}CHECKPOINT."
+            )
+        return {**options, "observation": "privileged"}
+    _check_numbers(numbers, {}, {OBS_ENV_STATE: (SENTENCE_NUMBERS,)})
     valid = camera_names(TEAM)
     if not images or set(images) - set(valid) or len(set(images.values())) > 1:
         raise InvalidConfigError(
@@ -157,11 +185,32 @@ def control_options(config: Any, hz: float) -> dict[str, Any]:
         )
     _, height, width = next(iter(images.values()))
     return {
-        "control": "joint_position",
-        "control_hz": hz,
-        "clip_actions": True,
+        **options,
         "observation": "rgb",
         "cameras": tuple(images),
         "width": width,
         "height": height,
     }
+
+
+def _check_numbers(
+    numbers: Mapping[str, tuple[int, ...]], *valid: Mapping[str, tuple[int, ...]]
+) -> None:
+    """Check which vectors a policy observes and commands, beside its images.
+
+    Args:
+        numbers: Shapes by name.
+        valid: What there may be beside state and action.
+
+    Raises:
+        InvalidConfigError: There are others.
+    """
+    row = (len(TEAM) * NUMBERS,)
+    always = {OBS_STATE: row, ACTION: row}
+    if numbers in [{**always, **more} for more in valid]:
+        return
+    told = f"The policy has {dict(numbers)} beside its images. Valid: {OBS_STATE} and "
+    told += f"{ACTION} of {row[0]} numbers, as lemma render --form lerobot writes them,"
+    told += f" and {OBS_ENV_STATE} of {SENTENCE_NUMBERS}, with --environment-state "
+    told += f"sentence, or of {len(TRUTH)}, with --environment-state privileged, which "
+    raise InvalidConfigError(f"{told}{LEROBOT_PRIVILEGED}CHECKPOINT is told.")

@@ -9,7 +9,7 @@ from lemma.core.files import write_text
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.analysis.intervals import mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Cell
-from lemma.evaluation.experiments.catalog import ABLATIONS
+from lemma.evaluation.experiments.catalog import ABLATIONS, CONTROL_LEVEL
 from lemma.evaluation.experiments.paper_figures import Measured
 from lemma.evaluation.report.policy_results import PolicyResults, tasks_of
 from lemma.evaluation.report.success_tables import values_of
@@ -19,7 +19,7 @@ from lemma.tasks.suite import SUITE
 from lemma.viz.plots import Bar, Figure, Mark, Series, dots, lines, stacks, standalone
 
 FIGURES = "figures"
-_CONTROLS = "controls"
+_NOT_PLOTTED = (ABLATIONS, CONTROL_LEVEL, "controls")
 _INTERVALS = (
     "Whiskers: 95 % Wilson intervals where there is one training seed, else ± one "
     "standard deviation over the seeds."
@@ -29,11 +29,12 @@ _INTERVALS = (
 def figures_of(entries: Sequence[PolicyResults]) -> list[Figure]:
     """Return all figures that there is something to show in.
 
-    Ablations have a table; controls too, and are plotted only where nothing else is.
+    Ablations and control level have tables; controls too, and are plotted only where
+    nothing else is.
     """
     suites = [one.experiment.suite if one.experiment else "" for one in entries]
     shown: list[PolicyResults] = []
-    for left_out in ((ABLATIONS, _CONTROLS), (ABLATIONS,)):
+    for left_out in (_NOT_PLOTTED, _NOT_PLOTTED[:2]):
         shown = shown or [
             entry
             for entry, suite in zip(entries, suites, strict=True)
