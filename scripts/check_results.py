@@ -23,12 +23,13 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import ProcessPool, usable_cores
-from lemma.evaluation.experiments.catalog import EXPERIMENTS, SEEDS
+from lemma.evaluation.experiments.catalog import CONTROL_LEVEL, EXPERIMENTS, SEEDS
 from lemma.evaluation.experiments.reproduction import Reproduction
 from lemma.evaluation.lines import lines_at, packed_beside, read_lines
 from lemma.evaluation.records import PACKED, Row, key_of, read_about
@@ -40,6 +41,7 @@ from lemma.tasks.suite import SUITE
 ROOT = Path(__file__).parents[1]
 BOARD = "leaderboard"
 RESULTS = "results"
+LEROBOT_PACKAGE = "lerobot"
 SHIPPED = SEEDS[0]
 """Seed of the weights that ship."""
 TOLERANCE_M = 0.001
@@ -56,6 +58,15 @@ def committed(root: Path) -> dict[str, Path]:
     for path in sorted((root / BOARD).glob(f"*{PACKED}")):
         found[f"{BOARD}/{path.name.removesuffix(PACKED)}"] = path
     return {name: path for name, path in found.items() if path.is_file()}
+
+
+def playable(name: str) -> bool:
+    """Return whether what a policy needs is installed here; say so if it is not."""
+    elsewhere = name in EXPERIMENTS and EXPERIMENTS[name].suite == CONTROL_LEVEL
+    if elsewhere and find_spec(LEROBOT_PACKAGE) is None:
+        print(f"{name}: left out, because lerobot is not installed here")
+        return False
+    return True
 
 
 def order_of(name: str, path: Path, out: Path, episodes: int) -> EvaluationConfig:
@@ -151,11 +162,11 @@ def check(name: str, path: Path, asked: argparse.Namespace) -> int:
     """
     source = lines_at(asked.lines / name) if asked.lines else path
     lines = {key_of(row): row for row in read_lines(source)}
-    there = {kind for kind, _, _ in lines}
-    kinds = tuple(kind for kind in asked.kinds if kind in there)
+    kinds = tuple(k for k in asked.kinds if k in {kind for kind, _, _ in lines})
+    tasks = tuple(t for t in asked.tasks if t in {task for _, task, _ in lines})
     with tempfile.TemporaryDirectory() as folder:
         order = order_of(name, path, Path(folder), asked.episodes)
-        order = replace(order, tasks=tuple(asked.tasks), kinds=kinds)
+        order = replace(order, tasks=tasks, kinds=kinds)
         rows = evaluate(order, ProcessPool(asked.workers))
     differing = 0
     for row in rows:
@@ -190,7 +201,7 @@ def main() -> int:
         parser.error(f"no lines of {', '.join(unknown)}; there are {', '.join(found)}")
     if not found:
         parser.error("nothing is committed that could be checked")
-    names = asked.names or list(found)
+    names = asked.names or [name for name in found if playable(name)]
     return min(sum(check(name, found[name], asked) for name in names), 1)
 
 

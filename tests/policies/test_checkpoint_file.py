@@ -113,6 +113,11 @@ def test_it_is_found_by_its_name(published: Path) -> None:
     assert not Path(folder).exists()
     with checkpoint_folder("somebody/else") as folder:
         assert folder == "somebody/else"
+    with (
+        pytest.raises(WeightsError, match=r"no checkpoint runs/act/nowhere.*: moves\."),
+        checkpoint_folder("runs/act/nowhere"),
+    ):
+        pass
     told = weights_of(PolicySpec("lerobot:moves"))["act"]
     listed = weights.published_weights()["moves"]
     assert (told["sha256"], told["seed"]) == (listed["sha256"], SEED)

@@ -25,6 +25,11 @@ def checkpoint_of(name: str) -> str | None:
     return None
 
 
+def privileged(name: str) -> bool:
+    """Return whether a policy's name means a checkpoint that is told the truth."""
+    return name.startswith(LEROBOT_PRIVILEGED)
+
+
 def class_of(name: str) -> Any:
     """Return a class, or whatever else makes an object when it is called.
 

@@ -7,12 +7,7 @@ from inspect import signature
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.policies.class_path import (
-    LEROBOT_PRIVILEGED,
-    checkpoint_of,
-    class_of,
-    instance_of,
-)
+from lemma.policies.class_path import checkpoint_of, class_of, instance_of, privileged
 from lemma.policies.compose import (
     MultiStep,
     PlannerWithGrounder,
@@ -182,7 +177,7 @@ class PolicySpec:
         return self.gta or alone or any(map(self._is_oracle, self.parts))
 
     def _is_oracle(self, part: str) -> bool:
-        if part == ORACLE or part.startswith(LEROBOT_PRIVILEGED):
+        if part == ORACLE or privileged(part):
             return True
         if self._is_planner(part):
             return is_oracle(self._planner(part))

@@ -112,7 +112,11 @@ def sections(
         guide: The page about evaluation, as notes name it.
         curves: By experiment.
     """
-    every = (*_paper_sections(entries), *_own_sections(entries, guide))
+    every = (
+        *_paper_sections(entries),
+        *_own_sections(entries, guide),
+        *_diagnoses(entries, guide),
+    )
     sample = sample_words(entries)
     return [
         *(
@@ -190,7 +194,8 @@ def _own_sections(
         "Control level",
         "ACT and Diffusion Policy of LeRobot, which answer 14 joint targets ten times "
         "a second; one policy for these tasks. *Told poses and goal* is an oracle: it "
-        f"sees no pictures and reads no sentence. {guide} says how they are trained.",
+        "sees no pictures and reads no sentence. `lemma reproduce control-level "
+        "--print` says how they are trained.",
         success_tables.control_level(entries),
     )
     yield (
@@ -205,6 +210,12 @@ def _own_sections(
         f"seed 0; strict. {guide} lists them.",
         tables.ablations(entries),
     )
+
+
+def _diagnoses(
+    entries: Sequence[PolicyResults], guide: str
+) -> Iterator[tuple[str, str, ResultTable]]:
+    """Yield title, note and table of how policies fail, and how robots share work."""
     yield (
         "Where the points are lost",
         "Failed episodes by cause, over all seeds. The expert is asked before every "

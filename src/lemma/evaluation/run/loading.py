@@ -6,7 +6,7 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import read_json, sha256_of
 from lemma.evaluation.run.control.model_server import ask_model_server
-from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED, checkpoint_of
+from lemma.policies.class_path import LEROBOT, checkpoint_of, privileged
 from lemma.policies.control.interfaces import is_model_server
 from lemma.policies.interfaces import is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
@@ -36,8 +36,7 @@ def load_policy(spec: PolicySpec) -> Any:
         if is_address(name) or is_model_server(name):
             return connected(spec, name)
         # The truth travels to no other process.
-        ours = name.startswith(LEROBOT_PRIVILEGED)
-        if ":" in name and spec.timeout_s > 0.0 and not ours:
+        if ":" in name and spec.timeout_s > 0.0 and not privileged(name):
             return isolate(name, spec.timeout_s, dict(spec.arguments))
         return load_part(name, dict(spec.arguments))
 

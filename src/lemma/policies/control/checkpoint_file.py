@@ -148,9 +148,18 @@ def checkpoint_folder(name: str) -> Iterator[str]:
             given as it is.
 
     Raises:
-        WeightsError: The published weights are missing or damaged.
+        WeightsError: There is nothing of that name, or published weights are missing or
+            damaged.
     """
-    if name not in published_weights():
+    published = published_weights()
+    if name not in published:
+        if not Path(name).is_dir() and name.count("/") != 1:
+            ours = (n for n in published if published[n]["model"].startswith(LEROBOT))
+            raise WeightsError(
+                f"There is no checkpoint {name}. Valid: a folder that lerobot-train "
+                "wrote, .../checkpoints/last/pretrained_model; OWNER/NAME on the Hub; "
+                f"or published weights: {', '.join(ours) or 'none yet'}."
+            )
         yield name
         return
     with TemporaryDirectory() as folder:
