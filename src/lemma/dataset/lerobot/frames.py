@@ -3,7 +3,7 @@
 Nothing here needs the lerobot package.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -184,22 +184,16 @@ def frames(
         DatasetError: The motion is not the recorded one.
         RenderingError: OpenGL does not work here.
     """
-    robots = robots_of(record)
-    cameras = style.cameras_of(robots)
+    cameras = style.cameras_of(robots_of(record))
     task = getattr(record, kind)
     said = {f"annotation.instruction.{one}": getattr(record, one) for one in KINDS}
-    if style.environment_state == SENTENCE:
-        said[ENVIRONMENT_STATE] = sentence_vector(task)
-    instance, knower = Instance.from_dict(record.instance_data()), _knower(robots)
+    tell = _teller(record, style, task)
     for frame in _filmed(record, style):
-        if style.environment_state == PRIVILEGED:
-            poses = frame.step.objects
-            truth = knower.truth(poses, instance.scene, instance.goal)
-            said[ENVIRONMENT_STATE] = truth_vector(truth)
         yield {
             **_numbers(record, frame.step),
             **_images(cameras, frame),
             **said,
+            **tell(frame.step),
             "task": task,
         }
 
@@ -212,10 +206,24 @@ def _filmed(record: EpisodeRecord, style: Style) -> Iterator[Frame]:
         yield Frame(step, _NO_PICTURES, None)
 
 
-def _knower(robots: tuple[str, ...]) -> Observer:
-    """Return what tells the truth of a team's table; it renders nothing."""
-    numbers = tuple(range(len(robots)))
-    return Observer(PRIVILEGED, numbers, (_SMALLEST_PX, _SMALLEST_PX))
+def _teller(
+    record: EpisodeRecord, style: Style, task: str
+) -> Callable[[DenseStep], dict[str, Any]]:
+    """Return what says the state of the environment at a step."""
+    if style.environment_state == SENTENCE:
+        said = {ENVIRONMENT_STATE: sentence_vector(task)}
+        return lambda step: said
+    if style.environment_state == PRIVILEGED:
+        instance = Instance.from_dict(record.instance_data())
+        robots = tuple(range(len(robots_of(record))))
+        observer = Observer(PRIVILEGED, robots, (_SMALLEST_PX, _SMALLEST_PX))
+
+        def tell(step: DenseStep) -> dict[str, Any]:
+            truth = observer.truth(step.objects, instance.scene, instance.goal)
+            return {ENVIRONMENT_STATE: truth_vector(truth)}
+
+        return tell
+    return lambda step: {}
 
 
 def _numbers(record: EpisodeRecord, step: DenseStep) -> dict[str, Any]:
