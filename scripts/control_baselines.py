@@ -15,7 +15,7 @@ stopped, trainings at their last checkpoint. ``--phases`` does a part of it.
 
 One policy learns all tasks. It is told the sentence as numbers, because neither ACT nor
 Diffusion Policy of LeRobot reads text. With ``--observation privileged`` it is told the
-truth instead, poses and goal, and sees nothing: an oracle, which needs no GPU.
+truth instead, poses and goal, and sees nothing: an oracle.
 """
 
 import argparse
@@ -43,34 +43,23 @@ COSINE = (
 )
 """Of both: steps become smaller to the end, for which ACT has no preset."""
 POLICIES = {
-    "act": f"--policy.type=act --policy.use_vae=false --policy.dropout=0 {COSINE}",
+    "act": (
+        "--policy.type=act --policy.pretrained_backbone_weights=null "
+        "--policy.chunk_size=20 --policy.n_action_steps=10 --policy.dim_model=256 "
+        "--policy.dim_feedforward=1024 --policy.use_vae=false --policy.dropout=0 "
+        f"{COSINE} --optimizer.lr=2e-4"
+    ),
     "diffusion": (
-        "--policy.type=diffusion --policy.use_group_norm=true --policy.horizon=16 "
-        "--policy.n_action_steps=8 --policy.crop_ratio=1.0 "
+        "--policy.type=diffusion --policy.pretrained_backbone_weights=null "
+        "--policy.use_group_norm=true --policy.horizon=16 --policy.n_action_steps=8 "
+        "--policy.crop_ratio=1.0 --policy.down_dims=[64,128,256] "
         "--policy.use_separate_rgb_encoder_per_camera=false "
         "--policy.noise_scheduler_type=DDIM --policy.num_inference_steps=10 "
-        f"{COSINE}"
+        f"{COSINE} --optimizer.lr=3e-4"
     ),
 }
 """Name and arguments of ``lerobot-train``; the rest is LeRobot's default."""
-SIZES = {
-    "rgb": {
-        "act": (
-            "--policy.chunk_size=20 --policy.n_action_steps=10 --policy.dim_model=256 "
-            "--policy.dim_feedforward=1024 --optimizer.lr=2e-4"
-        ),
-        "diffusion": "--policy.down_dims=[64,128,256] --optimizer.lr=3e-4",
-    },
-    "privileged": {
-        "act": (
-            "--policy.chunk_size=10 --policy.n_action_steps=5 --policy.dim_model=128 "
-            "--policy.n_heads=4 --policy.dim_feedforward=512 --optimizer.lr=5e-4"
-        ),
-        "diffusion": "--policy.down_dims=[32,64,128] --optimizer.lr=5e-4",
-    },
-}
-"""By what is observed: numbers are learned by less than pictures."""
-OBSERVATIONS = tuple(SIZES)
+OBSERVATIONS = ("rgb", "privileged")
 PHASES = ("data", "train", "test", "curve")
 PRECISION = "ACCELERATE_MIXED_PRECISION=bf16"
 """Of the arithmetic in training; the environment is where lerobot-train reads it."""
@@ -143,8 +132,6 @@ class Plan:
         return (
             f"{begin} --dataset.repo_id=lemma/control "
             f"--dataset.root={self.videos} {POLICIES[name]} "
-            "--policy.pretrained_backbone_weights=null "
-            f"{SIZES[self.observation][name]} "
             f"--policy.device={self.device} --policy.push_to_hub=false --seed={seed} "
             f"--steps={self.steps} --batch_size={self.batch} "
             f"--num_workers={self.loaders} --save_freq={self.every} --log_freq=100 "

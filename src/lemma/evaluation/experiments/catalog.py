@@ -220,8 +220,8 @@ _add(
 
 CONTROL_TASKS = ("pass", "stack", "poke", "hook")
 """What policies at control level are trained on, one for all of them."""
-_ACT, _DIFFUSION = ("act", "ACT"), ("diffusion", "Diffusion Policy")
-for (_learner, _called), _steps in ((_ACT, 20_000), (_DIFFUSION, 20_000)):
+for _learner, _called in (("act", "ACT"), ("diffusion", "Diffusion Policy")):
+    _trained = f"python scripts/control_baselines.py --policies {_learner}"
     _add(
         Experiment(
             name=_learner,
@@ -229,11 +229,9 @@ for (_learner, _called), _steps in ((_ACT, 20_000), (_DIFFUSION, 20_000)):
             suite=CONTROL_LEVEL,
             policy=PolicySpec(f"{LEROBOT}{_learner}", arguments=(("hz", 10),)),
             tasks=CONTROL_TASKS,
-            training="python scripts/control_baselines.py "
-            f"--policies {_learner} --steps {_steps}",
+            training=_trained,
         )
     )
-for (_learner, _called), _steps in ((_ACT, 16_000), (_DIFFUSION, 10_000)):
     _add(
         Experiment(
             name=f"{_learner}-privileged",
@@ -245,8 +243,7 @@ for (_learner, _called), _steps in ((_ACT, 16_000), (_DIFFUSION, 10_000)):
             # It is told the goal, whatever is said.
             kinds=EVALUATION_KINDS[:1],
             tasks=CONTROL_TASKS,
-            training="python scripts/control_baselines.py --observation privileged "
-            f"--policies {_learner} --episodes 500 --steps {_steps}",
+            training=f"{_trained} --observation privileged --batch 1024",
         )
     )
 
