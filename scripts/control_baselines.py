@@ -31,11 +31,11 @@ from shutil import rmtree
 import torch
 
 from lemma.core.files import read_json
+from lemma.evaluation.experiments.catalog import CONTROL_TASKS
 from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.report.learning_curves import CURVE, LearningCurve, Point
 from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
 
-TASKS = "pass,stack,poke,hook"
 COSINE = (
     "--use_policy_training_preset=false --optimizer.type=adamw "
     "--optimizer.weight_decay=1e-4 --optimizer.grad_clip_norm=10 "
@@ -254,7 +254,7 @@ def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, help="runs/OBSERVATION by default")
     parser.add_argument("--pictures", type=Path, help="in OUT; /dev/shm is fast")
-    parser.add_argument("--tasks", default=TASKS)
+    parser.add_argument("--tasks", default=",".join(CONTROL_TASKS))
     parser.add_argument("--policies", default=",".join(POLICIES))
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--phases", default=",".join(PHASES), help="some of these")

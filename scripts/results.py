@@ -13,7 +13,7 @@ from lemma.evaluation.report.policy_results import (
     entries_of,
     read_results,
 )
-from lemma.evaluation.report.sections import page, protocol_words, sample_words
+from lemma.evaluation.report.sections import HOW, page, protocol_words, sample_words
 from lemma.evaluation.report.success_tables import at_a_glance
 from lemma.evaluation.report.tables import markdown
 
@@ -51,7 +51,8 @@ def headline(results: Path = RESULTS) -> str:
     ]
     if not played:
         return NOTHING
-    told = f"{protocol_words(played)} {sample_words(played)}".strip()
+    how = f"[{HOW}](docs/results.md#{'-'.join(HOW.lower().split())})"
+    told = f"{protocol_words(played, how)} {sample_words(played)}".strip()
     return f"{told}\n\n{markdown(at_a_glance(played))}"
 
 

@@ -13,14 +13,14 @@ from check_training import (
     EPISODES,
     STATE_AND_ACTION,
     checkpoint,
+    exported,
     run,
     small_act,
     work,
 )
-from small_recipe import TASKS, recipe
+from small_recipe import TASKS
 
 import lemma
-from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.env.observation import truth_names
 from lemma.evaluation.run.rollout import Rollout
@@ -32,15 +32,8 @@ NAMES = truth_names(("robot_0", "robot_1"))
 @cache
 def export() -> Path:
     """Return a data set of numbers alone."""
-    out = work() / "numbers"
-    words = (
-        f"render {recipe()} --form lerobot --split train --no-images --no-depth "
-        "--environment-state privileged --workers 1"
-    )
-    with pytest.raises(SystemExit) as end:
-        main([*words.split(), "--out", str(out)])
-    assert end.value.code == 0
-    return out
+    options = "--no-images --environment-state privileged"
+    return exported(options, work() / "numbers")
 
 
 @cache

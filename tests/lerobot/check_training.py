@@ -76,14 +76,18 @@ def work() -> Path:
 @cache
 def export() -> Path:
     """Return a data set for training: small pictures, each episode in two kinds."""
-    out = work() / "set"
-    words = (
-        f"render {recipe()} --form lerobot --split train --fps 10 --no-depth "
+    return exported(
         f"--size {WIDTH}x{HEIGHT} --instructions high-level,human "
-        "--environment-state sentence --workers 1"
+        "--environment-state sentence",
+        work() / "set",
     )
+
+
+def exported(options: str, out: Path) -> Path:
+    """Export the training episodes of the small recipe, without depth."""
+    words = f"render {recipe()} --form lerobot --split train --no-depth --workers 1"
     with pytest.raises(SystemExit) as end:
-        main([*words.split(), "--out", str(out)])
+        main([*words.split(), *options.split(), "--out", str(out)])
     assert end.value.code == 0
     return out
 

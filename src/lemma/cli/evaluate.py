@@ -128,7 +128,8 @@ def evaluate(
 
     Args:
         policy: oracle; a model; PLANNER+GROUNDER; package.module:Class; what LeRobot
-            trained, lerobot:CHECKPOINT; the address of a server, http://HOST:PORT or
+            trained, lerobot:CHECKPOINT, or lerobot-privileged:CHECKPOINT if it is told
+            the truth; the address of a server, http://HOST:PORT or
             vla-eval://HOST:PORT; or a planner alone, llm:MODEL, greedy-reach,
             random-valid or noisy-oracle:0.1, which is given the expert's poses.
         out: Folder of the result: one line per episode in episodes.jsonl, counts and

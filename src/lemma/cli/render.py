@@ -13,7 +13,7 @@ from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import Engine
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
-from lemma.dataset.lerobot.frames import Style
+from lemma.dataset.lerobot.frames import EnvironmentState, Style
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.dataset.rendered.render import render as render_form
@@ -29,7 +29,6 @@ _ALL = "all"
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
 """A recipe."""
 FormName = Literal["keyframes", "lerobot"]
-EnvironmentState = Literal["none", "sentence", "privileged"]
 Make = Callable[[Engine, Callable[[int], None]], RenderSummary]
 """Makes what is missing, given where to work and whom to tell how many are done."""
 _ROWS = {"keyframes": "keyframes", "lerobot": "frames"}

@@ -160,6 +160,7 @@ def test_what_the_format_has_no_place_for_is_described() -> None:
         ({"height_px": 16}, InvalidConfigError),
         ({"instructions": ("poem",)}, UnknownNameError),
         ({"environment_state": "poem"}, UnknownNameError),
+        ({"cameras": ("overview",), "images": False}, InvalidConfigError),
         ({"cameras": ("overview", "overview")}, InvalidConfigError),
     ],
 )

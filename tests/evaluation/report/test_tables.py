@@ -332,7 +332,9 @@ def test_a_part_is_called_a_part() -> None:
     ):
         assert f"**in part**, {words}" in page(entries_of([result(5, tasks=tasks)]))
     both = page(entries_of([whole, result(5, seed=1, tasks=SUITE)]))
-    assert "Some rows are of fewer" in both
+    assert (
+        "Some rows, or some of their seeds, are of fewer: the table *How each" in both
+    )
 
 
 def test_nobody_is_judged_by_what_others_aimed_at() -> None:

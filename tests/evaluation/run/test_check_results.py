@@ -97,6 +97,18 @@ def test_the_expert_does_what_its_lines_say(
     assert "leaderboard/mine: 0 of 4 episodes differ; poses moved by at most" in said
 
 
+def test_what_needs_lerobot_is_left_out_where_it_is_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = {"lerobot": None}
+    monkeypatch.setattr(check_results, "find_spec", there.get)
+    assert not check_results.playable("act-privileged")
+    assert "act-privileged: left out" in capsys.readouterr().out
+    assert check_results.playable("reachnet")
+    monkeypatch.setattr(check_results, "find_spec", lambda name: name)
+    assert check_results.playable("act-privileged")
+
+
 @pytest.mark.parametrize("names", [[], ["mine"]])
 def test_a_check_of_nothing_is_none(
     names: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

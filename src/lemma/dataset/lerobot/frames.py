@@ -5,7 +5,7 @@ Nothing here needs the lerobot package.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -39,7 +39,8 @@ AGENT_PARTS = ("state", "action")
 """What of each robot has a column of its own: ``robot_0.state``."""
 ENVIRONMENT_STATE = "observation.environment_state"
 """What is told in numbers, under the name that policies of LeRobot take vectors by."""
-NONE, SENTENCE, PRIVILEGED = ENVIRONMENT_STATES = ("none", "sentence", "privileged")
+EnvironmentState = Literal["none", "sentence", "privileged"]
+NONE, SENTENCE, PRIVILEGED = ENVIRONMENT_STATES = get_args(EnvironmentState)
 """What that may be: nothing; :func:`lemma.tasks.language.vector.sentence_vector`; or
 the truth, :func:`lemma.env.observation.truth_vector`."""
 _SMALLEST_PX = 32
@@ -86,6 +87,11 @@ class Style:
         for listed in (self.cameras, self.instructions):
             if len(set(listed)) < len(listed):
                 raise InvalidConfigError(f"{listed} names one twice. Name each once.")
+        if self.cameras and not self.images:
+            raise InvalidConfigError(
+                f"Without images {', '.join(self.cameras)} would film nothing. Leave "
+                "out the cameras, or keep the images."
+            )
 
     def cameras_of(self, robots: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the cameras that film a team.

@@ -256,8 +256,17 @@ def _is_detailed(entry: PolicyResults) -> bool:
     return detailed and any(result.losses for result in entry.results)
 
 
-def protocol_words(entries: Sequence[PolicyResults]) -> str:
-    """Return what was played, in a sentence or two; a part is called a part."""
+HOW = "How each row is made"
+"""Title of the table that says of how many episodes each result is."""
+
+
+def protocol_words(entries: Sequence[PolicyResults], where: str = f"*{HOW}*") -> str:
+    """Return what was played, in a sentence or two; a part is called a part.
+
+    Args:
+        entries: By whom.
+        where: How the table that says of how many episodes each result is, is named.
+    """
     results = [result for entry in entries for result in entry.results]
     about = results[0].about if results else {}
     split = about.get("split", "test")
@@ -276,8 +285,8 @@ def protocol_words(entries: Sequence[PolicyResults]) -> str:
         )
     if whole and not all(_is_whole(result) for result in results):
         text += (
-            ". Some rows are of fewer: the table *How each row is made* says of how "
-            "many"
+            f". Some rows, or some of their seeds, are of fewer: the table {where} "
+            "says of how many"
         )
     if any({task for _, task in _extents(one)} != set(SUITE) for one in results):
         text += f". {PARTIAL} marks a mean over other tasks than the suite's eight"
@@ -373,7 +382,7 @@ def _provenance(entries: Iterable[PolicyResults]) -> Section:
             )
     header = ("row", "command", "SHA-256 of the weights", "training seed", "episodes")
     return Section(
-        "How each row is made",
+        HOW,
         f"Reported models are trained with seeds {', '.join(map(str, SEEDS))}; "
         "the weights of the first ship.",
         ResultTable(header, tuple(rows), labels=3),
