@@ -31,6 +31,7 @@ from shutil import rmtree
 import torch
 
 from lemma.core.files import read_json
+from lemma.env.learning.motor_state import MOTOR_CONTROLS, WAYPOINT
 from lemma.evaluation.experiments.catalog import CONTROL_TASKS
 from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.report.learning_curves import CURVE, LearningCurve, Point
@@ -45,13 +46,13 @@ COSINE = (
 POLICIES = {
     "act": (
         "--policy.type=act --policy.pretrained_backbone_weights=null "
-        "--policy.chunk_size=20 --policy.n_action_steps=10 --policy.dim_model=256 "
+        "--policy.chunk_size=10 --policy.n_action_steps=3 --policy.dim_model=256 "
         "--policy.dim_feedforward=1024 --policy.use_vae=false --policy.dropout=0 "
         f"{COSINE} --optimizer.lr=2e-4"
     ),
     "diffusion": (
         "--policy.type=diffusion --policy.pretrained_backbone_weights=null "
-        "--policy.use_group_norm=true --policy.horizon=16 --policy.n_action_steps=8 "
+        "--policy.use_group_norm=true --policy.horizon=8 --policy.n_action_steps=3 "
         "--policy.crop_ratio=1.0 --policy.down_dims=[64,128,256] "
         "--policy.use_separate_rgb_encoder_per_camera=false "
         "--policy.noise_scheduler_type=DDIM --policy.num_inference_steps=10 "
@@ -64,6 +65,8 @@ PHASES = ("data", "train", "test", "curve")
 PRECISION = "ACCELERATE_MIXED_PRECISION=bf16"
 """Of the arithmetic in training; the environment is where lerobot-train reads it."""
 UNPACKED = "scripts/lerobot_train_unpacked.py"
+LEARN = "--learn-batch-norm"
+"""Weights of ImageNet would come with a normalization; these learn one."""
 WEIGHTS, CONFIG = "pretrained_model", "train_config.json"
 """Of a checkpoint: its folder for policies, and what it was trained with."""
 LOOK_S = 0.5
@@ -81,6 +84,7 @@ class Plan:
     """Folder of what is decoded."""
     tasks: str
     observation: str
+    control: str
     size: str
     fps: int
     steps: int
@@ -120,13 +124,14 @@ class Plan:
             f"lemma generate --tasks {self.tasks} --split train{episodes} "
             f"--out {self.recipe} --workers {self.workers}",
             f"lemma render {self.recipe} --form lerobot {seen} --no-depth "
-            f"--fps {self.fps} --out {self.videos} --workers {self.workers}",
+            f"--control {self.control} --fps {self.fps} --out {self.videos} "
+            f"--workers {self.workers}",
             f"python {UNPACKED} unpack {self.videos} {self.pictures}",
         ]
 
     def training(self, name: str, seed: int) -> str:
         """Return the command of a training, which goes on with what is there."""
-        begin = f"{PRECISION} python {UNPACKED} train {self.pictures}"
+        begin = f"{PRECISION} python {UNPACKED} train {self.pictures} {LEARN}"
         if saved := checkpoints(self.run(name, seed)):
             return f"{begin} --config_path={saved[-1][1] / CONFIG} --resume=true"
         return (
@@ -259,8 +264,9 @@ def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--phases", default=",".join(PHASES), help="some of these")
     parser.add_argument("--observation", default="rgb", choices=OBSERVATIONS)
-    parser.add_argument("--size", default="160x120")
-    parser.add_argument("--fps", type=int, default=10)
+    parser.add_argument("--control", default=WAYPOINT, choices=MOTOR_CONTROLS)
+    parser.add_argument("--size", default="192x144")
+    parser.add_argument("--fps", type=int, default=5)
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--batch", type=int, default=256)
     parser.add_argument("--every", type=int, default=1_000)
@@ -288,6 +294,7 @@ def main() -> None:
         pictures=args.pictures or args.out / "pictures",
         tasks=args.tasks,
         observation=args.observation,
+        control=args.control,
         size=args.size,
         fps=args.fps,
         steps=args.steps,

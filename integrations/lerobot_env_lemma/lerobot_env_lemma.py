@@ -21,6 +21,12 @@ from lemma.core.robot_names import robot_names
 from lemma.dataset.lerobot.frames import ENVIRONMENT_STATES, NONE, PRIVILEGED, SENTENCE
 from lemma.env.learning.flat_view import FlatView
 from lemma.env.learning.harness_episodes import HarnessEpisodes
+from lemma.env.learning.motor_state import (
+    JOINT_POSITION,
+    MOTOR_CONTROLS,
+    motor_names,
+    motor_state,
+)
 from lemma.env.observation import truth_names
 from lemma.env.simulation import HORIZON_S
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
@@ -32,16 +38,17 @@ STATE = "agent_pos"
 """What lerobot calls the state in an environment's observation."""
 TOLD = "environment_state"
 """What lerobot calls what else is told in numbers."""
-NUMBERS = 14
-"""Of a state and of an action: six joint angles and an opening for each robot."""
+TEAM = robot_names(2)
+MEASURED = ("agent_pos", "tcp_pose", "base_pose")
+"""What a state is computed from."""
 FIRST_SEED = 1000
 """With which lerobot-eval begins: there it is the first instance."""
 
 
 class LeRobotNames(gym.ObservationWrapper):
-    """A flat view's observation under the names that lerobot looks for."""
+    """What a flat view observes, under the names that lerobot looks for."""
 
-    def __init__(self, env: FlatView) -> None:
+    def __init__(self, env: gym.Env) -> None:
         """Rename the spaces as well."""
         super().__init__(env)
         named = self.observation(env.observation_space)
@@ -63,6 +70,35 @@ class LeRobotNames(gym.ObservationWrapper):
         return {**found, "pixels": pixels}
 
 
+class MotorState(gym.ObservationWrapper):
+    """The state in the numbers that an action commands."""
+
+    def __init__(self, env: gym.Env, control: str) -> None:
+        """Change the space.
+
+        Args:
+            env: A flat view of :data:`MEASURED`.
+            control: The control mode.
+        """
+        super().__init__(env)
+        self._control = control
+        assert isinstance(env.observation_space, gym.spaces.Dict)
+        shape = (len(motor_names(control, TEAM)),)
+        self.observation_space = gym.spaces.Dict(
+            {
+                **env.observation_space.spaces,
+                OBS_STATE: gym.spaces.Box(-np.inf, np.inf, shape, np.float32),
+            }
+        )
+
+    def observation(self, observation: Any) -> dict[str, Any]:
+        """Return what was observed, with that state."""
+        parts = np.split(observation[OBS_STATE], len(MEASURED))
+        measured = dict(zip(MEASURED, parts, strict=True))
+        state = motor_state(self._control, measured).ravel()
+        return {**observation, OBS_STATE: state}
+
+
 class SentenceVector(gym.ObservationWrapper):
     """The sentence as numbers, for policies that read no text."""
 
@@ -82,7 +118,10 @@ class SentenceVector(gym.ObservationWrapper):
 
 
 def make_one(
-    task: str, options: dict[str, Any], environment_state: str = NONE
+    task: str,
+    options: dict[str, Any],
+    environment_state: str = NONE,
+    control: str = JOINT_POSITION,
 ) -> gym.Env:
     """Return one environment for one episode after the other.
 
@@ -91,17 +130,19 @@ def make_one(
         options: Fields of :class:`lemma.env.config.EnvConfig`.
         environment_state: What else is told in numbers: the sentence, or, instead of
             pictures, the truth.
+        control: The control mode.
     """
     env = lemma.make(
         task,
         level="control",
-        control="joint_position",
+        control=control,
         observation=PRIVILEGED if environment_state == PRIVILEGED else "rgb",
         render_mode="rgb_array",
         clip_actions=True,
         **options,
     )
-    named = LeRobotNames(FlatView(HarnessEpisodes(env, FIRST_SEED)))
+    flat = FlatView(HarnessEpisodes(env, FIRST_SEED), MEASURED)
+    named = LeRobotNames(MotorState(flat, control))
     return SentenceVector(named) if environment_state == SENTENCE else named
 
 
@@ -127,6 +168,9 @@ class LemmaEnvConfig(EnvConfig):
     environment_state: str = NONE
     """What else is told in numbers, none, sentence, or, instead of pictures,
     privileged: that of the training data."""
+    control: str = JOINT_POSITION
+    """What actions command, joint_position or ee_waypoint_rot6d: that of the training
+    data."""
     render_width: int = 320
     """Width of the pictures of videos [px]; drawn at every step."""
     render_height: int = 180
@@ -141,7 +185,8 @@ class LemmaEnvConfig(EnvConfig):
     def __post_init__(self) -> None:
         """Say what is observed and what an action is."""
         known("environment state", self.environment_state, ENVIRONMENT_STATES)
-        row = (NUMBERS,)
+        known("control mode of data sets", self.control, MOTOR_CONTROLS)
+        row = (len(motor_names(self.control, TEAM)),)
         image = (self.height, self.width, 3)
         self.features = {
             ACTION: PolicyFeature(FeatureType.ACTION, row),
@@ -153,7 +198,7 @@ class LemmaEnvConfig(EnvConfig):
                 self.features[f"{OBS_IMAGES}.{name}"] = seen
         told = {
             SENTENCE: SENTENCE_NUMBERS,
-            PRIVILEGED: len(truth_names(robot_names(2))),
+            PRIVILEGED: len(truth_names(TEAM)),
         }
         if self.environment_state != NONE:
             shape = (told[self.environment_state],)
@@ -185,7 +230,8 @@ class LemmaEnvConfig(EnvConfig):
         """
         found = {}
         for task in SUITE if self.task in (None, "all") else _listed(self.task):
-            maker = partial(make_one, task, self.gym_kwargs, self.environment_state)
+            told = self.environment_state, self.control
+            maker = partial(make_one, task, self.gym_kwargs, *told)
             makers = [maker] * n_envs
             if use_async_envs and n_envs > 1:
                 # Processes start when their task's turn comes.

@@ -26,6 +26,11 @@ ROTATIONS: dict[str, Any] = {
     "ee_pose_rot6d": rot6d_from_quaternion,
 }
 
+WAYPOINTS = {
+    "ee_waypoint": ROTATIONS["ee_pose"],
+    "ee_waypoint_rot6d": ROTATIONS["ee_pose_rot6d"],
+}
+
 
 def control_env(control: str, task: str = "stack", **options: Any) -> ControlEnv:
     env = lemma.make(task, control=control, **{"split": "test", "index": 0, **options})
@@ -51,6 +56,11 @@ def resting(env: ControlEnv) -> FloatArray:
         pose = Pose.from_matrix(arm.tcp_pose())
         for name, written in ROTATIONS.items():
             still[name] = [*pose.position, *written(pose.quaternion), 0.1]
+        own = Pose.from_matrix(
+            np.linalg.solve(arm.robot.world_from_base, arm.tcp_pose())
+        )
+        for name, written in WAYPOINTS.items():
+            still[name] = [*own.position, *written(own.quaternion), 0.1]
         rows.append(still[env.config.control])
     return np.array(rows)
 
@@ -129,9 +139,30 @@ def test_resting_arms_stay(control: str) -> None:
     for _ in range(40):
         observation, *_, info = env.step(action)
     moved = np.abs(observation["agent_pos"] - first["agent_pos"]).max()
-    assert moved < (0.02 if "ee_pose" in control else 1e-3)
-    if "ee_pose" not in control:
+    assert moved < (0.02 if "ee_" in control else 1e-3)
+    if "ee_" not in control:
         assert info["idle_s"] == pytest.approx({"robot_0": 2.0, "robot_1": 2.0})
+
+
+@pytest.mark.parametrize("control", WAYPOINTS)
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_waypoints_all_round_the_base_are_reached(control: str, side: float) -> None:
+    env = control_env(control, "pass")
+    env.reset()
+    action = resting(env)
+    arms = tuple(env.episode.simulation.arms.values())
+    for bearing in (-1.8, 0.0, 1.8, -0.9):
+        for row, arm in zip(action, arms, strict=True):
+            radius_m = 0.6 * reach_of(arm.robot.arm.name).travel_m
+            turned = side * bearing
+            x, y = radius_m * math.cos(turned), radius_m * math.sin(turned)
+            pose = Pose.from_matrix(top_down(x, y, 0.3, turned))
+            row[:-1] = *pose.position, *WAYPOINTS[control](pose.quaternion)
+        for _ in range(100):
+            env.step(action)
+        for row, arm in zip(action, arms, strict=True):
+            own = np.linalg.solve(arm.robot.world_from_base, arm.tcp_pose())
+            assert math.dist(own[:3, 3], row[:3]) < 0.005
 
 
 def test_only_who_moves_is_busy() -> None:

@@ -98,7 +98,7 @@ def test_images_are_only_where_asked_for() -> None:
         for name, contents in ((n, OBSERVATIONS[n]) for n in OBSERVATIONS)
         if not contents.renders
     }
-    joints = {"agent_pos", "agent_vel", "tcp_pose", "instruction"}
+    joints = {"agent_pos", "agent_vel", "tcp_pose", "base_pose", "instruction"}
     assert keys == {"state": joints, "privileged": joints | {*TRUTH}}
 
 

@@ -18,6 +18,7 @@ from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.dataset.rendered.render import render as render_form
 from lemma.dataset.teleoperation.record import files_in
+from lemma.env.learning.motor_state import MotorControl
 from lemma.scene.rendering.batch import choose_renderer
 from lemma.tasks.language.template import KINDS
 
@@ -62,6 +63,9 @@ class RenderOptions:
     """LeRobotDataset: what observation.environment_state is, for policies that read no
     text, such as ACT and Diffusion Policy. sentence: the task as numbers; privileged:
     the truth, poses and goal, for oracles."""
+    control: MotorControl = "joint_position"
+    """LeRobotDataset: what actions command, and the state measures: joint_position, or
+    ee_waypoint_rot6d, where the tool centre points shall go."""
     renderer: str = "auto"
     """LeRobotDataset: what draws: opengl, or warp, which auto means where MuJoCo Warp
     is installed and finds a GPU."""
@@ -76,6 +80,7 @@ _FILMED = (
     "instructions",
     "no_images",
     "environment_state",
+    "control",
     "renderer",
 )
 """What is of LeRobotDatasets alone."""
@@ -153,6 +158,7 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
         instructions=words(look.instructions.replace("-", "_")) or KINDS,
         images=not look.no_images,
         environment_state=look.environment_state,
+        control=look.control,
         renderer=choose_renderer(look.renderer),
     )
     return partial(write_dataset, LeRobotConfig(source=order, style=style))

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lemma.core.poses import FloatArray, wrap
+from lemma.core.poses import FloatArray, quaternion_from_matrix, wrap
 from lemma.core.registry import Registry
 from lemma.core.robot_names import robot_name
 from lemma.env.camera_rig import CameraRig
@@ -78,8 +78,9 @@ class Observer:
 
     ``agent_pos`` holds, for each robot, six joint angles [rad] and the opening of the
     gripper [m]; ``agent_vel`` their rates; ``tcp_pose`` the position [m] and unit
-    quaternion (wxyz, w >= 0) of the tool centre point in the world; ``instruction`` the
-    instruction as ASCII codes, see :func:`read_text`.
+    quaternion (wxyz, w >= 0) of the tool centre point in the world; ``base_pose`` those
+    of the robot's base, which stays where it is; ``instruction`` the instruction as
+    ASCII codes, see :func:`read_text`.
     """
 
     def __init__(
@@ -104,6 +105,7 @@ class Observer:
         self.contents = OBSERVATIONS[mode]
         self.rig = CameraRig(*size)
         self._proprioception: Proprioception | None = None
+        self._bases = np.zeros(0, np.float32)
         self._robots = robots
         self._size = size
         self._names = tuple(map(robot_name, robots))
@@ -127,6 +129,7 @@ class Observer:
             "agent_pos": _box(np.tile(low, count), np.tile(joints, count)),
             "agent_vel": _box(-np.tile(rates, count), np.tile(rates, count)),
             "tcp_pose": _box(-np.tile(pose, count), np.tile(pose, count)),
+            "base_pose": _box(-np.tile(pose, count), np.tile(pose, count)),
             "instruction": spaces.Box(0, 127, (MAX_INSTRUCTION_LENGTH,), np.uint8),
         }
 
@@ -186,11 +189,13 @@ class Observer:
                 for end in ("low", "high")
             )
             self._proprioception = Proprioception(scene, self._names, low, high)
+            self._bases = self._locate_bases(scene)
         joints, rates, poses = self._proprioception.measure()
         found: Observation = {
             "agent_pos": joints,
             "agent_vel": rates,
             "tcp_pose": poses,
+            "base_pose": self._bases.copy(),
             "instruction": write_text(instruction(episode.instance, kind)),
         }
         if self.contents.renders:
@@ -199,6 +204,14 @@ class Observer:
             objects = object_poses(scene)
             found.update(self.truth(objects, scene.spec, episode.instance.goal))
         return found
+
+    def _locate_bases(self, scene: Scene) -> NDArray[np.float32]:
+        robots = [scene.robot(name) for name in self._names]
+        rows = [
+            (*pose[:3, 3], *quaternion_from_matrix(pose[:3, :3]))
+            for pose in (robot.world_from_base for robot in robots)
+        ]
+        return self._fit("base_pose", np.ravel(rows))
 
     def view(self, scene: Scene) -> View:
         """Return what a policy sees now."""

@@ -28,7 +28,7 @@ _PARK_HEIGHTS_M = (0.42, 0.36, 0.30, 0.24)
 """The first that an arm can do: a small arm folds lower."""
 _BRANCH_COST = 100.0
 _TRACKING_LIMIT_RAD = 0.12
-_POSTURE_ALONE = 20.0
+POSTURE_ALONE = 20.0
 """Weight of a posture that is all there is to follow."""
 _NOWHERE = np.eye(4)
 
@@ -187,7 +187,7 @@ def _set_goal(
             goal.rotation[i, j] = pose[i, j]
     goal.posture[:] = posture
     goal.target_weight = weight
-    goal.posture_weight = 1.0 if weight > 0.0 else _POSTURE_ALONE
+    goal.posture_weight = 1.0 if weight > 0.0 else POSTURE_ALONE
 
 
 @kernel
@@ -363,6 +363,18 @@ class ArmMotion:
     def reference_pose(self) -> FloatArray:
         """Return where the reference puts the tool centre point, (4, 4)."""
         return _tcp(self._dh, self._base, self.state[0])
+
+    def aim_pose(self) -> FloatArray:
+        """Return where the tool centre point is being led, world from gripper (4, 4).
+
+        That is the pose that was aimed at last, or the one of a posture to go to.
+        """
+        goal = self.workspace.record[0]["goal"]
+        if goal["target_weight"] <= 0.0:
+            return _tcp(self._dh, self._base, goal["posture"].copy())
+        pose: FloatArray = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = goal["rotation"], goal["position"]
+        return pose
 
     def error(self, pose: FloatArray) -> tuple[float, float]:
         """Return how far the measured tool centre point is from a pose, (4, 4).

@@ -24,6 +24,7 @@ from lemma.dataset.rendered.film import robots_of
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import NO_SUBTASK, iterate_steps
 from lemma.env.learning.flat_view import FlatView
+from lemma.env.learning.motor_state import MOTOR_CONTROLS, motor_state
 from lemma.tasks.instance import Instance
 
 STYLE = Style(fps=2, width_px=64, height_px=48)
@@ -138,6 +139,26 @@ def test_without_pictures_frames_may_hold_the_truth_as_environments_tell_it() ->
     )
     assert after_m < 0.03 < before_m
     assert first[f"{top}.on.{bottom}"] == 1.0
+
+
+@pytest.mark.parametrize("control", MOTOR_CONTROLS)
+@pytest.mark.parametrize("fps", [5, 20])
+def test_what_was_commanded_solves_the_task_again(control: str, fps: int) -> None:
+    record = recipe()[0]
+    style = Style(fps=fps, images=False, control=control)
+    found = list(frames(record, style))
+    holds = features(robots_of(record), style)
+    assert holds["action"]["names"] == holds["observation.state"]["names"]
+    env = lemma.make(record.task, control=control, control_hz=fps, clip_actions=True)
+    instance = Instance.from_dict(record.instance_data())
+    observation, _ = env.reset(options={"instance": instance})
+    measured = motor_state(control, observation)
+    assert np.allclose(found[0]["observation.state"], measured.ravel(), atol=1e-6)
+    for frame in found + [found[-1]] * (2 * fps):
+        *_, ended, _, info = env.step(frame["action"].reshape(measured.shape))
+        if ended:
+            break
+    assert info["success"]
 
 
 def test_what_the_format_has_no_place_for_is_described() -> None:

@@ -28,8 +28,15 @@ from lemma.dataset.rendered.steps import (
     ticks_per_step,
 )
 from lemma.env.episode import Episode
+from lemma.env.learning.motor_state import (
+    JOINT_POSITION,
+    MOTOR_CONTROLS,
+    MOTORS,
+    Float32Array,
+    motor_names,
+    tool_rows,
+)
 from lemma.env.observation import Observer, truth_names, truth_vector
-from lemma.robots.ur.build import JOINTS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS
@@ -69,6 +76,9 @@ class Style:
     environment_state: str = NONE
     """What frames hold as the state of the environment, of
     :data:`ENVIRONMENT_STATES`."""
+    control: str = JOINT_POSITION
+    """The control mode that actions are of, and whose numbers the state has, of
+    :data:`lemma.env.learning.motor_state.MOTOR_CONTROLS`."""
     renderer: str = "opengl"
     """A name in :data:`lemma.scene.rendering.batch.BATCH_RENDERERS`."""
 
@@ -84,6 +94,7 @@ class Style:
         for kind in self.instructions:
             known("kind of instruction", kind, KINDS)
         known("environment state", self.environment_state, ENVIRONMENT_STATES)
+        known("control mode of data sets", self.control, MOTOR_CONTROLS)
         for listed in (self.cameras, self.instructions):
             if len(set(listed)) < len(listed):
                 raise InvalidConfigError(f"{listed} names one twice. Name each once.")
@@ -138,8 +149,7 @@ def features(robots: tuple[str, ...], style: Style) -> dict[str, dict[str, Any]]
     Raises:
         UnknownNameError: They have no such camera.
     """
-    own = [*JOINTS, "gripper"]
-    motors = [f"{robot}.{motor}" for robot in robots for motor in own]
+    own, motors = list(MOTORS[style.control]), motor_names(style.control, robots)
     sides = (style.height_px, style.width_px)
     cameras = style.cameras_of(robots)
     found = {
@@ -196,7 +206,7 @@ def frames(
     tell = _teller(record, style, task)
     for frame in _filmed(record, style):
         yield {
-            **_numbers(record, frame.step),
+            **_numbers(record, frame.step, style.control),
             **_images(cameras, frame),
             **said,
             **tell(frame.step),
@@ -232,9 +242,20 @@ def _teller(
     return lambda step: {}
 
 
-def _numbers(record: EpisodeRecord, step: DenseStep) -> dict[str, Any]:
-    state = np.concatenate([step.joints, step.opening_m[:, None]], axis=1)
-    state, action = state.astype(np.float32), step.action.astype(np.float32)
+def _motors(step: DenseStep, control: str) -> tuple[Float32Array, Float32Array]:
+    """Return state and action of a step, (robots, numbers)."""
+    if control == JOINT_POSITION:
+        state = np.column_stack([step.joints, step.opening_m])
+        return state.astype(np.float32), step.action.astype(np.float32)
+    bases = np.array([robot.world_from_base for robot in step.scene.robots])
+    return (
+        tool_rows(bases, step.tcp_poses, step.opening_m),
+        tool_rows(bases, step.waypoints, step.action[:, -1]),
+    )
+
+
+def _numbers(record: EpisodeRecord, step: DenseStep, control: str) -> dict[str, Any]:
+    state, action = _motors(step, control)
     agents = {
         f"{robot}.{part}": row
         for part, rows in zip(AGENT_PARTS, (state, action), strict=True)

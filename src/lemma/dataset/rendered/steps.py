@@ -46,10 +46,15 @@ class DenseStep:
     """Measured openings of the grippers [m], shape (robots,)."""
     objects: dict[str, FloatArray]
     """Position [m] and quaternion wxyz of every object by name, shape (7,)."""
+    tcp_poses: FloatArray
+    """World from gripper at each tool centre point, shape (robots, 4, 4) [m]."""
     action: FloatArray
     """What was commanded by the next step, shape (robots, 7): the joint angles that the
     servos were led to [rad] and the opening of the gripper [m]. At the last step, what
     still is."""
+    waypoints: FloatArray
+    """Where each tool centre point was being led by the next step, shape (robots, 4,
+    4): the end of a motion, or how far it was on a straight line [m]."""
     subtask: int
     """Which of the record's sub-tasks is executed next; -1 at the end."""
     progress: float
@@ -66,6 +71,7 @@ class _Sample:
 
     state: FloatArray
     command: FloatArray
+    waypoints: FloatArray
 
 
 def ticks_per_step(hz: int) -> int:
@@ -120,6 +126,7 @@ def iterate_steps(record: EpisodeRecord, hz: int = 10) -> Iterator[DenseStep]:
     episode = Episode(Instance.from_dict(record.instance_data()))
     samples, owners = _execute(episode, record, stride)
     scene = episode.simulation.scene
+    arms = tuple(episode.simulation.arms.values())
     last = len(samples) - 1
     for index, sample in enumerate(samples):
         scene.restore(sample.state)
@@ -132,7 +139,9 @@ def iterate_steps(record: EpisodeRecord, hz: int = 10) -> Iterator[DenseStep]:
             joint_velocities=np.array([scene.data.qvel[r.dof] for r in scene.robots]),
             opening_m=np.array([scene.opening_m(robot) for robot in scene.robots]),
             objects=object_poses(scene),
+            tcp_poses=np.array([arm.tcp_pose() for arm in arms]),
             action=samples[min(index + 1, last)].command,
+            waypoints=samples[min(index + 1, last)].waypoints,
             subtask=NO_SUBTASK if is_done else owners[index * stride],
             progress=episode.instance.goal.progress(scene),
             reward=1.0 if is_done and record.success else 0.0,
@@ -151,11 +160,15 @@ def _execute(
     current = 0
 
     def keep() -> None:
+        arms = simulation.arms.values()
         commands = [
             [*arm.state[0].tolist(), float(scene.data.ctrl[arm.robot.gripper_ctrl])]
-            for arm in simulation.arms.values()
+            for arm in arms
         ]
-        samples.append(_Sample(scene.snapshot(), np.array(commands)))
+        waypoints = [arm.aim_pose() for arm in arms]
+        samples.append(
+            _Sample(scene.snapshot(), np.array(commands), np.array(waypoints))
+        )
 
     def observe() -> None:
         owners.append(current)

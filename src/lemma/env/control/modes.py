@@ -11,13 +11,17 @@ from lemma.env.control.controllers import (
     VelocityController,
 )
 from lemma.env.control.pose_controllers import (
+    HIGHEST_FROM_BASE_M,
     HIGHEST_M,
+    LOWEST_FROM_BASE_M,
     LOWEST_M,
     AxisAnglePoseController,
     DeltaPoseController,
     DeltaRot6dPoseController,
     PoseController,
     Rot6dPoseController,
+    Rot6dWaypointController,
+    WaypointController,
 )
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS
@@ -64,15 +68,20 @@ def _joint_mode(
     )
 
 
-def _pose_mode(summary: str, driver: type[PoseController]) -> ControlMode:
+def _pose_mode(
+    summary: str,
+    driver: type[PoseController],
+    low: tuple[float, ...] = LOWEST_M,
+    high: tuple[float, ...] = HIGHEST_M,
+) -> ControlMode:
     turn = driver.rotation
-    high = [turn.limit] * len(turn.columns)
+    limits = [turn.limit] * len(turn.columns)
     return ControlMode(
         summary=summary,
         actuation="position",
         columns=("x", "y", "z", *turn.columns, "opening"),
-        low=(*LOWEST_M, *(-limit for limit in high), 0.0),
-        high=(*HIGHEST_M, *high, FINGER_OPENING_M),
+        low=(*low, *(-limit for limit in limits), 0.0),
+        high=(*high, *limits, FINGER_OPENING_M),
         controller=driver,
     )
 
@@ -89,6 +98,8 @@ def _delta_mode(summary: str, driver: type[DeltaPoseController]) -> ControlMode:
         controller=driver,
     )
 
+
+_FROM_BASE = (LOWEST_FROM_BASE_M, HIGHEST_FROM_BASE_M)
 
 CONTROLS: Registry[ControlMode] = Registry("control mode")
 """The control modes by name. Bounds are those of the strongest arm type; a weaker arm
@@ -107,6 +118,23 @@ CONTROLS.add(
     "ee_pose_rot6d",
     _pose_mode(
         "The same, first two columns of the rotation matrix.", Rot6dPoseController
+    ),
+)
+CONTROLS.add(
+    "ee_waypoint",
+    _pose_mode(
+        "Pose in the frame of the robot's base; an arm that has far to turn swings "
+        "round first.",
+        WaypointController,
+        *_FROM_BASE,
+    ),
+)
+CONTROLS.add(
+    "ee_waypoint_rot6d",
+    _pose_mode(
+        "The same, first two columns of the rotation matrix.",
+        Rot6dWaypointController,
+        *_FROM_BASE,
     ),
 )
 CONTROLS.add(

@@ -10,7 +10,7 @@ from lemma.core.errors import InvalidActionError
 from lemma.core.poses import FloatArray, quaternion_from_matrix
 from lemma.env.control.controllers import Controller, StepSize
 from lemma.env.control.motor_commands import drive_poses
-from lemma.env.control.pose_targets import aim_arms
+from lemma.env.control.pose_targets import aim_arms, swing_far
 from lemma.env.control.rotations import (
     Quaternion,
     axis_angle_from_quaternion,
@@ -27,6 +27,9 @@ CEILING_M = 1.5
 LOWEST_M = (-TABLE_HALF_X_M, -TABLE_HALF_Y_M, 0.0)
 HIGHEST_M = (TABLE_HALF_X_M, TABLE_HALF_Y_M, CEILING_M)
 """Corners of the box in which a tool centre point can be asked for."""
+LOWEST_FROM_BASE_M = (-CEILING_M, -CEILING_M, 0.0)
+HIGHEST_FROM_BASE_M = (CEILING_M, CEILING_M, CEILING_M)
+"""The same, in the frame of a robot's base, which stands on the table."""
 LEASH_STEPS = 2.0
 """How far a target that is moved step by step can be ahead of the arm, in steps."""
 
@@ -135,6 +138,34 @@ class AxisAnglePoseController(PoseController):
 
 
 class Rot6dPoseController(PoseController):
+    """The same, with rotations as six numbers."""
+
+    rotation = ROT6D
+
+
+class WaypointController(PoseController):
+    """Goes to poses as the expert goes to its waypoints; in frames of the bases.
+
+    An arm whose base has far to turn does that first, in joint space, and then goes
+    straight: a straight line alone may pass over the arm's own base, where the arm
+    would have to fold, or the arm stops before it.
+    """
+
+    def _write_target(self, k: int, row: FloatArray) -> None:
+        base = self.arms[k].robot.world_from_base
+        self._rows[k, :3] = base[:3, :3] @ row[:3] + base[:3, 3]
+        w, x, y, z = self._quaternion(row)
+        norm = math.hypot(w, x, y, z)
+        unit = (w / norm, x / norm, y / norm, z / norm)
+        self._rows[k, 3:7] = compose(quaternion_from_matrix(base[:3, :3]), unit)
+
+    def look(self) -> None:
+        """Look around, and choose how to go on, once per servo tick."""
+        super().look()
+        swing_far(self.states, self._workspaces)
+
+
+class Rot6dWaypointController(WaypointController):
     """The same, with rotations as six numbers."""
 
     rotation = ROT6D

@@ -8,7 +8,10 @@ from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.env.control.guarded_arm import CAPSULES
 from lemma.env.control.safety_filter import transform
-from lemma.motion.arm_motion import choose_posture
+from lemma.motion.arm_motion import POSTURE_ALONE, choose_posture
+
+SWING_RAD = 0.25
+"""An arm whose base has further to turn than this swings round first."""
 
 
 @kernel
@@ -58,3 +61,19 @@ def aim_arms(
             pose,
             goal.posture,
         )
+
+
+@kernel
+def swing_far(states: FloatArray, workspaces: np.ndarray) -> None:
+    """Lead arms whose base has far to turn through joint space, others straight.
+
+    Args:
+        states: The references of n arms, (n, 2, 6) [rad, rad/s].
+        workspaces: The records of RMPflow, (n,), each with a posture; their weights are
+            written.
+    """
+    for k in range(states.shape[0]):
+        goal = workspaces[k].goal
+        far = abs(goal.posture[0] - states[k, 0, 0]) > SWING_RAD
+        goal.target_weight = 0.0 if far else 1.0
+        goal.posture_weight = POSTURE_ALONE if far else 1.0

@@ -19,7 +19,7 @@ from lemma.env.observation import (
 )
 from lemma.robots.ur.build import JOINTS
 
-STATES = ("agent_pos", "agent_vel", "tcp_pose")
+STATES = ("agent_pos", "agent_vel", "tcp_pose", "base_pose")
 """What a state may consist of."""
 
 
@@ -183,6 +183,7 @@ def _state_names(robots: Sequence[str], parts: Sequence[str]) -> tuple[str, ...]
         "agent_pos": motors,
         "agent_vel": [f"{motor}_rate" for motor in motors],
         "tcp_pose": [f"tcp_{axis}" for axis in POSE_AXES],
+        "base_pose": [f"base_{axis}" for axis in POSE_AXES],
     }
     return tuple(
         f"{robot}.{number}"

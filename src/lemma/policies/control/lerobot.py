@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lemma.core.errors import InvalidConfigError
 from lemma.core.robot_names import robot_names
 from lemma.env.camera_rig import camera_names
+from lemma.env.learning.motor_state import MOTOR_CONTROLS, motor_names, motor_state
 from lemma.env.observation import truth_names, truth_vector
 from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
 from lemma.policies.control.checkpoint_file import checkpoint_folder
@@ -27,8 +28,10 @@ from lemma.tasks.language.vector import NUMBERS as SENTENCE_NUMBERS
 from lemma.tasks.language.vector import sentence_vector
 
 TEAM = robot_names(2)
-NUMBERS = 7
-"""Of each robot in a state and in an action: six joint angles and an opening."""
+_CONTROLS: Mapping[tuple[int, ...], str] = {
+    (len(motor_names(name, TEAM)),): name for name in MOTOR_CONTROLS
+}
+"""Control modes by the shape of a state and of an action."""
 TRUTH = truth_names(TEAM)
 """What the numbers are that an oracle is told."""
 _SHARED = ("_parameters", "_buffers", "_modules")
@@ -74,6 +77,7 @@ class LeRobotPolicy:
                 pretrained_path=folder,
                 preprocessor_overrides={"device_processor": {"device": device}},
             )
+        self._control = self.control_options["control"]
         ensembles = getattr(config, "temporal_ensemble_coeff", None) is not None
         self._one_by_one = config.n_obs_steps > 1 or ensembles
 
@@ -102,7 +106,7 @@ class LeRobotPolicy:
 
     def _batch(self, inputs: Sequence[ControlInput]) -> dict[str, Any]:
         seen = [given.observation for given in inputs]
-        state = np.stack([each["agent_pos"] for each in seen])
+        state = np.stack([motor_state(self._control, each).ravel() for each in seen])
         found: dict[str, Any] = {
             OBS_STATE: torch.from_numpy(state).float(),
             "task": [given.instruction for given in inputs],
@@ -121,9 +125,9 @@ class LeRobotPolicy:
         return sentence_vector(given.instruction)
 
     def _rows(self, actions: torch.Tensor) -> Any:
-        """Return actions (..., 14) as rows of the team, (..., 2, 7)."""
+        """Return actions (..., numbers) as rows of the team, (..., 2, numbers / 2)."""
         values = self._after(actions).cpu().numpy()
-        return values.reshape(*values.shape[:-1], len(TEAM), NUMBERS)
+        return values.reshape(*values.shape[:-1], len(TEAM), -1)
 
 
 class PrivilegedLeRobotPolicy(LeRobotPolicy, Oracle):
@@ -164,7 +168,7 @@ def control_options(
         if name not in numbers
     }
     options: dict[str, Any] = {
-        "control": "joint_position",
+        "control": _CONTROLS.get(shapes.get(ACTION, ())),
         "control_hz": hz,
         "clip_actions": True,
     }
@@ -205,12 +209,13 @@ def _check_numbers(
     Raises:
         InvalidConfigError: There are others.
     """
-    row = (len(TEAM) * NUMBERS,)
-    always = {OBS_STATE: row, ACTION: row}
-    if numbers in [{**always, **more} for more in valid]:
-        return
+    for row in _CONTROLS:
+        always = {OBS_STATE: row, ACTION: row}
+        if numbers in [{**always, **more} for more in valid]:
+            return
+    counts = " or ".join(str(row[0]) for row in _CONTROLS)
     told = f"The policy has {dict(numbers)} beside its images. Valid: {OBS_STATE} and "
-    told += f"{ACTION} of {row[0]} numbers, as lemma render --form lerobot writes them,"
+    told += f"{ACTION} of {counts} numbers, as lemma render --form lerobot writes them,"
     told += f" and {OBS_ENV_STATE} of {SENTENCE_NUMBERS}, with --environment-state "
     told += f"sentence, or of {len(TRUTH)}, with --environment-state privileged, which "
     raise InvalidConfigError(f"{told}{LEROBOT_PRIVILEGED}CHECKPOINT is told.")
