@@ -1,17 +1,16 @@
 """Train policies of LeRobot on motor commands, and evaluate them: control level.
 
-In an environment with lerobot, such as the one that ``make test-lerobot`` makes, and
-with what Diffusion Policy needs (``pip install 'lerobot[diffusion]'``):
+In an environment with lerobot, such as the one that ``make test-lerobot`` makes:
 
     python scripts/control_baselines.py --print
     python scripts/control_baselines.py --seeds 0,1,2
     python scripts/control_baselines.py --observation privileged
 
-It runs the commands that it prints: demonstrations, their videos, what is decoded of
-them once; one training for each policy and seed, all at the same time, each GPU in
+It runs the commands that it prints: demonstrations, what cameras see of them, as arrays
+in memory; one training for each policy and seed, all at the same time, each GPU in
 turn; then the last checkpoint of each on split test, and some on split val, which is
 the learning curve. What is there already is kept: the same command goes on where it was
-stopped, trainings at their last checkpoint. ``--phases`` does a part of it.
+stopped, but a training that was not done begins again. ``--phases`` does a part of it.
 
 One policy learns all tasks. It is told the sentence as numbers, because neither ACT nor
 Diffusion Policy of LeRobot reads text. With ``--observation privileged`` it is told the
@@ -31,44 +30,17 @@ from shutil import rmtree
 import torch
 
 from lemma.core.files import read_json
-from lemma.env.learning.motor_state import MOTOR_CONTROLS, WAYPOINT
 from lemma.evaluation.experiments.catalog import CONTROL_TASKS
 from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.report.learning_curves import CURVE, LearningCurve, Point
 from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
 
-COSINE = (
-    "--use_policy_training_preset=false --optimizer.type=adamw "
-    "--optimizer.weight_decay=1e-4 --optimizer.grad_clip_norm=10 "
-    "--scheduler.type=cosine_annealing_with_warmup --scheduler.num_warmup_steps=200"
-)
-"""Of both: steps become smaller to the end, for which ACT has no preset."""
-POLICIES = {
-    "act": (
-        "--policy.type=act --policy.pretrained_backbone_weights=null "
-        "--policy.chunk_size=10 --policy.n_action_steps=3 --policy.dim_model=256 "
-        "--policy.dim_feedforward=1024 --policy.use_vae=false --policy.dropout=0 "
-        f"{COSINE} --optimizer.lr=2e-4"
-    ),
-    "diffusion": (
-        "--policy.type=diffusion --policy.pretrained_backbone_weights=null "
-        "--policy.use_group_norm=true --policy.horizon=8 --policy.n_action_steps=3 "
-        "--policy.crop_ratio=1.0 --policy.down_dims=[64,128,256] "
-        "--policy.use_separate_rgb_encoder_per_camera=false "
-        "--policy.noise_scheduler_type=DDIM --policy.num_inference_steps=10 "
-        f"{COSINE} --optimizer.lr=3e-4"
-    ),
-}
-"""Name and arguments of ``lerobot-train``; the rest is LeRobot's default."""
+POLICIES = ("act", "diffusion")
 OBSERVATIONS = ("rgb", "privileged")
 PHASES = ("data", "train", "test", "curve")
-PRECISION = "ACCELERATE_MIXED_PRECISION=bf16"
-"""Of the arithmetic in training; the environment is where lerobot-train reads it."""
-UNPACKED = "scripts/lerobot_train_unpacked.py"
-LEARN = "--learn-batch-norm"
-"""Weights of ImageNet would come with a normalization; these learn one."""
-WEIGHTS, CONFIG = "pretrained_model", "train_config.json"
-"""Of a checkpoint: its folder for policies, and what it was trained with."""
+TRAINER = "scripts/train_lerobot_policy.py"
+WEIGHTS = "pretrained_model"
+"""Of a checkpoint: its folder for policies."""
 LOOK_S = 0.5
 
 Run = tuple[str, int]
@@ -80,19 +52,16 @@ class Plan:
     """What is wanted."""
 
     out: Path
-    pictures: Path
-    """Folder of what is decoded."""
+    film: Path
+    """Folder of what is seen in the demonstrations."""
     tasks: str
     observation: str
-    control: str
     size: str
     fps: int
     steps: int
     batch: int
-    every: int
-    """Steps between two checkpoints."""
-    loaders: int
-    """Processes that load samples, of each training."""
+    points: int
+    """Of the learning curve: checkpoints."""
     workers: int
     episodes: int
     """Of each task and split train."""
@@ -105,11 +74,6 @@ class Plan:
         """Folder of the demonstrations."""
         return self.out / "recipe"
 
-    @property
-    def videos(self) -> Path:
-        """Folder of what cameras saw."""
-        return self.out / "videos"
-
     def run(self, name: str, seed: int) -> Path:
         """Return the folder of a training."""
         return self.out / f"{name}-{seed}"
@@ -117,30 +81,20 @@ class Plan:
     def data_commands(self) -> list[str]:
         """Return what makes the training data."""
         episodes = f" --episodes {self.episodes}" if self.episodes else ""
-        seen = f"--size {self.size} --environment-state sentence"
-        if self.observation != OBSERVATIONS[0]:
-            seen = f"--no-images --environment-state {self.observation}"
+        told = "sentence" if self.observation == OBSERVATIONS[0] else self.observation
         return [
             f"lemma generate --tasks {self.tasks} --split train{episodes} "
             f"--out {self.recipe} --workers {self.workers}",
-            f"lemma render {self.recipe} --form lerobot {seen} --no-depth "
-            f"--control {self.control} --fps {self.fps} --out {self.videos} "
-            f"--workers {self.workers}",
-            f"python {UNPACKED} unpack {self.videos} {self.pictures}",
+            f"python {TRAINER} film {self.recipe} {self.film} --size {self.size} "
+            f"--fps {self.fps} --environment-state {told} --workers {self.workers}",
         ]
 
     def training(self, name: str, seed: int) -> str:
-        """Return the command of a training, which goes on with what is there."""
-        begin = f"{PRECISION} python {UNPACKED} train {self.pictures} {LEARN}"
-        if saved := checkpoints(self.run(name, seed)):
-            return f"{begin} --config_path={saved[-1][1] / CONFIG} --resume=true"
+        """Return the command of a training."""
         return (
-            f"{begin} --dataset.repo_id=lemma/control "
-            f"--dataset.root={self.videos} {POLICIES[name]} "
-            f"--policy.device={self.device} --policy.push_to_hub=false --seed={seed} "
-            f"--steps={self.steps} --batch_size={self.batch} "
-            f"--num_workers={self.loaders} --save_freq={self.every} --log_freq=100 "
-            f"--output_dir={self.run(name, seed)}"
+            f"python {TRAINER} train {self.film} {self.run(name, seed)} "
+            f"--policy {name} --seed {seed} --steps {self.steps} "
+            f"--batch {self.batch} --points {self.points}"
         )
 
     def evaluation(self, checkpoint: Path, split: str, episodes: int, out: Path) -> str:
@@ -258,20 +212,17 @@ def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     """Return what is asked for, on the command line by default."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, help="runs/OBSERVATION by default")
-    parser.add_argument("--pictures", type=Path, help="in OUT; /dev/shm is fast")
+    parser.add_argument("--film", type=Path, help="in OUT; /dev/shm is fast")
     parser.add_argument("--tasks", default=",".join(CONTROL_TASKS))
     parser.add_argument("--policies", default=",".join(POLICIES))
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--phases", default=",".join(PHASES), help="some of these")
     parser.add_argument("--observation", default="rgb", choices=OBSERVATIONS)
-    parser.add_argument("--control", default=WAYPOINT, choices=MOTOR_CONTROLS)
-    parser.add_argument("--size", default="192x144")
+    parser.add_argument("--size", default="160x120")
     parser.add_argument("--fps", type=int, default=5)
     parser.add_argument("--steps", type=int, default=20_000)
-    parser.add_argument("--batch", type=int, default=256)
-    parser.add_argument("--every", type=int, default=1_000)
+    parser.add_argument("--batch", type=int, default=128)
     parser.add_argument("--points", type=int, default=4, help="of the learning curve")
-    parser.add_argument("--loaders", type=int, default=6, help="of each training")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--at-a-time", type=int, default=1, help="evaluations")
     parser.add_argument("--episodes", type=int, default=0, help="of each task; 0: all")
@@ -291,16 +242,14 @@ def main() -> None:
     args = arguments()
     plan = Plan(
         out=args.out,
-        pictures=args.pictures or args.out / "pictures",
+        film=args.film or args.out / "film",
         tasks=args.tasks,
         observation=args.observation,
-        control=args.control,
         size=args.size,
         fps=args.fps,
         steps=args.steps,
         batch=args.batch,
-        every=args.every,
-        loaders=args.loaders,
+        points=args.points,
         workers=args.workers,
         episodes=args.episodes,
         tests=args.test,
@@ -318,9 +267,7 @@ def main() -> None:
     if "train" in args.phases:
         missing = [run for run in runs if not plan.trained(run)]
         for run in missing:
-            if not checkpoints(plan.run(*run)):
-                # lerobot begins in no folder that is there.
-                rmtree(plan.run(*run), ignore_errors=True)
+            rmtree(plan.run(*run), ignore_errors=True)
         trainings = [
             (plan.training(*run), plan.run(*run).with_suffix(".log")) for run in missing
         ]

@@ -56,9 +56,8 @@ def resting(env: ControlEnv) -> FloatArray:
         pose = Pose.from_matrix(arm.tcp_pose())
         for name, written in ROTATIONS.items():
             still[name] = [*pose.position, *written(pose.quaternion), 0.1]
-        own = Pose.from_matrix(
-            np.linalg.solve(arm.robot.world_from_base, arm.tcp_pose())
-        )
+        base = np.linalg.inv(arm.robot.world_from_base)
+        own = Pose.from_matrix((base @ arm.tcp_pose()).astype(float))
         for name, written in WAYPOINTS.items():
             still[name] = [*own.position, *written(own.quaternion), 0.1]
         rows.append(still[env.config.control])

@@ -133,7 +133,7 @@ class _Rows:
         if not reader._return_uint8:
             raise DatasetError("Unpacked pictures are read by lerobot-train alone.")
         table = pq.read_table(reader.root / "data")
-        words = {f.name: table[f.name] for f in table.schema if f.type == pa.string()}
+        words = {f.name: table[f.name] for f in table.schema if _is_text(f.type)}
         numbers = [name for name in table.column_names if name not in words]
         starts = np.array([0, *meta.episodes["dataset_to_index"]])
         return cls(
@@ -201,6 +201,11 @@ def _pictures(
             opened[video] = np.load(path, mmap_mode="r")
         first = round(begin_s * meta.fps)
         yield opened[video][first : first + length]
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    # Large once many data sets have become one.
+    return kind in (pa.string(), pa.large_string())
 
 
 def _unpacked(folder: Path, video: Path) -> Path:

@@ -18,6 +18,7 @@ Float32Array = NDArray[np.float32]
 MotorControl = Literal["joint_position", "ee_waypoint_rot6d"]
 JOINT_POSITION, WAYPOINT = MOTOR_CONTROLS = get_args(MotorControl)
 """The control modes that there are such numbers for."""
+_DECIMALS = 6
 MOTORS = {
     JOINT_POSITION: (*JOINTS, "gripper"),
     WAYPOINT: ("x", "y", "z", *ROT6D.columns, "gripper"),
@@ -74,4 +75,6 @@ def tool_rows(
     """
     poses = np.linalg.solve(bases, tools)
     columns = [poses[:, :3, number] for number in (3, 0, 1)]
-    return np.column_stack([*columns, openings]).astype(np.float32)
+    rows = np.column_stack([*columns, openings])
+    # Learners scale each number by how much it varies: also what is but rounding.
+    return np.round(rows, _DECIMALS).astype(np.float32)

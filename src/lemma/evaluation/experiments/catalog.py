@@ -227,7 +227,7 @@ for _learner, _called in (("act", "ACT"), ("diffusion", "Diffusion Policy")):
             name=_learner,
             title=f"{_called}, camera images",
             suite=CONTROL_LEVEL,
-            policy=PolicySpec(f"{LEROBOT}{_learner}", arguments=(("hz", 10),)),
+            policy=PolicySpec(f"{LEROBOT}{_learner}", arguments=(("hz", 5),)),
             tasks=CONTROL_TASKS,
             training=_trained,
         )
@@ -238,12 +238,12 @@ for _learner, _called in (("act", "ACT"), ("diffusion", "Diffusion Policy")):
             title=f"{_called}, told poses and goal",
             suite=CONTROL_LEVEL,
             policy=PolicySpec(
-                f"{LEROBOT_PRIVILEGED}{_learner}-privileged", arguments=(("hz", 10),)
+                f"{LEROBOT_PRIVILEGED}{_learner}-privileged", arguments=(("hz", 5),)
             ),
             # It is told the goal, whatever is said.
             kinds=EVALUATION_KINDS[:1],
             tasks=CONTROL_TASKS,
-            training=f"{_trained} --observation privileged --batch 1024",
+            training=f"{_trained} --observation privileged",
         )
     )
 

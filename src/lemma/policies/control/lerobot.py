@@ -79,7 +79,9 @@ class LeRobotPolicy:
             )
         self._control = self.control_options["control"]
         ensembles = getattr(config, "temporal_ensemble_coeff", None) is not None
-        self._one_by_one = config.n_obs_steps > 1 or ensembles
+        # Of one observation too, lerobot makes a history.
+        remembers = OBS_STATE in (getattr(self._policy, "_queues", None) or {})
+        self._one_by_one = config.n_obs_steps > 1 or ensembles or remembers
 
     @torch.no_grad()
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:

@@ -1,0 +1,126 @@
+"""Policies trained on frames in memory: the same frames, and policies of LeRobot."""
+
+import math
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+import pytest
+import torch
+from small_recipe import TASKS, recipe
+
+import lemma
+from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style, frames
+from lemma.dataset.recipe.reader import read_group
+from lemma.env.learning.motor_state import WAYPOINT
+from lemma.evaluation.run.rollout import Rollout
+from lemma.policies.control.lerobot import LeRobotPolicy, PrivilegedLeRobotPolicy
+from train_lerobot_policy import AROUND, FOCUS, POLICIES, Film, film, main
+
+STEPS, BATCH = 2, 4
+
+
+@cache
+def work() -> Path:
+    return Path(mkdtemp(prefix="lemma-film-"))
+
+
+def style(told: str) -> Style:
+    return Style(
+        fps=5,
+        depth=False,
+        images=told == SENTENCE,
+        environment_state=told,
+        control=WAYPOINT,
+        width_px=64,
+        height_px=48,
+    )
+
+
+@cache
+def filmed(told: str) -> Path:
+    folder = work() / told
+    film(recipe(), folder, style(told), 1)
+    return folder
+
+
+@pytest.mark.parametrize("told", [SENTENCE, PRIVILEGED])
+def test_frames_are_those_of_an_export(told: str) -> None:
+    seen = Film.load(filmed(told), "cpu")
+    first = 0
+    for task in TASKS:
+        record = read_group(recipe() / "train" / f"{task}.parquet", 0)[0]
+        rows = list(frames(record, style(told)))
+        end = first + len(rows)
+        for name, values in (seen.vectors | seen.images).items():
+            wanted = np.stack([row[name] for row in rows])
+            assert np.array_equal(values[first:end].numpy(), wanted)
+        assert (seen.last[first:end] == end - 1).all()
+        first = end
+    assert len(seen.last) == first
+    assert bool(seen.images) == (told == SENTENCE)
+
+
+def test_what_was_filmed_otherwise_is_not_taken_for_it() -> None:
+    with pytest.raises(SystemExit, match="another film"):
+        film(recipe(), filmed(PRIVILEGED), style(SENTENCE), 1)
+
+
+def test_new_waypoints_are_decisive() -> None:
+    seen = Film.load(filmed(PRIVILEGED), "cpu")
+    found = seen.decisive()
+    assert found[0]
+    assert 0.1 < found.float().mean() < 0.6
+    rows = seen.vectors["action"]
+    gripper = (rows[1:] - rows[:-1])[:, [9, 19]].abs().amax(1) > 0.09
+    assert gripper.sum() >= 4
+    for frame in (gripper.nonzero().ravel() + 1).tolist():
+        assert all(found[frame + step] for step in (0, *AROUND))
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_trained_policies_are_evaluated_as_they_are(
+    policy: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(Rollout, "horizon_s", 2.0)
+    for told, kind in (
+        (SENTENCE, LeRobotPolicy),
+        (PRIVILEGED, PrivilegedLeRobotPolicy),
+    ):
+        out = work() / f"{policy}-{told}"
+        words = f"--policy {policy} --steps {STEPS} --batch {BATCH} --points 2 --tell 1"
+        main(["train", str(filmed(told)), str(out), *words.split()])
+        lines = capsys.readouterr().out.splitlines()
+        losses = [float(line.split()[-1]) for line in lines if "loss" in line]
+        assert len(losses) == STEPS
+        assert all(map(math.isfinite, losses))
+        saved = sorted(path.name for path in (out / "checkpoints").iterdir())
+        assert saved == ["000001", "000002", "last"]
+        made = out / "checkpoints/last/pretrained_model"
+        player = kind(str(made), hz=5)
+        found = lemma.evaluate(player, tasks="stack", split="val", episodes=1)
+        assert not found.errors
+        (row,) = found.rows
+        assert row["control"]["actions"] == 10
+
+
+def test_samples_stay_in_their_episode_and_repeat() -> None:
+    seen = Film.load(filmed(PRIVILEGED), "cpu")
+
+    class Config:
+        action_delta_indices = tuple(range(10))
+        observation_delta_indices = None
+
+    first, again = (next(seen.batches(Config(), 64, 7)) for _ in range(2))
+    for name, values in first.items():
+        assert torch.equal(values, again[name])
+    assert first["action"].shape == (64, 10, 20)
+    padded = first["action_is_pad"]
+    assert padded.any()
+    # What lies behind the end is the last action again.
+    rows = first["action"][padded.any(1)]
+    ends = padded[padded.any(1)].int().argmax(1)
+    for row, end in zip(rows, ends.tolist(), strict=True):
+        assert (row[end:] == row[end - 1]).all()
+    assert 0.0 < FOCUS < 1.0
