@@ -8,6 +8,7 @@ from tempfile import mkdtemp
 import numpy as np
 import pytest
 import torch
+from check_training import plugin
 from small_recipe import TASKS, recipe
 
 import lemma
@@ -99,10 +100,39 @@ def test_trained_policies_are_evaluated_as_they_are(
         assert saved == ["000001", "000002", "last"]
         made = out / "checkpoints/last/pretrained_model"
         player = kind(str(made), hz=5)
-        found = lemma.evaluate(player, tasks="stack", split="val", episodes=1)
+        found = lemma.evaluate(
+            player, level="control", tasks="stack", split="val", episodes=1
+        )
         assert not found.errors
         (row,) = found.rows
         assert row["control"]["actions"] == 10
+
+
+def test_waypoints_solve_the_task_in_lerobots_environment() -> None:
+    task = TASKS[0]
+    config = plugin().LemmaEnvConfig(
+        task=task,
+        split="train",
+        fps=5,
+        control=WAYPOINT,
+        environment_state=PRIVILEGED,
+    )
+    env = config.create_envs(n_envs=1)[task][0]
+    observed, _ = env.reset(
+        seed=[plugin().FIRST_SEED], options={"lerobot_new_rollout": True}
+    )
+    seen = Film.load(filmed(PRIVILEGED), "cpu")
+    states, actions = seen.vectors["observation.state"], seen.vectors["action"]
+    assert np.allclose(observed["agent_pos"][0], states[0], atol=1e-5)
+    end = int(seen.last[0])
+    solved = False
+    for number in [*range(end + 1), *[end] * 10]:
+        *_, terminated, _, info = env.step(actions[number][None].numpy())
+        solved = bool(info["is_success"][0])
+        if terminated[0]:
+            break
+    env.close()
+    assert solved
 
 
 def test_samples_stay_in_their_episode_and_repeat() -> None:
