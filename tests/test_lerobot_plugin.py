@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 from lemma.core.errors import UnknownNameError
 from lemma.dataset.lerobot.frames import Style, features
 from lemma.env.config import EnvConfig
-from lemma.env.learning.flat_view import FlatView
+from lemma.env.learning.motor_state import MOTOR_CONTROLS
 from lemma.env.observation import truth_names
 from lemma.tasks.language.vector import sentence_vector
 from lemma.tasks.names import SUITE
@@ -151,6 +151,25 @@ def test_an_oracle_observes_the_truth_instead_of_pictures(plugin: Any) -> None:
         plugin.LemmaEnvConfig(environment_state="all of it")
 
 
+@pytest.mark.parametrize("control", MOTOR_CONTROLS)
+def test_states_and_actions_are_those_of_a_data_set(plugin: Any, control: str) -> None:
+    config = plugin.LemmaEnvConfig(
+        task="pass", environment_state="privileged", control=control, **SMALL
+    )
+    env = config.create_envs(n_envs=1)["pass"][0]
+    observation, _ = env.reset(seed=[plugin.FIRST_SEED])
+    held = features(TEAM, Style(control=control))["observation.state"]
+    assert list(env.envs[0].env.state_names) == held["names"]
+    shape = (1, *held["shape"])
+    assert observation["agent_pos"].shape == env.action_space.shape == shape
+    # What is measured, commanded, is to stay where one is.
+    moved, *_ = env.step(observation["agent_pos"])
+    assert np.abs(moved["agent_pos"] - observation["agent_pos"]).max() < 2e-3
+    env.close()
+    with pytest.raises(UnknownNameError, match="joint_position"):
+        plugin.LemmaEnvConfig(control="by thought")
+
+
 @pytest.mark.render
 def test_vectors_are_made_of_each_task(plugin: Any) -> None:
     config = plugin.LemmaEnvConfig(task="pass, hook", **SMALL)
@@ -165,7 +184,6 @@ def test_vectors_are_made_of_each_task(plugin: Any) -> None:
     # Every network overshoots: what is out of bounds is clipped.
     assert np.isfinite(env.step(np.full((1, 14), 99.0, np.float32))[1])
     view = env.envs[0].env
-    assert isinstance(view, FlatView)
     held = features(TEAM, Style())["observation.state"]["names"]
     assert list(view.state_names) == held
     assert tuple(plugin.LemmaEnvConfig().create_envs(1)) == SUITE

@@ -82,8 +82,10 @@ class MotorState(gym.ObservationWrapper):
         """
         super().__init__(env)
         self._control = control
+        self.state_names = tuple(motor_names(control, TEAM))
+        """What each number of the state is: ``robot_0.gripper``."""
         assert isinstance(env.observation_space, gym.spaces.Dict)
-        shape = (len(motor_names(control, TEAM)),)
+        shape = (len(self.state_names),)
         self.observation_space = gym.spaces.Dict(
             {
                 **env.observation_space.spaces,

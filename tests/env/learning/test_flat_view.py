@@ -55,9 +55,9 @@ def test_a_row_of_numbers_does_what_the_rows_do(control: str) -> None:
 def test_states_have_a_name_for_every_number() -> None:
     env = flat(STATES)
     found, _ = env.reset()
-    assert len(env.state_names) == found["observation.state"].size == 42
+    assert len(env.state_names) == found["observation.state"].size == 56
     assert env.state_names[6:8] == ("robot_0.gripper", f"robot_1.{JOINTS[0]}")
-    assert len(set(env.state_names)) == 42
+    assert len(set(env.state_names)) == 56
 
 
 @pytest.mark.render
