@@ -39,7 +39,7 @@ from lemma.policies.weights_file import (
     write_weights,
 )
 
-LARGEST_MB = 32.0
+LARGEST_MB = 17.0
 """Of one file."""
 NEAR_MM = 1.0
 """Poses this close are the same: less than the servos' error."""

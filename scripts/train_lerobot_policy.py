@@ -33,7 +33,7 @@ from lemma.core.workers.pool import ProcessPool
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.lerobot.export import LeRobotConfig, Shard
 from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style, frames
-from lemma.dataset.lerobot.sources import read_records
+from lemma.dataset.lerobot.sources import check_source, read_records
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.env.learning.motor_state import WAYPOINT
 
@@ -100,21 +100,27 @@ def film_shard(shard: Shard, style: Style, folder: Path) -> int:
         return int(found[LENGTHS].sum())
 
 
-def film(recipe: Path, folder: Path, style: Style, workers: int) -> None:
-    """Write the training episodes of a recipe as arrays; those there are kept.
+def film(
+    recipe: Path, folder: Path, style: Style, workers: int, split: str = "train"
+) -> None:
+    """Write the episodes of a split as arrays; those that are there are kept.
 
     Raises:
+        DatasetError: They cannot be learned from, or not be done again here.
         SystemExit: What is there was filmed otherwise.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    told = json.dumps({**asdict(style), "recipe": sha256_of(recipe / MANIFEST)})
+    source = RenderConfig(recipe=recipe, out=folder, splits=(split,))
+    shards = LeRobotConfig(source=source, style=style).shards()
+    check_source(recipe, list(dict.fromkeys(one.path for one in shards)), style)
+    told = json.dumps(
+        {**asdict(style), "recipe": sha256_of(recipe / MANIFEST), "split": split}
+    )
     about = folder / ABOUT
     if about.exists() and about.read_text() != told:
         raise SystemExit(f"{folder} holds another film. Choose another folder.")
     about.write_text(told)
-    source = RenderConfig(recipe=recipe, out=folder, splits=("train",))
-    order = LeRobotConfig(source=source, style=style)
-    jobs = [(shard, style, folder) for shard in order.shards()]
+    jobs = [(shard, style, folder) for shard in shards]
     begin, count = time.monotonic(), 0
     for done in ProcessPool(workers).run(film_shard, jobs):
         count += done
@@ -136,7 +142,10 @@ class Film:
     def load(cls, folder: Path, device: str) -> "Film":
         """Read what :func:`film` wrote."""
         files = sorted(folder.glob("*.npz"))
-        lengths = [np.load(file)[LENGTHS] for file in files]
+        lengths = []
+        for file in files:
+            with np.load(file) as found:
+                lengths.append(found[LENGTHS])
         total = int(np.concatenate(lengths).sum())
         columns: dict[str, torch.Tensor] = {}
         first = 0
@@ -183,6 +192,10 @@ class Film:
             found[name] = {key: value[:, None, None] for key, value in told.items()}
         return found
 
+    def begins(self) -> torch.Tensor:
+        """Return the first frame of each episode, (episodes,)."""
+        return torch.cat([self.last.new_zeros(1), self.last.unique()[:-1] + 1])
+
     def decisive(self) -> torch.Tensor:
         """Return at which frames a new waypoint begins, or will soon, (frames,).
 
@@ -195,23 +208,41 @@ class Film:
         change = (action[1:] - action[:-1]).abs().reshape(len(action) - 1, ROBOTS, -1)
         jump[1:] = (change[..., :-1] > JUMP).any(2).any(1)
         jump[1:] |= (change[..., -1] > GRIPPER_JUMP_M).any(1)
-        begins = torch.cat([self.last.new_zeros(1), self.last.unique()[:-1] + 1])
-        jump[begins] = True
+        jump[self.begins()] = True
         found = jump.clone()
         for steps in AROUND:
             found |= jump.roll(steps)
         return found
 
+    def samples(self, index: torch.Tensor, config: Any) -> dict[str, Any]:
+        """Return frames by number, as LeRobot's data sets have them.
+
+        Args:
+            index: Numbers of frames, (n,).
+            config: Of the policy that is given them.
+        """
+        found: dict[str, Any] = {
+            name: rows[index] for name, rows in self.vectors.items()
+        }
+        for name, rows in self.images.items():
+            # Seen as (channels, height, width), in the order that is fast.
+            found[name] = rows[index].permute(0, 3, 1, 2).float() / 255.0
+        if config.observation_delta_indices is not None:
+            found = {name: rows[:, None] for name, rows in found.items()}
+        ahead = torch.tensor(config.action_delta_indices, device=index.device)
+        wanted, end = index[:, None] + ahead, self.last[index][:, None]
+        found[ACTION] = self.vectors[ACTION][wanted.minimum(end)]
+        found[f"{ACTION}_is_pad"] = wanted > end
+        return found
+
     def batches(self, config: Any, size: int, seed: int) -> Iterator[dict[str, Any]]:
-        """Yield random samples for ever, as LeRobot's data sets have them."""
+        """Yield random samples for ever; :data:`FOCUS` of them at decisive frames."""
         device = self.last.device
         drawing = torch.Generator(device=device).manual_seed(seed)
         dropped = getattr(config, "drop_n_last_frames", 0)
         here = torch.arange(len(self.last), device=device)
         valid = here[here <= self.last - dropped]
         decisive = valid[self.decisive()[valid]]
-        ahead = torch.tensor(config.action_delta_indices, device=device)
-        history = config.observation_delta_indices is not None
         focused = round(FOCUS * size)
 
         def draw(frames: torch.Tensor, count: int) -> torch.Tensor:
@@ -221,18 +252,7 @@ class Film:
 
         while True:
             index = torch.cat([draw(decisive, focused), draw(valid, size - focused)])
-            found: dict[str, Any] = {
-                name: rows[index] for name, rows in self.vectors.items()
-            }
-            for name, rows in self.images.items():
-                # Seen as (channels, height, width), in the order that is fast.
-                found[name] = rows[index].permute(0, 3, 1, 2).float() / 255.0
-            if history:
-                found = {name: rows[:, None] for name, rows in found.items()}
-            wanted, end = index[:, None] + ahead, self.last[index][:, None]
-            found[ACTION] = self.vectors[ACTION][wanted.minimum(end)]
-            found[f"{ACTION}_is_pad"] = wanted > end
-            yield found
+            yield self.samples(index, config)
 
 
 def _statistics(rows: torch.Tensor, axes: Any) -> dict[str, torch.Tensor]:
@@ -247,14 +267,13 @@ def _statistics(rows: torch.Tensor, axes: Any) -> dict[str, torch.Tensor]:
 def make_policy(name: str, seen: Film, device: str) -> tuple[Any, Any, Any]:
     """Return a policy that knows nothing yet, and what comes before and after it."""
     inputs, outputs = seen.features()
-    options = dict(POLICIES[name])
     config = PreTrainedConfig.get_choice_class(name)(
         input_features=inputs,
         output_features=outputs,
         device=device,
         push_to_hub=False,
         pretrained_backbone_weights=None,
-        **options,
+        **POLICIES[name],
     )
     if name == "act":
         # LeRobot's ACT has the normalization of its ResNet frozen, as it comes with
@@ -345,6 +364,7 @@ def main(words: Sequence[str] | None = None) -> None:
     filming.add_argument(
         "--environment-state", choices=(SENTENCE, PRIVILEGED), default=SENTENCE
     )
+    filming.add_argument("--split", default="train")
     filming.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     training = verbs.add_parser("train")
     training.add_argument("film", type=Path)
@@ -369,7 +389,7 @@ def main(words: Sequence[str] | None = None) -> None:
             environment_state=asked.environment_state,
             control=WAYPOINT,
         )
-        film(asked.recipe, asked.film, style, asked.workers)
+        film(asked.recipe, asked.film, style, asked.workers, asked.split)
     else:
         train(asked)
 

@@ -132,21 +132,47 @@ def test_another_state_is_no_episode(done: Teleoperation, tmp_path: Path) -> Non
 def test_held_out_sentences_are_not_learned_from(
     done: Teleoperation, file: Path, tmp_path: Path
 ) -> None:
-    check_source(file, [file], ("high_level",))
+    check_source(file, [file], Style())
     with pytest.raises(DatasetError, match="--instructions"):
-        check_source(file, [file], ("high_level", "human"))
+        check_source(file, [file], Style(instructions=("high_level", "human")))
     path = tmp_path / "unseen.json"
     said = replace(done, instruction=done.instance.instructions["unseen"])
     path.write_text(said.to_json())
     with pytest.raises(DatasetError, match="held out"):
-        check_source(path, [path], ("high_level",))
+        check_source(path, [path], Style())
+
+
+def test_joints_that_were_commanded_have_no_waypoints(
+    done: Teleoperation, file: Path, tmp_path: Path
+) -> None:
+    waypoints = Style(control="ee_waypoint_rot6d")
+    check_source(file, [file], waypoints)
+    begun, led = done.parts
+    assert isinstance(led, Commanded)
+    joints = replace(led, control="joint_position", rows=[np.zeros((2, 7))] * ROWS)
+    path = tmp_path / "joints.json"
+    path.write_text(replace(done, parts=(begun, joints)).to_json())
+    check_source(path, [path], Style())
+    with pytest.raises(DatasetError, match="joint_position commands joints"):
+        check_source(path, [path], waypoints)
+
+
+def test_waypoints_of_hands_are_where_they_were_led(
+    done: Teleoperation, file: Path
+) -> None:
+    record = read_record(file)
+    last = list(iterate_steps(record, 10))[-1]
+    led = done.parts[-1]
+    assert isinstance(led, Commanded)
+    for pose, row in zip(last.waypoints, led.rows[-1], strict=True):
+        assert np.allclose(pose[:3, 3], row[:3], atol=1e-9)
 
 
 def test_a_table_alone_is_no_episode(done: Teleoperation, tmp_path: Path) -> None:
     path = tmp_path / "table.json"
     path.write_text(json.dumps(done.instance.to_dict()))
     with pytest.raises(InvalidConfigError, match="not what was done"):
-        check_source(path, [path], ("high_level",))
+        check_source(path, [path], Style())
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,9 @@ from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style, frames
 from lemma.dataset.recipe.reader import read_group
 from lemma.env.learning.motor_state import WAYPOINT
 from lemma.evaluation.run.rollout import Rollout
+from lemma.policies.control.interfaces import ControlInput
 from lemma.policies.control.lerobot import LeRobotPolicy, PrivilegedLeRobotPolicy
+from measure_waypoints import main as main_of_errors
 from train_lerobot_policy import AROUND, FOCUS, POLICIES, Film, film, main
 
 STEPS, BATCH = 2, 4
@@ -68,6 +70,26 @@ def test_what_was_filmed_otherwise_is_not_taken_for_it() -> None:
         film(recipe(), filmed(PRIVILEGED), style(SENTENCE), 1)
 
 
+def test_policies_that_draw_answer_alike_each_time() -> None:
+    folder = work() / "drawing"
+    words = "--policy diffusion --steps 1 --batch 4 --points 1"
+    main(["train", str(filmed(PRIVILEGED)), str(folder), *words.split()])
+    policy = PrivilegedLeRobotPolicy(
+        str(folder / "checkpoints/last/pretrained_model"), hz=5
+    )
+    env = lemma.make("stack", split="val", **policy.control_options)
+    observation, _ = env.reset()
+    given = [
+        ControlInput(instruction="", robots=TASKS, observation=observation, step=step)
+        for step in (0, 0, 3)
+    ]
+    state = torch.random.get_rng_state()
+    one, same, other = (answer.rows for answer in policy.act(given))
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
+    assert torch.equal(torch.random.get_rng_state(), state)
+
+
 def test_new_waypoints_are_decisive() -> None:
     seen = Film.load(filmed(PRIVILEGED), "cpu")
     found = seen.decisive()
@@ -99,6 +121,11 @@ def test_trained_policies_are_evaluated_as_they_are(
         saved = sorted(path.name for path in (out / "checkpoints").iterdir())
         assert saved == ["000001", "000002", "last"]
         made = out / "checkpoints/last/pretrained_model"
+        main_of_errors([str(filmed(told)), str(made)])
+        *_, last = capsys.readouterr().out.splitlines()
+        # Nothing is learned in two steps.
+        quarter, half, most = map(float, last.split()[1:])
+        assert 0.0 < quarter <= half <= most < 300.0
         player = kind(str(made), hz=5)
         found = lemma.evaluate(
             player, level="control", tasks="stack", split="val", episodes=1
@@ -153,4 +180,11 @@ def test_samples_stay_in_their_episode_and_repeat() -> None:
     ends = padded[padded.any(1)].int().argmax(1)
     for row, end in zip(rows, ends.tolist(), strict=True):
         assert (row[end:] == row[end - 1]).all()
-    assert 0.0 < FOCUS < 1.0
+    decisive = seen.decisive()
+    # Of what is drawn anywhere, some is decisive by chance.
+    rows = seen.vectors["observation.state"]
+    drawn = [
+        int((rows == row).all(1).nonzero()[0]) for row in first["observation.state"]
+    ]
+    assert all(decisive[drawn[: round(FOCUS * 64)]])
+    assert not all(decisive[drawn])

@@ -9,6 +9,7 @@ import pytest
 from model_server import HELLO, model_server
 
 from lemma.cli.main import main
+from lemma.env.learning.motor_state import WAYPOINT, motor_state
 from lemma.evaluation.run.control.check import ControlCheck, check_control
 from lemma.policies.control.interfaces import ControlInput
 from lemma.serve.protocol.faults import PolicyFailedError
@@ -33,6 +34,11 @@ class Goes:
             return np.hstack([joints[:, :6], opening])
         if self.control == "ee_pose":
             return np.hstack([poses, opening])
+        if self.control == WAYPOINT:
+            # Far ahead: the end of a motion.
+            rows = motor_state(WAYPOINT, seen).copy()
+            rows[:, -1], rows[1, :3] = 0.1, (0.3, -0.5, 0.3)
+            return rows
         steps = np.zeros((2, 7))
         steps[:, -1] = 1.0
         steps[1, :2] = 0.5 * (np.array([0.988, 1.094]) - poses[1, :2])
@@ -60,7 +66,9 @@ def asked(control: str, change: Change = lambda x: x) -> ControlCheck:
     return check_control(Goes(control, change))
 
 
-@pytest.mark.parametrize("control", ["joint_position", "ee_pose", "delta_ee_pose"])
+@pytest.mark.parametrize(
+    "control", ["joint_position", "ee_pose", "delta_ee_pose", "ee_waypoint_rot6d"]
+)
 def test_nothing_is_wrong_with_what_goes_on(control: str) -> None:
     found = asked(control)
     assert found.ok, found.mistakes
@@ -88,6 +96,7 @@ def test_nothing_is_wrong_with_what_goes_on(control: str) -> None:
         ("delta_ee_pose", times(-1.0, slice(-1, None)), "gripper", "-1 is closed"),
         ("joint_position", times(0.0, slice(-1, None)), "gripper", "in metres"),
         ("ee_pose", times(10.0, slice(-1, None)), "gripper", "fraction"),
+        (WAYPOINT, times(0.0, slice(-1, None)), "gripper", "in metres"),
         ("delta_ee_pose", times(-1.0, slice(2)), "direction", "signs the same"),
     ],
 )

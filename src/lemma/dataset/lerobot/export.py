@@ -157,7 +157,7 @@ def write_dataset(
     start = perf_counter()
     shards = order.shards()
     files = list(dict.fromkeys(shard.path for shard in shards))
-    check_source(order.source.recipe, files, order.style.instructions)
+    check_source(order.source.recipe, files, order.style)
     check_installed()
     for shard in shards[:1]:
         features(

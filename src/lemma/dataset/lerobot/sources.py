@@ -9,12 +9,16 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_json, write_whole
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.instructions import TRAINING_KINDS, check_recorded
+from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.recipe.files import open_table
 from lemma.dataset.recipe.reader import read_group
 from lemma.dataset.recipe.replay import check_versions
 from lemma.dataset.recipe.schema import EpisodeRecord, perturbed_as
 from lemma.dataset.teleoperation.record import read_record
-from lemma.dataset.teleoperation.schema import Teleoperation
+from lemma.dataset.teleoperation.schema import Commanded, Teleoperation
+from lemma.env.control.modes import CONTROLS
+from lemma.env.control.pose_controllers import PoseController
+from lemma.env.learning.motor_state import WAYPOINT
 from lemma.tasks.language.template import KINDS
 
 PARQUET = ".parquet"
@@ -40,24 +44,22 @@ def read_records(
     return [found[row] for row in rows]
 
 
-def check_source(
-    source: Path, files: Sequence[Path], instructions: tuple[str, ...]
-) -> None:
+def check_source(source: Path, files: Sequence[Path], style: Style) -> None:
     """Check that episodes can be exported here and as it was asked for.
 
     Args:
         source: A recipe, or what was led by hand.
         files: What is read of it.
-        instructions: Kinds of sentences that become tasks.
+        style: How they are exported.
 
     Raises:
         DatasetError: They cannot.
         InvalidConfigError: A file is none of an episode that was led by hand.
     """
     if all(path.suffix != PARQUET for path in files):
-        _check_led(files, instructions)
+        _check_led(files, style)
         return
-    for kind in instructions:
+    for kind in style.instructions:
         check_recorded(kind, [path.parent.name for path in files])
     for path in files:
         found = open_table(path)[1]
@@ -72,14 +74,14 @@ def check_source(
     check_files(source, partial=True)
 
 
-def _check_led(files: Sequence[Path], instructions: tuple[str, ...]) -> None:
+def _check_led(files: Sequence[Path], style: Style) -> None:
     """Check that episodes that were led by hand can be exported as it was asked for.
 
     Raises:
         DatasetError: They cannot.
         InvalidConfigError: A file is none of such an episode.
     """
-    if instructions != TRAINING_KINDS[:1]:
+    if style.instructions != TRAINING_KINDS[:1]:
         raise DatasetError(
             "An episode that was led by hand has one sentence, which was said. Leave "
             "--instructions out."
@@ -93,6 +95,13 @@ def _check_led(files: Sequence[Path], instructions: tuple[str, ...]) -> None:
                 f"{path}: what was said is held out for evaluation. Say something else "
                 "where episodes are led to learn from."
             )
+        modes = {part.control for part in done.parts if isinstance(part, Commanded)}
+        for mode in sorted(modes) if style.control == WAYPOINT else ():
+            if not issubclass(CONTROLS[mode].controller, PoseController):
+                raise DatasetError(
+                    f"{path}: {mode} commands joints, and no hand was led anywhere. "
+                    "Leave --control out."
+                )
 
 
 def name_in_source(path: Path) -> str:

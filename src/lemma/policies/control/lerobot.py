@@ -4,7 +4,8 @@ Those that are told the truth are oracles: ``--policy lerobot-privileged:CHECKPO
 It needs the lerobot package, which ``lemma-bench[lerobot]`` brings.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import copy, deepcopy
 from typing import Any
 
@@ -85,18 +86,32 @@ class LeRobotPolicy:
 
     @torch.no_grad()
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
-        """Return the next action or chunk of actions for each episode."""
+        """Return the next action or chunk of actions for each episode.
+
+        What a policy draws, as Diffusion Policy does, depends on the step alone: the
+        same inputs have the same answer, whoever was asked before.
+        """
         if self._one_by_one:
             return [self._step(given) for given in inputs]
         batch = self._before(self._batch(inputs))
-        chunks = self._policy.predict_action_chunk(batch)
+        with self._drawing(inputs[0].step):
+            chunks = self._policy.predict_action_chunk(batch)
         chunks = chunks[:, : self._config.n_action_steps]
         return [Actions(rows) for rows in self._rows(chunks)]
 
     def _step(self, given: ControlInput) -> Actions:
         policy = self._fresh() if given.memory is None else given.memory
-        action = policy.select_action(self._before(self._batch([given])))
+        with self._drawing(given.step):
+            action = policy.select_action(self._before(self._batch([given])))
         return Actions(self._rows(action)[0], policy)
+
+    @contextmanager
+    def _drawing(self, seed: int) -> Iterator[None]:
+        """Draw random numbers by a seed; who else draws notices nothing."""
+        device = torch.device(self._config.device)
+        with torch.random.fork_rng([] if device.type == "cpu" else [device]):
+            torch.manual_seed(seed)
+            yield
 
     def _fresh(self) -> Any:
         """Return the policy with queues of its own, for a new episode."""

@@ -17,7 +17,11 @@ from lemma.core.poses import FloatArray
 from lemma.core.robot_names import robot_number
 from lemma.env.base_env import EnvSnapshot
 from lemma.env.control.modes import CONTROLS
-from lemma.env.control.pose_controllers import DeltaPoseController, PoseController
+from lemma.env.control.pose_controllers import (
+    DeltaPoseController,
+    PoseController,
+    WaypointController,
+)
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
 from lemma.evaluation.run.control.rollout import ControlPlayer, ControlRollout
@@ -152,15 +156,17 @@ def _cosine(one: FloatArray, other: FloatArray) -> float:
 
 
 def _jump(env: ControlEnv, rows: FloatArray) -> float:
-    """Return how far an action leads at once; 1 is too far, steps never are."""
+    """Return how far an action leads at once; 1 is too far, steps never are.
+
+    Nor are waypoints: they are the ends of motions.
+    """
     mode = CONTROLS[env.config.control]
     if env.config.control == "joint_position":
         joints = env.observe()["agent_pos"].reshape(len(rows), 7)
         return float(np.abs(rows[:, :6] - joints[:, :6]).max()) / FAR_RAD
     driver = mode.controller
-    if issubclass(driver, DeltaPoseController) or not issubclass(
-        driver, PoseController
-    ):
+    anywhere = (DeltaPoseController, WaypointController)
+    if issubclass(driver, anywhere) or not issubclass(driver, PoseController):
         return 0.0
     worst = 0.0
     for row, pose in zip(rows, _poses(env), strict=True):
