@@ -41,6 +41,8 @@ PHASES = ("data", "train", "test", "curve")
 TRAINER = "scripts/train_lerobot_policy.py"
 WEIGHTS = "pretrained_model"
 """Of a checkpoint: its folder for policies."""
+STATE = "training_state/training_step.json"
+"""Of a checkpoint: how far the training has come."""
 LOOK_S = 0.5
 
 Run = tuple[str, int]
@@ -59,6 +61,8 @@ class Plan:
     size: str
     fps: int
     steps: int
+    train_s: float
+    """How long to train instead of a number of steps; 0 if these count."""
     batch: int
     points: int
     """Of the learning curve: checkpoints."""
@@ -91,9 +95,12 @@ class Plan:
 
     def training(self, name: str, seed: int) -> str:
         """Return the command of a training."""
+        long = f"--steps {self.steps}"
+        if self.train_s:
+            long = f"--train-s {self.train_s:g}"
         return (
             f"python {TRAINER} train {self.film} {self.run(name, seed)} "
-            f"--policy {name} --seed {seed} --steps {self.steps} "
+            f"--policy {name} --seed {seed} {long} "
             f"--batch {self.batch} --points {self.points}"
         )
 
@@ -108,9 +115,13 @@ class Plan:
         )
 
     def trained(self, run: Run) -> bool:
-        """Return whether a training has done its steps."""
+        """Return whether a training has come to its end."""
         saved = checkpoints(self.run(*run))
-        return bool(saved) and saved[-1][0] >= self.steps
+        if not saved:
+            return False
+        _, last = saved[-1]
+        state: dict[str, float] = read_json(last.parent / STATE)
+        return state["share"] >= 1.0
 
     def test(self, run: Run, checkpoint: Path) -> str:
         """Return the command that evaluates a checkpoint on split test."""
@@ -129,7 +140,7 @@ class Plan:
 def checkpoints(run: Path) -> list[tuple[int, Path]]:
     """Return what a training has saved, whole, by number of steps."""
     # The number of the step is written last.
-    whole = sorted((run / "checkpoints").glob("[0-9]*/training_state/*_step.json"))
+    whole = sorted((run / "checkpoints").glob(f"[0-9]*/{STATE}"))
     return [(int(each.parts[-3]), each.parents[1] / WEIGHTS) for each in whole]
 
 
@@ -154,15 +165,12 @@ def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[byt
         )
 
 
-def finish(
-    commands: Sequence[tuple[str, Path]], at_a_time: int, until: float = float("inf")
-) -> None:
+def finish(commands: Sequence[tuple[str, Path]], at_a_time: int) -> None:
     """Run commands to their end, some at a time, each GPU in turn.
 
     Args:
         commands: Each with the file that takes what it says.
         at_a_time: How many go on at the same time.
-        until: When those that still go on are ended.
 
     Raises:
         SystemExit: One failed.
@@ -171,7 +179,7 @@ def finish(
     waiting = [*enumerate(commands)]
     going: list[tuple[tuple[str, Path], subprocess.Popen[bytes]]] = []
     try:
-        while (waiting or going) and time.monotonic() < until:
+        while waiting or going:
             while waiting and len(going) < at_a_time:
                 number, command = waiting.pop(0)
                 gpu = number % gpus if gpus else None
@@ -183,7 +191,7 @@ def finish(
                         raise SystemExit(f"This failed; see {command[1]}: {command[0]}")
             time.sleep(LOOK_S)
     finally:
-        # Those that still go on when the time is over, or another one has failed.
+        # Those that still go on when another one has failed.
         for _, process in going:
             process.terminate()
             process.wait()
@@ -228,7 +236,7 @@ def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, default=0, help="of each task; 0: all")
     parser.add_argument("--val", type=int, default=10, help="episodes of each task")
     parser.add_argument("--test", type=int, default=0, help="of each task; 0: all")
-    parser.add_argument("--train-s", type=float, default=float("inf"))
+    parser.add_argument("--train-s", type=float, default=0.0, help="instead of steps")
     parser.add_argument("--print", action="store_true", help="do nothing")
     args = parser.parse_args(words)
     args.out = args.out or Path("runs", args.observation)
@@ -248,6 +256,7 @@ def main() -> None:
         size=args.size,
         fps=args.fps,
         steps=args.steps,
+        train_s=args.train_s,
         batch=args.batch,
         points=args.points,
         workers=args.workers,
@@ -260,7 +269,7 @@ def main() -> None:
     if args.print:
         print("\n".join(plan.commands(runs)))
         return
-    begin, log = time.monotonic(), plan.out / "evaluations.log"
+    log = plan.out / "evaluations.log"
     if "data" in args.phases:
         made = plan.out / "data.log"
         finish([(command, made) for command in plan.data_commands()], 1)
@@ -271,7 +280,7 @@ def main() -> None:
         trainings = [
             (plan.training(*run), plan.run(*run).with_suffix(".log")) for run in missing
         ]
-        finish(trainings, len(trainings), begin + args.train_s)
+        finish(trainings, len(trainings))
     if "test" in args.phases:
         tests = [
             (plan.test(run, checkpoints(plan.run(*run))[-1][1]), log) for run in runs

@@ -17,9 +17,9 @@ from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies import get_policy_class, make_pre_post_processors
 from lerobot.utils.constants import ACTION
 
+from demonstration_film import ROBOTS, Film
 from lemma.env.learning.motor_state import MOTORS, WAYPOINT
 from lemma.policies.control.checkpoint_file import checkpoint_folder
-from train_lerobot_policy import ROBOTS, Film
 
 FRAMES = (0, 1, 2, 3, 5, 8)
 """After the beginning of an episode."""

@@ -12,6 +12,7 @@ from check_training import plugin
 from small_recipe import TASKS, recipe
 
 import lemma
+from demonstration_film import AROUND, FOCUS, Film, film
 from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style, frames
 from lemma.dataset.recipe.reader import read_group
 from lemma.env.learning.motor_state import WAYPOINT
@@ -19,7 +20,7 @@ from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.control.interfaces import ControlInput
 from lemma.policies.control.lerobot import LeRobotPolicy, PrivilegedLeRobotPolicy
 from measure_waypoints import main as main_of_errors
-from train_lerobot_policy import AROUND, FOCUS, POLICIES, Film, film, main
+from train_lerobot_policy import POLICIES, main
 
 STEPS, BATCH = 2, 4
 
@@ -100,6 +101,31 @@ def test_new_waypoints_are_decisive() -> None:
     assert gripper.sum() >= 4
     for frame in (gripper.nonzero().ravel() + 1).tolist():
         assert all(found[frame + step] for step in (0, *AROUND))
+
+
+def test_nothing_is_learned_from_arms_that_are_home_again() -> None:
+    seen = Film.load(filmed(PRIVILEGED), "cpu")
+    begins, ends = seen.begins(), seen.last.unique()
+    # They stand where they began, and are told to stay.
+    state, action = seen.vectors["observation.state"], seen.vectors["action"]
+    assert torch.allclose(state[ends], state[begins], atol=0.1)
+    assert torch.allclose(state[ends], action[ends], atol=0.1)
+    idle, decisive = seen.idle(), seen.decisive()
+    assert idle[ends].any()
+    assert 0.0 < idle.float().mean() < 0.1
+    assert not decisive[ends].any()
+    assert not (idle & decisive).any()
+    for end in ends.tolist():
+        tail = idle[seen.last == end]
+        assert not tail[: len(tail) // 2].any()
+
+    class Config:
+        action_delta_indices = (0,)
+        observation_delta_indices = None
+
+    drawn = next(seen.batches(Config(), 4096, 0))["observation.state"]
+    left_out = state[idle]
+    assert not (drawn[:, None] == left_out[None]).all(2).any()
 
 
 @pytest.mark.parametrize("policy", POLICIES)

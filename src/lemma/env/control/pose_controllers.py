@@ -153,11 +153,13 @@ class WaypointController(PoseController):
 
     def _write_target(self, k: int, row: FloatArray) -> None:
         base = self.arms[k].robot.world_from_base
-        self._rows[k, :3] = base[:3, :3] @ row[:3] + base[:3, 3]
+        # Number by number, so that no library's order of sums decides the last bit.
+        a, b, c = row[:3].tolist()
+        for i, (p, q, r, origin) in enumerate(base[:3].tolist()):
+            self._rows[k, i] = p * a + q * b + r * c + origin
         w, x, y, z = self._quaternion(row)
-        norm = math.hypot(w, x, y, z)
-        unit = (w / norm, x / norm, y / norm, z / norm)
-        self._rows[k, 3:7] = compose(quaternion_from_matrix(base[:3, :3]), unit)
+        turn = compose(quaternion_from_matrix(base[:3, :3]), (w, x, y, z))
+        self._rows[k, 3:7] = turn
 
     def look(self) -> None:
         """Look around, and choose how to go on, once per servo tick."""
