@@ -153,9 +153,7 @@ def test_trained_policies_are_evaluated_as_they_are(
         quarter, half, most = map(float, last.split()[1:])
         assert 0.0 < quarter <= half <= most < 300.0
         player = kind(str(made), hz=5)
-        found = lemma.evaluate(
-            player, level="control", tasks="stack", split="val", episodes=1
-        )
+        found = lemma.evaluate(player, tasks="stack", split="val", episodes=1)
         assert not found.errors
         (row,) = found.rows
         assert row["control"]["actions"] == 10

@@ -84,8 +84,9 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
             :mod:`lemma.policies.interfaces`. Or a name, as ``lemma evaluate --policy``
             takes it.
         level: ``"skill"``: it decides with poses; ``"plan"``: in symbols, and the
-            expert adds the poses; ``"control"``: by motor commands. By default what it
-            can do, except the last: see :mod:`lemma.policies.control.interfaces`.
+            expert adds the poses; ``"control"``: by motor commands, see
+            :mod:`lemma.policies.control.interfaces`. By default what it can do; an
+            object controls if it has ``control_options``.
         tasks: Name of a task, or names.
         split: Frozen list of instances, ``"test"``; or ``"free"``, which samples them:
             the default with tasks of your own.

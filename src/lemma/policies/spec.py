@@ -281,7 +281,7 @@ class GivenPolicy(PolicySpec):
         Args:
             held: A policy, or a planner.
             level: One of :data:`LEVELS`; a planner's sub-tasks get the expert's poses.
-                By default what it can do.
+                By default what it can do; what has ``control_options`` controls.
             planning: How it plans.
             gta: Whether the right robot replaces the one that the planner chose.
 
@@ -295,6 +295,8 @@ class GivenPolicy(PolicySpec):
             )
         kind = type(held)
         name = f"{kind.__module__}:{kind.__qualname__}"
+        if not level and getattr(held, "control_options", None):
+            level = CONTROL
         if level == CONTROL:
             return cls._holding(held, cls(name, planning, gta, level=level))
         whole = _can(held, Policy) or _can(held, Grounder)

@@ -73,6 +73,12 @@ def test_chunks_are_carried_out_before_the_policy_is_asked_again() -> None:
     assert row["control"]["actions"] == 7 * CALLS
 
 
+def test_who_says_in_which_environment_it_acts_controls() -> None:
+    (row,) = lemma.evaluate(Stays(), **ONE).rows
+    assert row["control"]["actions"] == 5 * CALLS
+    assert without_clock([row]) == without_clock(evaluate(Stays()).rows)
+
+
 def test_each_episode_has_a_memory_of_its_own() -> None:
     policy = Stays()
     rows = evaluate(policy, tasks=["pass", "stack"], episodes=2).rows
