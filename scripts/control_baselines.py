@@ -8,9 +8,10 @@ In an environment with lerobot, such as the one that ``make test-lerobot`` makes
 
 It runs the commands that it prints: demonstrations, what cameras see of them, as arrays
 in memory; one training for each policy and seed, all at the same time, each GPU in
-turn; then the last checkpoint of each on split test, and some on split val, which is
-the learning curve. What is there already is kept: the same command goes on where it was
-stopped, but a training that was not done begins again. ``--phases`` does a part of it.
+turn; meanwhile, on the processors, every checkpoint on split val, which is the learning
+curve, and the last one of each training on split test. What is there already is kept:
+the same command goes on where it was stopped, but a training that was not done begins
+again. ``--phases`` does a part of it, ``--train-s`` and ``--stop-s`` end it in time.
 
 One policy learns all tasks. It is told the sentence as numbers, because neither ACT nor
 Diffusion Policy of LeRobot reads text. With ``--observation privileged`` it is told the
@@ -19,11 +20,13 @@ truth instead, poses and goal, and sees nothing: an oracle.
 
 import argparse
 import os
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from shutil import rmtree
 
@@ -39,6 +42,7 @@ POLICIES = ("act", "diffusion")
 OBSERVATIONS = ("rgb", "privileged")
 PHASES = ("data", "train", "test", "curve")
 TRAINER = "scripts/train_lerobot_policy.py"
+CURVE_SPLIT = "val"
 WEIGHTS = "pretrained_model"
 """Of a checkpoint: its folder for policies."""
 STATE = "training_state/training_step.json"
@@ -71,7 +75,8 @@ class Plan:
     """Of each task and split train."""
     tests: int
     """Of each task and split test."""
-    device: str
+    vals: int
+    """Of each task and split val."""
 
     @property
     def recipe(self) -> Path:
@@ -104,13 +109,16 @@ class Plan:
             f"--batch {self.batch} --points {self.points}"
         )
 
-    def evaluation(self, checkpoint: Path, split: str, episodes: int, out: Path) -> str:
+    def evaluation(self, run: Run, checkpoint: Path, split: str) -> str:
         """Return the command that evaluates a checkpoint."""
+        out, episodes = self.run(*run) / split, self.tests
+        if split == CURVE_SPLIT:
+            out, episodes = out / checkpoint.parent.name, self.vals
         some = f" --episodes {episodes}" if episodes else ""
         kind = LEROBOT if self.observation == OBSERVATIONS[0] else LEROBOT_PRIVILEGED
         return (
             f"lemma evaluate --policy {kind}{checkpoint} --tasks {self.tasks} "
-            f"--policy-args hz={self.fps},device={self.device} --split {split}{some} "
+            f"--policy-args hz={self.fps} --split {split}{some} "
             f"--workers {self.workers} --out {out}"
         )
 
@@ -123,17 +131,13 @@ class Plan:
         state: dict[str, float] = read_json(last.parent / STATE)
         return state["share"] >= 1.0
 
-    def test(self, run: Run, checkpoint: Path) -> str:
-        """Return the command that evaluates a checkpoint on split test."""
-        return self.evaluation(checkpoint, "test", self.tests, self.run(*run) / "test")
-
     def commands(self, runs: Sequence[Run]) -> list[str]:
         """Return all commands, but those of the learning curve."""
         last = f"checkpoints/last/{WEIGHTS}"
         return [
             *self.data_commands(),
             *(self.training(*run) for run in runs),
-            *(self.test(run, self.run(*run) / last) for run in runs),
+            *(self.evaluation(run, self.run(*run) / last, "test") for run in runs),
         ]
 
 
@@ -145,7 +149,10 @@ def checkpoints(run: Path) -> list[tuple[int, Path]]:
 
 
 def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[bytes]":
-    """Start a command of this environment; what it says goes into a file."""
+    """Start a command of this environment; what it says goes into a file.
+
+    Without the number of a GPU it sees none.
+    """
     print(f"{time.strftime('%X')} {command}", flush=True)
     log.parent.mkdir(parents=True, exist_ok=True)
     program, *words = command.split()
@@ -154,8 +161,7 @@ def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[byt
         name, _, value = program.partition("=")
         environment[name] = value
         program, *words = words
-    if gpu is not None:
-        environment["CUDA_VISIBLE_DEVICES"] = str(gpu)
+    environment["CUDA_VISIBLE_DEVICES"] = "" if gpu is None else str(gpu)
     with log.open("ab") as told:
         return subprocess.Popen(
             [str(Path(sys.executable).with_name(program)), *words],
@@ -165,55 +171,73 @@ def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[byt
         )
 
 
-def finish(commands: Sequence[tuple[str, Path]], at_a_time: int) -> None:
-    """Run commands to their end, some at a time, each GPU in turn.
+def playable(plan: Plan, runs: Sequence[Run], phases: Sequence[str]) -> Iterator[str]:
+    """Yield evaluations of what is there by now: whole trainings first."""
+    if "test" in phases:
+        for run in runs:
+            if plan.trained(run):
+                yield plan.evaluation(run, checkpoints(plan.run(*run))[-1][1], "test")
+    if "curve" in phases:
+        for run in runs:
+            for _, path in checkpoints(plan.run(*run)):
+                yield plan.evaluation(run, path, CURVE_SPLIT)
+
+
+def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) -> None:
+    """Train, and evaluate what is there meanwhile, until all is done.
 
     Args:
-        commands: Each with the file that takes what it says.
-        at_a_time: How many go on at the same time.
+        plan: What is wanted.
+        runs: Trainings.
+        phases: Some of :data:`PHASES`.
+        stop_s: All that still goes on after this time is ended.
 
     Raises:
-        SystemExit: One failed.
+        SystemExit: Some command failed; the others came to their end.
     """
-    gpus = torch.cuda.device_count()
-    waiting = [*enumerate(commands)]
-    going: list[tuple[tuple[str, Path], subprocess.Popen[bytes]]] = []
+    begin, gpus = time.monotonic(), torch.cuda.device_count()
+    going: dict[str, subprocess.Popen[bytes]] = {}
+    missing = [run for run in runs if not plan.trained(run)]
+    for number, run in enumerate(missing if "train" in phases else ()):
+        rmtree(plan.run(*run), ignore_errors=True)
+        command, told = plan.training(*run), plan.run(*run).with_suffix(".log")
+        going[command] = do(command, told, number % gpus if gpus else None)
+    playing, played, failed = "", set(), []
     try:
-        while waiting or going:
-            while waiting and len(going) < at_a_time:
-                number, command = waiting.pop(0)
-                gpu = number % gpus if gpus else None
-                going.append((command, do(*command, gpu)))
-            for command, process in [*going]:
-                if process.poll() is not None:
-                    going.remove((command, process))
-                    if process.returncode != 0:
-                        raise SystemExit(f"This failed; see {command[1]}: {command[0]}")
+        while time.monotonic() - begin < stop_s:
+            for command in [one for one in going if going[one].poll() is not None]:
+                if going.pop(command).returncode:
+                    failed.append(command)
+            if playing not in going:
+                ready = playable(plan, runs, phases)
+                playing = next((one for one in ready if one not in played), "")
+                if playing:
+                    played.add(playing)
+                    going[playing] = do(playing, plan.out / "evaluations.log")
+            if not going:
+                break
             time.sleep(LOOK_S)
     finally:
-        # Those that still go on when another one has failed.
-        for _, process in going:
-            process.terminate()
+        for process in going.values():
+            # An evaluation keeps what it has played.
+            process.send_signal(signal.SIGINT)
             process.wait()
-
-
-def points(plan: Plan, run: Run, count: int) -> list[tuple[int, Path]]:
-    """Return checkpoints for the learning curve, evenly spaced, the last one too."""
-    found = checkpoints(plan.run(*run))
-    count = min(count, len(found))
-    return [found[len(found) * (number + 1) // count - 1] for number in range(count)]
+    if failed:
+        raise SystemExit(f"These failed; see {plan.out}/*.log:\n" + "\n".join(failed))
 
 
 def write_curve(plan: Plan, run: Run) -> None:
     """Write success on split val of all checkpoints that were tried."""
     points = []
-    for steps in sorted(int(each.name) for each in (plan.run(*run) / "val").iterdir()):
-        cells = read_json(plan.run(*run) / "val" / f"{steps}" / SUMMARY)["cells"]
+    for found in (plan.run(*run) / CURVE_SPLIT).glob(f"*/{SUMMARY}"):
+        cells = read_json(found)["cells"]
         played = sum(cell["episodes"] for cell in cells)
         solved = sum(cell["successes"] for cell in cells)
-        points.append(Point(steps, played, solved))
-    LearningCurve(tuple(points)).write(plan.run(*run) / CURVE)
-    print(*run, *points, sep="\n", flush=True)
+        points.append(Point(int(found.parent.name), played, solved))
+    if points:
+        points.sort(key=attrgetter("steps"))
+        LearningCurve(tuple(points)).write(plan.run(*run) / CURVE)
+        print(*run, *points, sep="\n", flush=True)
 
 
 def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
@@ -232,11 +256,11 @@ def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--batch", type=int, default=128)
     parser.add_argument("--points", type=int, default=4, help="of the learning curve")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--at-a-time", type=int, default=1, help="evaluations")
     parser.add_argument("--episodes", type=int, default=0, help="of each task; 0: all")
     parser.add_argument("--val", type=int, default=10, help="episodes of each task")
     parser.add_argument("--test", type=int, default=0, help="of each task; 0: all")
     parser.add_argument("--train-s", type=float, default=0.0, help="instead of steps")
+    parser.add_argument("--stop-s", type=float, default=float("inf"), help="of all")
     parser.add_argument("--print", action="store_true", help="do nothing")
     args = parser.parse_args(words)
     args.out = args.out or Path("runs", args.observation)
@@ -262,37 +286,22 @@ def main() -> None:
         workers=args.workers,
         episodes=args.episodes,
         tests=args.test,
-        device="cuda" if torch.cuda.is_available() else "cpu",
+        vals=args.val,
     )
     seeds = [int(seed) for seed in args.seeds.split(",")]
     runs = [(name, seed) for seed in seeds for name in args.policies.split(",")]
     if args.print:
         print("\n".join(plan.commands(runs)))
         return
-    log = plan.out / "evaluations.log"
+    begin = time.monotonic()
     if "data" in args.phases:
-        made = plan.out / "data.log"
-        finish([(command, made) for command in plan.data_commands()], 1)
-    if "train" in args.phases:
-        missing = [run for run in runs if not plan.trained(run)]
-        for run in missing:
-            rmtree(plan.run(*run), ignore_errors=True)
-        trainings = [
-            (plan.training(*run), plan.run(*run).with_suffix(".log")) for run in missing
-        ]
-        finish(trainings, len(trainings))
-    if "test" in args.phases:
-        tests = [
-            (plan.test(run, checkpoints(plan.run(*run))[-1][1]), log) for run in runs
-        ]
-        finish(tests, args.at_a_time)
-    if "curve" in args.phases:
-        tried = [
-            plan.evaluation(path, "val", args.val, plan.run(*run) / "val" / f"{steps}")
-            for run in runs
-            for steps, path in points(plan, run, args.points)
-        ]
-        finish([(command, log) for command in tried], args.at_a_time)
+        for command in plan.data_commands():
+            if do(command, plan.out / "data.log").wait():
+                raise SystemExit(f"This failed; see {plan.out}/data.log: {command}")
+    try:
+        used_s = time.monotonic() - begin
+        work(plan, runs, args.phases.split(","), args.stop_s - used_s)
+    finally:
         for run in runs:
             write_curve(plan, run)
 

@@ -2,9 +2,10 @@
 
 import argparse
 import subprocess
+import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import get_type_hints
 
 import pytest
 
@@ -84,22 +85,8 @@ def control_plan(out: Path, observation: str = "rgb") -> control_baselines.Plan:
         tasks="pass",
         observation=observation,
         size="64x48",
-        device="cpu",
         **numbers,
     )
-
-
-def test_a_learning_curve_has_evenly_spaced_checkpoints_and_the_last(
-    tmp_path: Path,
-) -> None:
-    plan, run = control_plan(tmp_path), ("act", 0)
-    for steps in range(1000, 11_000, 1000):
-        save(plan.run(*run), steps)
-    # Whoever is stopped while it is written leaves a part of one.
-    (plan.run(*run) / "checkpoints/011000/pretrained_model").mkdir(parents=True)
-    found = control_baselines.points(plan, run, 4)
-    assert [steps for steps, _ in found] == [2000, 5000, 7000, 10_000]
-    assert len(control_baselines.points(plan, run, 99)) == 10
 
 
 def save(run: Path, steps: int, share: float = 0.5) -> None:
@@ -125,47 +112,84 @@ def test_trainings_take_steps_or_time(tmp_path: Path) -> None:
     assert "--train-s 600 " in replace(plan, train_s=600.0).training("act", 0)
 
 
-def test_commands_go_on_together_and_a_failure_is_told(tmp_path: Path) -> None:
-    done = [tmp_path / name for name in ("one", "two")]
-    log = tmp_path / "log"
-    script = tmp_path / "script.py"
-    # Each waits for the other one's file: they must be there at the same time.
-    script.write_text(
-        "import pathlib, sys, time\n"
-        "mine, other = map(pathlib.Path, sys.argv[1:])\n"
-        "mine.touch()\n"
-        "while not other.exists(): time.sleep(0.01)\n"
-    )
-    commands = [f"python {script} {a} {b}" for a, b in (done, done[::-1])]
-    control_baselines.finish([(command, log) for command in commands], 2)
-    assert all(path.exists() for path in done)
-    with pytest.raises(SystemExit, match="This failed"):
-        control_baselines.finish([(f"python {script}", log)], 1)
+def script(folder: Path, name: str, *lines: str) -> str:
+    """Return the command of a program of these lines."""
+    path = folder / f"{name}.py"
+    path.write_text("\n".join(("import pathlib, sys, time", *lines)))
+    return f"python {path}"
 
 
-@pytest.fixture
-def endless(tmp_path: Path) -> tuple[str, Path]:
-    """A command that says so if it is not ended before its time."""
-    script, log = tmp_path / "script.py", tmp_path / "log"
-    script.write_text("import time; time.sleep(600); print('not ended')")
-    return f"python {script}", log
+class Scripted(control_baselines.Plan):
+    """Trainings and evaluations are programs of a test."""
+
+    def training(self, name: str, seed: int) -> str:
+        return script(
+            self.out,
+            f"train-{name}",
+            f"other = pathlib.Path({str(self.out)!r}, 'other-of-{name}')",
+            f"pathlib.Path({str(self.out)!r}, 'other-of-{OTHER[name]}').touch()",
+            # Each waits for the other one: they go on at the same time.
+            "while not other.exists(): time.sleep(0.01)",
+            *(self.lines_of(name, seed, step) for step in range(1, self.points + 1)),
+            f"sys.exit({self.episodes})",
+        )
+
+    def lines_of(self, name: str, seed: int, step: int) -> str:
+        state = self.run(name, seed) / "checkpoints" / f"{step:06d}" / "training_state"
+        told = f'{{"share": {step / self.points}}}'
+        return (
+            f"there = pathlib.Path({str(state)!r}); there.mkdir(parents=True)\n"
+            f"(there / 'training_step.json').write_text({told!r})"
+        )
+
+    def evaluation(
+        self, run: control_baselines.Run, checkpoint: Path, split: str
+    ) -> str:
+        name = f"{split}-{run[0]}-{checkpoint.parent.name}"
+        return script(self.out, name, f"print({name!r})", f"sys.exit({self.tests})")
 
 
-def test_where_one_fails_the_others_end(
-    endless: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+OTHER = {"act": "diffusion", "diffusion": "act"}
+BOTH = [("act", 0), ("diffusion", 0)]
+
+
+def scripted(out: Path, **numbers: int) -> Scripted:
+    return Scripted(**(vars(control_plan(out)) | {"episodes": 0, "tests": 0} | numbers))
+
+
+def told(plan: control_baselines.Plan) -> list[str]:
+    return (plan.out / "evaluations.log").read_text().split()
+
+
+def test_trainings_go_on_together_and_all_that_they_save_is_tried(
+    tmp_path: Path,
 ) -> None:
-    begun: list[subprocess.Popen[bytes]] = []
-    do = control_baselines.do
+    plan = scripted(tmp_path, points=3)
+    control_baselines.work(plan, BOTH, control_baselines.PHASES, 60.0)
+    curves = {f"val-{name}-00000{step}" for name in OTHER for step in (1, 2, 3)}
+    assert len(told(plan)) == 8
+    assert {*told(plan)} == curves | {f"test-{name}-000003" for name in OTHER}
+    # They are done, and not trained again.
+    control_baselines.work(plan, BOTH, ("train",), 60.0)
+    assert len(told(plan)) == 8
 
-    def noted(*args: Any) -> "subprocess.Popen[bytes]":
-        begun.append(do(*args))
-        return begun[-1]
 
-    monkeypatch.setattr(control_baselines, "do", noted)
-    with pytest.raises(SystemExit, match="This failed"):
-        control_baselines.finish([endless, ("python --nonsense", endless[1])], 2)
-    assert len(begun) == 2
-    assert all(process.poll() is not None for process in begun)
+def test_a_failure_is_told_when_the_others_have_ended(tmp_path: Path) -> None:
+    for number, failing in enumerate(({"episodes": 1}, {"tests": 1})):
+        plan = scripted(tmp_path / f"{number}", points=1, **failing)
+        plan.out.mkdir()
+        with pytest.raises(SystemExit, match="These failed") as failed:
+            control_baselines.work(plan, BOTH, control_baselines.PHASES, 60.0)
+        words = ("train-", "val-")[number]
+        assert all(f"{words}{name}" in str(failed.value) for name in OTHER)
+        assert len(told(plan)) == 4
+
+
+def test_all_ends_with_the_time(tmp_path: Path) -> None:
+    begin = time.monotonic()
+    # It waits for one that is not there.
+    control_baselines.work(scripted(tmp_path), BOTH[:1], ("train",), 0.5)
+    assert time.monotonic() - begin < 30.0
 
 
 def test_what_stands_before_a_command_is_its_environment(tmp_path: Path) -> None:
