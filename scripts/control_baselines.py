@@ -20,7 +20,6 @@ truth instead, poses and goal, and sees nothing: an oracle.
 
 import argparse
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -62,6 +61,8 @@ class Plan:
     """Folder of what is seen in the demonstrations."""
     tasks: str
     observation: str
+    cameras: str
+    """Names, with commas; the robots' own if empty."""
     size: str
     fps: int
     steps: int
@@ -91,11 +92,13 @@ class Plan:
         """Return what makes the training data."""
         episodes = f" --episodes {self.episodes}" if self.episodes else ""
         told = "sentence" if self.observation == OBSERVATIONS[0] else self.observation
+        seen = f"--cameras {self.cameras} " if self.cameras else ""
         return [
             f"lemma generate --tasks {self.tasks} --split train{episodes} "
             f"--out {self.recipe} --workers {self.workers}",
             f"python {TRAINER} film {self.recipe} {self.film} --size {self.size} "
-            f"--fps {self.fps} --environment-state {told} --workers {self.workers}",
+            f"{seen}--fps {self.fps} --environment-state {told} "
+            f"--workers {self.workers}",
         ]
 
     def training(self, name: str, seed: int) -> str:
@@ -219,8 +222,9 @@ def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) 
             time.sleep(LOOK_S)
     finally:
         for process in going.values():
-            # An evaluation keeps what it has played.
-            process.send_signal(signal.SIGINT)
+            # An evaluation keeps what it has played. Whatever is started in the
+            # background of a shell ignores SIGINT.
+            process.terminate()
             process.wait()
     if failed:
         raise SystemExit(f"These failed; see {plan.out}/*.log:\n" + "\n".join(failed))
@@ -250,6 +254,7 @@ def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--phases", default=",".join(PHASES), help="some of these")
     parser.add_argument("--observation", default="rgb", choices=OBSERVATIONS)
+    parser.add_argument("--cameras", default="", help="robots' own if none")
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--fps", type=int, default=5)
     parser.add_argument("--steps", type=int, default=20_000)
@@ -277,6 +282,7 @@ def main() -> None:
         film=args.film or args.out / "film",
         tasks=args.tasks,
         observation=args.observation,
+        cameras=args.cameras,
         size=args.size,
         fps=args.fps,
         steps=args.steps,

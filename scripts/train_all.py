@@ -11,7 +11,6 @@ was stopped. It needs the rendered data, see ``--print``.
 
 import argparse
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -144,7 +143,8 @@ class Machine:
         if self.playing is not None and self.playing.poll() is None:
             going.append(self.playing)
         for process in going:
-            process.send_signal(signal.SIGINT)
+            # Whatever is started in the background of a shell ignores SIGINT.
+            process.terminate()
         for process in going:
             process.wait()
 

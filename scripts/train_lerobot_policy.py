@@ -222,6 +222,9 @@ def main(words: Sequence[str] | None = None) -> None:
     filming.add_argument("--size", default="160x120")
     filming.add_argument("--fps", type=int, default=5)
     filming.add_argument(
+        "--cameras", default="", help="robot_0,robot_0_wrist,...; robots' own if none"
+    )
+    filming.add_argument(
         "--environment-state", choices=(SENTENCE, PRIVILEGED), default=SENTENCE
     )
     filming.add_argument("--split", default="train")
@@ -247,6 +250,7 @@ def main(words: Sequence[str] | None = None) -> None:
             fps=asked.fps,
             width_px=width,
             height_px=height,
+            cameras=tuple(filter(None, asked.cameras.split(","))),
             depth=False,
             images=asked.environment_state == SENTENCE,
             environment_state=asked.environment_state,

@@ -84,6 +84,7 @@ def control_plan(out: Path, observation: str = "rgb") -> control_baselines.Plan:
         film=out / "film",
         tasks="pass",
         observation=observation,
+        cameras="robot_0,robot_1",
         size="64x48",
         **numbers,
     )
