@@ -159,18 +159,13 @@ def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[byt
     print(f"{time.strftime('%X')} {command}", flush=True)
     log.parent.mkdir(parents=True, exist_ok=True)
     program, *words = command.split()
-    environment = {**os.environ, "TOKENIZERS_PARALLELISM": "false"}
-    if "=" in program:
-        name, _, value = program.partition("=")
-        environment[name] = value
-        program, *words = words
-    environment["CUDA_VISIBLE_DEVICES"] = "" if gpu is None else str(gpu)
+    seen = "" if gpu is None else str(gpu)
     with log.open("ab") as told:
         return subprocess.Popen(
             [str(Path(sys.executable).with_name(program)), *words],
             stdout=told,
             stderr=subprocess.STDOUT,
-            env=environment,
+            env={**os.environ, "CUDA_VISIBLE_DEVICES": seen},
         )
 
 

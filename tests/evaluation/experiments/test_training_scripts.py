@@ -193,13 +193,6 @@ def test_all_ends_with_the_time(tmp_path: Path) -> None:
     assert time.monotonic() - begin < 30.0
 
 
-def test_what_stands_before_a_command_is_its_environment(tmp_path: Path) -> None:
-    script, log = tmp_path / "script.py", tmp_path / "log"
-    script.write_text("import os; print(os.environ['WHAT'])")
-    assert control_baselines.do(f"WHAT=this python {script}", log).wait() == 0
-    assert log.read_text().split() == ["this"]
-
-
 class Rehearsal(Machine):
     """Starts nothing, and notes what it was asked to start."""
 
