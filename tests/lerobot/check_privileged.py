@@ -24,6 +24,7 @@ import lemma
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.env.observation import truth_names
 from lemma.evaluation.run.rollout import Rollout
+from lemma.policies.control.interfaces import ControlInput
 
 TOLD = "observation.environment_state"
 NAMES = truth_names(("robot_0", "robot_1"))
@@ -121,9 +122,11 @@ def test_it_acts_on_what_environments_observe() -> None:
     policy = module.PrivilegedLeRobotPolicy(str(oracle()))
     env = lemma.make("pass", split="val", level="control", **policy.control_options)
     observation, _ = env.reset()
-    given = SimpleNamespace(observation=observation, instruction="", memory=None)
-    (before,) = policy.act([given])
-    given.observation = {**observation, "goal": 1 - observation["goal"]}
-    (after,) = policy.act([given])
+    other = {**observation, "goal": 1 - observation["goal"]}
+    given = [
+        ControlInput(instruction="", robots=("a", "b"), observation=seen)
+        for seen in (observation, other)
+    ]
+    before, after = policy.act(given)
     assert np.asarray(before.rows).shape == (CHUNK, 2, 7)
     assert not np.allclose(before.rows, after.rows, atol=1e-6)
