@@ -147,8 +147,8 @@ class Plan:
 def checkpoints(run: Path) -> list[tuple[int, Path]]:
     """Return what a training has saved, whole, by number of steps."""
     # The number of the step is written last.
-    whole = sorted((run / "checkpoints").glob(f"[0-9]*/{STATE}"))
-    return [(int(each.parts[-3]), each.parents[1] / WEIGHTS) for each in whole]
+    whole = (run / "checkpoints").glob(f"[0-9]*/{STATE}")
+    return sorted((int(each.parts[-3]), each.parents[1] / WEIGHTS) for each in whole)
 
 
 def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[bytes]":

@@ -187,12 +187,12 @@ class Film:
         read it there knows nothing where the arm still stands, and believes itself
         afterwards. See Wen et al., "Keyframe-Focused Visual Imitation Learning", 2021.
         """
-        new = self.new_waypoints()
-        found = new.clone()
+        found = self.new_waypoints()
+        frames = found.nonzero().ravel()
         for steps in AROUND:
-            beside = new.roll(steps)
+            beside = (frames + steps).clamp(0, len(found) - 1)
             # What is beside a frame of one episode may be a frame of another.
-            found |= beside & (self.last == self.last.roll(steps))
+            found[beside[self.last[beside] == self.last[frames]]] = True
         return found
 
     def idle(self) -> torch.Tensor:

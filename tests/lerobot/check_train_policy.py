@@ -126,6 +126,12 @@ def test_nothing_is_learned_from_arms_that_are_home_again() -> None:
     drawn = next(seen.batches(Config(), 4096, 0))["observation.state"]
     left_out = state[idle]
     assert not (drawn[:, None] == left_out[None]).all(2).any()
+    # The first episode alone: what follows its end is its beginning.
+    many = int(seen.last[0]) + 1
+    vectors = {name: rows[:many] for name, rows in seen.vectors.items()}
+    alone = Film(vectors, {}, seen.last[:many])
+    assert torch.equal(alone.decisive(), decisive[:many])
+    assert torch.equal(alone.idle(), idle[:many])
 
 
 @pytest.mark.parametrize("policy", POLICIES)

@@ -12,6 +12,7 @@ from lemma.env.camera_rig import CameraRig, camera_names
 from lemma.env.episode import Episode
 from lemma.scene.rendering import ray_tracer
 from lemma.scene.rendering.batch import BATCH_RENDERERS, Pictures
+from lemma.scene.rendering.gl_backend import choose_backend
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import load_instance
 
@@ -79,7 +80,8 @@ def test_depths_are_those_of_opengl(task: str) -> None:
     assert ours is not None
     assert theirs is not None
     off_mm = 1000.0 * np.abs(ours - theirs)
-    assert (off_mm > STEP_MM + RASTERIZED_MM_A_M * ours).mean() < EDGES
+    rasterized = 0.0 if choose_backend().is_software else RASTERIZED_MM_A_M
+    assert (off_mm > STEP_MM + rasterized * ours).mean() < EDGES
     assert np.array_equal(np.median(off_mm, axis=(2, 3)), np.zeros((3, 5)))
 
 

@@ -14,7 +14,7 @@ from lemma.policies.compose import (
     RetryingPlanner,
     RetryingPolicy,
 )
-from lemma.policies.control.interfaces import is_model_server
+from lemma.policies.control.interfaces import IS_CONTROL, has_options, is_model_server
 from lemma.policies.control.oracle import ExpertControl
 from lemma.policies.interfaces import (
     TIMEOUT_S,
@@ -210,6 +210,8 @@ class PolicySpec:
             return self._with_planner(first, second or ORACLE, load)
         if not plus:
             whole = load(first)
+            if has_options(whole):
+                raise InvalidConfigError(f"{self.name} {IS_CONTROL}")
             if first == ORACLE:
                 return self._compose(OraclePlanner(), OracleGrounder())
             if _can(whole, Planner) and _can(whole, Grounder):
@@ -295,10 +297,8 @@ class GivenPolicy(PolicySpec):
             )
         kind = type(held)
         name = f"{kind.__module__}:{kind.__qualname__}"
-        if not level and getattr(held, "control_options", None):
-            level = CONTROL
-        if level == CONTROL:
-            return cls._holding(held, cls(name, planning, gta, level=level))
+        if level == CONTROL or (not level and has_options(held)):
+            return cls._holding(held, cls(name, planning, gta, level=CONTROL))
         whole = _can(held, Policy) or _can(held, Grounder)
         if level == LEVELS[0] or (not level and _can(held, Planner) and not whole):
             name += f"+{ORACLE}"

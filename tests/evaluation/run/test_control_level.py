@@ -79,6 +79,15 @@ def test_who_says_in_which_environment_it_acts_controls() -> None:
     assert without_clock([row]) == without_clock(evaluate(Stays()).rows)
 
 
+def test_who_controls_is_not_played_at_another_level() -> None:
+    with pytest.raises(InvalidConfigError, match="--level control"):
+        lemma.evaluate(Stays(), level="skill", **ONE)
+    for timeout_s in (0.0, 10.0):
+        spec = PolicySpec("control_policies:Stays", timeout_s=timeout_s)
+        with pytest.raises(InvalidConfigError, match="--level control"):
+            spec.load()
+
+
 def test_each_episode_has_a_memory_of_its_own() -> None:
     policy = Stays()
     rows = evaluate(policy, tasks=["pass", "stack"], episodes=2).rows

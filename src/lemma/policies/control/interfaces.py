@@ -23,6 +23,18 @@ MODEL_SERVER = "vla-eval"
 """What the address of a model server of vla-eval begins with, before ``://``."""
 
 
+IS_CONTROL = (
+    "decides by motor commands: it has control_options. Say --level control, or "
+    'level="control" in Python.'
+)
+"""What is told whoever plays such a policy at another level."""
+
+
+def has_options(policy: object) -> bool:
+    """Whether a policy says in which environment it acts; see ControlPolicy."""
+    return bool(getattr(policy, "control_options", None))
+
+
 def is_model_server(name: str) -> bool:
     """Whether a policy's name is the address of a model server of vla-eval."""
     return name.lower().startswith(f"{MODEL_SERVER}://")
