@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from browser import Page as Browser
 from browser import page_in_chromium
 from looked_at import STACK, seen_at, session_of, until
 
+from lemma.core.poses import FloatArray
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.viewer.episode.request import OWN_WORDS
 from lemma.viewer.episode.status import Phase
@@ -19,9 +21,10 @@ from lemma.viewer.page import Page
 
 pytestmark = pytest.mark.slow
 
-TRIES, SETTLES_S, NEARER = 6, 0.5, 0.4
+TRIES, SETTLES_S, FRAMES, NEAR_M = 3, 0.5, 3, np.array([0.0, -0.95, 0.69])
 EVIL = "<img src=x onerror=window.evil=1>"
 SHOWS = "document.body.innerText.includes({!r})"
+CANVAS = "document.querySelector('canvas').getBoundingClientRect()"
 BUTTON = (
     "[...document.querySelectorAll('button')]"
     ".find(button => button.innerText.trim() == {!r})"
@@ -81,6 +84,16 @@ def say(browser: Browser, text: str) -> None:
     browser.type(text)
 
 
+def look_from(
+    browser: Browser, visitor: Any, eye: FloatArray, target: FloatArray
+) -> None:
+    """Place a visitor's camera, and wait until a browser, however slow, draws that."""
+    visitor.camera.position, visitor.camera.look_at = eye, target
+    time.sleep(SETTLES_S)
+    for _ in range(FRAMES):
+        browser.run("new Promise(requestAnimationFrame).then(() => true)")
+
+
 def test_expert_is_played_to_success_and_looked_at_again(
     browser: Browser, page: Page
 ) -> None:
@@ -95,6 +108,8 @@ def test_expert_is_played_to_success_and_looked_at_again(
     browser.wait_for("document.querySelector('[data-phase=SOLVED]')")
     until(lambda: page.session.play.transport.at_end)
     slider = "document.querySelector('[role=slider]')"
+    at_s = page.session.play.transport.cursor_s
+    browser.wait_for(f"{slider}.ariaValueNow > {at_s - 0.5}")
     browser.run(f"{slider}.focus()")
     for _ in range(3):
         browser.press("ArrowLeft")
@@ -120,20 +135,17 @@ def test_cube_is_dragged_and_the_table_is_ones_own(
     ((cube, _),) = page.session.play.instance.goal.pairs
     lies = page.session.play.instance.scene.placement(cube).pose
     to = (0.6 * lies.x, lies.y + 0.2)
-    # From near by, where a cube is large.
-    camera, middle = visitor.camera, np.array([*np.mean([lies.xy, to], 0), 0.0])
-    camera.position = middle + NEARER * (camera.position - camera.look_at)
-    camera.look_at = middle
-    canvas = "document.querySelector('canvas').getBoundingClientRect()"
+    # From near by, where a cube is large, and from the front: whoever pressed a key
+    # in a test before may have turned the scene.
+    middle = np.array([*np.mean([lies.xy, to], 0), 0.0])
     for _ in range(TRIES):
-        # A browser that is slow draws another view yet than it has been told of: the
-        # mouse misses the cube and turns the scene, and whoever sees that tries again.
-        time.sleep(SETTLES_S)
-        size = browser.run(f"[{canvas}.width, {canvas}.height]")
+        look_from(browser, visitor, middle + NEAR_M, middle)
+        size = browser.run(f"[{CANVAS}.width, {CANVAS}.height]")
         start, end = (seen_at(visitor, (*xy, 0.03), size) for xy in (lies.xy, to))
         browser.drag(start, end)
+        # A mouse that missed turned the scene, and tries again.
         with suppress(AssertionError):
-            until(lambda: page.session.play.request.own is not None, wait_s=5.0)
+            until(lambda: page.session.play.request.own is not None, wait_s=10.0)
             break
     own = page.session.play.request.own
     assert own is not None
