@@ -58,6 +58,9 @@ LONGEST_GRADIENT = 10.0
 STEPS_BEFORE_CAPTURE = 3
 """So that libraries have chosen their kernels, and the optimizer has its state."""
 
+NO_END = 10**9
+"""Steps that are asked for where a time ends the training: weights tell so."""
+
 Learn = Callable[[Batch], torch.Tensor]
 """Takes a step of training, and returns its loss."""
 
@@ -109,7 +112,7 @@ def save(
         "dataset": {"repo_id": "lemma/control"},
         "seed": asked.seed,
         "batch_size": asked.batch,
-        "steps": asked.steps or step,
+        "steps": asked.steps or NO_END,
     }
     write_json(here / "pretrained_model" / "train_config.json", about)
     (here / "training_state").mkdir()

@@ -17,8 +17,11 @@ from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style, frames
 from lemma.dataset.recipe.reader import read_group
 from lemma.env.learning.motor_state import WAYPOINT
 from lemma.evaluation.run.rollout import Rollout
+from lemma.policies.control.checkpoint_file import pack_checkpoint
 from lemma.policies.control.interfaces import ControlInput
 from lemma.policies.control.lerobot import LeRobotPolicy, PrivilegedLeRobotPolicy
+from lemma.policies.packing import Fineness
+from lemma.policies.weights_file import TIME_LIMIT, read_metadata
 from measure_waypoints import main as main_of_errors
 from train_lerobot_policy import POLICIES, main
 
@@ -86,9 +89,28 @@ def test_policies_that_draw_answer_alike_each_time() -> None:
     ]
     state = torch.random.get_rng_state()
     one, same, other = (answer.rows for answer in policy.act(given))
-    assert np.array_equal(one, same)
-    assert not np.array_equal(one, other)
+    for row, answer in zip((one, same, other), policy.act(given), strict=True):
+        assert np.array_equal(row, answer.rows)
+    # Where in a batch it is asked shows in the last bits.
+    assert np.allclose(one, same, atol=1e-4)
+    assert not np.allclose(one, other, atol=1e-4)
     assert torch.equal(torch.random.get_rng_state(), state)
+    # Episodes are denoised together, as if each were alone.
+    assert np.shape(one)[0] == policy._config.n_action_steps
+    policy._one_by_one = True
+    for row, answer in zip((one, same, other), policy.act(given), strict=True):
+        assert np.allclose(row, answer.rows, atol=1e-4)
+
+
+def test_weights_say_that_a_time_ended_their_training() -> None:
+    for long, ended in (("--steps 1", "steps"), ("--train-s 0.1", TIME_LIMIT)):
+        folder = work() / ended
+        words = f"--policy act {long} --batch 4 --points 1"
+        main(["train", str(filmed(PRIVILEGED)), str(folder), *words.split()])
+        path = folder / "packed.safetensors"
+        made = folder / "checkpoints/last/pretrained_model"
+        assert pack_checkpoint(made, path, words, Fineness(512.0)).ended == ended
+        assert read_metadata(path).ended == ended
 
 
 def test_new_waypoints_are_decisive() -> None:

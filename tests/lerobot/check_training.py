@@ -250,12 +250,14 @@ def test_lemma_evaluate_plays_the_checkpoint(monkeypatch: pytest.MonkeyPatch) ->
         assert (row["control"]["actions"], row["control"]["asked"]) == (20, 2)
 
 
-@pytest.mark.parametrize("one_by_one", [False, True])
-def test_it_acts_as_in_lerobots_evaluation(one_by_one: bool) -> None:
+@pytest.mark.parametrize(
+    ("one_by_one", "looks_on"), [(False, False), (True, False), (True, True)]
+)
+def test_it_acts_as_in_lerobots_evaluation(one_by_one: bool, looks_on: bool) -> None:
     """Many episodes at once, and with queues of their own, as one after the other."""
     module = import_module("lemma.policies.control.lerobot")
     policy = module.LeRobotPolicy(str(checkpoint()))
-    policy._one_by_one = one_by_one
+    policy._one_by_one, policy._looks_on = one_by_one, looks_on
     options = dict(policy.control_options)
     assert (options["width"], options["height"]) == (WIDTH, HEIGHT)
     envs = [

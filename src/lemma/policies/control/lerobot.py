@@ -37,14 +37,17 @@ TRUTH = truth_names(TEAM)
 """What the numbers are that an oracle is told."""
 _SHARED = ("_parameters", "_buffers", "_modules")
 """What all episodes have in common of a policy: its network."""
+_DRAWS_ONCE = ("diffusion", "DDIM")
+"""Type and scheduler of a policy in which nothing is random but its first noise."""
 
 
 class LeRobotPolicy:
     """A checkpoint that lerobot saved, trained on ``lemma render --form lerobot``.
 
     It sees what it was trained with: cameras and their size are read off its
-    configuration. Chunks of actions are carried out as long as in ``lerobot-eval``;
-    policies with a history of observations are asked at every step.
+    configuration. Chunks of actions are carried out as long as in ``lerobot-eval``, and
+    it is not asked, nor is anything drawn, until they end; policies with a history of
+    several observations are asked at every step.
     """
 
     def __init__(self, checkpoint: str, hz: float = 10.0, device: str = "cpu") -> None:
@@ -81,29 +84,55 @@ class LeRobotPolicy:
         self._control = self.control_options["control"]
         ensembles = getattr(config, "temporal_ensemble_coeff", None) is not None
         # Of one observation too, lerobot makes a history.
-        remembers = OBS_STATE in (getattr(self._policy, "_queues", None) or {})
-        self._one_by_one = config.n_obs_steps > 1 or ensembles or remembers
+        self._queues = OBS_STATE in (getattr(self._policy, "_queues", None) or {})
+        self._looks_on = config.n_obs_steps > 1 or ensembles
+        # Others draw between the steps of denoising, for all of a batch at once.
+        kind = (config.type, getattr(config, "noise_scheduler_type", None))
+        self._one_by_one = self._looks_on or (self._queues and kind != _DRAWS_ONCE)
 
     @torch.no_grad()
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
         """Return the next action or chunk of actions for each episode.
 
-        What a policy draws, as Diffusion Policy does, depends on the step alone: the
-        same inputs have the same answer, whoever was asked before.
+        What a policy draws, as Diffusion Policy does, depends on the step alone, not on
+        who was asked before or is asked at the same time: the same batch has the same
+        answer.
         """
         if self._one_by_one:
-            return [self._step(given) for given in inputs]
+            return [self._alone(given) for given in inputs]
         batch = self._before(self._batch(inputs))
         with self._drawing(inputs[0].step):
-            chunks = self._policy.predict_action_chunk(batch)
+            if self._queues:
+                chunks = self._chunks(batch, noise=self._noise(inputs))
+            else:
+                chunks = self._policy.predict_action_chunk(batch)
         chunks = chunks[:, : self._config.n_action_steps]
         return [Actions(rows) for rows in self._rows(chunks)]
 
-    def _step(self, given: ControlInput) -> Actions:
-        policy = self._fresh() if given.memory is None else given.memory
+    def _alone(self, given: ControlInput) -> Actions:
+        batch = self._before(self._batch([given]))
         with self._drawing(given.step):
-            action = policy.select_action(self._before(self._batch([given])))
+            if not self._looks_on:
+                return Actions(self._rows(self._chunks(batch))[0])
+            policy = self._fresh() if given.memory is None else given.memory
+            action = policy.select_action(batch)
         return Actions(self._rows(action)[0], policy)
+
+    def _chunks(self, batch: dict[str, Any], **more: Any) -> torch.Tensor:
+        """Return chunks of a policy that has queues, though it looks but once."""
+        self._policy.reset()
+        count = self._config.n_action_steps
+        rows = [self._policy.select_action(batch, **more) for _ in range(count)]
+        return torch.stack(rows, 1)
+
+    def _noise(self, inputs: Sequence[ControlInput]) -> torch.Tensor:
+        """Return what denoising begins with: for each episode as if it were alone."""
+        shape = (1, self._config.horizon, self._config.action_feature.shape[0])
+        rows = []
+        for given in inputs:
+            with self._drawing(given.step):
+                rows.append(torch.randn(shape, device=self._config.device))
+        return torch.cat(rows)
 
     @contextmanager
     def _drawing(self, seed: int) -> Iterator[None]:
