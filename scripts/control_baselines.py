@@ -85,8 +85,9 @@ class Plan:
         return self.out / "recipe"
 
     def run(self, name: str, seed: int) -> Path:
-        """Return the folder of a training."""
-        return self.out / f"{name}-{seed}"
+        """Return the folder of a training, in which ``lemma reproduce`` finds it."""
+        told = "" if self.observation == OBSERVATIONS[0] else f"-{self.observation}"
+        return self.out / f"seed-{seed}" / f"{name}{told}"
 
     def data_commands(self) -> list[str]:
         """Return what makes the training data."""
@@ -222,7 +223,9 @@ def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) 
             process.terminate()
             process.wait()
     if failed:
-        raise SystemExit(f"These failed; see {plan.out}/*.log:\n" + "\n".join(failed))
+        raise SystemExit(
+            f"These failed; see *.log in {plan.out}:\n" + "\n".join(failed)
+        )
 
 
 def write_curve(plan: Plan, run: Run) -> None:
@@ -242,7 +245,7 @@ def write_curve(plan: Plan, run: Run) -> None:
 def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     """Return what is asked for, on the command line by default."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="runs/OBSERVATION by default")
+    parser.add_argument("--out", type=Path, default=Path("runs"))
     parser.add_argument("--film", type=Path, help="in OUT; /dev/shm is fast")
     parser.add_argument("--tasks", default=",".join(CONTROL_TASKS))
     parser.add_argument("--policies", default=",".join(POLICIES))
@@ -263,18 +266,17 @@ def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--stop-s", type=float, default=float("inf"), help="of all")
     parser.add_argument("--print", action="store_true", help="do nothing")
     args = parser.parse_args(words)
-    args.out = args.out or Path("runs", args.observation)
+    args.film = args.film or args.out / f"film-{args.observation}"
     if unknown := set(args.phases.split(",")) - set(PHASES):
         parser.error(f"{', '.join(unknown)}: valid are {', '.join(PHASES)}")
     return args
 
 
-def main() -> None:
-    """Do what the arguments say."""
-    args = arguments()
-    plan = Plan(
+def plan_of(args: argparse.Namespace) -> Plan:
+    """Return what the arguments ask for."""
+    return Plan(
         out=args.out,
-        film=args.film or args.out / "film",
+        film=args.film,
         tasks=args.tasks,
         observation=args.observation,
         cameras=args.cameras,
@@ -289,6 +291,12 @@ def main() -> None:
         tests=args.test,
         vals=args.val,
     )
+
+
+def main() -> None:
+    """Do what the arguments say."""
+    args = arguments()
+    plan = plan_of(args)
     seeds = [int(seed) for seed in args.seeds.split(",")]
     runs = [(name, seed) for seed in seeds for name in args.policies.split(",")]
     if args.print:

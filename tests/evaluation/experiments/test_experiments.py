@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 import tyro
 
+import control_baselines
 from lemma.core.config import decode
 from lemma.core.errors import UnknownNameError
+from lemma.core.files import write_json
 from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.result import check_lines, read_result
 from lemma.evaluation.experiments.catalog import (
@@ -120,7 +122,8 @@ def test_figures_of_the_paper_are_of_the_suite() -> None:
 def test_what_another_script_trains_is_printed_as_well() -> None:
     every = commands(selected(CONTROL_LEVEL))
     names = [one.name for one in selected(CONTROL_LEVEL)]
-    assert every[1::2] == [f"lemma reproduce {name}" for name in names]
+    there = "--weights runs/seed-0"
+    assert every[1::2] == [f"lemma reproduce {name} {there}" for name in names]
     for one, line in zip(selected(CONTROL_LEVEL), every[::2], strict=True):
         assert line == one.training
         assert set(one.tasks) < set(SUITE)
@@ -181,6 +184,28 @@ def test_missing_weights_are_explained(tmp_path: Path) -> None:
     none = replace(act, policy=PolicySpec("lerobot-privileged:nobody"))
     with pytest.raises(MissingWeightsError, match=r"control_baselines.py .* act "):
         Reproduction(out=tmp_path).config(none)
+    with pytest.raises(MissingWeightsError, match=r"are not in .* --observation priv"):
+        Reproduction(out=tmp_path, weights=tmp_path).config(act)
+
+
+def test_trainings_of_lerobot_are_found(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    for name, observation in (("act", "rgb"), ("act-privileged", "privileged")):
+        arguments = control_baselines.arguments(["--observation", observation])
+        plan = control_baselines.plan_of(arguments)
+        made = tmp_path / plan.run("act", 1).relative_to(plan.out)
+        told = made / "checkpoints/last/pretrained_model"
+        told.mkdir(parents=True)
+        (told / "model.safetensors").write_bytes(b"")
+        (told / "config.json").write_text('{"type": "act"}')
+        training = {"seed": 1, "dataset": {"repo_id": "lemma/control"}}
+        write_json(told / "train_config.json", training)
+        found = Reproduction(out=tmp_path / "out", weights=tmp_path / "seed-1")
+        config, seed = found.config(EXPERIMENTS[name])
+        assert seed == 1
+        assert config.out == tmp_path / "out" / name / "seed-1"
+        prefix = EXPERIMENTS[name].policy.name.removesuffix(name)
+        assert config.policy.name == f"{prefix}{told}"
 
 
 def test_the_page_lists_every_ablation() -> None:

@@ -70,7 +70,7 @@ def test_what_the_catalog_says_of_control_level_is_what_the_script_does() -> Non
         assert dict(one.policy.arguments)["hz"] == asked.fps
     told = control_plan(Path("out"), "privileged").commands([("act", 0)])
     assert "--environment-state privileged" in told[1]
-    assert "--policy lerobot-privileged:out/act-0/" in told[-1]
+    assert "--policy lerobot-privileged:out/seed-0/act-privileged/" in told[-1]
 
 
 def control_plan(out: Path, observation: str = "rgb") -> control_baselines.Plan:

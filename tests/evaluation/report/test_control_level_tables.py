@@ -16,7 +16,8 @@ from lemma.evaluation.report.learning_curves import (
     read_curves,
 )
 from lemma.evaluation.report.policy_results import NOT_RUN, entries_of
-from lemma.evaluation.report.sections import page, sections
+from lemma.evaluation.report.sections import CONTROL, page, sections
+from lemma.tasks.suite import SUITE
 
 NAME = "act-privileged"
 TITLE = EXPERIMENTS[NAME].title
@@ -42,6 +43,16 @@ def test_a_result_of_all_their_tasks_is_no_sample() -> None:
     assert not any("ample" in one.note for one in sections(entries_of([whole])))
     part = result(3, experiment=NAME, tasks=CONTROL_TASKS)
     assert any("A sample:**" in one.note for one in sections(entries_of([part])))
+
+
+def test_a_sample_is_of_their_own_tasks() -> None:
+    part = result(3, experiment=NAME, tasks=CONTROL_TASKS)
+    whole = result(5, tasks=SUITE, episodes=60)
+    notes = {one.title: one.note for one in sections(entries_of([whole, part]))}
+    names = ", ".join(CONTROL_TASKS)
+    words = f"10 of 60 episodes of each of 4 of the eight tasks ({names})"
+    assert notes.pop(CONTROL).endswith(f"**A sample:** {words}.")
+    assert not any("ample:**" in note for note in notes.values())
 
 
 def test_learning_curves_are_read_back_and_shown(tmp_path: Path) -> None:

@@ -220,6 +220,11 @@ _add(
 
 CONTROL_TASKS = ("pass", "stack", "poke", "hook")
 """What policies at control level are trained on, one for all of them."""
+_AS_TRAINED = (
+    "--cameras robot_0,robot_1,robot_0_wrist,robot_1_wrist --size 128x96 "
+    "--batch 128 --train-s 900"
+)
+"""What is seen in camera images, and how long is trained."""
 for _learner, _called in (("act", "ACT"), ("diffusion", "Diffusion Policy")):
     _trained = f"python scripts/control_baselines.py --policies {_learner}"
     _add(
@@ -229,7 +234,7 @@ for _learner, _called in (("act", "ACT"), ("diffusion", "Diffusion Policy")):
             suite=CONTROL_LEVEL,
             policy=PolicySpec(f"{LEROBOT}{_learner}", arguments=(("hz", 5),)),
             tasks=CONTROL_TASKS,
-            training=_trained,
+            training=f"{_trained} {_AS_TRAINED}",
         )
     )
     _add(

@@ -24,6 +24,8 @@ from lemma.policies.class_path import checkpoint_of
 from lemma.policies.spec import PolicySpec
 
 _FILE = "weights.safetensors"
+_LAST = "checkpoints/last/pretrained_model"
+"""Of a training of LeRobot: what plays."""
 
 
 class MissingWeightsError(DatasetError):
@@ -103,12 +105,7 @@ class Reproduction:
         from lemma.policies.weights import published_weights  # noqa: PLC0415
 
         if checkpoint is not None:
-            if checkpoint not in published_weights():
-                raise MissingWeightsError(
-                    f"The weights of {checkpoint} do not ship yet. They are made by: "
-                    f"{experiment.training}"
-                )
-            return policy
+            return self._found_checkpoint(experiment, checkpoint)
         parts = policy.name.split("+")
         for part in learned:
             if self.weights is not None:
@@ -124,6 +121,25 @@ class Reproduction:
                     f"{TRAININGS[part].command(experiment.runs(0), 0)}"
                 )
         return replace(policy, name="+".join(parts))
+
+    def _found_checkpoint(self, experiment: Experiment, name: str) -> PolicySpec:
+        """Return a policy of LeRobot that can be loaded."""
+        from lemma.policies.weights import published_weights  # noqa: PLC0415
+
+        policy = experiment.policy
+        if self.weights is None:
+            missing, where = name not in published_weights(), "do not ship yet"
+        else:
+            path = self.weights / name / _LAST
+            missing, where = not path.is_dir(), f"are not in {self.weights}"
+            policy = replace(policy, name=f"{policy.name.removesuffix(name)}{path}")
+        if missing:
+            raise MissingWeightsError(
+                f"The weights of {name} {where}. They are made by: "
+                f"{experiment.training}; then --weights {experiment.runs(SEEDS[0])} "
+                "finds them."
+            )
+        return policy
 
     def _command(self, experiment: Experiment, seed: int) -> str:
         words = [f"lemma reproduce {experiment.name}"]
@@ -151,7 +167,8 @@ def commands(experiments: list[Experiment]) -> list[str]:
             f"lemma reproduce {one.name} --weights {one.runs(seed)}" for one in here
         ]
     for one in elsewhere:
-        lines += [one.training, f"lemma reproduce {one.name}"]
+        runs = one.runs(SEEDS[0])
+        lines += [one.training, f"lemma reproduce {one.name} --weights {runs}"]
     return lines
 
 
