@@ -6,6 +6,7 @@ import pytest
 
 from lemma.cli.main import main
 from lemma.evaluation.experiments.catalog import TRAININGS
+from lemma.evaluation.run.language_controls import LanguageControl
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.models.catalog import MODELS
 from lemma.policies.spec import PolicySpec
@@ -50,6 +51,18 @@ def test_ours_solves_an_episode_of_every_task(name: str) -> None:
     over = list(roll_out(plays, player))
     # One failure in eight would be within what is claimed of it; two would not.
     assert sum(bool(play.episode.info()["success"]) for play in over) >= 7
+
+
+@pytest.mark.slow
+@pytest.mark.render
+@pytest.mark.parametrize("name", [n for n in NAMES if n.startswith("reachnet")])
+def test_ours_does_nothing_when_told_nothing(name: str) -> None:
+    player = Player.load(PolicySpec(name))
+    silence = LanguageControl("")
+    plays = [Rollout(load_instance(task, "val", 0), control=silence) for task in SUITE]
+    for play in roll_out(plays, player):
+        assert play.fault is None
+        assert play.episode.elapsed_s == 0.0
 
 
 @pytest.mark.slow

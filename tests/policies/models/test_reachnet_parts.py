@@ -1,6 +1,7 @@
 """ReachNet's parts: sub-tasks as numbers, tables, drags, spots, and reading."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -311,12 +312,24 @@ def test_goals_of_any_sentence_can_be() -> None:
     torch.manual_seed(1)
     reader = GoalReader(ReaderConfig(width=16, layers=1, heads=2)).eval()
     texts = [f"word {i} red blue, pink <- red / white" for i in range(40)]
-    goals = reader.read([*texts, "", "?!", "xyzzy", "red " * 100])
+    goals = reader.read([*texts, "?!", "xyzzy", "red " * 100])
     top, bottom = goals[..., 0], goals[..., 1]
     assert (top < 5).all()
     assert ((top == bottom) == (top == -1)).all()
     assert (goals[:, 0] >= 0).all()
     assert (top[:, 0] != top[:, 1]).all()
+
+
+@pytest.mark.parametrize("silence", ["", " \n", "é"])
+def test_who_says_nothing_asks_for_nothing(silence: str) -> None:
+    torch.manual_seed(1)
+    reader = GoalReader(SMALL).eval()
+    goals, likely = reader.weigh([silence, "red cube onto blue pad"])
+    assert (goals[0] == -1).all()
+    assert likely[0] == 1.0
+    assert (goals[1, 0] >= 0).all()
+    guessing = GoalReader(replace(SMALL, guesses=True)).eval()
+    assert (guessing.read([silence])[0, 0] >= 0).all()
 
 
 def test_every_weight_of_the_reader_is_trained() -> None:

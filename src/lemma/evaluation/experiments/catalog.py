@@ -313,5 +313,10 @@ _add_ablation(
 )
 _add_ablation("no-recovery", "no recovery states", recovery=False)
 _add_ablation("no-reach", "no reach", "--options reach=none")
-_add_ablation("no-language", "control: no language", "--language none", language="none")
+_add_ablation(
+    "no-language",
+    "control: no language",
+    "--language none --options reader.guesses=true",
+    language="none",
+)
 _add_ablation("shuffled-language", "control: shuffled language", "--language shuffled")

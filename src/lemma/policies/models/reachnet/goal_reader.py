@@ -61,6 +61,9 @@ class ReaderConfig:
     """Share of words that are unknown in training."""
     embedding_dropout: Share = 0.4
     """Share of words of which training is shown the pretrained vector alone."""
+    guesses: bool = False
+    """Whether a text without words asks for what the table makes likeliest, instead of
+    nothing: for a reader that is taught without sentences."""
 
 
 class GoalReader(nn.Module):
@@ -131,7 +134,8 @@ class GoalReader(nn.Module):
     def read(self, texts: Sequence[str], present: Tensor | None = None) -> Tensor:
         """Return the likeliest goals, (B, conjuncts, 2); -1 for none.
 
-        Of two pairs the one that is named first comes first.
+        Of two pairs the one that is named first comes first. A text without words asks
+        for nothing, unless the options say that it is guessed from the table.
 
         Args:
             texts: Sentences.
@@ -157,7 +161,10 @@ class GoalReader(nn.Module):
         places = F.pad(first, (0, 1), value=2 * self.config.max_words)
         place = places.gather(1, best.flatten(1) % (self.targets + 1))
         order = place.view_as(best).amin(-1).argsort(dim=1, stable=True)
-        return best.gather(1, order[:, :, None].expand_as(best)), likely
+        best = best.gather(1, order[:, :, None].expand_as(best))
+        silent = ~told.mask.any(1) & (not self.config.guesses)
+        best = best.masked_fill(silent[:, None, None], NOBODY)
+        return best, likely.masked_fill(silent, 1.0)
 
     def _scores(self, told: Sentences) -> tuple[Tensor, Tensor]:
         """Return each goal's score, and where each entity is first named, (B, T)."""
