@@ -134,6 +134,40 @@ def test_workers_that_always_die_are_not_replaced_for_ever() -> None:
         list(ProcessPool(1).run(die, [(0,)]))
 
 
+def run_program(folder: Path, *lines: str) -> "subprocess.CompletedProcess[str]":
+    """Run a program with a pool; workers import it as __mp_main__."""
+    program = folder / "program.py"
+    start = "print(list(ProcessPool(2).run(sqrt, [(4,), (4,)])))"
+    imports = ("import os", "import signal", "from math import sqrt")
+    pool = "from lemma.core.workers.pool import ProcessPool"
+    program.write_text("\n".join([*imports, pool, *lines]) + f" {start}\n")
+    command = [sys.executable, str(program)]
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=folder
+    )
+
+
+def test_a_program_that_workers_would_run_again_is_told_so(tmp_path: Path) -> None:
+    ended = run_program(tmp_path, "if True:")
+    assert ended.returncode == 1
+    last = ended.stderr.splitlines()[-1]
+    assert "before it could begin" in last
+    assert "if __name__" in last
+    assert "memory" not in last
+
+
+def test_a_worker_that_is_killed_before_it_begins_is_replaced(tmp_path: Path) -> None:
+    ended = run_program(
+        tmp_path,
+        "if __name__ == '__mp_main__' and not os.path.exists('killed'):",
+        "    open('killed', 'w').close()",
+        "    os.kill(os.getpid(), signal.SIGKILL)",
+        "if __name__ == '__main__':",
+    )
+    assert (ended.returncode, ended.stdout) == (0, "[2.0, 2.0]\n")
+    assert (tmp_path / "killed").exists()
+
+
 def test_others_are_not_lost_by_a_job_that_kills_its_workers() -> None:
     jobs: list[Job] = [(7,), *((i,) for i in range(3))]
     results = ProcessPool(2).run(die_at_seven, jobs)

@@ -8,7 +8,6 @@ cluster does the same for many machines, see :mod:`lemma.core.workers.ray_cluste
 import atexit
 import os
 import pickle
-import signal
 import sys
 import threading
 import traceback
@@ -23,6 +22,7 @@ from typing import Any, Protocol
 
 from lemma.core.errors import InvalidConfigError, WorkerError
 from lemma.core.plugins import load_plugins
+from lemma.core.workers.interrupts import interrupts_held
 
 Job = tuple[Any, ...]
 """Arguments of one call."""
@@ -169,7 +169,7 @@ class ProcessPool:
             on_report: Told what jobs :func:`report`, in the order in which it arrives.
 
         Raises:
-            WorkerError: Processes keep dying of a job.
+            WorkerError: Processes keep dying of a job, or cannot begin at all.
         """
         waiting = deque(_Task(function, job) for job in jobs)
         team: set[_Worker] = set()
@@ -196,17 +196,21 @@ class ProcessPool:
         """Deal with one message of a worker, or with its death; yield a result.
 
         Raises:
-            WorkerError: It was one death too many.
+            WorkerError: It was one death too many, or it could not begin.
         """
-        try:
-            kind, content = worker.pipe.recv()
-        except (EOFError, OSError):
+        message = worker.hear()
+        if message is None:
             task = worker.task
             _end({worker})
             team.discard(worker)
+            worker.check_begun()
             if task is not None:
                 task.outlive()
                 _hire(team).begin(task)
+            return
+        kind, content = message
+        if kind == "begun":
+            worker.begun = True
             return
         if kind == "report":
             on_report(content)
@@ -253,6 +257,29 @@ class _Worker:
         self.process.start()
         theirs.close()
         self.task: _Task | None = None
+        self.begun = False
+
+    def hear(self) -> tuple[str, Any] | None:
+        """Return the next message; None if it died."""
+        with suppress(EOFError, OSError):
+            message: tuple[str, Any] = self.pipe.recv()
+            return message
+        return None
+
+    def check_begun(self) -> None:
+        """Check, of a process that died, that it was not the program that ended it.
+
+        Raises:
+            WorkerError: It ended by itself before it could be given any job.
+        """
+        # A signal, such as that for lack of memory, gives a negative code.
+        if self.begun or (self.process.exitcode or 0) < 0:
+            return
+        raise WorkerError(
+            "A worker process ended before it could begin; what it printed says why. "
+            "Each imports the program that starts it: what a script does goes under "
+            "'if __name__ == \"__main__\":', or every worker does it again."
+        )
 
     def begin(self, task: _Task) -> None:
         """Send a job."""
@@ -315,32 +342,6 @@ def _end(team: set[_Worker], patience_s: float = 0.0) -> None:
 atexit.register(lambda: _end(set(_working)))
 
 
-@contextmanager
-def interrupts_held() -> Iterator[None]:
-    """Hold Ctrl-C back, here for a moment and in processes started now for good.
-
-    The terminal sends it to all of them, and each would die with a traceback.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    # The mask is inherited, yet it is of this thread alone: another one may take the
-    # signal, and then Python calls the handler here all the same.
-    handler = signal.getsignal(signal.SIGINT)
-    is_ours = threading.current_thread() is threading.main_thread() and callable(
-        handler
-    )
-    came: list[int] = []
-    if is_ours:
-        signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
-    try:
-        yield
-    finally:
-        if is_ours:
-            signal.signal(signal.SIGINT, handler)
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        if came:
-            signal.raise_signal(signal.SIGINT)
-
-
 def is_worker() -> bool:
     """Return whether this process works for another, beside others."""
     return _WORKER in os.environ
@@ -358,6 +359,7 @@ def _work(pipe: "Connection[Any, Any]") -> None:
     # What says that there is no more is a pipe that was closed.
     gone = suppress(EOFError, ConnectionResetError, BrokenPipeError)
     with gone, heard_by(lambda message: pipe.send(("report", message))):
+        pipe.send(("begun", None))
         while True:
             pipe.send_bytes(_answer(pipe))
 

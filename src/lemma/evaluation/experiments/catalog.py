@@ -261,7 +261,7 @@ TRAININGS.add(
 
 _ABLATED = "reachnet"
 _ABLATION_SAMPLES = 100_000
-"""Of each; two thirds of the model's own, because there are many."""
+"""Of each; fewer than the model's own, because there are many."""
 _AUGMENTATIONS = {
     "no-palette": ("no palette swap", "--augmentation.no-palette"),
     "no-templates": ("no template resampling", "--augmentation.no-templates"),
