@@ -32,6 +32,7 @@ from shutil import rmtree
 import torch
 
 from lemma.core.files import read_json
+from lemma.evaluation.analysis.result import read_result
 from lemma.evaluation.experiments.catalog import CONTROL_TASKS
 from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.report.learning_curves import CURVE, LearningCurve, Point
@@ -232,9 +233,9 @@ def write_curve(plan: Plan, run: Run) -> None:
     """Write success on split val of all checkpoints that were tried."""
     points = []
     for found in (plan.run(*run) / CURVE_SPLIT).glob(f"*/{SUMMARY}"):
-        cells = read_json(found)["cells"]
-        played = sum(cell["episodes"] for cell in cells)
-        solved = sum(cell["successes"] for cell in cells)
+        cells = read_result(found).cells
+        played = sum(cell.episodes for cell in cells)
+        solved = sum(cell.successes for cell in cells)
         points.append(Point(int(found.parent.name), played, solved))
     if points:
         points.sort(key=attrgetter("steps"))

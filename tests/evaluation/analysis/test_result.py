@@ -164,17 +164,51 @@ def test_lines_beside_a_file_of_a_seed_are_counted_too(tmp_path: Path) -> None:
 def test_a_summary_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
     folder = kept(tmp_path / "a", ROWS)
     data = json.loads((folder / SUMMARY).read_text())
-    data["cells"][1] |= {"successes": 2, "lenient_successes": 2}
+    cells = data["cells"]
+    strict, lenient = map(cells["columns"].index, ("successes", "lenient_successes"))
+    cells["rows"][1][strict] = cells["rows"][1][lenient] = 2
     (folder / SUMMARY).write_text(json.dumps(data))
     with pytest.raises(DatasetError, match=r"0 failed .* of stack, and"):
         read_result(folder / SUMMARY)
     # More than there are; fewer leniently than strictly.
     for counts in ((3, 3), (2, 1)):
-        wrong = dict(zip(("successes", "lenient_successes"), counts, strict=True))
-        data["cells"][1] |= wrong
+        cells["rows"][1][strict], cells["rows"][1][lenient] = counts
         (folder / SUMMARY).write_text(json.dumps(data))
         with pytest.raises(DatasetError, match="cannot be"):
             read_result(folder / SUMMARY)
+
+
+def test_a_table_of_entries_that_name_each_column_is_read_too(tmp_path: Path) -> None:
+    # As results were written formerly.
+    path = kept(tmp_path / "a", ROWS) / SUMMARY
+    data = json.loads(path.read_text())
+    for name, table in data.items():
+        if isinstance(table, dict) and "columns" in table:
+            named = [dict(zip(table["columns"], r, strict=True)) for r in table["rows"]]
+            data[name] = named
+    assert data["cells"][0]["kind"] == "high_level"
+    old = tmp_path / "old.json"
+    old.write_text(json.dumps(data))
+    assert read_result(old) == read_result(path)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"columns": ["kind"], "rows": [["high_level", 1]]},
+        {"columns": ["kind"]},
+        {"columns": ["kind"], "rows": [["high_level"]]},
+        {"columns": 1, "rows": 2},
+        [1],
+        "cells",
+        None,
+    ],
+)
+def test_a_damaged_table_is_refused(tmp_path: Path, table: object) -> None:
+    path = kept(tmp_path / "a", ROWS) / SUMMARY
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"cells": table}))
+    with pytest.raises(DatasetError, match="is damaged"):
+        read_result(path)
 
 
 def later(index: int, **lenient: object) -> dict[str, Any]:
