@@ -79,16 +79,20 @@ class Row:
 def plan(
     experiments: Sequence[Experiment], seeds: Sequence[int], rounds: Sequence[int]
 ) -> tuple[list[Job], list[Row]]:
-    """Return trainings, each once, and rows: a round of all before the next."""
+    """Return trainings, each once, and rows: a round of all before the next.
+
+    Ablations, and what learns nothing, have the first seed of all, whichever are asked.
+    """
     jobs: dict[Job, None] = {}
     rows = []
     for episodes in rounds:
-        for seed in seeds:
+        for asked in seeds:
             for experiment in experiments:
                 learned = learned_parts(experiment.policy.name)
                 alone = experiment.suite == ABLATIONS or not learned
-                if alone and seed != SEEDS[0]:
+                if alone and asked != seeds[0]:
                     continue
+                seed = SEEDS[0] if alone else asked
                 runs = experiment.runs(seed)
                 needed = tuple(Job(name, seed, runs) for name in learned)
                 jobs |= dict.fromkeys(needed)

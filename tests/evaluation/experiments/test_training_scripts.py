@@ -45,6 +45,18 @@ def test_each_training_is_done_once_and_each_row_in_each_round() -> None:
     assert counted.count("reachnet") == len(SEEDS)
 
 
+def test_ablations_are_trained_whichever_seeds_are_asked() -> None:
+    experiments = [*selected("reachnet"), *selected("no-reach"), *selected("oracle")]
+    jobs, rows = train_all.plan(experiments, SEEDS[1:], ROUNDS[:1])
+    trained = {(job.name, job.seed, job.runs) for job in jobs}
+    assert trained == {
+        ("reachnet-no-reach", SEEDS[0], "runs/ablations"),
+        *(("reachnet", seed, f"runs/seed-{seed}") for seed in SEEDS[1:]),
+    }
+    counted = [row.experiment.name for row in rows]
+    assert counted.count("oracle") == counted.count("no-reach") == 1
+
+
 def test_printed_commands_can_be_given() -> None:
     jobs, rows = train_all.plan(selected("all"), SEEDS[:1], ROUNDS[:1])
     for command in (
