@@ -21,7 +21,6 @@ truth instead, poses and goal, and sees nothing: an oracle.
 import argparse
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,14 +28,13 @@ from operator import attrgetter
 from pathlib import Path
 from shutil import rmtree
 
-import torch
-
 from lemma.core.files import read_json
 from lemma.evaluation.analysis.result import read_result
 from lemma.evaluation.experiments.catalog import CONTROL_TASKS
 from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.report.learning_curves import CURVE, LearningCurve, Point
 from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
+from side_by_side import start, visible_gpus
 
 POLICIES = ("act", "diffusion")
 OBSERVATIONS = ("rgb", "privileged")
@@ -153,24 +151,6 @@ def checkpoints(run: Path) -> list[tuple[int, Path]]:
     return sorted((int(each.parts[-3]), each.parents[1] / WEIGHTS) for each in whole)
 
 
-def do(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[bytes]":
-    """Start a command of this environment; what it says goes into a file.
-
-    Without the number of a GPU it sees none.
-    """
-    print(f"{time.strftime('%X')} {command}", flush=True)
-    log.parent.mkdir(parents=True, exist_ok=True)
-    program, *words = command.split()
-    seen = "" if gpu is None else str(gpu)
-    with log.open("ab") as told:
-        return subprocess.Popen(
-            [str(Path(sys.executable).with_name(program)), *words],
-            stdout=told,
-            stderr=subprocess.STDOUT,
-            env={**os.environ, "CUDA_VISIBLE_DEVICES": seen},
-        )
-
-
 def playable(plan: Plan, runs: Sequence[Run], phases: Sequence[str]) -> Iterator[str]:
     """Yield evaluations of what is there by now: whole trainings first."""
     if "test" in phases:
@@ -195,13 +175,13 @@ def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) 
     Raises:
         SystemExit: Some command failed; the others came to their end.
     """
-    begin, gpus = time.monotonic(), torch.cuda.device_count()
+    begin, gpus = time.monotonic(), len(visible_gpus())
     going: dict[str, subprocess.Popen[bytes]] = {}
     missing = [run for run in runs if not plan.trained(run)]
     for number, run in enumerate(missing if "train" in phases else ()):
         rmtree(plan.run(*run), ignore_errors=True)
         command, told = plan.training(*run), plan.run(*run).with_suffix(".log")
-        going[command] = do(command, told, number % gpus if gpus else None)
+        going[command] = start(command, told, number % gpus if gpus else None)
     playing, played, failed = "", set(), []
     try:
         while time.monotonic() - begin < stop_s:
@@ -213,7 +193,7 @@ def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) 
                 playing = next((one for one in ready if one not in played), "")
                 if playing:
                     played.add(playing)
-                    going[playing] = do(playing, plan.out / "evaluations.log")
+                    going[playing] = start(playing, plan.out / "evaluations.log")
             if not going:
                 break
             time.sleep(LOOK_S)
@@ -306,7 +286,7 @@ def main() -> None:
     begin = time.monotonic()
     if "data" in args.phases:
         for command in plan.data_commands():
-            if do(command, plan.out / "data.log").wait():
+            if start(command, plan.out / "data.log").wait():
                 raise SystemExit(f"This failed; see {plan.out}/data.log: {command}")
     try:
         used_s = time.monotonic() - begin

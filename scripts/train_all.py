@@ -12,13 +12,10 @@ was stopped. It needs the rendered data, see ``--print``.
 import argparse
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import torch
 
 from lemma.evaluation.experiments.catalog import (
     ABLATIONS,
@@ -30,6 +27,7 @@ from lemma.evaluation.experiments.catalog import (
     selected,
 )
 from lemma.evaluation.run.loading import learned_parts
+from side_by_side import start, visible_gpus
 
 REPORT = "report.json"
 """Of a training that has come to its end."""
@@ -107,7 +105,7 @@ class Machine:
     logs: Path
     slots: int
     """Trainings that share a GPU."""
-    gpus: int = field(default_factory=lambda: max(1, torch.cuda.device_count()))
+    gpus: int = field(default_factory=lambda: max(1, len(visible_gpus())))
     training: list[tuple[Job, int, "subprocess.Popen[bytes]"]] = field(
         default_factory=list
     )
@@ -117,17 +115,7 @@ class Machine:
         self, command: str, log: str, gpu: int | None
     ) -> "subprocess.Popen[bytes]":
         """Start a command of this environment; without a GPU it sees none."""
-        print(f"{time.strftime('%X')} {command}", flush=True)
-        self.logs.mkdir(parents=True, exist_ok=True)
-        program, *words = command.split()
-        seen = "" if gpu is None else str(gpu)
-        with (self.logs / f"{log}.log").open("ab") as told:
-            return subprocess.Popen(
-                [str(Path(sys.executable).with_name(program)), *words],
-                stdout=told,
-                stderr=subprocess.STDOUT,
-                env={**os.environ, "CUDA_VISIBLE_DEVICES": seen},
-            )
+        return start(command, self.logs / f"{log}.log", gpu)
 
     def free_gpu(self) -> int | None:
         """Return the GPU with the fewest trainings, if it has a slot."""

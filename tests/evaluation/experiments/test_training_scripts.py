@@ -10,6 +10,7 @@ from typing import get_type_hints
 import pytest
 
 import control_baselines
+import side_by_side
 import train_all
 from lemma.evaluation.experiments.catalog import (
     CONTROL_LEVEL,
@@ -160,6 +161,48 @@ class Scripted(control_baselines.Plan):
     ) -> str:
         name = f"{split}-{run[0]}-{checkpoint.parent.name}"
         return script(self.out, name, f"print({name!r})", f"sys.exit({self.tests})")
+
+
+@pytest.mark.parametrize(
+    ("given", "gpu", "seen"),
+    [
+        ("3,5", 1, "5"),
+        ("GPU-a, GPU-b", 0, "GPU-a"),
+        (None, 1, "1"),
+        ("3,5", None, ""),
+        # More than there are: torch counts two.
+        ("3,5,7", 1, "5"),
+    ],
+)
+def test_a_command_sees_one_gpu_of_those_that_were_given(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    given: str | None,
+    gpu: int | None,
+    seen: str,
+) -> None:
+    monkeypatch.setattr(side_by_side.torch.cuda, "device_count", lambda: 2)
+    monkeypatch.delenv(side_by_side.VISIBLE, raising=False)
+    if given is not None:
+        monkeypatch.setenv(side_by_side.VISIBLE, given)
+    assert len(side_by_side.visible_gpus()) == 2
+    says = script(
+        tmp_path,
+        "says",
+        f"import os; print(repr(os.environ[{side_by_side.VISIBLE!r}]))",
+    )
+    log = tmp_path / "log"
+    assert side_by_side.start(says, log, gpu).wait() == 0
+    assert log.read_text().strip() == repr(seen)
+
+
+def test_where_there_is_no_gpu_commands_see_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(side_by_side.torch.cuda, "device_count", lambda: 0)
+    monkeypatch.setenv(side_by_side.VISIBLE, "")
+    assert side_by_side.visible_gpus() == []
+    assert Machine(tmp_path, SLOTS).gpus == 1
 
 
 OTHER = {"act": "diffusion", "diffusion": "act"}
