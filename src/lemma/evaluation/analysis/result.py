@@ -117,7 +117,7 @@ class Result:
     def write(self, path: Path) -> None:
         """Write it, the same bytes for the same result; a line for every entry.
 
-        Names of columns are written once: they were two thirds of a file.
+        Names of columns are written once: in each line they are most of a file.
         """
         data = asdict(self)
         tables = {name: data.pop(name) for name in _TABLES}
