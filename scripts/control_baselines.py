@@ -96,8 +96,8 @@ class Plan:
         return [
             f"lemma generate --tasks {self.tasks} --split train{episodes} "
             f"--out {self.recipe} --workers {self.workers}",
-            f"python {TRAINER} film {self.recipe} {self.film} --size {self.size} "
-            f"{seen}--fps {self.fps} --environment-state {told} "
+            f"python {TRAINER} film {self.recipe} {self.film} --tasks {self.tasks} "
+            f"--size {self.size} {seen}--fps {self.fps} --environment-state {told} "
             f"--workers {self.workers}",
         ]
 
@@ -106,10 +106,13 @@ class Plan:
         long = f"--steps {self.steps}"
         if self.train_s:
             long = f"--train-s {self.train_s:g}"
+        # Who is told where a hand is reads off its way where it goes, and looks no
+        # more.
+        state = "grippers" if self.observation == OBSERVATIONS[0] else "full"
         return (
             f"python {TRAINER} train {self.film} {self.run(name, seed)} "
             f"--policy {name} --seed {seed} {long} "
-            f"--batch {self.batch} --points {self.points}"
+            f"--batch {self.batch} --points {self.points} --state {state}"
         )
 
     def evaluation(self, run: Run, checkpoint: Path, split: str) -> str:

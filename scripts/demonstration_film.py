@@ -8,7 +8,7 @@ device that computes, so nothing waits for a disk, a decoder or a copy.
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,10 +26,14 @@ from lemma.dataset.lerobot.export import LeRobotConfig, Shard
 from lemma.dataset.lerobot.frames import Style, frames
 from lemma.dataset.lerobot.sources import check_source, read_records
 from lemma.dataset.rendered.render import RenderConfig
+from side_by_side import visible_gpus
 
 ABOUT, LENGTHS = "about.json", "lengths"
 VECTORS = (OBS_STATE, OBS_ENV_STATE, ACTION)
-FOCUS = 0.5
+FIRST = 0.15
+"""Which part of the samples begins an episode: there nothing but pictures and sentence
+tell which arm goes, and where to."""
+FOCUS = 0.4
 """Which part of the samples is of decisive moments."""
 JUMP = 0.12
 """A waypoint that moves further [m], or turns a column of its rotation further, between
@@ -40,17 +44,35 @@ AROUND = (-1, 1)
 """Frames beside those at which it begins that are decisive too."""
 ARRIVED = 0.05
 """A tool is where it was sent if all numbers of its pose are this near [m, 1]."""
+UNSEEN = 1e6
+"""Who normalizes a number by this range does not see it."""
 STATISTICS_OF = 5_000
 """So many pictures tell mean and deviation."""
+DRAWS_ON = "MUJOCO_EGL_DEVICE_ID"
+"""Environment variable that names a GPU to MuJoCo."""
 READERS = 8
 """Threads that read a film."""
+
+_HIDDEN = {"mean": 0.0, "std": UNSEEN, "min": -UNSEEN, "max": UNSEEN}
 
 Batch = dict[str, Any]
 """Samples, as LeRobot's data sets have them."""
 
 
-def film_shard(shard: Shard, style: Style, folder: Path) -> int:
-    """Write some episodes as arrays; return how many frames they have."""
+def film_shard(
+    shard: Shard, style: Style, folder: Path, gpus: Sequence[str] = ()
+) -> int:
+    """Write some episodes as arrays; return how many frames they have.
+
+    Args:
+        shard: Which episodes.
+        style: How they are filmed.
+        folder: Where to.
+        gpus: Numbers of those that processes draw on, each on one of them.
+    """
+    if gpus:
+        # Read when this process draws for the first time.
+        os.environ.setdefault(DRAWS_ON, gpus[os.getpid() % len(gpus)])
     target = folder / f"{shard.folder.name}.npz"
     if not target.exists():
         episodes = []
@@ -72,26 +94,39 @@ def film_shard(shard: Shard, style: Style, folder: Path) -> int:
 
 
 def film(
-    recipe: Path, folder: Path, style: Style, workers: int, split: str = "train"
+    recipe: Path,
+    folder: Path,
+    style: Style,
+    workers: int,
+    split: str = "train",
+    tasks: tuple[str, ...] = (),
 ) -> None:
     """Write the episodes of a split as arrays; those that are there are kept.
+
+    Args:
+        recipe: Folder of the demonstrations.
+        folder: Where to.
+        style: How they are filmed.
+        workers: Processes, each on one of the GPUs if there are some.
+        split: Of the recipe.
+        tasks: Names; all of the recipe if none.
 
     Raises:
         DatasetError: They cannot be learned from, or not be done again here.
         SystemExit: What is there was filmed otherwise.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    source = RenderConfig(recipe=recipe, out=folder, splits=(split,))
+    source = RenderConfig(recipe=recipe, out=folder, tasks=tasks, splits=(split,))
     shards = LeRobotConfig(source=source, style=style).shards()
     check_source(recipe, list(dict.fromkeys(one.path for one in shards)), style)
-    told = json.dumps(
-        {**asdict(style), "recipe": sha256_of(recipe / MANIFEST), "split": split}
-    )
+    made_of = {"recipe": sha256_of(recipe / MANIFEST), "split": split, "tasks": tasks}
+    told = json.dumps({**asdict(style), **made_of})
     about = folder / ABOUT
     if about.exists() and about.read_text() != told:
         raise SystemExit(f"{folder} holds another film. Choose another folder.")
     about.write_text(told)
-    jobs = [(shard, style, folder) for shard in shards]
+    gpus = [name for name in visible_gpus() if name.isdigit()]
+    jobs = [(shard, style, folder, gpus) for shard in shards]
     begin, count = time.monotonic(), 0
     for done in ProcessPool(workers).run(film_shard, jobs):
         count += done
@@ -154,11 +189,22 @@ class Film:
         row = PolicyFeature(FeatureType.ACTION, (self.vectors[ACTION].shape[1],))
         return seen, {ACTION: row}
 
-    def statistics(self) -> dict[str, dict[str, torch.Tensor]]:
-        """Return what values are normalized by, in the names of LeRobot."""
+    def statistics(self, *, poses: bool = True) -> dict[str, dict[str, torch.Tensor]]:
+        """Return what values are normalized by, in the names of LeRobot.
+
+        Args:
+            poses: Whether a policy shall be told the poses of its own hands. Without
+                them it is told how far they are open, and must look for the rest.
+        """
         found = {}
         for name, rows in self.vectors.items():
             found[name] = _statistics(rows, 0)
+        if not poses:
+            told = found[OBS_STATE]
+            hidden = torch.ones_like(told["mean"], dtype=torch.bool)
+            hidden.reshape(ROBOTS, -1)[:, -1] = False
+            for key, value in _HIDDEN.items():
+                told[key][hidden] = value
         for name, rows in self.images.items():
             every = max(1, len(rows) // STATISTICS_OF)
             some = rows[::every].float() / 255.0
@@ -231,14 +277,18 @@ class Film:
         return found
 
     def batches(self, config: Any, size: int, seed: int) -> Iterator[dict[str, Any]]:
-        """Yield random samples for ever; :data:`FOCUS` of them at decisive frames."""
+        """Yield random samples for ever.
+
+        :data:`FIRST` of them begin an episode, :data:`FOCUS` are at decisive frames.
+        """
         device = self.last.device
         drawing = torch.Generator(device=device).manual_seed(seed)
         dropped = getattr(config, "drop_n_last_frames", 0)
         here = torch.arange(len(self.last), device=device)
         valid = here[(here <= self.last - dropped) & ~self.idle()]
         decisive = valid[self.decisive()[valid]]
-        focused = round(FOCUS * size)
+        first, focused = round(FIRST * size), round(FOCUS * size)
+        begins = self.begins()
 
         def draw(frames: torch.Tensor, count: int) -> torch.Tensor:
             many = len(frames)
@@ -246,8 +296,9 @@ class Film:
             return frames[drawn]
 
         while True:
-            index = torch.cat([draw(decisive, focused), draw(valid, size - focused)])
-            yield self.samples(index, config)
+            drawn = [draw(begins, first), draw(decisive, focused)]
+            drawn.append(draw(valid, size - first - focused))
+            yield self.samples(torch.cat(drawn), config)
 
 
 def _statistics(rows: torch.Tensor, axes: Any) -> dict[str, torch.Tensor]:

@@ -58,6 +58,9 @@ LONGEST_GRADIENT = 10.0
 STEPS_BEFORE_CAPTURE = 3
 """So that libraries have chosen their kernels, and the optimizer has its state."""
 
+FULL, GRIPPERS = STATES = ("full", "grippers")
+"""What a policy is told of its own arms: the poses of their hands too, or only how far
+these are open."""
 NO_END = 10**9
 """Steps that are asked for where a time ends the training: weights tell so."""
 
@@ -65,7 +68,9 @@ Learn = Callable[[Batch], torch.Tensor]
 """Takes a step of training, and returns its loss."""
 
 
-def make_policy(name: str, seen: Film, device: str) -> tuple[Any, Any, Any]:
+def make_policy(
+    name: str, seen: Film, device: str, state: str = FULL
+) -> tuple[Any, Any, Any]:
     """Return a policy that knows nothing yet, and what comes before and after it."""
     inputs, outputs = seen.features()
     config = PreTrainedConfig.get_choice_class(name)(
@@ -85,7 +90,8 @@ def make_policy(name: str, seen: Film, device: str) -> tuple[Any, Any, Any]:
     policy = get_policy_class(name)(config).to(device)
     if device != "cpu":
         policy = policy.to(memory_format=torch.channels_last)
-    before, after = make_pre_post_processors(config, dataset_stats=seen.statistics())
+    told = seen.statistics(poses=state == FULL)
+    before, after = make_pre_post_processors(config, dataset_stats=told)
     return policy, before, after
 
 
@@ -184,7 +190,7 @@ def train(asked: argparse.Namespace) -> None:
     device = "cuda" if torch.cuda.is_available() else "cpu"
     torch.set_float32_matmul_precision("high")
     seen = Film.load(asked.film, device)
-    made = policy, before, _ = make_policy(asked.policy, seen, device)
+    made = policy, before, _ = make_policy(asked.policy, seen, device, asked.state)
     batches = seen.batches(policy.config, asked.batch, asked.seed)
     print(f"{len(seen.last)} frames, {sum(p.numel() for p in policy.parameters())}")
     policy.train()
@@ -231,12 +237,16 @@ def main(words: Sequence[str] | None = None) -> None:
         "--environment-state", choices=(SENTENCE, PRIVILEGED), default=SENTENCE
     )
     filming.add_argument("--split", default="train")
+    filming.add_argument("--tasks", default="", help="the recipe's if none")
     filming.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     training = verbs.add_parser("train")
     training.add_argument("film", type=Path)
     training.add_argument("out", type=Path)
     training.add_argument("--policy", choices=POLICIES, required=True)
     training.add_argument("--seed", type=int, default=0)
+    training.add_argument(
+        "--state", choices=STATES, default=FULL, help="what is told of the arms"
+    )
     training.add_argument("--batch", type=int, default=128)
     training.add_argument("--lr", type=float, default=5e-4)
     training.add_argument("--steps", type=int, default=0)
@@ -259,7 +269,8 @@ def main(words: Sequence[str] | None = None) -> None:
             environment_state=asked.environment_state,
             control=WAYPOINT,
         )
-        film(asked.recipe, asked.film, style, asked.workers, asked.split)
+        tasks = tuple(filter(None, asked.tasks.split(",")))
+        film(asked.recipe, asked.film, style, asked.workers, asked.split, tasks)
     else:
         train(asked)
 

@@ -12,7 +12,7 @@ from check_training import plugin
 from small_recipe import TASKS, recipe
 
 import lemma
-from demonstration_film import AROUND, FOCUS, Film, film
+from demonstration_film import AROUND, FIRST, FOCUS, Film, film
 from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style, frames
 from lemma.dataset.recipe.reader import read_group
 from lemma.env.learning.motor_state import WAYPOINT
@@ -23,7 +23,7 @@ from lemma.policies.control.lerobot import LeRobotPolicy, PrivilegedLeRobotPolic
 from lemma.policies.packing import Fineness
 from lemma.policies.weights_file import TIME_LIMIT, read_metadata
 from measure_waypoints import main as main_of_errors
-from train_lerobot_policy import POLICIES, main
+from train_lerobot_policy import POLICIES, main, make_policy
 
 STEPS, BATCH = 2, 4
 
@@ -187,6 +187,28 @@ def test_trained_policies_are_evaluated_as_they_are(
         assert row["control"]["actions"] == 10
 
 
+@pytest.mark.parametrize("policy", POLICIES)
+def test_who_is_told_of_grippers_alone_does_not_see_poses(policy: str) -> None:
+    seen = Film.load(filmed(SENTENCE), "cpu")
+    state = "observation.state"
+    shape = seen.vectors[state].shape
+    noise = torch.rand(shape, generator=torch.Generator().manual_seed(0))
+    grippers = torch.zeros(shape, dtype=torch.bool)
+    grippers[:, [9, 19]] = True
+
+    def shown(rows: torch.Tensor, told: str) -> torch.Tensor:
+        _, before, _ = make_policy(policy, seen, "cpu", told)
+        found: torch.Tensor = before({state: rows})[state]
+        return found
+
+    rows = seen.vectors[state]
+    elsewhere, wider = rows + noise * ~grippers, rows + noise * grippers
+    for told, alike in (("full", False), ("grippers", True)):
+        plain = shown(rows, told)
+        assert torch.allclose(shown(elsewhere, told), plain, atol=1e-5) == alike
+        assert not torch.allclose(shown(wider, told), plain, atol=1e-2)
+
+
 def test_waypoints_solve_the_task_in_lerobots_environment() -> None:
     task = TASKS[0]
     config = plugin().LemmaEnvConfig(
@@ -238,5 +260,7 @@ def test_samples_stay_in_their_episode_and_repeat() -> None:
     drawn = [
         int((rows == row).all(1).nonzero()[0]) for row in first["observation.state"]
     ]
-    assert all(decisive[drawn[: round(FOCUS * 64)]])
+    begin, focused = round(FIRST * 64), round(FOCUS * 64)
+    assert set(drawn[:begin]) <= set(seen.begins().tolist())
+    assert all(decisive[drawn[: begin + focused]])
     assert not all(decisive[drawn])
