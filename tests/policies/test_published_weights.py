@@ -19,6 +19,7 @@ from lemma.cli.main import main
 from lemma.core.errors import UnknownNameError, WeightsError
 from lemma.core.files import read_json, write_json
 from lemma.policies import weights
+from lemma.policies.class_path import LEROBOT
 from lemma.policies.packing import Fineness
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.weights import (
@@ -228,6 +229,9 @@ def test_the_list_and_the_command_are_what_the_metadata_say(name: str) -> None:
     for part in ("model", "data", "command", "ended", "steps", "scores", "lemma"):
         assert entry[part] == getattr(metadata, part), part
     words = shlex.split(metadata.command)
+    if metadata.model.startswith(LEROBOT):
+        assert words[:2] == ["python", "scripts/control_baselines.py"]
+        return
     assert words[:2] == ["lemma", "train"]
     typed = tyro.cli(TrainingConfig, args=words[2:])
     # Who types this command trains with just these options.

@@ -167,8 +167,10 @@ def commands(experiments: list[Experiment]) -> list[str]:
             f"lemma reproduce {one.name} --weights {one.runs(seed)}" for one in here
         ]
     for one in elsewhere:
-        runs = one.runs(SEEDS[0])
-        lines += [one.training, f"lemma reproduce {one.name} --weights {runs}"]
+        # One command may make the weights of several.
+        if one.training not in lines:
+            lines.append(one.training)
+        lines.append(f"lemma reproduce {one.name} --weights {one.runs(SEEDS[0])}")
     return lines
 
 

@@ -389,6 +389,6 @@ def _provenance(entries: Iterable[PolicyResults]) -> Section:
     return Section(
         HOW,
         f"Reported models are trained with seeds {', '.join(map(str, SEEDS))}; "
-        "the weights of the first ship, except at control level.",
+        "the weights of the first ship.",
         ResultTable(header, tuple(rows), labels=3),
     )

@@ -154,5 +154,9 @@ def _find(part: str) -> Path:
     try:
         return find_weights(part)
     except UnknownNameError:
-        valid = (ORACLE, *PLANNERS, *published_weights())
+        checkpoints = (
+            f"{LEROBOT}{name}" if entry["model"].startswith(LEROBOT) else name
+            for name, entry in published_weights().items()
+        )
+        valid = (ORACLE, *PLANNERS, *checkpoints)
         raise UnknownNameError("policy", part, valid) from None
