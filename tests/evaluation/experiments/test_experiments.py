@@ -126,6 +126,7 @@ def test_what_another_script_trains_is_printed_as_well() -> None:
     assert [line for line in every if line.startswith("lemma")] == rows
     for one, row in zip(asked, rows, strict=True):
         assert every.index(one.training) < every.index(row)
+        assert set(one.tasks) < set(SUITE)
     # What makes the weights of two is said once.
     assert len(every) == len(set(every))
 
