@@ -10,6 +10,8 @@ BIN := $(VENV)/bin
 OUT ?= out
 # Worker processes of the tests: one more than two cores, because tests also wait.
 JOBS ?= 3
+# The tests that `make test` runs. Plain `pytest` runs all.
+SELECT ?= not slow
 # The first interpreter of a supported version; `make PYTHON=/path/to/python` overrules.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' \
@@ -22,8 +24,8 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Tests start hundreds of interpreters: each would compile the whole package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup setup-dev play demo bench test lint types layers docs tests \
-	test-lerobot test-warp test-vla-eval format clean
+.PHONY: help setup setup-dev play demo bench test test-all lint types layers docs \
+	tests test-lerobot test-warp test-vla-eval format clean
 
 help: ## Say what the targets do.
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -41,10 +43,13 @@ demo: $(VENV)/page.stamp ## The expert solves one instance of each task; videos 
 bench: setup ## Measure speed and the expert's success (takes long).
 	$(BIN)/lemma bench --expert
 
-test: setup-dev ## All checks and tests.
+test: setup-dev ## All checks, and the tests that are not marked `slow`.
 	$(MAKE) -j $(JOBS) lint layers
 	@# Tests wait now and then; checks that take a minute fill that time.
 	$(MAKE) -j $(JOBS) types docs tests
+
+test-all: export SELECT :=
+test-all: test ## All checks and all tests.
 
 lint: setup-dev ## Style, formatting and spelling.
 	$(BIN)/ruff check $(CHECKED)
@@ -60,9 +65,9 @@ layers: setup-dev ## Which module may import which.
 docs: setup-dev ## The documentation, in out/docs.
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs $(OUT)/docs
 
-tests: setup-dev ## The tests alone.
+tests: setup-dev ## The tests alone; `make tests SELECT=` adds the slow ones.
 	@# Neighbors share what is made for them: they stay together until a worker is idle.
-	$(BIN)/pytest -n $(JOBS) --dist worksteal
+	$(BIN)/pytest -n $(JOBS) --dist worksteal -m "$(SELECT)"
 
 # lerobot asks for Python 3.12 and for other versions of torch and NumPy than anybody
 # needs who works on this package: it has an environment of its own (6 GB).
