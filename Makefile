@@ -125,7 +125,7 @@ format: setup-dev ## Format the code and fix what can be fixed.
 	$(BIN)/ruff check --fix $(CHECKED)
 
 clean: ## Remove caches and everything that was written to out/.
-	rm -rf $(OUT) dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(OUT) dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache .test_cache
 	find $(CHECKED) -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/core.stamp: $(INPUTS)

@@ -1,10 +1,8 @@
 """A small recipe of perturbed executions, made once for several tests."""
 
-import atexit
-from functools import cache
 from pathlib import Path
-from shutil import rmtree
-from tempfile import mkdtemp
+
+from kept import kept_folder
 
 from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
@@ -25,13 +23,9 @@ def perturbed_order(out: Path) -> GenerateConfig:
     )
 
 
-@cache
 def perturbed_recipe() -> Path:
     """Return a recipe of that order; do not write there."""
-    folder = Path(mkdtemp(prefix="lemma-perturbed-"))
-    atexit.register(rmtree, folder, ignore_errors=True)
-    generate(perturbed_order(folder), Serial())
-    return folder
+    return kept_folder("perturbed", lambda o: generate(perturbed_order(o), Serial()))
 
 
 def perturbed_records() -> list[PerturbedRecord]:

@@ -1,27 +1,23 @@
 """Recipes for tests: a real one of a few episodes, and made-up records."""
 
-import atexit
 import hashlib
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
-from shutil import rmtree
-from tempfile import mkdtemp
 
 import numpy as np
 import pytest
+from kept import kept_folder
 
 from lemma.cli.main import main
 from lemma.core.files import sha256_of, write_json
 from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.digests import content_digest, shorten
-from lemma.dataset.recipe.files import REVISION_VARIABLE, versions, write_table
+from lemma.dataset.recipe.files import versions, write_table
 from lemma.dataset.recipe.generate import GenerateConfig, generate, recipe_file
 from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord, to_table
 from lemma.tasks.instance import BENCHMARK_VERSION
@@ -31,22 +27,15 @@ TASKS = ("pass", "stack")
 SPLITS = ("val", "test")
 EPISODES = 3
 
-# Somebody may commit while the tests run; files name the revision they come from.
-os.environ[REVISION_VARIABLE] = "of-the-tests"
-
 
 def small_order(out: Path) -> GenerateConfig:
     """Return an order of twelve short episodes."""
     return GenerateConfig(out=out, tasks=TASKS, splits=SPLITS, episodes=EPISODES)
 
 
-@cache
 def small_recipe() -> Path:
     """Return a recipe of that order, made once; do not write there."""
-    folder = Path(mkdtemp(prefix="lemma-recipe-"))
-    atexit.register(rmtree, folder, ignore_errors=True)
-    generate(small_order(folder), Serial())
-    return folder
+    return kept_folder("recipe", lambda out: generate(small_order(out), Serial()))
 
 
 def bytes_of(folder: Path) -> dict[str, str]:

@@ -8,6 +8,7 @@ from unittest.mock import patch
 
 import mujoco
 import numpy as np
+from kept import kept
 
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, ExpertStep, solve
@@ -114,7 +115,7 @@ def first_instance(task: str, team: str) -> Instance:
     return next(instance for instance in instances if instance.team == team)
 
 
-@cache
+@kept
 def recorded(task: str, team: str) -> Recorded:
     """Return the expert's episode of the first test instance with a team type."""
     instance = first_instance(task, team)

@@ -1,10 +1,9 @@
 """A small recipe and what is rendered from it, made once for several tests."""
 
-import atexit
-from functools import cache
 from pathlib import Path
-from shutil import copytree, rmtree
-from tempfile import mkdtemp
+from shutil import copytree
+
+from kept import kept_folder
 
 from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
@@ -17,23 +16,14 @@ SPLIT = "val"
 EPISODES = 2
 
 
-@cache
-def scratch() -> Path:
-    """Return a folder that goes when the tests are over."""
-    folder = Path(mkdtemp(prefix="lemma-rendered-"))
-    atexit.register(rmtree, folder, ignore_errors=True)
-    return folder
-
-
-@cache
 def recipe_folder() -> Path:
     """Return a recipe of two tasks with two episodes each."""
-    folder = scratch() / "recipe"
-    generate(
-        GenerateConfig(out=folder, tasks=TASKS, splits=(SPLIT,), episodes=EPISODES),
-        Serial(),
-    )
-    return folder
+
+    def make(out: Path) -> None:
+        order = GenerateConfig(out=out, tasks=TASKS, splits=(SPLIT,), episodes=EPISODES)
+        generate(order, Serial())
+
+    return kept_folder("rendered_recipe", make)
 
 
 def recipe() -> Recipe:
@@ -41,12 +31,13 @@ def recipe() -> Recipe:
     return load(recipe_folder())
 
 
-@cache
 def keyframes_folder() -> Path:
     """Return all keyframes of it, at the usual size; do not write there."""
-    folder = scratch() / "keyframes"
-    render(RenderConfig(recipe=recipe_folder(), out=folder), KeyframeForm(), Serial())
-    return folder
+
+    def make(out: Path) -> None:
+        render(RenderConfig(recipe=recipe_folder(), out=out), KeyframeForm(), Serial())
+
+    return kept_folder("keyframes", make)
 
 
 def own_copy(folder: Path, to: Path) -> Path:
