@@ -10,6 +10,8 @@ BIN := $(VENV)/bin
 OUT ?= out
 # Worker processes of the tests: one more than two cores, because tests also wait.
 JOBS ?= 3
+# Whether pages of tasks show an episode; it is played for that.
+REPLAYS ?= 0
 # The tests that `make test` runs. Plain `pytest` runs all.
 SELECT ?= not slow
 # The first interpreter of a supported version; `make PYTHON=/path/to/python` overrules.
@@ -62,8 +64,8 @@ types: setup-dev ## Static types.
 layers: setup-dev ## Which module may import which.
 	$(BIN)/lint-imports
 
-docs: setup-dev ## The documentation, in out/docs.
-	$(BIN)/sphinx-build -q -W --keep-going -b html docs $(OUT)/docs
+docs: setup-dev ## The documentation, in out/docs; with `REPLAYS=1`, tasks can be seen moving.
+	$(BIN)/sphinx-build -q -W --keep-going -b html -D replays=$(REPLAYS) docs $(OUT)/docs
 
 tests: setup-dev ## The tests alone; `make tests SELECT=` adds the slow ones.
 	@# Neighbors share what is made for them: they stay together until a worker is idle.

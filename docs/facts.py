@@ -1,7 +1,8 @@
 """Directives that fill the pages with what the code says, so that they cannot drift.
 
 ``task-facts`` shows one instance of a task: who reaches what, the plan and the
-instructions, and plays it. ``arms`` lists the arms and their reach, ``attacks`` those
+instructions; with ``replays`` set (``make docs REPLAYS=1``) it plays it and adds a page
+to turn it around. ``arms`` lists the arms and their reach, ``attacks`` those
 of the audit. ``constants`` makes a table of lines
 ``what | constant | unit | why``, ``engine-options`` one of ``name | why``.
 ``inserted-words`` lists what paraphrases have in common with the unseen templates.
@@ -24,20 +25,22 @@ from sphinx.util.docutils import SphinxDirective
 from lemma.audit.attack import ATTACKS, LEVELS
 from lemma.audit.run import names_at
 from lemma.cli.tasks import describe
+from lemma.expert.expert import Expert
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.could import could_of
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.build import ARMS
 from lemma.scene.build import compile_model
 from lemma.scene.objects.entity import STICK, kind_of
+from lemma.scene.scene import Scene
 from lemma.tasks.drags import find_drag
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS
-from lemma.tasks.subtask import Primitive
+from lemma.tasks.subtask import Primitive, SubTask
 from lemma.tasks.suite import load_instance
 from lemma.viewer.recording.pages import write_recording
 from lemma.viewer.recording.track import FRAME_S
-from lemma.viz.recording import Recording, record, robot_titles
+from lemma.viz.recording import describe_subtask, record, robot_titles
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 from inserted_words import inserted_words, unseen_words
@@ -79,10 +82,7 @@ class TaskFacts(Generated):
         )
         yield ""
         instance = load_instance(moment.task, "test", moment.index)
-        recording = record(instance, frame_s=FRAME_S)
         titles = robot_titles(instance)
-        if not recording.success:
-            raise self.error(f"The expert fails at {instance.key}.")
         yield f"The picture shows `{instance.key}`. At its start:"
         yield ""
         yield "| | " + " | ".join(titles) + " |"
@@ -95,20 +95,24 @@ class TaskFacts(Generated):
         goal = " and ".join(f"`On({a}, {b})`" for a, b in instance.goal.pairs)
         yield f"The goal is {goal}. The expert's plan:"
         yield ""
-        for number, step in enumerate(recording.steps, 1):
-            yield f"{number}. {step.words}"
+        for number, step in enumerate(_plan(instance), 1):
+            yield f"{number}. {describe_subtask(step, instance)}"
         yield ""
-        yield from self._replay(recording)
-        yield f"It takes {recording.elapsed_s:.1f} simulated seconds. The instructions:"
+        if self.config.replays:
+            yield from self._replay(instance)
+        yield "The instructions:"
         yield ""
         yield "| kind | instruction |"
         yield "|---|---|"
         for kind in KINDS:
             yield f"| `{kind}` | {instance.instructions[kind]} |"
 
-    def _replay(self, recording: Recording) -> Iterator[str]:
-        """Write the episode as a page of its own, and return where it is shown."""
-        task = recording.instance.task
+    def _replay(self, instance: Instance) -> Iterator[str]:
+        """Play the plan and write a page of its own; return where it is shown."""
+        recording = record(instance, frame_s=FRAME_S)
+        if not recording.success:
+            raise self.error(f"The expert fails at {instance.key}.")
+        task = instance.task
         path = f"{REPLAYS}/{task}.html"
         write_recording(Path(self.env.app.outdir) / path, recording)
         yield "```{raw} html"
@@ -120,6 +124,17 @@ class TaskFacts(Generated):
         yield "</iframe></details>"
         yield "```"
         yield ""
+        yield f"It takes {recording.elapsed_s:.1f} simulated seconds."
+        yield ""
+
+
+def _plan(instance: Instance) -> Iterator[SubTask]:
+    """Return the expert's sub-tasks, as it plans them at the start."""
+    plan = Expert(Scene(instance.scene), instance.goal).plan()
+    if plan is None:
+        raise ValueError(f"The expert has no plan for {instance.key}.")
+    for step in plan.steps:
+        yield step.subtask
 
 
 def _span(limits: list[int]) -> str:
@@ -246,6 +261,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directives."""
     # What makes replays would tell of every one.
     logging.getLogger("websockets").setLevel(logging.WARNING)
+    app.add_config_value("replays", False, "env", types=(bool, int, str))
     app.add_directive("task-facts", TaskFacts)
     app.add_directive("arms", Arms)
     app.add_directive("attacks", Attacks)
