@@ -28,7 +28,8 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import DatasetError
-from lemma.core.workers.pool import ProcessPool, usable_cores
+from lemma.core.workers.pool import ProcessPool
+from lemma.core.workers.resources import usable_cores
 from lemma.evaluation.experiments.catalog import CONTROL_LEVEL, EXPERIMENTS, SEEDS
 from lemma.evaluation.experiments.reproduction import Reproduction
 from lemma.evaluation.lines import lines_at, packed_beside, read_lines

@@ -12,7 +12,8 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-from lemma.core.workers.pool import ProcessPool, usable_cores
+from lemma.core.workers.pool import ProcessPool
+from lemma.core.workers.resources import usable_cores
 from lemma.dataset.lerobot.unpacked import read_unpacked, unpack
 
 FORK = "fork"

@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lemma.bench.machine import describe_machine
-from lemma.core.workers.pool import ProcessPool, peak_memory_mb, usable_cores
+from lemma.core.workers.pool import ProcessPool
+from lemma.core.workers.resources import peak_memory_mb, usable_cores
 from lemma.dataset.instructions import Language
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm

@@ -70,6 +70,15 @@ def test_what_is_not_essential_does_not_fail(
     assert "install it" in capsys.readouterr().out
 
 
+def test_every_extra_is_listed_with_what_it_needs() -> None:
+    extras = PROJECT["project"]["optional-dependencies"]
+    listed = {check.name: check.found for check in checks.run_checks()[-len(extras) :]}
+    for extra in set(extras) - {"dev", "docs"}:
+        for requirement in map(Requirement, extras[extra]):
+            name = requirement.name.replace("_", "-")
+            assert name in listed[f"extra {extra}"].replace("_", "-")
+
+
 def test_versions_are_those_of_the_project() -> None:
     needed = {requirement.name for requirement in DEPENDENCIES}
     assert needed == {"mujoco", *checks.PACKAGES}

@@ -1,3 +1,4 @@
+import io
 import json
 import re
 import subprocess
@@ -10,6 +11,7 @@ import pytest
 from lemma import __version__
 from lemma.cli import main as command
 from lemma.cli.main import VERBS, main
+from lemma.cli.options import messages, output
 from lemma.tasks.suite import SUITE
 
 
@@ -224,3 +226,29 @@ def test_a_misspelled_policy_is_understood_without_torch(
     assert done.returncode == 2
     assert words in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("words", [["tasks"], ["tasks", "--json"], ["show", "–"]])
+def test_a_locale_that_lacks_letters_gets_others(
+    words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    streams = {
+        n: io.TextIOWrapper(io.BytesIO(), "latin-1") for n in ("stdout", "stderr")
+    }
+    for name, stream in streams.items():
+        monkeypatch.setattr(sys, name, stream)
+    assert run(*words) == (2 if "show" in words else 0)
+    for stream in streams.values():
+        stream.flush()
+    text = b"".join(one.buffer.getvalue() for one in streams.values()).decode("latin-1")
+    if "--json" in words:
+        assert json.loads(text)
+    else:
+        assert "?" in text
+
+
+def test_brackets_of_a_path_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    for console in (output(), messages()):
+        console.print("out/[draft] run[/x]", style="bold", soft_wrap=True)
+    printed = capsys.readouterr()
+    assert printed.out == printed.err == "out/[draft] run[/x]\n"

@@ -97,6 +97,31 @@ def test_code_is_kept_until_a_file_changes_that_goes_into_it(copied: Path) -> No
     assert sorted(path.name for path in copied.rglob("*.nb?")) == kept
 
 
+def test_without_a_folder_for_temporary_files_nothing_is_left_anywhere(
+    copied: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    here = tmp_path_factory.mktemp("current")
+    # As on a read-only file system: the current folder is all that can be written to.
+    code = (
+        "import tempfile\n"
+        "tempfile.tempdir = None\n"
+        "tempfile._candidate_tempdir_list = lambda: FOLDERS\n"
+    )
+    for folders in ([str(here)], []):
+        script = f"FOLDERS = {folders}\n{code}{_CALL}"
+        done = subprocess.run(
+            [sys.executable, "-c", script],
+            cwd=here,
+            env=os.environ | {"PYTHONPATH": str(copied.parent)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert json.loads(done.stdout)["value"] == 7.5
+        assert list(here.iterdir()) == []
+
+
 def test_processes_that_start_together_compile_once_and_one_says_so(
     copied: Path,
 ) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from lemma.bench.machine import installed_version
 from lemma.core.errors import LemmaError
+from lemma.core.extras import DISTRIBUTION, extras
 from lemma.core.version import VERSION as __version__
 
 ENGINE = "3.17"
@@ -50,6 +51,7 @@ def run_checks() -> list[Check]:
     checks.append(_attempt("instances", _frozen))
     checks.append(_attempt("compiled code", _cache, essential=False))
     checks.append(_attempt("video encoder", _video, essential=False))
+    checks += [_extra(name, packages) for name, packages in extras().items()]
     return checks
 
 
@@ -80,6 +82,18 @@ def _engine() -> str:
 def _package(name: str) -> Check:
     found = installed_version(name)
     return Check(name, found is not None, found or "missing", _INSTALL)
+
+
+def _extra(name: str, packages: list[str]) -> Check:
+    """Return whether the packages of an extra are there; no part of lemma needs all."""
+    versions = {package: installed_version(package) for package in packages}
+    return Check(
+        f"extra {name}",
+        None not in versions.values(),
+        ", ".join(f"{each} {found or 'missing'}" for each, found in versions.items()),
+        f"python -m pip install '{DISTRIBUTION}[{name}]', if you want it",
+        essential=False,
+    )
 
 
 class _NotWellError(Exception):

@@ -8,7 +8,7 @@ from typing import Any
 
 from lemma.core.errors import RenderingError
 from lemma.core.version import VERSION as __version__
-from lemma.core.workers.pool import usable_cores
+from lemma.core.workers.resources import usable_cores
 from lemma.scene.rendering.gl_backend import choose_backend
 
 

@@ -4,7 +4,8 @@ import statistics
 import time
 from dataclasses import asdict, dataclass
 
-from lemma.core.workers.pool import ProcessPool, peak_memory_mb
+from lemma.core.workers.pool import ProcessPool
+from lemma.core.workers.resources import peak_memory_mb
 from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.instance import Instance

@@ -10,7 +10,8 @@ from dataclasses import asdict, dataclass
 
 from lemma.bench.control import ControlFigures
 from lemma.bench.expert_loop import ExpertLoopFigures
-from lemma.core.workers.pool import ProcessPool, peak_memory_mb, run_in_order
+from lemma.core.workers.pool import ProcessPool, run_in_order
+from lemma.core.workers.resources import peak_memory_mb
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
 from lemma.scene.cameras import CameraImage

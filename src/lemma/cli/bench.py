@@ -30,7 +30,7 @@ from lemma.cli.options import (
     print_json,
 )
 from lemma.core.errors import InvalidConfigError
-from lemma.core.workers.pool import usable_cores
+from lemma.core.workers.resources import usable_cores
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.suite import SUITE, load_instance, task_named
 

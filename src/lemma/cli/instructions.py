@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 from rich.table import Table
+from rich.text import Text
 
 from lemma.cli.options import JsonFlag, TaskName, output, print_json
 from lemma.core.errors import InvalidConfigError
@@ -50,7 +51,7 @@ def instructions(
         return 0
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     for record in records:
-        table.add_row(f"[dim]{record['instance']}[/dim]", record["instruction"])
+        table.add_row(Text(record["instance"], style="dim"), record["instruction"])
     output().print(table)
     return 0
 

@@ -8,8 +8,9 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from lemma.cli.options import complain, output
+from lemma.cli.options import complain, output, replace_what_cannot_be_printed
 from lemma.core.errors import LemmaError, UnknownNameError
+from lemma.core.extras import extra_of
 from lemma.core.plugins import load_plugins, split_names
 from lemma.core.version import VERSION as __version__
 
@@ -55,14 +56,6 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 BAD_INPUT = 2
 """Exit code for what the user can put right; argument errors use it as well."""
-_EXTRAS = {
-    "torch": "learn",
-    "safetensors": "learn",
-    "tensorboard": "learn",
-    "viser": "play",
-    "trimesh": "play",
-}
-"""The extra of this package with which a module comes."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -74,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Raises:
         SystemExit: Always.
     """
+    replace_what_cannot_be_printed()
     words, plugins = split_plugins(sys.argv[1:] if arguments is None else arguments)
     if words == ["--version"]:
         output().print(f"lemma {__version__}")
@@ -168,7 +162,7 @@ def _print_help() -> None:
 
 
 def _about_missing(error: ImportError) -> str:
-    extra = _EXTRAS.get((error.name or "").partition(".")[0])
+    extra = extra_of(error.name or "")
     if extra is None:
         return (
             f"{error}. The installation is incomplete; repair it with: "

@@ -1,5 +1,7 @@
 """What the verbs share: where they print, and how flags look."""
 
+import codecs
+import io
 import json
 import sys
 from pathlib import Path
@@ -46,23 +48,35 @@ Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint=
 
 
 def output() -> Console:
-    """Return the console for results: the standard output."""
-    return Console(highlight=False, emoji=False)
+    """Return the console for results: the standard output.
+
+    Square brackets are text there, as in a path, and no markup.
+    """
+    return Console(markup=False, highlight=False, emoji=False)
 
 
 def messages() -> Console:
     """Return the console for progress and complaints: the error stream."""
-    return Console(stderr=True, highlight=False, emoji=False)
+    return Console(stderr=True, markup=False, highlight=False, emoji=False)
 
 
 def complain(text: str) -> None:
     """Print an error message for people."""
-    messages().print(text, style="bold red", markup=False, soft_wrap=True)
+    messages().print(text, style="bold red", soft_wrap=True)
 
 
 def print_json(document: Any) -> None:
     """Print a document for programs."""
-    sys.stdout.write(json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+    is_utf8 = codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8"
+    text = json.dumps(document, indent=2, ensure_ascii=not is_utf8)
+    sys.stdout.write(f"{text}\n")
+
+
+def replace_what_cannot_be_printed() -> None:
+    """Let both streams print a question mark for letters that their locale lacks."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="replace")
 
 
 def arguments(text: str) -> tuple[tuple[str, Any], ...]:

@@ -58,10 +58,10 @@ def pull(
             "Say what to fetch: lemma pull OWNER/NAME OUT, a dataset; or lemma pull "
             "--weights [NAME ...]."
         )
-    messages().print(f"Fetching {repository} ...", markup=False)
+    messages().print(f"Fetching {repository} ...")
     splits = () if split is None else words(split)
     folder = fetch(repository, out, revision=revision, splits=splits)
-    output().print(f"{folder}", style="bold", markup=False, soft_wrap=True)
+    output().print(f"{folder}", style="bold", soft_wrap=True)
     return 0
 
 
@@ -71,5 +71,5 @@ def _pull_weights(names: tuple[str, ...]) -> int:
 
     for name in names or published_weights():
         path = find_published(name)
-        output().print(f"{name}: {path}", markup=False, soft_wrap=True)
+        output().print(f"{name}: {path}", soft_wrap=True)
     return 0

@@ -20,7 +20,7 @@ def push_to_hub(data: Folder, repository: Repository, private: Flag = False) -> 
         repository: Repository on the Hub; made if there is none.
         private: Make it private, if it is made.
     """
-    messages().print(f"Uploading {data} to {repository} ...", markup=False)
+    messages().print(f"Uploading {data} to {repository} ...")
     address = push(data, repository, private=private)
     output().print(address, style="bold", soft_wrap=True)
     return 0

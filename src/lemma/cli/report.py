@@ -12,7 +12,8 @@ from lemma.cli.options import Flag, Number, Word, complain, output
 from lemma.cli.workers import progress_bar
 from lemma.core.errors import DatasetError, InvalidConfigError, RenderingError
 from lemma.core.files import write_text
-from lemma.core.workers.pool import ProcessPool, usable_cores
+from lemma.core.workers.pool import ProcessPool
+from lemma.core.workers.resources import usable_cores
 from lemma.evaluation.report.episodes import Case, cases_of, spread
 from lemma.evaluation.report.policy_results import (
     PolicyResults,

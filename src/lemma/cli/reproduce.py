@@ -71,7 +71,7 @@ def reproduce(
     experiments = selected(name)
     if print_commands:
         for line in commands(experiments):
-            output().print(line, soft_wrap=True, markup=False)
+            output().print(line, soft_wrap=True)
         return 0
     plan = Reproduction(
         out=out, weights=extent.weights, split=extent.split, episodes=extent.episodes

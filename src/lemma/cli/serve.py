@@ -115,7 +115,7 @@ def _check(url: str, policy_args: str, as_json: Flag) -> int:
         *(f"{name}: {told}" for name, told in shown.items()),
         *(f"WRONG {name}: {text}" for name, text in mistakes.items()),
     ]
-    console.print("\n".join(lines), markup=False, soft_wrap=True)
+    console.print("\n".join(lines), soft_wrap=True)
     if ok:
         console.print("Nothing is wrong with it.", style="green")
     return 0 if ok else 1

@@ -4,6 +4,7 @@ from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
 
 from lemma.cli.options import JsonFlag, output, print_json
 from lemma.scene.objects.entity import STICK
@@ -30,12 +31,14 @@ def tasks(as_json: JsonFlag = False) -> int:
         low, high = record["objects"]
         few, many = record["distractors"]
         table.add_row(
-            f"{record['task']}\n[dim]{record['gym_id']}[/dim]",
+            Text.assemble(record["task"], "\n", (record["gym_id"], "not bold dim")),
             str(record["subtasks"]),
             f"{low}-{high}",
             f"{few}-{many}",
             "used" if record["stick"] else "–",
-            f"{record['summary']}\n[italic dim]{record['high_level']}[/italic dim]",
+            Text.assemble(
+                record["summary"], "\n", (record["high_level"], "italic dim")
+            ),
         )
     output().print(table)
     return 0

@@ -89,7 +89,7 @@ def progress_bar(
         KeyboardInterrupt: With what to say.
     """
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         _Rate(),

@@ -37,6 +37,7 @@ NOTICE = (
 """Goes to the error stream before the first compilation."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]
+_TEMPORARY = ("/tmp", "/var/tmp", "/usr/tmp")
 _PATIENCE_S = 120.0
 """How long to wait for another process that compiles; all kernels take a quarter."""
 
@@ -97,7 +98,7 @@ class _KernelCache(FunctionCache):
         if found is None and _acquire():
             found = super().load_overload(sig, target_context)
             if found is not None:
-                _lock().release()
+                _release()
         # A kernel that is known for other types takes a second, not worth a word.
         if found is None and not self._cache_file._load_index():
             _announce()
@@ -108,7 +109,7 @@ class _KernelCache(FunctionCache):
         try:
             super().save_overload(sig, data)
         finally:
-            _lock().release()
+            _release()
 
 
 class _NoCache(NullCache):
@@ -139,29 +140,49 @@ def _shared_sources() -> bytes:
 
 
 @cache
-def _lock() -> FileLock:
-    """Return the lock of whoever compiles this package's kernels on this machine."""
+def _lock() -> FileLock | None:
+    """Return the lock of the processes that compile this package's kernels here.
+
+    None where there is no folder for temporary files: Python then takes the current
+    folder, where a user does not expect files of ours.
+    """
+    named = {os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP")}
+    try:
+        folder = tempfile.gettempdir()
+        if folder == str(Path.cwd()) and folder not in named | set(_TEMPORARY):
+            return None
+    except OSError:
+        return None
     user = getattr(os, "getuid", int)()
     place = hashlib.sha256(f"{user} {_PACKAGE}".encode()).hexdigest()[:16]
-    return FileLock(Path(tempfile.gettempdir()) / f"lemma-kernels-{place}.lock")
+    return FileLock(Path(folder) / f"lemma-kernels-{place}.lock")
 
 
 def _acquire() -> bool:
-    try:
-        _lock().acquire(timeout=_PATIENCE_S)
-    except (Timeout, OSError):
-        # Compiling twice is slow, and does no harm.
-        return False
-    return True
+    lock = _lock()
+    # Without a lock, two processes may compile the same: slow, and harmless.
+    with contextlib.suppress(Timeout, OSError, NotImplementedError):
+        if lock is not None:
+            lock.acquire(timeout=_PATIENCE_S)
+            return True
+    return False
+
+
+def _release() -> None:
+    lock = _lock()
+    if lock is not None:
+        lock.release()
 
 
 @cache
 def _announce() -> None:
-    """Say what takes so long, unless another process has just said it."""
-    said = Path(_lock().lock_file).with_suffix(".said")
-    with contextlib.suppress(OSError):
-        if time.time() - said.stat().st_mtime < _PATIENCE_S:
-            return
-    with contextlib.suppress(OSError):
-        said.touch()
+    """Print what takes so long, unless another process has just printed it."""
+    lock = _lock()
+    if lock is not None:
+        said = Path(lock.lock_file).with_suffix(".said")
+        with contextlib.suppress(OSError):
+            if time.time() - said.stat().st_mtime < _PATIENCE_S:
+                return
+        with contextlib.suppress(OSError):
+            said.touch()
     sys.stderr.write(NOTICE)

@@ -13,16 +13,9 @@ import in_process
 import pytest
 
 from lemma.core.errors import DatasetError, InvalidConfigError, WorkerError
-from lemma.core.workers.pool import (
-    Engine,
-    Job,
-    ProcessPool,
-    peak_memory_mb,
-    report,
-    run_in_order,
-    usable_cores,
-)
+from lemma.core.workers.pool import Engine, Job, ProcessPool, report, run_in_order
 from lemma.core.workers.ray_cluster import RayCluster
+from lemma.core.workers.resources import peak_memory_mb, usable_cores
 from lemma.core.workers.serial import Serial
 
 

@@ -8,7 +8,6 @@ cluster does the same for many machines, see :mod:`lemma.core.workers.ray_cluste
 import atexit
 import os
 import pickle
-import sys
 import threading
 import traceback
 from collections import deque
@@ -17,12 +16,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
 from typing import Any, Protocol
 
 from lemma.core.errors import InvalidConfigError, WorkerError
 from lemma.core.plugins import load_plugins
 from lemma.core.workers.interrupts import interrupts_held
+from lemma.core.workers.resources import usable_cores
 
 Job = tuple[Any, ...]
 """Arguments of one call."""
@@ -35,27 +34,6 @@ _WORKER = "LEMMA_WORKER"
 """Environment variable that is set in worker processes."""
 _END_S = 2.0
 """How long a worker that has nothing left to do may take to end [s]."""
-
-
-def usable_cores() -> int:
-    """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def peak_memory_mb() -> float:
-    """Return the most memory that this process ever held [MB]."""
-    try:
-        # Unlike getrusage, this does not count the process that started this one.
-        status = Path("/proc/self/status").read_text()
-        return int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6
-    except (OSError, IndexError, ValueError):
-        import resource  # noqa: PLC0415 - not on every system
-
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        # Bytes on macOS, kilobytes elsewhere.
-        return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 
 
 class Engine(Protocol):

@@ -17,7 +17,8 @@ import pyarrow as pa
 
 from lemma.core.errors import DatasetError, InvalidConfigError, SamplingError
 from lemma.core.files import clear_drafts, only_writer, read_json, sha256_of, write_json
-from lemma.core.workers.pool import Engine, peak_memory_mb
+from lemma.core.workers.pool import Engine
+from lemma.core.workers.resources import peak_memory_mb
 from lemma.dataset.files import (
     MANIFEST,
     check_free,

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from lemma.core.engine import mujoco
 from lemma.core.errors import RenderingError
-from lemma.core.workers.pool import is_worker, usable_cores
+from lemma.core.workers.pool import is_worker
+from lemma.core.workers.resources import usable_cores
 from lemma.scene.rendering.gl_backend import Backend, choose_backend, forget_backend
 
 logger = logging.getLogger(__name__)

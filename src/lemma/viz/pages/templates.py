@@ -68,5 +68,7 @@ def _environment() -> Environment:
     made.policies["json.dumps_kwargs"] = {"sort_keys": False, "ensure_ascii": False}
     made.filters["inline"] = inline
     made.filters["data_uri"] = lambda content, kind: data_uri(kind, content)
-    made.globals["file"] = lambda name: Markup((files(__package__) / name).read_text())
+    made.globals["file"] = lambda name: Markup(
+        (files(__package__) / name).read_text("utf-8")
+    )
     return made

@@ -1,0 +1,36 @@
+"""Optional packages, and the extra of this package that each comes with."""
+
+import re
+from importlib.metadata import PackageNotFoundError, requires
+
+DISTRIBUTION = "lemma-bench"
+DEVELOPMENT = ("dev", "docs")
+"""Extras for those who work on this package."""
+_OPTIONAL = re.compile(r"([\w.-]+).*\bextra == ['\"]([\w-]+)['\"]")
+
+
+def extras() -> dict[str, list[str]]:
+    """Return the optional packages of every extra that users may want."""
+    found: dict[str, list[str]] = {}
+    try:
+        lines = requires(DISTRIBUTION) or []
+    except PackageNotFoundError:
+        return found
+    for match in filter(None, map(_OPTIONAL.match, lines)):
+        package, extra = match.groups()
+        if extra not in DEVELOPMENT:
+            found.setdefault(extra, []).append(package)
+    return found
+
+
+def extra_of(module: str) -> str | None:
+    """Return the extra that a module comes with; None if it comes with none.
+
+    Args:
+        module: Its full name.
+    """
+    package = module.partition(".")[0].replace("_", "-")
+    for extra, packages in extras().items():
+        if package in [name.replace("_", "-") for name in packages]:
+            return extra
+    return None
