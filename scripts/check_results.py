@@ -35,7 +35,7 @@ from lemma.evaluation.experiments.reproduction import Reproduction
 from lemma.evaluation.lines import lines_at, packed_beside, read_lines
 from lemma.evaluation.records import PACKED, Row, key_of, read_about
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
-from lemma.policies.spec import PolicySpec
+from lemma.policies.spec import PolicySpec, parts_of
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
@@ -93,7 +93,7 @@ def order_of(name: str, path: Path, out: Path, episodes: int) -> EvaluationConfi
 def policy_of(path: Path) -> PolicySpec:
     """Return the policy of an entry, with the weights that ship."""
     told = read_about(path)["policy"]
-    parts = [Path(part).name for part in told["name"].split("+")]
+    parts = [Path(part).name for part in parts_of(told["name"])]
     return PolicySpec("+".join(parts), told["planning"], told["gta"])
 
 

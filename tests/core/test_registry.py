@@ -1,14 +1,23 @@
 """Registries keep names apart, in order, and answer to typing errors."""
 
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
 import pytest
 
+import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.core.registry import Registry
+from lemma.core.registry import Registry, fits
 
 
 @pytest.fixture
 def colors() -> Registry[int]:
-    registry: Registry[int] = Registry("color")
+    registry: Registry[int] = Registry("color", int)
     for name, value in (("red", 1), ("white", 2), ("blue", 3)):
         registry.add(name, value)
     return registry
@@ -16,7 +25,7 @@ def colors() -> Registry[int]:
 
 def test_add_returns_the_record() -> None:
     record = object()
-    registry: Registry[object] = Registry("thing")
+    registry: Registry[object] = Registry("thing", object)
     assert registry.add("a", record) is record
     assert registry["a"] is record
 
@@ -59,14 +68,14 @@ def test_a_record_has_one_name() -> None:
         name = "a"
 
     with pytest.raises(InvalidConfigError, match="'a' cannot be added as 'b'"):
-        Registry[Named]("thing").add("b", Named())
+        Registry[Named]("thing", Named).add("b", Named())
 
 
 def test_what_is_refused_on_the_way_in_is_not_kept() -> None:
     def refuse(name: str, record: int) -> None:
         raise InvalidConfigError("no")
 
-    registry: Registry[int] = Registry("thing", on_add=refuse)
+    registry: Registry[int] = Registry("thing", int, on_add=refuse)
     with pytest.raises(InvalidConfigError, match="no"):
         registry.add("a", 1)
     assert "a" not in registry
@@ -103,4 +112,101 @@ def test_what_is_no_name_is_refused_like_one(
 
 def test_an_empty_registry_says_so() -> None:
     with pytest.raises(UnknownNameError, match=r"Valid: \(none\)"):
-        Registry[int]("thing")["a"]
+        Registry[int]("thing", int)["a"]
+
+
+def all_registries() -> list[tuple[str, Registry[Any]]]:
+    """Return every registry of the package that a module has a name for."""
+    root = Path(lemma.__file__).parent
+    found = []
+    for path in sorted(root.rglob("*.py")):
+        for name in re.findall(r"^([A-Z_]+): Registry\[", path.read_text(), re.M):
+            module = ".".join(path.relative_to(root.parent).with_suffix("").parts)
+            found.append((name, getattr(import_module(module), name)))
+    return found
+
+
+REGISTRIES = all_registries()
+
+
+@pytest.mark.parametrize(
+    "registry", [one for _, one in REGISTRIES], ids=[name for name, _ in REGISTRIES]
+)
+class TestEveryRegistry:
+    """One contract: a record is checked when it is added, or it is not kept."""
+
+    @pytest.mark.parametrize(
+        "record", ["panda.xml", 3, {}, object(), [], lambda *, key: None]
+    )
+    def test_a_record_of_another_type_is_refused(
+        self, registry: Registry[Any], record: object
+    ) -> None:
+        with pytest.raises(InvalidConfigError, match="cannot be registered") as caught:
+            registry.add("panda", record)
+        assert "\n" not in str(caught.value)
+        assert "panda" not in registry
+
+    @pytest.mark.parametrize("name", ["", "a b", "a,b", "a+b", "llm:a", "/a", 3, None])
+    def test_what_no_command_line_could_name_is_refused(
+        self, registry: Registry[Any], name: Any
+    ) -> None:
+        first = next(iter(registry), None)
+        if first is None:
+            return
+        record = registry[first]
+        with pytest.raises(InvalidConfigError, match="name of a"):
+            registry.add(name, record)
+        assert name not in registry
+
+    def test_what_is_registered_would_be_again(self, registry: Registry[Any]) -> None:
+        for name in registry:
+            registry._check(name, registry[name])
+
+
+def test_all_registries_are_found() -> None:
+    names = {name for name, _ in REGISTRIES}
+    assert names >= {"ARMS", "OBJECT_KINDS", "TASKS", "PRIMITIVES", "MODELS", "ATTACKS"}
+    assert len(REGISTRIES) >= 16
+
+
+def test_fields_of_a_record_have_their_types() -> None:
+    @dataclass
+    class Thing:
+        size: tuple[float, ...]
+        make: Callable[[int, int], object]
+
+    things: Registry[Thing] = Registry("thing", Thing)
+    things.add("a", Thing((1.0, 2), lambda x, y: None))
+    with pytest.raises(InvalidConfigError, match=r"'b'.*: size is 'large'.*float"):
+        things.add("b", Thing("large", lambda x, y: None))  # type: ignore[arg-type]
+    with pytest.raises(InvalidConfigError, match=r"make is .* 2 arguments"):
+        things.add("b", Thing((), lambda x: None))  # type: ignore[arg-type,misc]
+
+
+@pytest.mark.parametrize(
+    ("value", "hint", "expected"),
+    [
+        (None, float | None, True),
+        (np.float32(1.0), float, True),
+        (True, int, False),
+        (True, bool, True),
+        (1, float, True),
+        (1.0, int, False),
+        ([1.0, 2.0], tuple[float, float], True),
+        ((1.0,), tuple[float, float], False),
+        ((), tuple[float, ...], True),
+        ("b", Literal["a", "b"], True),
+        ("c", Literal["a", "b"], False),
+        (bool, type[int], True),
+        (str, type[int], False),
+        (7, type[Any], False),
+        ({}, Mapping[str, int], True),
+        (print, Callable[[int], None], True),
+        (len, Callable[[], int], False),
+        (len, Callable[..., int], True),
+        (3, Any, True),
+        (3, "NotImportedHere", True),
+    ],
+)
+def test_a_value_fits_a_type(value: object, hint: Any, expected: bool) -> None:
+    assert fits(value, hint) is expected

@@ -61,7 +61,7 @@ def test_an_unknown_primitive_is_refused_where_it_is_named() -> None:
     ("wrong", "message"),
     [
         ({"skill": None}, "has no skill"),
-        ({"name": "Push It"}, "cannot name a primitive"),
+        ({"name": "Push It"}, "name of a primitive cannot be"),
         ({"phrase": "{robot}: push {what}"}, r"Its slots are \{robot\}"),
     ],
 )

@@ -9,6 +9,8 @@ from safetensors.torch import load_file, save_file
 
 import publish_weights as publish
 from lemma.core.errors import DatasetError, WeightsError
+from lemma.core.files import sha256_of
+from lemma.evaluation.records import training_seed
 from lemma.evaluation.run.loading import weights_of
 from lemma.policies import weights
 from lemma.policies.control.checkpoint_file import (
@@ -121,6 +123,22 @@ def test_it_is_found_by_its_name(published: Path) -> None:
     told = weights_of(PolicySpec("lerobot:moves"))["act"]
     listed = weights.published_weights()["moves"]
     assert (told["sha256"], told["seed"]) == (listed["sha256"], SEED)
+
+
+def test_a_checkpoint_may_not_say_what_trained_it(checkpoint: Path) -> None:
+    """As ``save_pretrained`` writes it, without ``train_config.json``."""
+    policy = PolicySpec(f"lerobot:{checkpoint}")
+    assert weights_of(policy)["act"]["seed"] == SEED
+    (checkpoint / TRAINING).unlink()
+    told = weights_of(policy)
+    assert told == {"act": {"sha256": sha256_of(checkpoint / MODEL)}}
+    assert training_seed(told) == 0
+    (checkpoint / CONFIG).write_text('{"device": "cpu"}')
+    with pytest.raises(WeightsError, match=r"no whole checkpoint of LeRobot.*'type'"):
+        weights_of(policy)
+    (checkpoint / CONFIG).unlink()
+    with pytest.raises(WeightsError, match=r"no whole checkpoint of LeRobot"):
+        weights_of(policy)
 
 
 def test_other_kinds_of_weights_are_told_apart(tmp_path: Path, published: Path) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.env.view import View
+from lemma.evaluation.run.loading import learned_parts
 from lemma.policies.compose import MultiStep, PlannerWithGrounder
 from lemma.policies.interfaces import (
     Grounder,
@@ -17,7 +19,7 @@ from lemma.policies.interfaces import (
     Policy,
     PolicyInput,
 )
-from lemma.policies.spec import PolicySpec
+from lemma.policies.spec import PolicySpec, parts_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 MOVE = SubTask("robot_0", Primitive.MOVE, "red_cube", "blue_pad")
@@ -124,3 +126,38 @@ def test_specification_refuses_what_is_no_policy() -> None:
         PolicySpec("collections:Counter+oracle").load()
     with pytest.raises(InvalidConfigError, match="no ground"):
         PolicySpec("oracle+collections:Counter").load()
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("reachnet", ["reachnet"]),
+        ("episodic-transformer+cliport", ["episodic-transformer", "cliport"]),
+        ("runs/mine+cliport", ["runs/mine", "cliport"]),
+        ("runs/a/et+runs/a/cliport", ["runs/a/et", "runs/a/cliport"]),
+        ("/none/et+/none/cliport", ["/none/et", "/none/cliport"]),
+        ("nonsense+cliport", ["nonsense", "cliport"]),
+        ("cliport+nonsense", ["cliport", "nonsense"]),
+        ("no+sense", ["no", "sense"]),
+        ("/none/c++/weights.safetensors", ["/none/c++/weights.safetensors"]),
+        ("{here}/c++/w", ["{here}/c++/w"]),
+        ("{here}/c++/w+cliport", ["{here}/c++/w", "cliport"]),
+        ("{here}/c++/w+{here}/c++/w", ["{here}/c++/w", "{here}/c++/w"]),
+        ("lerobot:/data/a+b", ["lerobot:/data/a+b"]),
+        ("llm:gpt-x", ["llm:gpt-x"]),
+        ("llm:gpt-x+search", ["llm:gpt-x+search"]),
+        ("llm:gpt-x+search+cliport", ["llm:gpt-x+search", "cliport"]),
+        ("llm:a:7b+oracle", ["llm:a:7b", "oracle"]),
+        ("my.module:Class+oracle", ["my.module:Class", "oracle"]),
+        ("http://127.0.0.1:80+my:Class", ["http://127.0.0.1:80", "my:Class"]),
+    ],
+)
+def test_a_plus_sign_joins_planner_and_grounder_alone(
+    tmp_path: Path, name: str, parts: list[str]
+) -> None:
+    (tmp_path / "c++").mkdir()
+    (tmp_path / "c++/w").touch()
+    wanted = tuple(part.format(here=tmp_path) for part in parts)
+    assert parts_of(name.format(here=tmp_path)) == wanted
+    # So it is for what evaluates them, too.
+    assert set(learned_parts(name.format(here=tmp_path))) <= set(wanted)

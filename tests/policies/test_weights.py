@@ -223,6 +223,13 @@ def test_sizes_that_no_file_holds_take_no_memory(tmp_path: Path, name: str) -> N
         load_weights(hostile(tmp_path, {**PLAIN, "model": name, "options": large}))
 
 
+def test_layers_that_no_file_holds_take_no_time(tmp_path: Path) -> None:
+    about = {**PLAIN, "model": "reachnet"}
+    about["options"] = {"planner": {"layers": 64}, "reader": {"layers": 64}}
+    with pytest.raises(WeightsError, match=r"more than .* weights, and it has"):
+        load_weights(hostile(tmp_path, about))
+
+
 def test_heads_that_cannot_share_a_width_are_refused(tmp_path: Path) -> None:
     # All tensors have the shapes that they would have with other heads.
     for name, options in (

@@ -73,5 +73,5 @@ class Attack:
         whole("attempts", self.attempts, 1)
 
 
-ATTACKS: Registry[Attack] = Registry("attack")
+ATTACKS: Registry[Attack] = Registry("attack", Attack)
 """Every attack by name; the audit makes all of them."""

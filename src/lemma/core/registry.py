@@ -1,29 +1,46 @@
-"""Named records that tasks, arms, kinds and policies are looked up in."""
+"""Named records that tasks, arms, kinds and policies are looked up in.
 
+A record is checked when it is added: its name, its type, the types of its fields if it
+is a dataclass, and what its registry asks for besides.
+"""
+
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
+from dataclasses import fields, is_dataclass
+from inspect import signature
+from numbers import Integral, Real
+from types import NoneType, UnionType
+from typing import Any, Generic, Literal, TypeVar, Union, get_args, get_origin
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 
 T = TypeVar("T")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+"""Names stand in command lines, in lists with commas and in file names."""
 
 
 class Registry(Generic[T]):
     """Named records in the order in which they were added."""
 
     def __init__(
-        self, kind: str, on_add: Callable[[str, T], None] | None = None
+        self,
+        kind: str,
+        record_type: Any,
+        on_add: Callable[[str, T], None] | None = None,
     ) -> None:
         """Create an empty registry.
 
         Args:
             kind: What the records are, as a noun for error messages.
-            on_add: Called with every name and record before it is kept; what it raises
+            record_type: Type of the records, as in an annotation: a class, or
+                ``Callable[[int, int], Renderer]``.
+            on_add: Called with every name and record before it is kept; an exception
                 refuses the record.
         """
         self._kind = kind
+        self._type = record_type
         self._on_add = on_add
         self._records: dict[str, T] = {}
         self._added_by: dict[str, str] = {}
@@ -40,8 +57,10 @@ class Registry(Generic[T]):
             replace: Replace a record of another module, without a warning.
 
         Raises:
-            InvalidConfigError: The name is taken, or is not the record's own.
+            InvalidConfigError: The name is taken, is not the record's own or cannot be
+                a name, or the record is of another type.
         """
+        self._check(name, record)
         own = getattr(record, "name", name)
         if own != name:
             raise InvalidConfigError(
@@ -63,6 +82,25 @@ class Registry(Generic[T]):
         self._records[name] = record
         self._added_by[name] = module
         return record
+
+    def _check(self, name: object, record: object) -> None:
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise InvalidConfigError(
+                f"The name of a {self._kind} cannot be {shown(name)}. Use letters, "
+                "digits, underscores and hyphens."
+            )
+        wrong = [] if fits(record, self._type) else [("the record", record, self._type)]
+        if not wrong and is_dataclass(record) and not isinstance(record, type):
+            wrong = [
+                (field.name, value, field.type)
+                for field in fields(record)
+                if not fits(value := getattr(record, field.name), field.type)
+            ]
+        for part, value, hint in wrong:
+            raise InvalidConfigError(
+                f"The {self._kind} {name!r} cannot be registered: {part} is "
+                f"{shown(value)}, and must be {_described(hint)}."
+            )
 
     def __getitem__(self, name: str) -> T:
         """Return the record called ``name``.
@@ -86,3 +124,62 @@ class Registry(Generic[T]):
     def __len__(self) -> int:
         """Return the number of records."""
         return len(self._records)
+
+
+def takes(function: object, count: int) -> bool:
+    """Whether something can be called with so many arguments by position."""
+    if not callable(function):
+        return False
+    try:
+        signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:
+        return True  # some built-in functions do not say what they take
+    return True
+
+
+def fits(value: object, hint: Any) -> bool:
+    """Whether a value is of an annotated type, as far as that can be seen.
+
+    Args:
+        value: Anything; lists stand for tuples, and NumPy's numbers for Python's.
+        hint: A class, or a generic type, a union or a ``Literal`` of some.
+    """
+    origin, args = get_origin(hint), get_args(hint)
+    if hint is Any:
+        return True
+    if hint is None or hint is NoneType:
+        return value is None
+    if origin in (Union, UnionType):
+        return any(fits(value, each) for each in args)
+    if origin is Literal:
+        return value in args
+    if origin is Callable:
+        known = bool(args) and isinstance(args[0], list)
+        return takes(value, len(args[0])) if known else callable(value)
+    if origin is type:
+        named = args[0] is not Any and isinstance(args[0], type)
+        return isinstance(value, type) and (not named or issubclass(value, args[0]))
+    if origin is tuple:
+        return _fits_tuple(value, args)
+    if hint in (int, float):
+        kind = Integral if hint is int else Real
+        return isinstance(value, kind) and not isinstance(value, bool)
+    kind = origin or hint
+    return not isinstance(kind, type) or isinstance(value, kind)
+
+
+def _fits_tuple(value: object, args: tuple[Any, ...]) -> bool:
+    if not isinstance(value, tuple | list):
+        return False
+    hints = args[:1] * len(value) if args[-1] is ... else args
+    return len(value) == len(hints) and all(map(fits, value, hints))
+
+
+def _described(hint: Any) -> str:
+    if get_origin(hint) is Callable and get_args(hint):
+        count = len(get_args(hint)[0])
+        return f"callable with {count} argument{'s' * (count != 1)}"
+    name = hint.__name__ if isinstance(hint, type) else str(hint)
+    return re.sub(r"\b[a-z_]+(\.[a-z_]+)*\.(?=\w)", "", name)

@@ -55,7 +55,7 @@ class Contents:
         return self.rgb or self.depth or self.topdown
 
 
-OBSERVATIONS: Registry[Contents] = Registry("observation")
+OBSERVATIONS: Registry[Contents] = Registry("observation", Contents)
 """The modes of observation, by name."""
 OBSERVATIONS.add("state", Contents())
 OBSERVATIONS.add("rgb", Contents(rgb=True))

@@ -24,6 +24,7 @@ from lemma.policies.spec import (
     PLANNINGS,
     GivenPolicy,
     PolicySpec,
+    parts_of,
 )
 from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
@@ -175,7 +176,7 @@ def named_at(policy: str, level: str) -> str:
         InvalidConfigError: It decides at the other one.
     """
     if level == LEVELS[0]:
-        if "+" in policy:
+        if len(parts_of(policy)) > 1:
             raise InvalidConfigError(
                 f"{policy} has a grounder, so it decides with poses. Name the planner "
                 'alone, or take level="skill".'

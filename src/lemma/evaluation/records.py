@@ -227,7 +227,7 @@ def place_of(row: Row) -> tuple[Any, ...]:
 
 
 def training_seed(weights: Mapping[str, Mapping[str, Any]]) -> int:
-    """Return the seed that a policy was trained with; 0 without weights.
+    """Return the seed that a policy was trained with; 0 if none is known.
 
     Args:
         weights: By name of the model, as in ``about.json``.
@@ -235,9 +235,10 @@ def training_seed(weights: Mapping[str, Mapping[str, Any]]) -> int:
     Raises:
         DatasetError: Its parts were trained with different seeds.
     """
-    seeds = {entry["seed"] for entry in weights.values()}
+    known = {name: told["seed"] for name, told in weights.items() if "seed" in told}
+    seeds = set(known.values())
     if len(seeds) > 1:
-        told = ", ".join(f"{name}: {entry['seed']}" for name, entry in weights.items())
+        told = ", ".join(f"{name}: {seed}" for name, seed in known.items())
         raise DatasetError(
             f"The parts of the policy were trained with different seeds ({told}), so "
             "its result belongs to none of them. Take parts of the same seed."

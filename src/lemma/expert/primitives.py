@@ -96,7 +96,9 @@ def _share(name: str, spec: PrimitiveSpec) -> None:
     SKILLS.add(name, spec.skill, replace=True)
 
 
-PRIMITIVES: Registry[PrimitiveSpec] = Registry("primitive", on_add=_share)
+PRIMITIVES: Registry[PrimitiveSpec] = Registry(
+    "primitive", PrimitiveSpec, on_add=_share
+)
 """Every primitive, in the order of their numbers."""
 
 

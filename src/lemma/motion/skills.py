@@ -212,7 +212,7 @@ def _grasp_of(entity: str) -> Grasp:
 SkillMotion = Callable[[SkillRunner, ArmMotion, GroundedSubTask], Motion]
 """Carries out a grounded sub-task; raises :class:`SkillFailure` where it cannot."""
 
-SKILLS: Registry[SkillMotion] = Registry("skill")
+SKILLS: Registry[SkillMotion] = Registry("skill", SkillMotion)
 """How each primitive is carried out; ``stop`` needs no motion."""
 SKILLS.add(Primitive.MOVE, SkillRunner.move)
 SKILLS.add(Primitive.PREHOOK, SkillRunner.prepare)

@@ -1,10 +1,12 @@
 """What every model that is trained has in common, and the table of all models."""
 
 from abc import ABC, abstractmethod
+from dataclasses import is_dataclass
 from typing import Any, ClassVar, Literal
 
 from torch import Tensor, nn
 
+from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
 from lemma.policies.batch import Batch
 from lemma.policies.entities import EntitySet
@@ -52,5 +54,25 @@ class Model(nn.Module, ABC):
         """
 
 
-MODELS: Registry[tuple[type[Any], type[Any]]] = Registry("model")
+def _check_model(name: str, record: tuple[type[Any], type[Any]]) -> None:
+    """Check what no type says: that the options are a dataclass with defaults.
+
+    Raises:
+        InvalidConfigError: They are not.
+    """
+    try:
+        if is_dataclass(record[1]()):
+            return
+        reason = "no dataclass"
+    except Exception as error:
+        reason = f"not to be made without arguments ({error})"
+    raise InvalidConfigError(
+        f"The model {name!r} cannot be registered: {record[1].__name__}, the type of "
+        f"its options, is {reason}. Use a dataclass whose fields have defaults."
+    )
+
+
+MODELS: Registry[tuple[type[Any], type[Any]]] = Registry(
+    "model", tuple[type[Model], type[Any]], on_add=_check_model
+)
 """Models by the name that ``lemma train`` knows, each with its type of options."""

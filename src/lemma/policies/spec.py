@@ -1,12 +1,14 @@
 """Policies by name: what ``--policy`` takes."""
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
-from inspect import signature
+from pathlib import Path
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.registry import takes
 from lemma.policies.class_path import checkpoint_of, class_of, instance_of, privileged
 from lemma.policies.compose import (
     MultiStep,
@@ -32,6 +34,7 @@ from lemma.policies.oracle import (
 )
 from lemma.policies.planners.options import ChatOptions
 from lemma.policies.planners.registry import asks_model, is_planner, make_planner
+from lemma.policies.weights import load_model, published_weights
 
 ORACLE = "oracle"
 FOREVER_S = 1e6
@@ -40,6 +43,48 @@ PLANNINGS = ("single-step", "multi-step")
 LEVELS = ("plan", "skill", "control")
 """What a policy decides: sub-tasks in symbols, or with poses, or motor commands."""
 CONTROL = LEVELS[2]
+_CLASS = re.compile(r"[\w.]+:[^\W\d][\w.<>]*")
+"""``package.module:Class``, also of a class within a function."""
+
+
+def parts_of(name: str) -> tuple[str, ...]:
+    """Return a policy's name, or the names of its planner and its grounder.
+
+    They are joined by a plus sign. A path, or the name of a language model, may have
+    one of its own, so the name is parted where both sides are known; else where one
+    side is; else where a single plus sign stands. What exists as a path, a checkpoint
+    of LeRobot, and the name of a language model before anything unknown, stay whole.
+
+    Args:
+        name: As ``--policy`` takes it.
+    """
+    if "+" not in name or checkpoint_of(name) is not None or Path(name).exists():
+        return (name,)
+    places = [place for place, letter in enumerate(name) if letter == "+"]
+    parted = [(name[:place], name[place + 1 :]) for place in reversed(places)]
+    known = [(_is_known(first), _is_known(second)) for first, second in parted]
+    if (True, True) in known:
+        return parted[known.index((True, True))]
+    if is_planner(name) and ":" in name:
+        return (name,)
+    for one in ((False, True), (True, False)):
+        if one in known:
+            return parted[known.index(one)]
+    # What is not on this machine: two plus signs in a row are of one name.
+    plain = [both for both in parted if both[0][-1:] != "+" and both[1][:1] != "+"]
+    return (plain or [(name,)])[0]
+
+
+def _is_known(part: str) -> bool:
+    """Whether a part of a name means something, as far as that is seen by its form."""
+    return (
+        part == ORACLE
+        or is_planner(part)
+        or part in published_weights()
+        or _CLASS.fullmatch(part) is not None
+        or ("://" in part and "+" not in part)
+        or (part != "" and Path(part).exists())
+    )
 
 
 @dataclass(frozen=True)
@@ -109,7 +154,7 @@ class PolicySpec:
         own = is_model_server(self.name) or (
             ":" in self.name and "://" not in self.name
         )
-        if is_model_server(self.name) and "+" in self.name:
+        if is_model_server(self.name) and len(self.parts) > 1:
             raise InvalidConfigError(
                 f"{self.name} answers motor commands, so there is nothing to combine "
                 "it with, nor another level. Name the address alone."
@@ -153,9 +198,9 @@ class PolicySpec:
         return make_planner(part, self.chat, self.timeout_s or FOREVER_S)
 
     @property
-    def parts(self) -> list[str]:
+    def parts(self) -> tuple[str, ...]:
         """Names of the policy, or of the planner and the grounder."""
-        return self.name.split("+")
+        return parts_of(self.name)
 
     @property
     def blind(self) -> bool:
@@ -173,7 +218,7 @@ class PolicySpec:
     def oracle(self) -> bool:
         """Whether some part of it is given the truth: results say so."""
         # A planner alone is given the expert's poses.
-        alone = "+" not in self.name and self._is_planner(self.name)
+        alone = len(self.parts) == 1 and self._is_planner(self.name)
         return self.gta or alone or any(map(self._is_oracle, self.parts))
 
     def _is_oracle(self, part: str) -> bool:
@@ -205,10 +250,11 @@ class PolicySpec:
         load = load or partial(load_part, arguments=dict(self.arguments))
         if self.controls:
             return self._controller(load)
-        first, plus, second = self.name.partition("+")
+        first, *more = self.parts
+        second = more[0] if more else ""
         if self._is_planner(first):
             return self._with_planner(first, second or ORACLE, load)
-        if not plus:
+        if not more:
             whole = load(first)
             if has_options(whole):
                 raise InvalidConfigError(f"{self.name} {IS_CONTROL}")
@@ -366,16 +412,7 @@ def _can(part: Any, interface: type[Any]) -> bool:
     ``isinstance`` looks at names alone: agents of other libraries have an ``act`` too.
     """
     verb, arguments = _VERBS[interface]
-    method = getattr(part, verb, None)
-    if not callable(method):
-        return False
-    try:
-        signature(method).bind(*range(arguments))
-    except TypeError:
-        return False
-    except ValueError:  # of a function that does not say what it takes
-        return True
-    return True
+    return takes(getattr(part, verb, None), arguments)
 
 
 def load_part(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
@@ -392,7 +429,4 @@ def load_part(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
         return None
     if ":" in name:
         return instance_of(name, arguments)
-    # torch is an extra, which the oracle and other people's policies do without.
-    from lemma.policies.weights import load_model  # noqa: PLC0415
-
     return load_model(name)

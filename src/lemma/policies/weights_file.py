@@ -5,7 +5,8 @@ metadata are JSON beside them. A file may come from anybody: nothing in it is ex
 and all of it is checked before memory is taken for it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +16,10 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
+from torch.nn.modules.module import (
+    Module,
+    register_module_parameter_registration_hook,
+)
 from torch.overrides import TorchFunctionMode
 
 from lemma.core.errors import LemmaError, WeightsError
@@ -179,10 +184,10 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
             f"{LEROBOT!r} before its name."
         )
     try:
-        # First a model that takes no memory: sizes may be anything.
-        with torch.device("meta"), _Unfilled():
-            wanted = make_model(metadata.model, metadata.options).state_dict()
         with safe_open(path, "pt") as file:
+            # First a model that takes no memory: sizes may be anything.
+            with torch.device("meta"), _Unfilled(), _at_most(len(file.keys())):
+                wanted = make_model(metadata.model, metadata.options).state_dict()
             _check_shapes(path, metadata, file, wanted)
             with _Unfilled():
                 model = make_model(metadata.model, metadata.options)
@@ -225,6 +230,36 @@ class _Unfilled(TorchFunctionMode):
         if getattr(func, "__module__", "") == "torch.nn.init":
             return given["tensor"] if "tensor" in given else args[0]
         return func(*args, **given)
+
+
+@contextmanager
+def _at_most(tensors: int) -> Iterator[None]:
+    """Refuse to make a model with far more weights than a file has tensors.
+
+    Options may ask for a million layers, which would take minutes even without memory.
+
+    Args:
+        tensors: In the file.
+
+    Raises:
+        ValueError: There are far more weights; some may be made twice.
+    """
+    made = 0
+
+    def count(module: Module, name: str, weight: object) -> None:
+        nonlocal made
+        made += 1
+        if made > 4 * tensors + 1000:
+            raise ValueError(
+                f"its options are of a model with more than {made} weights, and it has "
+                f"{tensors} of them"
+            )
+
+    handle = register_module_parameter_registration_hook(count)
+    try:
+        yield
+    finally:
+        handle.remove()
 
 
 def _check_shapes(

@@ -29,7 +29,7 @@ def _check(name: str, rgba: Rgba) -> None:
         )
 
 
-OBJECT_COLORS: Registry[Rgba] = Registry("object color", on_add=_check)
+OBJECT_COLORS: Registry[Rgba] = Registry("object color", Rgba, on_add=_check)
 """Every color that an object may have, by name; the benchmark's own come first."""
 
 OBJECT_COLORS.add("pink", (0.95, 0.45, 0.68, 1.0))

@@ -91,6 +91,6 @@ def _make_known(name: str, task: Task) -> None:
     add_bank(name, task.language)
 
 
-TASKS: Registry[Task] = Registry("task", on_add=_make_known)
+TASKS: Registry[Task] = Registry("task", Task, on_add=_make_known)
 """Every task that can be sampled, built-in ones first. What is added here is known to
 Gymnasium, to every function that takes the name of a task, and to the command line."""

@@ -18,6 +18,7 @@ from lemma.core.errors import (
 )
 from lemma.dataset.files import MANIFEST
 from lemma.policies.training.config import model_options
+from lemma.policies.training.distributed import processes
 from lemma.policies.training.loop import TrainingError, train
 from lemma.policies.training.run import TrainingReport
 from lemma.tasks.instance import BENCHMARK_VERSION
@@ -184,3 +185,39 @@ def test_the_command_says_what_is_missing_without_torch(
     monkeypatch.delitem(sys.modules, "lemma.policies.training.loop")
     assert run_command("train", NAME, "--data", data, "--out", tmp_path) == 2
     assert "lemma-bench[learn]" in capsys.readouterr().err
+
+
+ENDPOINT = {"LOCAL_RANK": "0", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": "29500"}
+
+
+@pytest.mark.parametrize(
+    ("environment", "words"),
+    [
+        ({"WORLD_SIZE": "2"}, "RANK, LOCAL_RANK, MASTER_ADDR, MASTER_PORT missing"),
+        ({"WORLD_SIZE": "2", **ENDPOINT}, "with RANK missing"),
+        ({"WORLD_SIZE": "2", **ENDPOINT, "RANK": "2"}, "RANK too large"),
+        ({"WORLD_SIZE": "2", **ENDPOINT, "RANK": "first"}, "RANK is 'first'"),
+        ({"WORLD_SIZE": "2", **ENDPOINT, "RANK": "1", "MASTER_PORT": "x"}, "PORT is"),
+        ({"WORLD_SIZE": "all"}, "WORLD_SIZE is 'all'"),
+        ({"WORLD_SIZE": "0"}, "WORLD_SIZE is '0'"),
+        ({"WORLD_SIZE": "-1"}, "WORLD_SIZE is '-1'"),
+    ],
+)
+def test_processes_that_cannot_find_each_other_are_told_so(
+    monkeypatch: pytest.MonkeyPatch, environment: dict[str, str], words: str
+) -> None:
+    for name in ("WORLD_SIZE", "RANK", *ENDPOINT):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(InvalidConfigError, match=words), processes("cpu"):
+        pass
+
+
+@pytest.mark.parametrize("size", ["", " ", "1"])
+def test_a_variable_that_is_empty_says_nothing(
+    monkeypatch: pytest.MonkeyPatch, size: str
+) -> None:
+    monkeypatch.setenv("WORLD_SIZE", size)
+    with processes("cpu") as group:
+        assert (group.rank, group.count) == (0, 1)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from lemma.core.arguments import known
+from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
 from lemma.env.action_spaces import ActionLayout
 from lemma.env.control.controllers import (
@@ -25,6 +27,7 @@ from lemma.env.control.pose_controllers import (
 )
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS
+from lemma.scene.build import ACTUATIONS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +46,24 @@ class ControlMode:
     """Largest values."""
     controller: type[Controller]
     """Drives the arms."""
+
+    def __post_init__(self) -> None:
+        """Check the way of driving the motors, and that each number has its bounds.
+
+        Raises:
+            UnknownNameError: Motors cannot be driven so.
+            InvalidConfigError: A number has no bounds, or they do not ascend.
+        """
+        known("actuation", self.actuation, ACTUATIONS)
+        count = len(self.columns)
+        bounds = list(zip(self.low, self.high, strict=False))
+        if not count == len(self.low) == len(self.high) or any(
+            not low < high for low, high in bounds
+        ):
+            raise InvalidConfigError(
+                f"A control mode with the numbers {', '.join(self.columns)} needs as "
+                f"many bounds, low < high, and not {self.low} and {self.high}."
+            )
 
     def layout(self, robots: tuple[str, ...]) -> ActionLayout:
         """Return the meaning of an action for some robots."""
@@ -101,7 +122,7 @@ def _delta_mode(summary: str, driver: type[DeltaPoseController]) -> ControlMode:
 
 _FROM_BASE = (LOWEST_FROM_BASE_M, HIGHEST_FROM_BASE_M)
 
-CONTROLS: Registry[ControlMode] = Registry("control mode")
+CONTROLS: Registry[ControlMode] = Registry("control mode", ControlMode)
 """The control modes by name. Bounds are those of the strongest arm type; a weaker arm
 does what it can."""
 CONTROLS.add(

@@ -87,7 +87,7 @@ def nearness(distance_m: float) -> float:
     return 0.5 * coarse + 0.5 * (1.0 - math.tanh(distance_m / _FINE_M))
 
 
-REWARDS: Registry[Potential | None] = Registry("reward")
+REWARDS: Registry[Potential | None] = Registry("reward", Potential | None)
 """The rewards by name: the potential that each adds to the sparse one, or None."""
 REWARDS.add("sparse", None)
 REWARDS.add("dense", goal_potential)

@@ -105,9 +105,9 @@ class Training:
         return " ".join(words)
 
 
-EXPERIMENTS: Registry[Experiment] = Registry("experiment")
+EXPERIMENTS: Registry[Experiment] = Registry("experiment", Experiment)
 """By name, in the order of the tables."""
-TRAININGS: Registry[Training] = Registry("training")
+TRAININGS: Registry[Training] = Registry("training", Training)
 """By name of the weights."""
 
 

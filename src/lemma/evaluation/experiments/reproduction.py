@@ -106,7 +106,7 @@ class Reproduction:
 
         if checkpoint is not None:
             return self._found_checkpoint(experiment, checkpoint)
-        parts = policy.name.split("+")
+        parts = list(policy.parts)
         for part in learned:
             if self.weights is not None:
                 path = self.weights / part

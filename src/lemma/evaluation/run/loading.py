@@ -3,14 +3,19 @@
 from pathlib import Path
 from typing import Any
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.errors import (
+    DatasetError,
+    InvalidConfigError,
+    UnknownNameError,
+    WeightsError,
+)
 from lemma.core.files import read_json, sha256_of
 from lemma.evaluation.run.control.model_server import ask_model_server
 from lemma.policies.class_path import LEROBOT, checkpoint_of, privileged
 from lemma.policies.control.interfaces import is_model_server
 from lemma.policies.interfaces import is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
-from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part
+from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part, parts_of
 from lemma.policies.weights import find_weights, published_weights
 from lemma.serve.client.conversation import ProtocolMode
 from lemma.serve.client.websocket import connect, is_address
@@ -88,10 +93,9 @@ time limit ended it, if one did."""
 def learned_parts(policy: str) -> list[str]:
     """Return the parts of a policy's name that mean weights of ours."""
     # A colon is in addresses and in names of classes.
-    parts = policy.split("+")
     return [
         part
-        for part in parts
+        for part in parts_of(policy)
         if part != ORACLE and ":" not in part and not is_planner(part)
     ]
 
@@ -132,22 +136,32 @@ def _weights_in(path: Path) -> tuple[str, dict[str, Any]]:
 def _lerobot_weights(name: str) -> Weights:
     """Return the weights of a folder that LeRobot saved, or that are published.
 
-    Of a name on the Hub there are none.
+    Of a name on the Hub there are none. A folder that ``save_pretrained`` wrote does
+    not say on which data and with which seed it was trained, so neither is told.
+
+    Raises:
+        WeightsError: The folder is damaged.
     """
     if name in published_weights():
         return dict([_weights_in(find_weights(name))])
-    checkpoint = Path(name)
-    weights = checkpoint / "model.safetensors"
+    folder = Path(name)
+    weights = folder / "model.safetensors"
     if not weights.exists():
         return {}
-    training = read_json(checkpoint / "train_config.json")
-    return {
-        read_json(checkpoint / "config.json")["type"]: {
-            "sha256": sha256_of(weights),
-            "seed": training["seed"] or 0,
-            "data": {"repo_id": training["dataset"]["repo_id"]},
-        }
-    }
+    found: dict[str, Any] = {"sha256": sha256_of(weights)}
+    try:
+        kind = str(read_json(folder / "config.json")["type"])
+        if (folder / "train_config.json").exists():
+            training = read_json(folder / "train_config.json")
+            found["seed"] = training["seed"] or 0
+            found["data"] = {"repo_id": training["dataset"]["repo_id"]}
+    except (DatasetError, KeyError, TypeError) as error:
+        raise WeightsError(
+            f"{name} is no whole checkpoint of LeRobot: its config.json or "
+            f"train_config.json cannot be read ({error}). Save it again with "
+            "save_pretrained, or name the folder that lerobot-train wrote."
+        ) from error
+    return {kind: found}
 
 
 def _find(part: str) -> Path:

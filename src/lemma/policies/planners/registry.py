@@ -38,7 +38,7 @@ class PlannerRecord:
     """Whether it makes use of how language models are asked."""
 
 
-PLANNERS: Registry[PlannerRecord] = Registry("planner")
+PLANNERS: Registry[PlannerRecord] = Registry("planner", PlannerRecord)
 """Every planner that is no model of ours, by the name before the colon."""
 
 

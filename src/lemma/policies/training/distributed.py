@@ -55,13 +55,15 @@ def processes(device: str = "auto") -> Iterator[ProcessGroup]:
         device: ``"auto"``, ``"cuda"`` or ``"cpu"``.
 
     Raises:
-        InvalidConfigError: There is no GPU, and one was asked for.
+        InvalidConfigError: There is no GPU, and one was asked for; or the environment
+            names several processes, but not all that they need to find each other.
     """
-    count = int(os.environ.get("WORLD_SIZE", "1"))
+    count = _told("WORLD_SIZE", 1)
     chosen = _device(device)
     if count == 1:
         yield ProcessGroup(0, 1, chosen)
         return
+    _check_torchrun(count)
     dist.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
     _Talk.group = dist.new_group(backend="gloo")
     try:
@@ -69,6 +71,39 @@ def processes(device: str = "auto") -> Iterator[ProcessGroup]:
     finally:
         _Talk.group = None
         dist.destroy_process_group()
+
+
+def _told(name: str, default: int, most: int = 2**20) -> int:
+    """Return a whole number that the environment names; the default if it is empty.
+
+    Raises:
+        InvalidConfigError: It is another text.
+    """
+    text = os.environ.get(name, "").strip() or str(default)
+    if not (text.isdecimal() and text.isascii() and default <= int(text) < most):
+        raise InvalidConfigError(
+            f"The environment variable {name} is {text!r}, which is no number of "
+            f"processes. Start several with torchrun, or one without it: unset {name}."
+        )
+    return int(text)
+
+
+def _check_torchrun(count: int) -> None:
+    """Check what processes need to find each other, which torchrun sets.
+
+    Raises:
+        InvalidConfigError: It is not there.
+    """
+    needed = ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
+    missing = [name for name in needed if not os.environ.get(name, "").strip()]
+    if missing or _told("RANK", 0) >= count:
+        wrong = f"{', '.join(missing)} missing" if missing else "RANK too large"
+        raise InvalidConfigError(
+            f"The environment says WORLD_SIZE={count}, as for processes that train "
+            f"together, but with {wrong}. Start them with torchrun, or train in one "
+            "process: env -u WORLD_SIZE lemma train ..."
+        )
+    _told("MASTER_PORT", 0, 2**16)
 
 
 def _device(name: str) -> torch.device:
@@ -82,6 +117,12 @@ def _device(name: str) -> torch.device:
         return torch.device("cpu")
     # Episodes differ in length, and with them batches: else memory falls to pieces.
     os.environ.setdefault("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True")
-    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+    index = _told("LOCAL_RANK", 0)
+    if index >= torch.cuda.device_count():
+        raise InvalidConfigError(
+            f"The environment says LOCAL_RANK={index}, but this machine has "
+            f"{torch.cuda.device_count()} GPU. Start as many processes as it has."
+        )
+    device = torch.device("cuda", index)
     torch.cuda.set_device(device)
     return device

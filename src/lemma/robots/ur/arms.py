@@ -122,7 +122,7 @@ class ArmSpec:
         return tuple(self.lag_s * stiffness for stiffness in self.stiffness)
 
 
-ARMS: Registry[ArmSpec] = Registry("arm")
+ARMS: Registry[ArmSpec] = Registry("arm", ArmSpec)
 ARMS.add(
     "ur5",
     ArmSpec(

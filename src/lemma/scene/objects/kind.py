@@ -236,7 +236,7 @@ class ObjectKind:
         return self.disc_m + other.disc_m + _FINGERS_BETWEEN_M
 
 
-OBJECT_KINDS: Registry[ObjectKind] = Registry("object kind")
+OBJECT_KINDS: Registry[ObjectKind] = Registry("object kind", ObjectKind)
 """Every kind of object that a scene may have, by name; built-in ones first."""
 
 

@@ -117,7 +117,8 @@ def _make_ray_tracer(width: int, height: int) -> BatchRenderer:
     return RayTracer(width, height)
 
 
-BATCH_RENDERERS: Registry[Callable[[int, int], BatchRenderer]] = Registry("renderer")
+MakeRenderer = Callable[[int, int], BatchRenderer]
+BATCH_RENDERERS: Registry[MakeRenderer] = Registry("renderer", MakeRenderer)
 """What makes a renderer of pictures of a width and height [px], by name."""
 BATCH_RENDERERS.add("opengl", OpenGLRenderer)
 BATCH_RENDERERS.add("warp", _make_ray_tracer)

@@ -37,7 +37,7 @@ class Quality:
     """Whether to draw sky, haze and reflections."""
 
 
-QUALITIES: Registry[Quality] = Registry("quality")
+QUALITIES: Registry[Quality] = Registry("quality", Quality)
 QUALITIES.add("sensor", Quality(Tessellation(slices=24, stacks=10, quads=2)))
 QUALITIES.add(
     "video",

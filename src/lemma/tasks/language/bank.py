@@ -240,7 +240,7 @@ def _sub_instructions() -> dict[str, str]:
 
 @cache
 def _banks() -> Registry[LanguageBank]:
-    banks: Registry[LanguageBank] = Registry("task")
+    banks: Registry[LanguageBank] = Registry("task", LanguageBank)
     for family in _FAMILIES:
         data = _read(family)
         for task, table in data.items():

@@ -21,7 +21,16 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from lemma.core.config import Count, Depth, Extent, Share, Size, Width, Widths
+from lemma.core.config import (
+    Count,
+    Depth,
+    Extent,
+    Height,
+    Share,
+    Size,
+    Width,
+    Widths,
+)
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.policies.batch import Batch, batch_of
@@ -86,7 +95,7 @@ class CLIPortConfig:
     counts."""
     cell_m: Size = RASTER.cell_m
     """Side of a cell of the map [m]."""
-    floor_m: float = RASTER.floor_m
+    floor_m: Height = RASTER.floor_m
     """What the map shows as its lowest [m]."""
 
     def __post_init__(self) -> None:

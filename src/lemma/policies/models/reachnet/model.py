@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from lemma.core.config import Depth, Size
+from lemma.core.config import Cost, Depth, Height, Size
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.policies.batch import (
@@ -98,11 +98,11 @@ class ReachNetConfig:
     """Tables that are made from the labels of each frame; half of them are turned."""
     perceived: bool = True
     """Whether the planner also learns from what the eye sees."""
-    failure_cost: float = 4.0
+    failure_cost: Cost = 4.0
     """What a sub-task loses, in log-probability, each time it fails in a row."""
     cell_m: Size = RASTER.cell_m
     """Side of a cell of the map [m]."""
-    floor_m: float = RASTER.floor_m
+    floor_m: Height = RASTER.floor_m
     """Lowest height of the map [m]."""
 
     def __post_init__(self) -> None:

@@ -12,6 +12,7 @@ from typing import Any, Self
 import torch
 from torch import Tensor
 
+from lemma.core.config import Deviation, Share
 from lemma.policies.batch import NOBODY, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, Traits, traits_of
 from lemma.policies.interfaces import SeenObject, SeenRobot
@@ -223,15 +224,15 @@ def _covered(xyz: Tensor, top_m: Tensor, traits: Traits, cargo: int) -> Tensor:
 class Noise:
     """How far tables in training differ from the truth, as eyes err."""
 
-    position_m: float = 0.003
+    position_m: Deviation = 0.003
     """Standard deviation of positions."""
-    yaw_rad: float = 0.02
+    yaw_rad: Deviation = 0.02
     """Standard deviation of yaws."""
-    height_m: float = 0.003
+    height_m: Deviation = 0.003
     """Standard deviation of heights."""
-    base_m: float = 0.004
+    base_m: Deviation = 0.004
     """Standard deviation of bases and of radii of reach."""
-    unseen: float = 0.01
+    unseen: Share = 0.01
     """Share of entities that the sub-task does not need and that are missed."""
 
 
