@@ -35,6 +35,28 @@ def test_pettingzoo_finds_no_fault_in_any_mode(control: str) -> None:
     parallel_api_test(parallel(control=control, horizon_s=1.0), num_cycles=25)
 
 
+@pytest.mark.parametrize("level", ["parallel", "control", "skill", "plan"])
+@pytest.mark.parametrize("reward", ["sparse", "dense"])
+def test_numeric_info_is_numbers_of_constant_shape(level: str, reward: str) -> None:
+    options: dict[str, Any] = {"reward": reward, "numeric_info": True, "split": "test"}
+    if level == "parallel":
+        env: Any = lemma.parallel_env("stack", **options)
+    else:
+        env = lemma.make("stack", level=level, **options)
+    seen = set()
+    # Tables with other numbers of objects.
+    for index in (0, 1):
+        _, info = env.reset(options={"index": index})
+        infos = info.values() if level == "parallel" else [info]
+        for one in infos:
+            shapes = {name: np.asarray(value).shape for name, value in one.items()}
+            kinds = {np.asarray(value).dtype.kind for value in one.values()}
+            assert kinds <= set("bif")
+            seen.add(str(sorted(shapes.items())))
+    assert len(seen) == 1
+    assert ("potential" in seen.pop()) == (reward == "dense")
+
+
 def test_agents_together_are_the_central_environment() -> None:
     agents, central = parallel(), lemma.make("stack", split="test", index=0)
     observations, _ = agents.reset(seed=0)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
+import numpy as np
 
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError, ResetNeededError, shown
@@ -187,6 +188,11 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
 
     def info(self) -> dict[str, Any]:
         """Return what every step and reset reports."""
+        found = self._full_info()
+        return numbers_of(found) if self.config.numeric_info else found
+
+    def _full_info(self) -> dict[str, Any]:
+        """Return names, words and poses as well as numbers."""
         found = self.episode.info()
         found["instruction"] = self.task_description
         found["state"] = object_poses(self.episode.simulation.scene)
@@ -283,3 +289,22 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
 
     def _recall(self, memory: dict[str, Any]) -> None:
         """Take back what :meth:`_remember` returned."""
+
+
+def numbers_of(info: dict[str, Any]) -> dict[str, Any]:
+    """Return the numbers of an environment's ``info``.
+
+    Args:
+        info: As every step and reset reports it.
+
+    Returns:
+        ``is_success`` and ``success``, ``progress``, ``elapsed_s`` [s], with dense
+        rewards ``potential``, how many objects have fallen, and ``idle_s`` in the order
+        of the robots, (robots,) [s].
+    """
+    names = ("is_success", "success", "progress", "elapsed_s", "potential")
+    return {
+        **{name: info[name] for name in names if name in info},
+        "fallen": len(info["fallen"]),
+        "idle_s": np.array(list(info["idle_s"].values())),
+    }

@@ -75,6 +75,9 @@ class EnvConfig:
     :data:`lemma.env.learning.rewards.REWARDS`."""
     reward_discount: float = 0.99
     """The learner's discount gamma, which dense rewards are shaped for."""
+    numeric_info: bool = False
+    """Whether ``info`` holds numbers alone, of the same names and shapes at every step,
+    as TorchRL wants them; see :func:`lemma.env.base_env.numbers_of`."""
     horizon_s: float = HORIZON_S
     """T_max: simulated time after which the episode is truncated, at least a servo tick
     of 0.01 s [s]."""
@@ -97,6 +100,7 @@ class EnvConfig:
             "horizon_s": real("horizon_s", self.horizon_s, TICK_S),
             "reward_discount": real("reward_discount", self.reward_discount, 0.0, 1.0),
             "clip_actions": flag("clip_actions", self.clip_actions),
+            "numeric_info": flag("numeric_info", self.numeric_info),
             **{
                 name: real(name, getattr(self, name), LEAST_STEP, 1.0)
                 for name in ("delta_position_m", "delta_rotation_rad")

@@ -64,9 +64,8 @@ class SubTaskEnv(LemmaEnv):
         truncated = episode.out_of_time and not episode.stopped
         return self.observe(), reward, episode.stopped, truncated, info
 
-    def info(self) -> dict[str, Any]:
-        """Return what every step and reset reports."""
-        found = super().info()
+    def _full_info(self) -> dict[str, Any]:
+        found = super()._full_info()
         result = self.last_result
         found["outcome"] = None if result is None else str(result.outcome)
         found["explanation"] = "" if result is None else result.explanation
