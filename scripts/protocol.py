@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lemma.evaluation.run.protocol import PROTOCOL, flat, in_force, sha256_of_protocol
+from lemma.core.resumable import flat
+from lemma.evaluation.run.protocol import PROTOCOL, in_force, sha256_of_protocol
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "src" / "lemma" / "evaluation" / "run" / PROTOCOL

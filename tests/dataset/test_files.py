@@ -24,6 +24,7 @@ from lemma.core.files import (
     write_text,
     write_whole,
 )
+from lemma.core.resumable import check_same_job
 from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.recipe import files
@@ -31,7 +32,6 @@ from lemma.dataset.recipe.digests import export
 from lemma.dataset.recipe.files import (
     METADATA_KEY,
     REVISION_VARIABLE,
-    check_same,
     open_table,
     read_table,
     versions,
@@ -235,12 +235,12 @@ def test_a_later_format_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", sorted(set(ABOUT) - {"revision"}))
 def test_another_version_is_refused(name: str) -> None:
-    with pytest.raises(DatasetError, match=f"{name} 0 instead of"):
-        check_same(Path("a"), {**ABOUT, name: "0"}, ABOUT)
+    with pytest.raises(DatasetError, match=f"{name} was 0 and is now"):
+        check_same_job(Path("a"), {**ABOUT, name: "0"}, ABOUT)
 
 
 def test_another_revision_of_the_same_version_is_not_refused() -> None:
-    check_same(Path("a"), {**ABOUT, "revision": "other"}, ABOUT)
+    check_same_job(Path("a"), {**ABOUT, "revision": "other"}, ABOUT)
 
 
 def test_checksums(tmp_path: Path) -> None:

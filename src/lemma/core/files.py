@@ -54,7 +54,7 @@ def only_writer(folder: Path) -> Iterator[None]:
     """Hold a folder, which is made if it is missing, so that nobody else writes to it.
 
     An empty file ``.lock`` stays behind. The system lets go of it when this process
-    ends, however it ends. Drafts of workers that were stopped by an error are removed.
+    ends, however it ends. Drafts that killed writers left are removed.
 
     Raises:
         DatasetError: Somebody holds it, or it cannot be made.
@@ -73,6 +73,7 @@ def only_writer(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise DatasetError(_explain(folder, error)) from error
     try:
+        clear_drafts(folder)
         yield
     finally:
         clear_drafts(folder)

@@ -8,6 +8,7 @@ from typing import Any
 
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import sha256_of
+from lemma.core.resumable import PARTS
 from lemma.dataset.files import MANIFEST, check_files, listed_files
 
 _KIND = "dataset"
@@ -140,10 +141,10 @@ def check(folder: Path, *, partial: bool = False) -> None:
     Raises:
         DatasetError: It is not.
     """
-    if (folder / ".parts").exists():
+    if (folder / PARTS).exists():
         raise DatasetError(
-            f"{folder} is not complete: 'lemma generate' was interrupted there. Run it "
-            "again first."
+            f"{folder} is not complete: the command that writes it was interrupted. "
+            "Run the same command again first."
         )
     if not folder.is_dir() or not any(_content(folder)):
         raise DatasetError(

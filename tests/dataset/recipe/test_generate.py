@@ -97,7 +97,7 @@ def test_parts_are_taken_up(tmp_path: Path) -> None:
 
 def test_parts_of_another_version_are_refused_and_kept(tmp_path: Path) -> None:
     write_json(tmp_path / ".parts" / "about.json", {**ABOUT, "mujoco": "3.16.0"})
-    with pytest.raises(DatasetError, match=r"mujoco 3\.16\.0 instead of"):
+    with pytest.raises(DatasetError, match=r"mujoco was 3\.16\.0 and is now"):
         generate(small_order(tmp_path), Serial())
     assert (tmp_path / ".parts" / "about.json").exists()
 
@@ -106,7 +106,7 @@ def test_a_recipe_of_another_version_is_refused_and_kept(tmp_path: Path) -> None
     path = recipe_file(tmp_path, "val", "stack")
     write_table(path, to_table([made_up()]), {**ABOUT, "numpy": "1.0"})
     before = sha256_of(path)
-    with pytest.raises(DatasetError, match=r"numpy 1\.0 instead of.*new folder"):
+    with pytest.raises(DatasetError, match=r"numpy was 1\.0 and is now.*new folder"):
         generate(small_order(tmp_path), Serial())
     assert sha256_of(path) == before
 

@@ -137,7 +137,7 @@ def test_a_wrong_checksum_is_told(undisturbed: Path, tmp_path: Path) -> None:
 
 def test_what_was_made_otherwise_is_refused(undisturbed: Path, tmp_path: Path) -> None:
     before = contents(undisturbed)
-    with pytest.raises(DatasetError, match="height is 60 there, and 90 here"):
+    with pytest.raises(DatasetError, match="height was 60 and is now 90"):
         render(order(undisturbed), KeyframeForm(80, 90), Serial())
     with pytest.raises(DatasetError, match="holds 'recipe', not 'keyframes'"):
         render(order(recipe_folder()), SMALL, Serial())

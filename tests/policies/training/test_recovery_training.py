@@ -314,7 +314,7 @@ def test_another_mixture_is_another_run(config: TrainingConfig) -> None:
         replace(config, recovery=None),
         replace(config, recovery_share=0.5),
     ):
-        with pytest.raises(InvalidConfigError, match="another run"):
+        with pytest.raises(DatasetError, match="another run"):
             train(other)
 
 

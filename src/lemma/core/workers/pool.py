@@ -100,15 +100,16 @@ def run_in_order(
     """
     early: dict[int, Any] = {}
     following = 0
-    numbered = [(number, function, job) for number, job in enumerate(jobs)]
-    for number, result in engine.run(_numbered, numbered):
+    listed = [(number, function, job) for number, job in enumerate(jobs)]
+    for number, result in engine.run(numbered, listed):
         early[number] = result
         while following in early:
             yield early.pop(following)
             following += 1
 
 
-def _numbered(number: int, function: Callable[..., Any], job: Job) -> tuple[int, Any]:
+def numbered(number: int, function: Callable[..., Any], job: Job) -> tuple[int, Any]:
+    """Return the number of a job, and what the job returned."""
     return number, function(*job)
 
 

@@ -17,13 +17,13 @@ from typing import Any
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import (
-    clear_drafts,
     only_writer,
     read_json,
     sha256_of,
     write_json,
     write_text,
 )
+from lemma.core.resumable import NEW_FOLDER, PARTS, Part, begin, do_missing
 from lemma.core.workers.pool import Engine
 from lemma.dataset.files import CARD
 from lemma.dataset.lerobot.aggregation import REPO_ID, aggregate_in_groups, silence
@@ -44,11 +44,7 @@ from lemma.dataset.lerobot.sources import (
 from lemma.dataset.lerobot.video_encoder import encode_whole_videos
 from lemma.dataset.recipe.files import versions
 from lemma.dataset.rendered.film import rig_of, robots_of
-from lemma.dataset.rendered.render import (
-    RenderConfig,
-    RenderSummary,
-    check_made_alike,
-)
+from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.names import task_rank
 
@@ -56,7 +52,6 @@ INFO = "meta/info.json"
 EPISODES = f"{EXTRAS}/episodes.json"
 """What is known of every episode beside the format."""
 _EXPORT = f"{EXTRAS}/export.json"
-_SHARDS = ".shards"
 _WHOLE = ".whole"
 _PARTS = ("data", "videos", "meta")
 """Folders of a LeRobotDataset; the last one is the one that makes it whole."""
@@ -100,7 +95,7 @@ class LeRobotConfig:
             for path, group, rows in groups
             for first in range(0, len(rows), self.per_shard)
         ]
-        folder = (self.out / _SHARDS).absolute()
+        folder = (self.out / PARTS).absolute()
         return [
             Shard(*one, folder / f"{number:06d}") for number, one in enumerate(every)
         ]
@@ -165,21 +160,22 @@ def write_dataset(
         )
     total = sum(len(shard.rows) for shard in shards)
     with only_writer(order.out):
-        clear_drafts(order.out)
         _begin(order, files)
-        missing = []
-        if not (order.out / INFO).exists():
-            missing = [shard for shard in shards if not shard.folder.exists()]
-        made = sum(len(shard.rows) for shard in missing)
-        advance(total - made)
-        jobs = [(shard, order.style) for shard in missing]
-        for episodes in engine.run(write_shard, jobs):
-            advance(episodes)
-        if not (order.out / INFO).exists():
+        is_whole = (order.out / INFO).exists()
+        parts = [
+            Part(
+                (shard, order.style), len(shard.rows), is_whole or shard.folder.exists()
+            )
+            for shard in shards
+        ]
+        for part, _ in do_missing(parts, write_shard, engine, advance):
+            advance(part.size)
+        if not is_whole:
             _assemble(order, shards, files, engine)
-        rmtree(order.out / _SHARDS, ignore_errors=True)
+        rmtree(order.out / PARTS, ignore_errors=True)
     count = read_json(order.out / INFO)["total_frames"]
     size = sum(path.stat().st_size for path in order.out.rglob("*") if path.is_file())
+    made = sum(part.size for part in parts if not part.is_done)
     return RenderSummary(total, count, made, perf_counter() - start, size / 1e6)
 
 
@@ -210,28 +206,22 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
     about = {
         "form": "lerobot",
         "versions": {**versions(BENCHMARK_VERSION), "lerobot": version("lerobot")},
-        **{
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in asdict(order.style).items()
-        },
+        **asdict(order.style),
         "renderer": rig_of(*order.style.rig).describe() if order.style.images else None,
         "per_video": order.per_video,
         "recipe": {name_in_source(path): sha256_of(path) for path in files},
     }
     path = order.out / _EXPORT
-    if path.exists():
-        check_made_alike(order.out, read_json(path), about)
-    elif any(not name.name.startswith(".") for name in order.out.iterdir()):
+    others = (name for name in order.out.iterdir() if not name.name.startswith("."))
+    if not path.exists() and any(others):
         raise DatasetError(
-            f"{order.out} holds something that this export did not begin. Choose a new "
-            "folder, or delete this one."
+            f"{order.out} holds something that this export did not begin. {NEW_FOLDER}"
         )
-    else:
-        write_json(path, about)
+    begin(path, about)
 
 
-def write_shard(shard: Shard, style: Style) -> int:
-    """Write some episodes as a LeRobotDataset; return how many are in the recipe.
+def write_shard(shard: Shard, style: Style) -> None:
+    """Write some episodes as a LeRobotDataset.
 
     Args:
         shard: The episodes.
@@ -256,7 +246,6 @@ def write_shard(shard: Shard, style: Style) -> int:
     dataset.finalize()
     write_json(draft / EPISODES, {"episodes": known})
     draft.rename(shard.folder)
-    return len(records)
 
 
 def _create(folder: Path, holds: dict[str, dict[str, Any]], style: Style) -> Any:
@@ -318,7 +307,7 @@ def _assemble(
             "These episodes have different numbers of robots and do not fit into one "
             "LeRobotDataset. Export the tasks into folders of their own, with --tasks."
         )
-    whole = order.out / _SHARDS / _WHOLE
+    whole = order.out / PARTS / _WHOLE
     aggregate_in_groups([shard.folder for shard in shards], whole, engine)
     info = read_json(whole / INFO)
     info["splits"] = dict(_splits(episodes))

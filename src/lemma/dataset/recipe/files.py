@@ -16,8 +16,6 @@ from lemma.dataset.recipe.schema import (
     FORMAT_VERSION,
     PERTURBED_SCHEMA,
     SCHEMA,
-    executions,
-    perturbed_as,
 )
 
 METADATA_KEY = b"lemma"
@@ -132,42 +130,3 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
         return file.read(columns=columns)
     except (OSError, pa.ArrowException) as error:
         raise DatasetError(damaged(path, error, WRITTEN_BY)) from error
-
-
-def check_same(path: Path, found: dict[str, str], about: dict[str, str]) -> None:
-    """Check that a file says the same about itself as what would be written now.
-
-    Args:
-        path: The file.
-        found: What it says about itself.
-        about: What would be written now.
-
-    Raises:
-        DatasetError: It is of another version, or perturbed otherwise.
-    """
-    check_alike(path, found, about)
-    differing = [k for k in about if k != "revision" and found.get(k) != about[k]]
-    if differing:
-        what = ", ".join(f"{k} {found.get(k)} instead of {about[k]}" for k in differing)
-        raise DatasetError(
-            f"{path} was written by another version: {what}. Its states would not fit "
-            "what is generated now. Choose a new folder, or delete this one."
-        )
-
-
-def check_alike(path: Path, found: dict[str, str], about: dict[str, str]) -> None:
-    """Check that demonstrations and perturbed executions are not mixed.
-
-    Args:
-        path: A file, or the folder of a recipe.
-        found: What it says about itself.
-        about: What would be written now.
-
-    Raises:
-        DatasetError: One is perturbed and the other is not, or otherwise.
-    """
-    if perturbed_as(found) != perturbed_as(about):
-        raise DatasetError(
-            f"{path} holds {executions(found)}, and what is wanted are "
-            f"{executions(about)}. Choose a new folder."
-        )

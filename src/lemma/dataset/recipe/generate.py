@@ -16,7 +16,15 @@ from typing import Any
 import pyarrow as pa
 
 from lemma.core.errors import DatasetError, InvalidConfigError, SamplingError
-from lemma.core.files import clear_drafts, only_writer, read_json, sha256_of, write_json
+from lemma.core.files import only_writer, read_json, sha256_of, write_json
+from lemma.core.resumable import (
+    PARTS,
+    RECORD,
+    Part,
+    begin,
+    check_same_job,
+    do_missing,
+)
 from lemma.core.workers.pool import Engine
 from lemma.core.workers.resources import peak_memory_mb
 from lemma.dataset.files import (
@@ -29,8 +37,6 @@ from lemma.dataset.files import (
 from lemma.dataset.recipe.card import write_card
 from lemma.dataset.recipe.digests import content_digest, shorten
 from lemma.dataset.recipe.files import (
-    check_alike,
-    check_same,
     open_table,
     read_table,
     versions,
@@ -43,8 +49,6 @@ from lemma.expert.disturbances import Perturbation
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
 
-_PARTS = ".parts"
-_ABOUT = "about.json"
 _SHOWN = 5
 """Failures that a message names."""
 
@@ -122,11 +126,6 @@ class _File:
         """Return where one episode is until all are there."""
         return part_file(self.parts, index)
 
-    def missing(self) -> list[int]:
-        """Return the numbers of episodes that are nowhere yet."""
-        indices = range(self.there, self.wanted)
-        return [index for index in indices if not self.part(index).exists()]
-
 
 def recipe_file(folder: Path, split: str, task: str) -> Path:
     """Return where the episodes of one task and split are."""
@@ -157,23 +156,18 @@ def generate(
     about = {**versions(BENCHMARK_VERSION), **described(order.perturb)}
     with only_writer(order.out):
         known = _known(order.out, about)
-        clear_drafts(order.out)
-        note = order.out / _PARTS / _ABOUT
-        if note.exists():
-            check_same(note, read_json(note), about)
         listed = [
             _look(order, split, task, about)
             for split in order.splits
             for task in order.tasks
         ]
-        _check_sums(order.out, known, listed, about)
-        missing = {(file.split, file.task): file.missing() for file in listed}
-        made = sum(len(indices) for indices in missing.values())
-        advance(order.total - made)
-        if made:
-            write_json(note, dict(about))
-        worker_mb = _work(listed, missing, engine, about, advance)
-        rmtree(order.out / _PARTS, ignore_errors=True)
+        for name in sorted(known):
+            if (order.out / name).exists():
+                check_sum(order.out / name, known[name], "lemma generate")
+        begin(order.out / RECORD, about)
+        _forget(order.out, known, listed, about)
+        made, worker_mb = _work(listed, engine, about, advance)
+        rmtree(order.out / PARTS, ignore_errors=True)
         _write_manifest(order.out, about)
         write_card(order.out, about)
     size = sum(file.path.stat().st_size for file in listed)
@@ -183,29 +177,30 @@ def generate(
 
 def _work(
     listed: list[_File],
-    missing: dict[tuple[str, str], list[int]],
     engine: Engine,
     about: dict[str, str],
     advance: Callable[[int], None],
-) -> float:
-    """Make what is missing, put files together as soon as they can be.
+) -> tuple[int, float]:
+    """Make the episodes that are missing, and put files together when they are whole.
 
     Returns:
-        The most memory that any worker held [MB].
+        How many episodes were made, and the most memory that a worker held [MB].
     """
-    left = Counter({name: len(indices) for name, indices in missing.items()})
+    parts = []
+    left: Counter[tuple[str, str]] = Counter()
     by_name = {(file.split, file.task): file for file in listed}
     for name, file in by_name.items():
+        # Absolute, because workers of a cluster have another working folder.
+        folder = str(file.parts.absolute())
+        for index in range(file.wanted):
+            is_done = index < file.there or file.part(index).exists()
+            left[name] += not is_done
+            job = (file.task, file.split, index, folder, about)
+            parts.append(Part(job, 1, is_done))
         if not left[name]:
             _put_together(file, about)
-    jobs = [
-        # Absolute, because workers of a cluster are at home elsewhere.
-        (task, split, index, str(by_name[split, task].parts.absolute()), about)
-        for (split, task), indices in missing.items()
-        for index in indices
-    ]
     worker_mb, failures = 0.0, []
-    for made in engine.run(generate_part, jobs):
+    for _, made in do_missing(parts, generate_part, engine, advance):
         worker_mb = max(worker_mb, made.worker_mb)
         if made.failure is not None:
             failures.append(made.failure)
@@ -221,7 +216,7 @@ def _work(
             "the version that froze them; see 'lemma doctor'. The other episodes are "
             "kept."
         )
-    return worker_mb
+    return sum(not part.is_done for part in parts), worker_mb
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,11 +269,11 @@ def _look(order: GenerateConfig, split: str, task: str, about: dict[str, str]) -
         DatasetError: It is of another version, or holds more than is wanted.
     """
     path = recipe_file(order.out, split, task)
-    parts, wanted = order.out / _PARTS / f"{split}-{task}", order.count(split)
+    parts, wanted = order.out / PARTS / f"{split}-{task}", order.count(split)
     if not path.exists():
         return _File(task, split, path, parts, 0, wanted)
     file, found = open_table(path)
-    check_same(path, found, about)
+    check_same_job(path, found, about)
     there = file.metadata.num_rows
     if there > wanted:
         raise DatasetError(
@@ -294,7 +289,7 @@ def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
     Raises:
         DatasetError: The folder holds something else than such a recipe.
     """
-    begun = (folder / _PARTS).exists() or any(folder.glob("*/*.parquet"))
+    begun = (folder / PARTS).exists() or any(folder.glob("*/*.parquet"))
     check_free(folder, begun=begun)
     if not (folder / MANIFEST).exists():
         return {}
@@ -304,27 +299,21 @@ def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
             f"{folder} holds {form!r}, which was rendered from a recipe. Choose "
             "another folder."
         )
-    check_alike(folder, listed_versions(folder), about)
+    check_same_job(folder, listed_versions(folder), about)
     return listed_files(folder)
 
 
-def _check_sums(
+def _forget(
     folder: Path,
     known: dict[str, dict[str, Any]],
     listed: list[_File],
     about: dict[str, str],
 ) -> None:
-    """Check that files are what the manifest says, and forget those to be written.
+    """Remove from the manifest the files that are about to be written.
 
     A run that is killed after it wrote a file, and before the manifest, must not make
     that file look damaged.
-
-    Raises:
-        DatasetError: One was changed since it was written.
     """
-    for name in sorted(known):
-        if (folder / name).exists():
-            check_sum(folder / name, known[name], "lemma generate")
     open_ended = {file.path for file in listed if file.there < file.wanted}
     kept = {
         name: entry

@@ -9,16 +9,19 @@ the same bytes, wherever it was interrupted; for images, on machines that draw a
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shutil import rmtree
 from time import perf_counter
 from typing import Any, Protocol
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
-from lemma.core.files import (
-    clear_drafts,
-    only_writer,
-    sha256_of,
-    write_json,
-    write_text,
+from lemma.core.files import only_writer, sha256_of, write_json, write_text
+from lemma.core.resumable import (
+    PARTS,
+    RECORD,
+    Part,
+    begin,
+    check_same_job,
+    do_missing,
 )
 from lemma.core.workers.pool import Engine
 from lemma.dataset.files import CARD, MANIFEST, check_files, check_free, listed_files
@@ -212,35 +215,37 @@ def render(
     total = sum(len(chunk.digests) for chunk in chunks)
     with only_writer(order.out):
         known = _known_files(order.out, form)
-        clear_drafts(order.out)
         there = _look(order.out, form, about)
         sums = _check_sums(order.out, there, known)
-        missing = [chunk for chunk in chunks if not _is_there(chunk, there)]
-        made = sum(len(chunk.digests) for chunk in missing)
-        advance(total - made)
-        jobs = [(form, _at_home(chunk), about) for chunk in missing]
-        for episodes in engine.run(render_chunk, jobs):
-            advance(episodes)
-        for path in (path for chunk in missing for path in chunk.paths):
-            sums.pop(path, None)
+        parts = []
+        for chunk in chunks:
+            is_done = _is_there(chunk, there)
+            job = (form, _absolute(chunk), about)
+            parts.append(Part(job, len(chunk.digests), is_done))
+            for path in () if is_done else chunk.paths:
+                sums.pop(path, None)
+        begin(order.out / RECORD, about)
+        for part, _ in do_missing(parts, render_chunk, engine, advance):
+            advance(part.size)
+        rmtree(order.out / PARTS, ignore_errors=True)
         rows, size = _write_manifest(order.out, form, about, sums)
         note = _PERTURBED_NOTE.format(**perturbed) if perturbed else ""
         write_text(order.out / CARD, form.card() + note)
+    made = sum(part.size for part in parts if not part.is_done)
     seconds = perf_counter() - start
     return RenderSummary(total, rows, made, seconds, size / 1e6)
 
 
-def _at_home(chunk: _Chunk) -> _Chunk:
-    """Return a chunk whose paths hold wherever a worker is at home."""
+def _absolute(chunk: _Chunk) -> _Chunk:
+    """Return a chunk with paths that hold in workers with another working folder."""
     paths = tuple(path.absolute() for path in chunk.paths)
     return replace(chunk, source=chunk.source.absolute(), paths=paths)
 
 
-def render_chunk(form: Form, chunk: _Chunk, about: dict[str, Any]) -> int:
-    """Make the files of one row group; return how many episodes that were."""
+def render_chunk(form: Form, chunk: _Chunk, about: dict[str, Any]) -> None:
+    """Make the files of one row group."""
     records = read_group(chunk.source, chunk.group)
     form.write(chunk.paths, records, chunk.digests, about)
-    return len(records)
 
 
 def _chunks(
@@ -279,7 +284,7 @@ def _look(folder: Path, form: Form, about: dict[str, Any]) -> dict[Path, Found]:
     for pattern in form.paths("*", "*"):
         for path in sorted(folder.glob(pattern)):
             there[path] = form.look(path)
-            check_made_alike(path, there[path].about, about)
+            check_same_job(path, there[path].about, about)
     return there
 
 
@@ -298,29 +303,6 @@ def _is_there(chunk: _Chunk, there: dict[Path, Found]) -> bool:
                 "this one."
             )
     return len(found) == len(chunk.paths) and all(d == chunk.digests for d in found)
-
-
-def check_made_alike(path: Path, found: dict[str, Any], about: dict[str, Any]) -> None:
-    """Check that a file was made as another would be made now.
-
-    Raises:
-        DatasetError: It was made by another version, or with other settings.
-    """
-    theirs, ours = _flat(found), _flat(about)
-    differing = [
-        f"{name} is {theirs.get(name)} there, and {ours.get(name)} here"
-        for name in sorted({*theirs, *ours})
-        if theirs.get(name) != ours.get(name) and name != "revision"
-    ]
-    if differing:
-        raise DatasetError(
-            f"{path} was made otherwise: {'; '.join(differing)}. Choose a new folder, "
-            "or delete this one."
-        )
-
-
-def _flat(about: dict[str, Any]) -> dict[str, Any]:
-    return {**about, **about["versions"], "versions": None}
 
 
 def _known_files(folder: Path, form: Form) -> dict[str, dict[str, Any]]:

@@ -20,9 +20,10 @@ from typing import Any
 
 from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.core.files import clear_drafts, only_writer, read_json, write_json
+from lemma.core.files import only_writer, read_json
+from lemma.core.resumable import PARTS, Part, begin, do_missing
 from lemma.core.workers.pool import Engine, report
-from lemma.dataset.recipe.files import check_same, versions
+from lemma.dataset.recipe.files import versions
 from lemma.evaluation.lines import read_lines, read_rows, write_rows
 from lemma.evaluation.records import (
     ABOUT,
@@ -48,7 +49,6 @@ from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
 
 VERDICTS = ("both", "strict")
 """How far episodes are played: to both verdicts, or to the strict one alone."""
-_PARTS = ".parts"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,24 +229,19 @@ def evaluate(
     """
     about = config.about()
     with only_writer(config.out):
-        clear_drafts(config.out)
         note = config.out / ABOUT
         if note.exists():
             found = read_json(note)
             check_protocol(about, found, "What is asked for", config.out)
-            check_same(note, found, about)
-        else:
-            write_json(note, about)
-        parts = (config.out / _PARTS).absolute()
+        begin(note, about)
+        parts = (config.out / PARTS).absolute()
         done = {key_of(row): row for row in read_rows(config.out)}
-        jobs = []
+        groups = []
         for kind, task, indices in config.groups():
             path = parts / f"{kind}-{task}-{indices.start}-{indices.stop}.jsonl"
             there = all((kind, task, index) in done for index in indices)
-            if there or path.exists():
-                advance(len(indices))
-            else:
-                jobs.append((config, kind, task, indices, path))
+            job = (config, kind, task, indices, path)
+            groups.append(Part(job, len(indices), there or path.exists()))
         ended: dict[tuple[str, str, int], Row] = {}
 
         def take(row: Row) -> None:
@@ -256,7 +251,7 @@ def evaluate(
             ended[key_of(row)] = row
 
         try:
-            for _ in engine.run(play_group, jobs, take):
+            for _ in do_missing(groups, play_group, engine, advance, take):
                 pass
         finally:
             done = ended | done

@@ -88,9 +88,10 @@ def train(
         How it went. The best weights are ``weights.safetensors`` in the run's folder.
 
     Raises:
-        DatasetError: There is no data, or it is damaged or of another version.
+        DatasetError: There is no data, or it is damaged or of another version; or
+            another run is in the folder.
         UnknownNameError: There is no such model, option, split or task.
-        InvalidConfigError: Another run is in the folder, or an option cannot be.
+        InvalidConfigError: An option is impossible.
         WeightsError: The checkpoint is damaged.
         TrainingError: The GPU's memory is too small, or training diverged.
     """

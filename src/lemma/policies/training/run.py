@@ -11,7 +11,8 @@ from typing import Any
 import torch
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.core.files import clear_drafts, read_json, write_json
+from lemma.core.files import read_json, write_json
+from lemma.core.resumable import check_same_job
 from lemma.core.seeding import stream
 from lemma.core.version import VERSION as __version__
 from lemma.dataset.files import MANIFEST
@@ -273,9 +274,8 @@ def open_run(
         command: The command line.
 
     Raises:
-        InvalidConfigError: Another run is in its folder.
+        DatasetError: Another run is in its folder.
     """
-    clear_drafts(config.out)
     path = config.out / CONFIG
     wanted = {
         "training": config.to_dict(),
@@ -284,26 +284,14 @@ def open_run(
     }
     if path.exists():
         found = read_json(path)
-        differing = _differences(found, wanted)
-        if differing:
-            raise InvalidConfigError(
-                f"{config.out} holds another run: {'; '.join(differing[:5])}. Choose "
-                "another --out, or --restart to begin this one anew."
-            )
+        check_same_job(
+            config.out,
+            {name: found.get(name, {}) for name in wanted},
+            wanted,
+            may_differ=[f"training.{name}" for name in MAY_CHANGE],
+            advice="Choose another --out, or --restart to begin this one anew.",
+        )
     write_json(path, {**wanted, "command": command, "lemma": __version__})
-
-
-def _differences(found: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
-    differing = []
-    for part, values in wanted.items():
-        before = found.get(part, {})
-        for name in sorted({*values, *before}):
-            if part == "training" and name in MAY_CHANGE:
-                continue
-            old, new = before.get(name), values.get(name)
-            if old != new:
-                differing.append(f"{name} was {old!r} and is {new!r}")
-    return differing
 
 
 def clear_run(folder: Path) -> None:
