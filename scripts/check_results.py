@@ -4,7 +4,7 @@
     python scripts/check_results.py reachnet --episodes 5 --kinds high_level
 
 Plays the first episodes of every task with the weights that ship, and compares each
-with its line in ``results/NAME/seed-0.jsonl.xz`` or ``leaderboard/NAME.jsonl.xz``:
+with its line in ``results/NAME/seed-0.jsonl.xz``:
 sub-tasks, outcomes, success and why not must be equal, poses within 1 mm and 0.01 rad.
 Leaves with 1 if anything differs, and prints what.
 
@@ -33,14 +33,12 @@ from lemma.core.workers.resources import usable_cores
 from lemma.evaluation.experiments.catalog import CONTROL_LEVEL, EXPERIMENTS, SEEDS
 from lemma.evaluation.experiments.reproduction import Reproduction
 from lemma.evaluation.lines import lines_at, packed_beside, read_lines
-from lemma.evaluation.records import PACKED, Row, key_of, read_about
+from lemma.evaluation.records import Row, key_of
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
-from lemma.policies.spec import PolicySpec, parts_of
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
 ROOT = Path(__file__).parents[1]
-BOARD = "leaderboard"
 RESULTS = "results"
 LEROBOT_PACKAGE = "lerobot"
 SHIPPED = SEEDS[0]
@@ -56,8 +54,6 @@ def committed(root: Path) -> dict[str, Path]:
         name: packed_beside(EXPERIMENTS[name].summary_path(results, SHIPPED))
         for name in EXPERIMENTS
     }
-    for path in sorted((root / BOARD).glob(f"*{PACKED}")):
-        found[f"{BOARD}/{path.name.removesuffix(PACKED)}"] = path
     return {name: path for name, path in found.items() if path.is_file()}
 
 
@@ -74,27 +70,15 @@ def order_of(name: str, path: Path, out: Path, episodes: int) -> EvaluationConfi
     """Return how what is committed was played.
 
     Args:
-        name: Of an experiment, or of an entry of the leaderboard.
+        name: Of an experiment.
         path: Its lines.
         out: Folder to play into.
         episodes: Of each task.
     """
-    if name in EXPERIMENTS:
-        order, seed = Reproduction(out=out, episodes=episodes).config(EXPERIMENTS[name])
-        if seed != SHIPPED:
-            raise DatasetError(f"Weights of {name} ship with seed {seed}.")
-        return order
-    policy = policy_of(path)
-    return EvaluationConfig(
-        out=out, policy=policy, kinds=EVALUATION_KINDS, episodes=episodes
-    )
-
-
-def policy_of(path: Path) -> PolicySpec:
-    """Return the policy of an entry, with the weights that ship."""
-    told = read_about(path)["policy"]
-    parts = [Path(part).name for part in parts_of(told["name"])]
-    return PolicySpec("+".join(parts), told["planning"], told["gta"])
+    order, seed = Reproduction(out=out, episodes=episodes).config(EXPERIMENTS[name])
+    if seed != SHIPPED:
+        raise DatasetError(f"Weights of {name} ship with seed {seed}.")
+    return order
 
 
 def differences(line: Row, now: Row) -> Iterator[str]:

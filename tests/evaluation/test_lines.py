@@ -204,7 +204,7 @@ def test_what_was_played_is_compared_with_what_is_committed(tmp_path: Path) -> N
     (mine / NOTE).write_text(json.dumps(ABOUT))
     write_rows(mine / EPISODES, [row("pass", 0), *ROWS[1:]])
     for other in (path, path.parent):
-        one = compare(mine, other)["high_level"]["all"]
+        one = compare(mine, other).by_kind["high_level"]["all"]
         assert (one.episodes, one.only_second) == (3, 1)
     (mine / EPISODES).write_text("")
     with pytest.raises(DatasetError, match=r"no episodes in .*mine yet"):

@@ -7,12 +7,12 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.options import JsonFlag, output, print_json
+from lemma.cli.options import JsonFlag, messages, output, print_json
 from lemma.evaluation.analysis.comparison import Comparison
 from lemma.evaluation.analysis.comparison import compare as run
 
 ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-"""What ``lemma evaluate`` or ``lemma reproduce`` wrote, or lines of the leaderboard."""
+"""What ``lemma evaluate`` or ``lemma reproduce`` wrote."""
 
 
 def compare(
@@ -22,15 +22,23 @@ def compare(
 
     Prints the difference of their strict success rates with its 95 % interval
     (Newcombe's, for paired rates), on how many episodes only one of them succeeded, and
-    the p-value of McNemar's exact test; last of each kind, the same leniently. Results
-    of other episodes or versions are refused.
+    the p-value of McNemar's exact test; last of each kind, the same leniently. Episodes
+    that only one of them has are left out. Results of other versions are refused.
 
     Args:
-        first: Folder or file of a result, or lines of the leaderboard (NAME.jsonl.xz).
+        first: Folder or file of a result.
         second: The other.
         as_json: Print one JSON object instead of a table.
     """
-    found = run(first, second)
+    compared = run(first, second)
+    found = compared.by_kind
+    if any(compared.unpaired):
+        only_first, only_second = compared.unpaired
+        messages().print(
+            f"Compared on the {compared.common:,} episodes that both have; the first "
+            f"has {only_first:,} others, the second {only_second:,}.",
+            soft_wrap=True,
+        )
     if as_json:
         print_json(
             {

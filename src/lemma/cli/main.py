@@ -36,6 +36,8 @@ VERBS = {
     "successes.",
     "serve": "Answer for a policy over a socket, until Ctrl-C; or test a server with "
     "--check.",
+    "verify": "Play the recorded decisions of results again, and compare all that "
+    "they say.",
     "compare": "Compare two policies on the same episodes, one by one.",
     "report": "Write results as a page with tables, figures and failures, and as "
     "Markdown.",

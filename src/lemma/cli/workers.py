@@ -72,13 +72,13 @@ class _Rate(ProgressColumn):
 
 @contextmanager
 def progress_bar(
-    what: str, total: int, at_interrupt: str
+    what: str, total: int | None, at_interrupt: str
 ) -> Iterator[Callable[[int], None]]:
     """Show a bar with rate and time left on the error stream.
 
     Args:
         what: What is done, a word or two.
-        total: How many there are.
+        total: How many there are; None if that is not known.
         at_interrupt: What to say after Ctrl-C: what is kept, and how to go on. It may
             name ``{done}`` and ``{total}``.
 

@@ -6,7 +6,7 @@ depends on the machine, so the same episodes are the same lines.
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -17,11 +17,19 @@ from lemma.evaluation.records import (
     PACKED,
     SUMMARY,
     WALL_CLOCK,
+    EpisodeKey,
     Row,
     check_line,
     key_of,
     place_of,
 )
+
+MOST_LINE = 1 << 21
+"""Length of the line of an episode [bytes]. 100 sub-tasks take 0.1 MB; a gripper that
+grasps and lets go in every control step takes most."""
+MOST_UNPACKED = 100_000_000
+"""What a packed file may hold [bytes], since a small one can unpack to anything. The
+1,920 episodes of a published result take up to 10 MB."""
 
 
 def read_rows(folder: Path) -> list[Row]:
@@ -41,16 +49,15 @@ def read_lines(path: Path) -> list[Row]:
         DatasetError: The file is missing or damaged, or holds an episode twice.
     """
     number = 0
-    rows: list[Row] = []
+    rows: dict[EpisodeKey, Row] = {}
     try:
-        content = path.read_bytes()
-        if path.name.endswith(PACKED):
-            content = _unpacked(content)
-        for line in content.decode().splitlines():
+        for line in _lines(path):
             number += 1
             row = json.loads(line, parse_constant=_refuse)
             check_line(row)
-            rows.append(row)
+            if key_of(row) in rows:
+                raise ValueError(f"episode {' '.join(map(str, key_of(row)))} twice")
+            rows[key_of(row)] = row
     except (OSError, ValueError, RecursionError) as why:
         where = f"Line {number} of {path}" if number else str(path)
         again = "evaluate again"
@@ -59,13 +66,47 @@ def read_lines(path: Path) -> list[Row]:
         raise DatasetError(
             f"{where} cannot be read: {why}. Remove the file and {again}."
         ) from why
-    keys = [key_of(row) for row in rows]
-    if len(set(keys)) < len(keys):
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise DatasetError(
-            f"{path} has the episode {' '.join(map(str, twice))} twice. Remove one."
-        )
-    return rows
+    return list(rows.values())
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """Yield the lines of a file, of which no more than one is held at a time.
+
+    Raises:
+        ValueError: A line is too long, what was packed is too much or damaged, or it is
+            not UTF-8.
+    """
+    rest = b""
+    for piece in _pieces(path):
+        *whole, rest = (rest + piece).split(b"\n")
+        for line in whole:
+            yield line.decode()
+        if len(rest) > MOST_LINE:
+            raise ValueError(f"a line is longer than {MOST_LINE:,} bytes")
+    if rest:
+        yield rest.decode()
+
+
+def _pieces(path: Path) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        if not path.name.endswith(PACKED):
+            yield from iter(lambda: file.read(_PIECE), b"")
+            return
+        lzma = _lzma()
+        unpacker = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_MOST_MEMORY)
+        total = 0
+        try:
+            while not unpacker.eof:
+                more = file.read(_PIECE) if unpacker.needs_input else b""
+                if unpacker.needs_input and not more:
+                    raise ValueError("its end is missing")
+                piece = unpacker.decompress(more, _PIECE)
+                total += len(piece)
+                if total > MOST_UNPACKED:
+                    raise ValueError(f"it unpacks to over {MOST_UNPACKED:,} bytes")
+                yield piece
+        except lzma.LZMAError as error:
+            raise ValueError(str(error)) from error
 
 
 def write_rows(path: Path, rows: Iterable[Row]) -> None:
@@ -179,24 +220,13 @@ def lines_at(path: Path) -> Path:
 
 
 _MOST_NAMED = 3
+_PIECE = 1 << 16
+_MOST_MEMORY = 128 << 20
+"""What unpacking may take [bytes]; files of ours need 65 MB."""
 
 
 def _text(rows: Iterable[Row]) -> str:
     return "".join(json.dumps(row) + "\n" for row in rows)
-
-
-def _unpacked(content: bytes) -> bytes:
-    """Return what was packed.
-
-    Raises:
-        ValueError: It was not, or is damaged.
-    """
-    lzma = _lzma()
-    try:
-        found: bytes = lzma.decompress(content, format=lzma.FORMAT_XZ)
-    except lzma.LZMAError as error:
-        raise ValueError(str(error)) from error
-    return found
 
 
 def _lzma() -> ModuleType:

@@ -8,9 +8,10 @@ writes the lines. What is read is checked: it may come from anywhere.
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
+from msgspec import Meta
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json
@@ -24,8 +25,6 @@ ABOUT = "about.json"
 SUMMARY = "summary.json"
 PACKED = ".jsonl.xz"
 """End of the name of packed lines, which are small enough to be committed."""
-BOARD_SPLIT = "test"
-"""Split that the leaderboard is about."""
 PROTOCOL_VERSION = 2
 """Of the rules by which episodes are played and judged: since 2 there are a strict and
 a lenient verdict."""
@@ -33,6 +32,9 @@ RESULT_VERSION = "2"
 """Of the summaries."""
 WALL_CLOCK = ("wall_s",)
 """Fields of an episode's line that depend on the machine."""
+STATE = "state_sha256"
+"""Field of both verdicts of a line: SHA-256 of the simulator's whole state at that end.
+Lines of earlier releases have none, so digests of results leave it out."""
 POLICY_ERROR = "policy_error"
 """Why an episode failed whose policy did."""
 PROTECTIVE_STOP = "protective_stop"
@@ -63,21 +65,29 @@ class Departure(StrEnum):
     """The primitive is right, what is picked or where it goes is not."""
 
 
-class _SubTask(msgspec.Struct):
+class _Strict(msgspec.Struct, forbid_unknown_fields=True):
+    """A part of a line: what is no field of it could be of any size."""
+
+
+Names = Annotated[list[str], Meta(max_length=1000)]
+ByName = Annotated[dict[str, float], Meta(max_length=1000)]
+
+
+class _SubTask(_Strict):
     robot: str
     primitive: str
     pick: str
     place: str
 
 
-class _Grounded(msgspec.Struct):
+class _Grounded(_Strict):
     robot: str
     primitive: str
     pick: tuple[float, float, float]
     place: tuple[float, float, float]
 
 
-class _Feedback(msgspec.Struct):
+class _Feedback(_Strict):
     expected: _SubTask
     left: int | None
     departure: Departure
@@ -92,11 +102,15 @@ class _Step(_SubTask, kw_only=True):
     explanation: str
     start_s: float
     duration_s: float
-    fell: list[str]
+    fell: Names
     expert: _Feedback
 
 
-class _Coordination(msgspec.Struct):
+Steps = Annotated[list[_Step], Meta(max_length=200)]
+"""More than an episode has time for."""
+
+
+class _Coordination(_Strict):
     expert_s: float | None
     doable: int
     able: int
@@ -106,28 +120,28 @@ class _Coordination(msgspec.Struct):
     clearance_mm: float | None
 
 
-class _Fault(msgspec.Struct):
+class _Fault(_Strict):
     kind: str
     explanation: str
 
 
-class _Planning(msgspec.Struct):
+class _Planning(_Strict):
     decisions: int
     calls: int
     prompt_tokens: int
     completion_tokens: int
-    invalid: dict[str, int]
+    invalid: Annotated[dict[str, int], Meta(max_length=100)]
     replans: int
 
 
-class _Event(msgspec.Struct):
+class _Event(_Strict):
     time_s: float
     robot: str
     event: Literal["grasped", "released"]
     object: str
 
 
-class _Control(msgspec.Struct):
+class _Control(_Strict):
     """What is told of an episode at control level."""
 
     mode: str
@@ -137,12 +151,12 @@ class _Control(msgspec.Struct):
     asked: int
     """How often the policy was."""
     events: list[_Event]
-    touched: list[str]
+    touched: Names
     """Cubes that the goal moves and that a hand or the stick has touched."""
-    fallen: list[str]
+    fallen: Names
 
 
-class _Lenient(msgspec.Struct):
+class _Lenient(_Strict):
     """What became of an episode that went on after its strict end."""
 
     success: bool
@@ -151,12 +165,13 @@ class _Lenient(msgspec.Struct):
     policy_error: _Fault | None
     asked_holds: bool | None
     elapsed_s: float
-    subtasks: list[_Step]
+    subtasks: Steps
     planning: _Planning | None = None
     """What the further decisions took; there for policies alone that count it."""
+    state_sha256: str | None = None
 
 
-class _Line(msgspec.Struct):
+class _Line(_Strict):
     """The fields of an episode's line: the strict verdict, with the lenient in it."""
 
     protocol: int
@@ -169,16 +184,16 @@ class _Line(msgspec.Struct):
     perturb_start: bool
     instruction_kind: str
     instruction: str
-    asked: list[tuple[str, str]] | None
+    asked: Annotated[list[tuple[str, str]], Meta(max_length=100)] | None
     asked_holds: bool | None
     success: bool
     progress: float
     failure: str | None
     policy_error: _Fault | None
     elapsed_s: float
-    idle_s: dict[str, float]
+    idle_s: ByName
     coordination: _Coordination
-    subtasks: list[_Step]
+    subtasks: Steps
     left: int | None
     lenient: _Lenient | None
     """None if it was played strictly alone."""
@@ -186,6 +201,10 @@ class _Line(msgspec.Struct):
     """There for policies at control level alone."""
     planning: _Planning | None = None
     """What the decisions took; there for policies alone that count it."""
+    wall_s: float = 0.0
+    state_sha256: str | None = None
+    """Of the last state, which follows from everything before; None in lines of earlier
+    releases."""
 
 
 class _Policy(msgspec.Struct):
@@ -260,12 +279,10 @@ def read_about(path: Path) -> dict[str, Any]:
     if not path.name.endswith(PACKED):
         return read_json(path / ABOUT)
     note = path.with_name(path.name.removesuffix(PACKED) + ".json")
-    told = read_json(note)
-    own = told.get("about")
-    if not isinstance(own, dict):
-        raise DatasetError(f"{note} is neither a result nor an entry: no 'about'.")
-    # Of an entry of the leaderboard, these stand elsewhere.
-    return {"protocol": told.get("protocol"), "split": BOARD_SPLIT, **own}
+    about = read_json(note).get("about")
+    if not isinstance(about, dict):
+        raise DatasetError(f"{note} is no result: it has no 'about'.")
+    return about
 
 
 def check_about(about: object, path: Path) -> None:

@@ -11,7 +11,6 @@ from lemma.cli.compare import compare as verb
 from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.comparison import compare
 from lemma.evaluation.analysis.intervals import mcnemar_p, paired_interval
-from lemma.evaluation.lines import read_rows, write_packed
 
 
 def written(folder: Path, successes: set[int], **about: Any) -> Path:
@@ -26,13 +25,13 @@ def written(folder: Path, successes: set[int], **about: Any) -> Path:
 def test_pairs_are_counted(tmp_path: Path) -> None:
     first = written(tmp_path / "a", set(range(8)))
     second = written(tmp_path / "b", {0, 1, 9})
-    one = compare(first, second)["high_level"]["stack"]
+    one = compare(first, second).by_kind["high_level"]["stack"]
     assert (one.both, one.only_first, one.only_second, one.neither) == (2, 6, 1, 1)
     assert one.rates == (0.8, 0.3)
     assert one.difference == pytest.approx(0.5)
     # Two-sided: 2 (1 + 7) / 2^7.
     assert one.p_value == pytest.approx(0.125)
-    back = compare(second, first)["high_level"]["all"]
+    back = compare(second, first).by_kind["high_level"]["all"]
     assert back.difference == pytest.approx(-0.5)
     assert back.interval == pytest.approx([-limit for limit in one.interval[::-1]])
 
@@ -63,7 +62,7 @@ def test_paired_interval(
 
 def test_the_same_twice_does_not_differ(tmp_path: Path) -> None:
     first = written(tmp_path / "a", {1, 2, 3})
-    one = compare(first, first)["high_level"]["all"]
+    one = compare(first, first).by_kind["high_level"]["all"]
     low, high = one.interval
     assert one.p_value == 1.0
     assert low <= 0.0 <= high
@@ -77,13 +76,23 @@ def test_other_worlds_are_refused(tmp_path: Path, name: str) -> None:
         compare(first, second)
 
 
-def test_other_episodes_are_refused(tmp_path: Path) -> None:
-    first, second = written(tmp_path / "a", {1}), written(tmp_path / "b", {1})
+def test_what_only_one_has_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = written(tmp_path / "a", {1}), written(tmp_path / "b", {1, 9})
     lines = (second / "episodes.jsonl").read_text().splitlines(keepends=True)
     (second / "episodes.jsonl").write_text("".join(lines[:-2]))
-    for pair in ((first, second), (second, first)):
-        with pytest.raises(DatasetError, match="2 episodes of"):
-            compare(*pair)
+    found = compare(first, second)
+    assert (found.common, found.unpaired) == (8, (2, 0))
+    assert found.by_kind["high_level"]["all"].rates == (0.125, 0.125)
+    assert verb(second, first) == 0
+    assert "has 0 others, the second 2." in capsys.readouterr().err
+    (second / "episodes.jsonl").write_text(
+        json.dumps(row("stack", 3, success=True)) + "\n"
+    )
+    (first / "episodes.jsonl").write_text(lines[5])
+    with pytest.raises(DatasetError, match="no episode in common"):
+        compare(first, second)
 
 
 def test_a_folder_without_episodes_is_named(tmp_path: Path) -> None:
@@ -104,24 +113,14 @@ def test_the_verb_prints_both(
 
 def test_the_lenient_verdicts_are_compared_too(tmp_path: Path) -> None:
     first, second = written(tmp_path / "a", {1, 2}), written(tmp_path / "b", {1})
-    found = compare(first, second)["high_level"]
+    found = compare(first, second).by_kind["high_level"]
     assert found["lenient"] == found["all"]
     path = second / "episodes.jsonl"
     rows = [json.loads(line) for line in path.read_text().splitlines()]
     rows[5]["lenient"] |= {"success": True, "progress": 1.0, "failure": None}
     path.write_text("".join(json.dumps(one) + "\n" for one in rows))
-    found = compare(first, second)["high_level"]
+    found = compare(first, second).by_kind["high_level"]
     assert found["lenient"].rates == (0.2, 0.2)
     assert found["all"].rates == (0.2, 0.1)
     path.write_text("".join(json.dumps({**r, "lenient": None}) + "\n" for r in rows))
-    assert list(compare(first, second)["high_level"]) == ["all", "stack"]
-
-
-def test_lines_of_the_leaderboard_are_compared(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        folder = written(tmp_path / name, {1, 2})
-        write_packed(tmp_path / f"{name}.jsonl.xz", read_rows(folder))
-        entry = {"about": ABOUT, "protocol": ABOUT["protocol"]}
-        (tmp_path / f"{name}.json").write_text(json.dumps(entry))
-    found = compare(tmp_path / "a.jsonl.xz", tmp_path / "b.jsonl.xz")
-    assert found["high_level"]["all"].episodes == 10
+    assert list(compare(first, second).by_kind["high_level"]) == ["all", "stack"]

@@ -10,8 +10,8 @@ from lemma.core.errors import DatasetError
 from lemma.core.poses import Pose2
 from lemma.core.workers.serial import Serial
 from lemma.evaluation.records import PROTECTIVE_STOP, Row
-from lemma.evaluation.report.replay import retrace
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.evaluation.run.replay import differences, play_again
 from lemma.evaluation.run.rollout import REFUSAL_S, Player, Rollout, roll_out
 from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import Decision, Oracle, OracleInput, PolicyInput
@@ -113,10 +113,12 @@ def test_what_is_counted_is_of_the_strict_episode(played: list[Row]) -> None:
     assert retried["left"] == retried["subtasks"][0]["expert"]["left"]
 
 
-def test_strict_episodes_are_done_again(played: list[Row]) -> None:
+@pytest.mark.parametrize("strictly", [True, False])
+def test_episodes_played_again_are_equal(played: list[Row], strictly: bool) -> None:
     for row in played:
         instance = load_instance("stack", "val", row["index"])
-        assert retrace(row, instance, 100.0) == ""
+        again = play_again(row, instance, {"horizon_s": 100.0}, strictly=strictly)
+        assert list(differences(row, again, strictly=strictly)) == []
 
 
 def test_one_folder_holds_one_sort_of_verdicts(tmp_path: Path) -> None:

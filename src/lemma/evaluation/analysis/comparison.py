@@ -70,26 +70,40 @@ class Comparison:
         }
 
 
-def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
-    """Compare two results.
+@dataclass(frozen=True)
+class Comparisons:
+    """Two results on the episodes that both have."""
+
+    by_kind: dict[str, dict[str, Comparison]]
+    """By kind of instructions, and then for ``"all"`` and by task, all strictly; and
+    for ``"lenient"``, all episodes once more, where both were played so."""
+    common: int
+    """How many episodes both have."""
+    unpaired: tuple[int, int]
+    """How many only the first has, and only the second."""
+
+
+def compare(first: Path, second: Path) -> Comparisons:
+    """Compare two results on the episodes that both have.
 
     Args:
         first: Folder that ``lemma evaluate`` wrote; or the file of a result with lines
             beside it, or packed lines; see :func:`lemma.evaluation.lines.lines_at`.
         second: The other.
 
-    Returns:
-        By kind of instructions, and then for ``"all"`` and by task, all strictly; and
-        for ``"lenient"``, all episodes once more, where both were played so.
-
     Raises:
-        DatasetError: One is missing, or they are of other episodes or versions.
+        DatasetError: One is missing, they have no episode in common, or they are
+            of other versions.
     """
     places = lines_at(first), lines_at(second)
     mine, others = map(_rows, (first, second), places)
     _check_same_world((first, second), places)
-    _check_same_episodes(first, second, (mine, others))
-    pairs = {name: (row, others[name]) for name, row in mine.items()}
+    pairs = {name: (row, others[name]) for name, row in mine.items() if name in others}
+    if not pairs:
+        raise DatasetError(
+            f"{first} and {second} have no episode in common. Evaluate one of them "
+            "with the --instructions, --tasks and --split of the other."
+        )
     found: dict[str, dict[str, Comparison]] = {}
     for kind in EVALUATION_KINDS:
         of_kind = {name: pair for name, pair in pairs.items() if name[0] == kind}
@@ -101,7 +115,8 @@ def compare(first: Path, second: Path) -> dict[str, dict[str, Comparison]]:
             later = [(one["lenient"], two["lenient"]) for one, two in of_kind.values()]
             if all(one and two for one, two in later):
                 found[kind]["lenient"] = _count(later)
-    return found
+    unpaired = len(mine) - len(pairs), len(others) - len(pairs)
+    return Comparisons(found, len(pairs), unpaired)
 
 
 def _count(pairs: Iterable[tuple[Row, Row]]) -> Comparison:
@@ -135,21 +150,4 @@ def _check_same_world(paths: Sequence[Path], places: Sequence[Path]) -> None:
                 f"{first} was made with {name} {values[0]}, and {second} with "
                 f"{values[1]}: what differs may not be the policy. Evaluate one of "
                 "them again."
-            )
-
-
-def _check_same_episodes(
-    first: Path, second: Path, rows: Sequence[dict[EpisodeKey, Row]]
-) -> None:
-    for here, there, mine, others in (
-        (first, second, rows[0], rows[1]),
-        (second, first, rows[1], rows[0]),
-    ):
-        missing = sorted(mine.keys() - others.keys())
-        if missing:
-            kind, task, index = missing[0]
-            raise DatasetError(
-                f"{len(missing)} episodes of {here} are not in {there}, such as {kind} "
-                f"{task} {index}. Evaluate both with the same --instructions, --tasks "
-                "and --episodes."
             )

@@ -23,6 +23,7 @@ from lemma.evaluation.analysis.planning import Planning, planning_in
 from lemma.evaluation.records import (
     POSE_TOLERANCE_MM,
     RESULT_VERSION,
+    STATE,
     WALL_CLOCK,
     Row,
     check_about,
@@ -354,11 +355,15 @@ def _order(name: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def _digest(rows: Iterable[Row]) -> str:
-    lines = (
-        json.dumps({k: v for k, v in row.items() if k not in WALL_CLOCK})
-        for row in rows
-    )
+    lines = (json.dumps(_digested(row)) for row in rows)
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def _digested(row: Row) -> Row:
+    kept = {k: v for k, v in row.items() if k not in (*WALL_CLOCK, STATE)}
+    if kept["lenient"] is not None:
+        kept["lenient"] = {k: v for k, v in kept["lenient"].items() if k != STATE}
+    return kept
 
 
 def _losses(rows: Iterable[Row]) -> tuple[Loss, ...]:

@@ -29,6 +29,7 @@ from lemma.evaluation.records import (
     ABOUT,
     EPISODES,
     PROTOCOL_VERSION,
+    STATE,
     EpisodeKey,
     Row,
     key_of,
@@ -294,7 +295,8 @@ def play_group(
     lenient = config.verdicts == VERDICTS[0]
     for rollout in roll_out(rollouts, player, len(rollouts), lenient=lenient):
         wall_s = (perf_counter() - start) / (len(rows) + 1)
-        rows.append(_row(rollout, config, wall_s))
+        line = line_of(rollout, moved=config.perturb_start, lenient=lenient)
+        rows.append({**line, "wall_s": round(wall_s, 3)})
         report(rows[-1])
     # They were played together, so each took its part.
     even = [{**row, "wall_s": rows[-1]["wall_s"]} for row in rows]
@@ -311,7 +313,14 @@ def _player(spec: PolicySpec) -> Player:
     return player
 
 
-def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
+def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
+    """Return the line of an episode that is over.
+
+    Args:
+        rollout: The episode.
+        moved: Whether it began at the perturbed start of its instance.
+        lenient: Whether it went on after a protective stop.
+    """
     instance = rollout.instance
     end = rollout.verdict()
     strict = rollout.protective_stop or end
@@ -319,7 +328,6 @@ def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
     taken, further = subtasks[: strict.steps], subtasks[strict.steps :]
     asks = rollout.control.asks
     least_m = strict.clearance_m
-    lenient = config.verdicts == VERDICTS[0]
     asked = planning_of(rollout, range(strict.asked))
     later = planning_of(rollout, range(strict.asked, end.asked))
     return {
@@ -330,7 +338,7 @@ def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
         "index": instance.index,
         "team": instance.team,
         "distractors": len(instance.distractors),
-        "perturb_start": config.perturb_start,
+        "perturb_start": moved,
         "instruction_kind": rollout.kind,
         "instruction": rollout.instruction,
         "asked": None if asks is None else [list(pair) for pair in asks],
@@ -341,7 +349,7 @@ def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
                 instance.task,
                 instance.split,
                 instance.index,
-                perturbed_start=config.perturb_start,
+                perturbed_start=moved,
             ),
             **count_steps(taken, strict.left),
             "clearance_mm": round(1000.0 * least_m, 1) if least_m < inf else None,
@@ -351,7 +359,6 @@ def _row(rollout: Rollout, config: EvaluationConfig, wall_s: float) -> Row:
         **rollout.told(),
         **asked,
         "lenient": {**_judged(end), "subtasks": further, **later} if lenient else None,
-        "wall_s": round(wall_s, 3),
     }
 
 
@@ -389,4 +396,5 @@ def _judged(verdict: Verdict) -> dict[str, Any]:
         "policy_error": verdict.fault.to_dict() if verdict.fault else None,
         "asked_holds": verdict.asked_holds,
         "elapsed_s": round(verdict.elapsed_s, 3),
+        STATE: verdict.state_sha256,
     }

@@ -96,6 +96,8 @@ class Verdict:
     """Sub-tasks so far."""
     left: int | None
     """Sub-tasks that the expert needs from there; None if it has no plan."""
+    state_sha256: str
+    """Of the simulator's whole state."""
     asked: int = 0
     """How many efforts of its policy were counted so far."""
 
@@ -175,6 +177,7 @@ class Rollout:
             clearance_m=self.clearance.least_m,
             steps=len(self.steps),
             left=left_in(self.episode),
+            state_sha256=self.episode.simulation.scene.state_hash(),
             asked=len(self.efforts),
         )
 

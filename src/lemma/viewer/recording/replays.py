@@ -9,7 +9,7 @@ from lemma.dataset.teleoperation.schema import LED, Commanded, Teleoperation
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation, subtask_words
-from lemma.evaluation.report.replay import retrace
+from lemma.evaluation.run.replay import differences, play_again
 from lemma.expert.expert import Expert, ExpertStep, solve
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.scene.objects.entity import entity_named
@@ -121,7 +121,8 @@ def replay_line(case: Case) -> Replayed:
             now = replace(episode.snapshot(), stopped=False, ended_s=None, verdict=None)
             turns.append((now, episode.simulation.time_s))
 
-    differs = retrace(row, case.instance, case.about["horizon_s"], watch)
+    again = play_again(row, case.instance, case.about, watch, strictly=True)
+    differs = next(differences(row, again, strictly=True), "")
     lines = tuple(
         Line(
             subtask_words(case, step),

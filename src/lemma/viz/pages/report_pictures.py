@@ -12,7 +12,7 @@ from lemma.core.workers.pool import ProcessPool
 from lemma.env.episode import Episode
 from lemma.env.simulation import TICK_S
 from lemma.evaluation.report.episodes import Case, subtask_words
-from lemma.evaluation.report.replay import grounded_of, retrace
+from lemma.evaluation.run.replay import differences, grounded_of, play_again
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import SymbolicState
@@ -112,7 +112,8 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
         if number == 0 and video is not None:
             _film(episode, style.frame_s, frames)
 
-    differs = retrace(case.row, case.instance, case.about["horizon_s"], before)
+    again = play_again(case.row, case.instance, case.about, before, strictly=True)
+    differs = next(differences(case.row, again, strictly=True), "")
     last = max(states)
     at = min(moment, last)
     scene = Scene(case.instance.scene)

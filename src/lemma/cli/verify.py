@@ -1,0 +1,69 @@
+"""`lemma verify`: the decisions of a result played again, without its policy."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.text import Text
+
+from lemma.cli.options import JsonFlag, Number, output, print_json
+from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.core.errors import InvalidConfigError
+
+ResultPaths = Annotated[
+    tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RESULT ...")
+]
+_AT_INTERRUPT = "{done} episodes were played again; nothing is kept."
+
+
+def verify(
+    results: ResultPaths,
+    episodes: Number = None,
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    working: WorkerOptions = DEFAULT,
+    as_json: JsonFlag = False,
+) -> int:
+    """Play the recorded decisions of results again, and compare all that they say.
+
+    Needs no policy, weights or OpenGL. Outcomes, times and states must be equal to the
+    bit. Whether the policy of that name made the decisions cannot be seen in them.
+    Leaves with 1 if a result does not stand.
+
+    Args:
+        results: What lemma evaluate or lemma reproduce wrote, with its lines: files, or
+            folders that hold some at any depth.
+        episodes: Only so many of each task and kind of instruction, drawn at random.
+        seed: Of that draw.
+        working: Where to work.
+        as_json: Print one JSON object instead of text.
+    """
+    # Imported here, so that help does not wait for it.
+    from lemma.evaluation.verification import copies, results_in
+    from lemma.evaluation.verification import verify as run
+
+    if not results:
+        raise InvalidConfigError("Name a result, such as results/reachnet/seed-0.json.")
+    if episodes is not None and episodes < 1:
+        raise InvalidConfigError(f"--episodes is 1 or more, not {episodes}.")
+    engine = working.make_engine()
+    files = results_in(results)
+    found = []
+    with progress_bar("verify", None, _AT_INTERRUPT) as advance:
+        for lines in files:
+            found.append(run(lines, engine, episodes, seed, advance))
+    found = copies(found)
+    if as_json:
+        print_json({"results": [one.to_dict() for one in found]})
+        return int(not all(one.ok for one in found))
+    for one in found:
+        told = Text("stands" if one.ok else "REFUSED", "green" if one.ok else "red")
+        told.append(f"  {one.lines}", "default")
+        if one.played:
+            extent = "the whole test split" if one.complete else "no whole test split"
+            told.append(f": {one.played:,} of its {one.episodes:,} episodes ({extent})")
+        if one.knows_truth:
+            told.append(", with a policy that knows the truth")
+        for problem in one.problems:
+            told.append(f"\n  {problem}")
+        output().print(told, soft_wrap=True)
+    return int(not all(one.ok for one in found))

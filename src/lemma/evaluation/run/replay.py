@@ -1,0 +1,144 @@
+"""An episode played again from its line: the recorded decisions, without the policy."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from lemma.core.errors import PhysicsError
+from lemma.core.poses import Pose2
+from lemma.env.episode import Episode
+from lemma.evaluation.records import STATE, WALL_CLOCK, Row
+from lemma.evaluation.run.evaluate import line_of
+from lemma.evaluation.run.fault_isolation import Fault, check
+from lemma.evaluation.run.language_controls import FULL, control_of
+from lemma.evaluation.run.rollout import Rollout
+from lemma.policies.interfaces import Decision
+from lemma.serve.protocol.faults import FaultKind
+from lemma.tasks.instance import Instance
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+
+Watcher = Callable[[Episode, int], None]
+"""Told of an episode before each sub-task, from 0, and once more at the end."""
+
+_FREE = (*WALL_CLOCK, "planning", "policy_error", "explanation")
+"""Fields that depend on the machine or on the policy, and sentences for people."""
+
+
+def play_again(
+    row: Row,
+    instance: Instance,
+    about: Mapping[str, Any],
+    watch: Watcher = lambda episode, number: None,
+    *,
+    strictly: bool = False,
+) -> Row:
+    """Carry out the decisions of a line again, and return the line that this gives.
+
+    Physics repeats to the bit, so both lines are equal with the same versions.
+
+    Args:
+        row: A line of ``episodes.jsonl``, not of a policy at control level.
+        instance: The instance that it was played on.
+        about: What decided it, as in ``about.json``: the horizon, and what was said.
+        watch: Told of the episode before each sub-task.
+        strictly: Whether to end where the strict verdict was reached.
+    """
+    rollout = Rollout(
+        instance,
+        row["instruction_kind"],
+        about["horizon_s"],
+        control_of(about.get("language", FULL), instance, row["instruction_kind"]),
+    )
+    lenient = None if strictly else row["lenient"]
+    subtasks = [*row["subtasks"], *(lenient["subtasks"] if lenient else ())]
+    fault = (lenient or row)["policy_error"]
+    for number, step in enumerate(subtasks):
+        if _is_over(rollout, strictly=lenient is None):
+            break
+        watch(rollout.episode, number)
+        given = rollout.given(None)
+        decision = check(_decision(step), given)
+        if isinstance(decision, Fault):
+            # Not of an evaluation: it would have ended there.
+            rollout.fail(decision)
+            break
+        before = rollout.episode.snapshot()
+        try:
+            rollout.take(given, decision)
+        except PhysicsError as error:
+            rollout.episode.restore(before)
+            rollout.fail(Fault(FaultKind.UNSTABLE, str(error)))
+    if not _is_over(rollout, strictly=lenient is None):
+        if fault is None:
+            rollout.episode.stop()
+        else:
+            rollout.fail(Fault(FaultKind(fault["kind"]), fault["explanation"]))
+    watch(rollout.episode, len(subtasks))
+    return line_of(rollout, moved=row["perturb_start"], lenient=lenient is not None)
+
+
+def _is_over(rollout: Rollout, *, strictly: bool) -> bool:
+    stopped = strictly and rollout.protective_stop is not None
+    return stopped or rollout.episode.is_over
+
+
+def _decision(step: Mapping[str, Any]) -> Decision:
+    subtask = SubTask(
+        step["robot"], Primitive(step["primitive"]), step["pick"], step["place"]
+    )
+    poses = step["grounded"]
+    found = None if poses is None else grounded_of(poses)
+    return Decision(subtask, found, step["explanation"])
+
+
+def grounded_of(data: Mapping[str, Any]) -> GroundedSubTask:
+    """Return a grounded sub-task from what its ``to_dict`` returned."""
+    return GroundedSubTask(
+        data["robot"],
+        Primitive(data["primitive"]),
+        Pose2(*data["pick"]),
+        Pose2(*data["place"]),
+    )
+
+
+def differences(row: Row, again: Row, *, strictly: bool = False) -> Iterator[str]:
+    """Yield in what an episode differs when it is played again, in words.
+
+    Args:
+        row: Its line.
+        again: The line that :func:`play_again` returned.
+        strictly: Whether it was played to the strict verdict alone.
+    """
+    skipped = {"lenient"} if strictly else set()
+    said, found = (
+        {name: told for name, told in line.items() if name not in skipped}
+        for line in (row, again)
+    )
+    for place, (one, other) in _unequal(said, found, ""):
+        yield f"{place} is {_short(one)}, and {_short(other)} when played again"
+
+
+def _unequal(
+    said: Any, found: Any, place: str
+) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    if isinstance(said, Mapping) and isinstance(found, Mapping):
+        for name in dict.fromkeys([*said, *found]):
+            # Lines of earlier releases have no hash of the state.
+            old = name == STATE and said.get(name) is None
+            if name not in _FREE and not old:
+                inner = f"{place}.{name}" if place else str(name)
+                yield from _unequal(said.get(name), found.get(name), inner)
+    elif isinstance(said, list) and isinstance(found, list):
+        if len(said) != len(found):
+            yield f"the number of {place}", (len(said), len(found))
+        for number, (one, other) in enumerate(zip(said, found, strict=False), 1):
+            yield from _unequal(one, other, f"{place}[{number}]")
+    elif said != found or type(said) is not type(found):
+        yield place, (said, found)
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+_LONGEST = 60

@@ -1,0 +1,329 @@
+"""Results checked by playing their recorded decisions again, without the policy.
+
+The simulator is deterministic and lines hold every sub-task with its poses, so what an
+episode came to can be computed again: a line whose outcome was changed differs. This
+shows what the decisions lead to. It cannot show who made them.
+"""
+
+import random
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from lemma.core.errors import DatasetError, LemmaError
+from lemma.core.workers.pool import Engine
+from lemma.env.simulation import HORIZON_S
+from lemma.evaluation.analysis.result import Result, check_lines, read_result
+from lemma.evaluation.experiments.catalog import EXPERIMENTS
+from lemma.evaluation.lines import lines_at, lines_in, read_lines, result_beside
+from lemma.evaluation.records import SUMMARY, Row, check_about, key_of, read_about
+from lemma.evaluation.run.evaluate import VERDICTS, start_of
+from lemma.evaluation.run.loading import learned_parts
+from lemma.evaluation.run.protocol import NAME, quote
+from lemma.evaluation.run.replay import differences, play_again
+from lemma.policies.class_path import privileged
+from lemma.policies.planners.registry import is_planner
+from lemma.policies.spec import CONTROL, ORACLE, parts_of
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
+from lemma.tasks.suite import SUITE
+
+_TOGETHER = 10
+"""Episodes of a job."""
+_MOST_NAMED = 5
+_MOST_PER_EPISODE = 3
+_MOST_SUMMARY_MB = 10.0
+"""Size of the files beside the lines; those of a published result have 0.03 MB."""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What became of one result."""
+
+    lines: Path
+    """The file of its episodes."""
+    problems: tuple[str, ...]
+    """Why it does not stand, in sentences; empty if it does."""
+    episodes: int = 0
+    """How many it has."""
+    played: int = 0
+    """How many of them were played again."""
+    complete: bool = False
+    """Whether it has all test episodes of the suite, with the kinds that it names."""
+    knows_truth: bool = False
+    """Whether an oracle or ground-truth allocation has a part in its policy."""
+    digest: str = ""
+    """SHA-256 of its lines, as its summary says."""
+    policy: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether it stands."""
+        return not self.problems
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON."""
+        return {
+            "lines": str(self.lines),
+            "ok": self.ok,
+            "problems": list(self.problems),
+            "policy": self.policy,
+            "episodes": self.episodes,
+            "played": self.played,
+            "complete": self.complete,
+            "knows_truth": self.knows_truth,
+        }
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A result as it was read: what it says, before any of it is believed."""
+
+    lines: Path
+    about: Mapping[str, Any]
+    rows: Sequence[Row]
+    result: Result | None
+
+    @classmethod
+    def read(cls, lines: Path) -> "Claim":
+        """Read a result.
+
+        Args:
+            lines: The file of its episodes.
+
+        Raises:
+            DatasetError: A file is missing, damaged or too large, or the summary is not
+                what the lines give.
+        """
+        path = result_beside(lines)
+        beside = (path, lines.with_name("about.json"))
+        for file in filter(Path.is_file, beside):
+            if file.stat().st_size > _MOST_SUMMARY_MB * 1e6:
+                raise DatasetError(f"{file} is larger than {_MOST_SUMMARY_MB:g} MB.")
+        about = read_about(lines)
+        check_about(about, lines)
+        rows = read_lines(lines)
+        result = read_result(path) if path.is_file() else None
+        if result is not None:
+            check_lines(result, rows, path, lines)
+            if path.name == SUMMARY and result.about != about:
+                raise DatasetError(f"{path} is about another policy than about.json.")
+        return cls(lines, about, rows, result)
+
+    @property
+    def knows_truth(self) -> bool:
+        """Whether an oracle or ground-truth allocation may have a part in the policy.
+
+        A class that was not kept in a process of its own may, whatever it says.
+        """
+        policy = self.about["policy"]
+        beside = ":" in policy["name"] and policy.get("timeout_s") == 0.0
+        return bool(self.about.get("oracle")) or beside or _says_oracle(policy)
+
+    @property
+    def complete(self) -> bool:
+        """Whether these are all test episodes of the suite, with some kinds."""
+        counted = Counter((row["instruction_kind"], row["task"]) for row in self.rows)
+        kinds = {kind for kind, _ in counted}
+        whole = {(kind, task): SPLITS["test"] for kind in kinds for task in SUITE}
+        plain = self.about["split"] == "test" and self.about["language"] == "full"
+        return plain and counted == whole and not self.about.get("perturb_start")
+
+    def problems(self) -> Iterator[str]:
+        """Yield what contradicts itself, in sentences; nothing is played for it."""
+        about, policy = self.about, self.about["policy"]
+        if about["protocol"] != quote():
+            yield (
+                f"It follows protocol {about['protocol'][:12]}, and this installation "
+                f"follows {quote()[:12]} ({NAME})."
+            )
+        if about["benchmark"] != BENCHMARK_VERSION or about["horizon_s"] != HORIZON_S:
+            yield "It is of another benchmark or horizon than this installation."
+        if _says_oracle(policy) and not about.get("oracle"):
+            yield f"It says that {policy['name']} is no oracle, and it knows the truth."
+        unnamed = [part for part in learned_parts(policy["name"]) if part]
+        if unnamed and not about["weights"]:
+            yield f"It names no weights of {', '.join(unnamed)}."
+        if self.result is not None:
+            yield from self._of_command(self.result)
+        yield from self._of_lines()
+
+    def _of_command(self, result: Result) -> Iterator[str]:
+        policy = dict(self.about["policy"])
+        if ("--gta" in result.command.split()) > policy["gta"]:
+            yield "Its command asks for ground-truth allocation, which it does not say."
+        if result.experiment in EXPERIMENTS:
+            experiment = EXPERIMENTS[result.experiment]
+            said = (policy, self.about["language"], self.about["perturb_start"])
+            own = (
+                experiment.policy.about(),
+                experiment.language,
+                experiment.perturb_start,
+            )
+            if said != own:
+                yield f"Its policy is not that of the experiment {experiment.name}."
+
+    def _of_lines(self) -> Iterator[str]:
+        about = self.about
+        control = _level(about["policy"]) == CONTROL
+        own = {
+            "benchmark": about["benchmark"],
+            "split": about["split"],
+            "perturb_start": about.get("perturb_start", False),
+        }
+        lenient = about["verdicts"] == VERDICTS[0]
+        for row in self.rows:
+            odd = [name for name, told in own.items() if row[name] != told]
+            if odd:
+                yield f"{_named(row)} has another {odd[0]} than the result."
+            elif (row["lenient"] is not None) != lenient:
+                yield f"{_named(row)} has not the verdicts that the result names."
+            elif control and row.get("control") is None:
+                yield f"{_named(row)} holds no motor commands, and the result does."
+            elif not control and row.get("control") is not None:
+                yield f"{_named(row)} is of control level, and the result is not."
+            else:
+                continue
+            return
+        if control:
+            yield (
+                "Motor commands are not in the lines, so results at control level "
+                "cannot be verified."
+            )
+
+
+def _level(policy: Mapping[str, Any]) -> str:
+    if policy["name"].startswith(("lerobot:", "lerobot-privileged:", "vla-eval://")):
+        return CONTROL
+    return str(policy.get("level", ""))
+
+
+def _says_oracle(policy: Mapping[str, Any]) -> bool:
+    """Whether what a result calls its policy says that it is given the truth."""
+    name = policy["name"]
+    alone = "+" not in name and "://" not in name and is_planner(name)
+    parts = parts_of(name)
+    told = policy["gta"] or alone
+    return told or any(part == ORACLE or privileged(part) for part in parts)
+
+
+def _named(row: Row) -> str:
+    return "Episode " + "/".join(map(str, key_of(row)))
+
+
+def results_in(paths: Sequence[Path]) -> list[Path]:
+    """Return the files of episodes that somebody means, each once.
+
+    Raises:
+        DatasetError: One path has none.
+    """
+    found: dict[Path, Path] = {}
+    for path in paths:
+        for lines in lines_in(path) or [lines_at(path)]:
+            found.setdefault(lines.resolve(), lines)
+    return list(found.values())
+
+
+def verify(
+    lines: Path,
+    engine: Engine,
+    episodes: int | None = None,
+    seed: int = 0,
+    advance: Callable[[int], None] = lambda count: None,
+) -> Verification:
+    """Play the decisions of a result again and compare everything that its lines say.
+
+    Outcomes, times, poses' errors and hashes of states must be equal to the bit. What
+    the policy failed of, what its decisions took, and explanations are not compared.
+
+    Args:
+        lines: The file of its episodes.
+        engine: Where to work.
+        episodes: Only so many of each task and kind, drawn at random; all if None.
+        seed: Of the draw.
+        advance: Told how many were played since it was last told.
+    """
+    try:
+        claim = Claim.read(lines)
+        problems = list(islice(claim.problems(), _MOST_NAMED))
+    except (DatasetError, msgspec.ValidationError) as error:
+        return Verification(lines, (str(error),))
+    chosen = [] if problems else _drawn(claim.rows, episodes, seed)
+    jobs = [
+        (dict(claim.about), tuple(chosen[start : start + _TOGETHER]))
+        for start in range(0, len(chosen), _TOGETHER)
+    ]
+    differing: list[str] = []
+    for found in engine.run(check_episodes, jobs):
+        differing += [told for told in found if told]
+        advance(len(found))
+    problems += differing[:_MOST_NAMED]
+    if len(differing) > _MOST_NAMED:
+        problems.append(f"{len(differing)} of {len(chosen)} episodes differ in all.")
+    return Verification(
+        lines,
+        tuple(problems),
+        len(claim.rows),
+        len(chosen),
+        claim.complete,
+        claim.knows_truth,
+        claim.result.episodes_sha256 if claim.result else "",
+        claim.about["policy"]["name"],
+    )
+
+
+def copies(found: Sequence[Verification]) -> list[Verification]:
+    """Return results, where those with the very lines of an earlier policy fail."""
+    first: dict[str, Verification] = {}
+    checked = []
+    for one in found:
+        other = first.setdefault(one.digest or str(one.lines), one)
+        if other.policy != one.policy:
+            told = f"Its lines are those of {other.policy} in {other.lines}."
+            one = Verification(**{**vars(one), "problems": (*one.problems, told)})
+        checked.append(one)
+    return checked
+
+
+def _drawn(rows: Sequence[Row], episodes: int | None, seed: int) -> list[Row]:
+    if episodes is None:
+        return list(rows)
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["instruction_kind"], row["task"]), []).append(row)
+    draw = random.Random(seed)
+    return [
+        row
+        for group in groups.values()
+        for row in draw.sample(group, min(episodes, len(group)))
+    ]
+
+
+def check_episodes(about: Mapping[str, Any], rows: Sequence[Row]) -> list[str]:
+    """Play episodes again; return in what each differs, ``""`` where in nothing."""
+    return [_check(about, row) for row in rows]
+
+
+def _check(about: Mapping[str, Any], row: Row) -> str:
+    try:
+        own = about.get("instance")
+        instance = (
+            start_of(
+                row["task"], row["split"], row["index"], moved=row["perturb_start"]
+            )
+            if own is None
+            else Instance.from_dict(own)
+        )
+        if (row["task"], row["index"]) != (instance.task, instance.index):
+            return f"{_named(row)} is not of the instance that was played."
+        again = msgspec.json.decode(
+            msgspec.json.encode(play_again(row, instance, about))
+        )
+    except (LemmaError, ValueError) as error:
+        return f"{_named(row)} cannot be played: {error}"
+    found = list(islice(differences(row, again), _MOST_PER_EPISODE))
+    return f"{_named(row)}: {'; '.join(found)}." if found else ""
