@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from lemma.bench.machine import installed_version
 from lemma.core.errors import LemmaError
@@ -39,8 +40,12 @@ class Check:
     """Whether the benchmark cannot be used without it."""
 
 
-def run_checks() -> list[Check]:
-    """Return every check; none of them raises."""
+def run_checks(*, all_states: bool = False) -> list[Check]:
+    """Return every check; none of them raises.
+
+    Args:
+        all_states: Whether to compare the states of every control mode in every task.
+    """
     checks = [_python(), Check("lemma", True, __version__)]
     checks.append(_attempt("mujoco", _engine))
     checks += [_package(name) for name in PACKAGES]
@@ -49,6 +54,8 @@ def run_checks() -> list[Check]:
     if checks[-2].ok:
         checks.append(_attempt("camera picture", _picture))
     checks.append(_attempt("instances", _frozen))
+    same = partial(_states, fast=not all_states)
+    checks.append(_attempt("same states", same, essential=False))
     checks.append(_attempt("compiled code", _cache, essential=False))
     checks.append(_attempt("video encoder", _video, essential=False))
     checks += [_extra(name, packages) for name, packages in extras().items()]
@@ -163,6 +170,22 @@ def _frozen() -> str:
     from lemma.tasks.suite import SUITE, load_instance
 
     return f"{len([load_instance(name, 'test', 0) for name in SUITE])} tasks' lists"
+
+
+def _states(*, fast: bool) -> str:
+    from lemma.bench.states import all_cases, differing, fast_cases
+
+    cases = fast_cases() if fast else all_cases()
+    found = differing(cases, fast=fast)
+    if found:
+        names = ", ".join(case.key for case in found[:5])
+        more = ", ..." if len(found) > 5 else ""
+        raise _NotWellError(
+            f"{len(found)} of {len(cases)} cases differ: {names}{more}",
+            "The benchmark works, but episodes here differ in the last bits from those "
+            f"of other machines. The hashes were made with MuJoCo {ENGINE} on x86-64.",
+        )
+    return f"{len(cases)} cases repeat their hashes"
 
 
 def _cache() -> str:

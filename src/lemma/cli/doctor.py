@@ -7,17 +7,19 @@ from rich.text import Text
 
 from lemma.bench.checks import Check, run_checks
 from lemma.bench.machine import describe_machine
-from lemma.cli.options import JsonFlag, messages, output, print_json
+from lemma.cli.options import Flag, JsonFlag, messages, output, print_json
 
 
-def doctor(as_json: JsonFlag = False) -> int:
+def doctor(states: Flag = False, as_json: JsonFlag = False) -> int:
     """Check versions, rendering, physics and the expert; say what is missing.
 
     Args:
+        states: Compare the simulated states of every control mode in every task with
+            those of other machines, which takes a minute; a few are always compared.
         as_json: Print one JSON object instead of a table.
     """
     with messages().status("Checking (the first run compiles, for half a minute) ..."):
-        checks = run_checks()
+        checks = run_checks(all_states=states)
         machine = describe_machine()
     healthy = all(check.ok for check in checks if check.essential)
     if as_json:

@@ -12,6 +12,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from lemma.core.arithmetic import ordered_sum
+
 FloatArray = NDArray[np.float64]
 
 
@@ -139,7 +141,7 @@ def quaternion_from_matrix(
         q = [r[0][2] - r[2][0], r[0][1] + r[1][0], squares[2], r[1][2] + r[2][1]]
     else:
         q = [r[1][0] - r[0][1], r[0][2] + r[2][0], r[1][2] + r[2][1], squares[3]]
-    norm = math.sqrt(sum(v * v for v in q))
+    norm = math.sqrt(ordered_sum(v * v for v in q))
     sign = -1.0 if q[0] < 0 else 1.0
     w, x, y, z = (sign * v / norm for v in q)
     return (w, x, y, z)

@@ -159,7 +159,8 @@ class Perturber:
 
 def _differences(one: SubTask, other: SubTask) -> int:
     """Return in how many of its four words a sub-task differs."""
-    return sum(one.to_dict()[word] != value for word, value in other.to_dict().items())
+    first, second = one.to_dict(), other.to_dict()
+    return len([word for word in first if first[word] != second[word]])
 
 
 def _off(pose: Pose2, limits_m: tuple[float, float], rng: np.random.Generator) -> Pose2:

@@ -11,6 +11,7 @@ import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from lemma.core.arithmetic import ordered_sum
 from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.primitives import PRIMITIVES, Wish
 from lemma.expert.symbolic_state import SymbolicState
@@ -46,7 +47,7 @@ class Plan:
     @property
     def duration_s(self) -> float:
         """Predicted time [s]."""
-        return sum(step.duration_s for step in self.steps)
+        return ordered_sum(step.duration_s for step in self.steps)
 
 
 def utility(step: GroundedOption, before: SymbolicState, goal: Goal) -> float:
@@ -58,9 +59,8 @@ def utility(step: GroundedOption, before: SymbolicState, goal: Goal) -> float:
     if step.subtask.primitive is Primitive.MOVE and _was_handled(subject, before):
         cost += _AGAIN
     rank = conjunct_of(subject, before, goal)
-    cost += _AHEAD * sum(
-        not _holds(on, before) for on in goal.conjuncts[:rank] if rank is not None
-    )
+    if rank is not None:
+        cost += _AHEAD * _open(goal.conjuncts[:rank], before)
     return _QUALITY * step.quality - cost
 
 
@@ -116,7 +116,7 @@ def find_plan(
         if state.key in done:
             continue
         done.add(state.key)
-        elapsed = sum(step.duration_s for step in steps)
+        elapsed = ordered_sum(step.duration_s for step in steps)
         for subtask in candidates(state, goal, robots, grounder):
             step = grounder.ground(subtask, state)
             if step is None or elapsed + step.duration_s > limit_s:
@@ -134,9 +134,14 @@ def _holds(on: On, now: SymbolicState) -> bool:
     return now.supports[on.top] == on.bottom
 
 
+def _open(conjuncts: tuple[On, ...], now: SymbolicState) -> int:
+    """Return how many conjuncts do not hold."""
+    return len([on for on in conjuncts if not _holds(on, now)])
+
+
 def _bound(now: SymbolicState, goal: Goal) -> float:
     """Return a cost that no way to the goal undercuts: one step per open conjunct."""
-    return _LEAST * sum(not _holds(on, now) for on in goal.conjuncts)
+    return _LEAST * _open(goal.conjuncts, now)
 
 
 def candidates(

@@ -62,8 +62,8 @@ class CameraFootprint:
         """
         offset = (x - self._eye[0], y - self._eye[1], -self._eye[2])
         right, down, forward = (
-            sum(float(self._rotation[i, j]) * offset[i] for i in range(3))
-            for j in range(3)
+            float(a) * offset[0] + float(b) * offset[1] + float(c) * offset[2]
+            for a, b, c in self._rotation.T
         )
         seen: NDArray[np.bool_] = np.asarray(forward) > 0.0
         seen &= np.abs(right) <= self._half[0] * forward

@@ -96,4 +96,5 @@ class Goal:
 
     def progress(self, scene: Scene) -> float:
         """Return the fraction of conjuncts that hold, in [0, 1]."""
-        return sum(on.holds(scene) for on in self.conjuncts) / len(self.conjuncts)
+        held = [on.holds(scene) for on in self.conjuncts]
+        return held.count(True) / len(held)

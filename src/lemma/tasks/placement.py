@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from lemma.core.arithmetic import ordered_sum
 from lemma.core.errors import InvalidConfigError, SamplingError
 from lemma.core.poses import FloatArray, Pose2
 from lemma.robots.collision_model import sweep_radius_m
@@ -299,7 +300,7 @@ class Board:
                 and placed.name not in (on.top, on.bottom)
                 and could_get(placed)
             ]
-            row_m = 2.0 * sum(spare) + named[on.top].entity.kind.side_m
+            row_m = 2.0 * ordered_sum(spare) + named[on.top].entity.kind.side_m
             if not spare or self.territory.keeps_off(
                 robot, named[on.bottom], row_m, tool=self._zones[on.bottom].tool
             ):

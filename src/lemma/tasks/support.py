@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from lemma.core.arithmetic import ordered_sum
 from lemma.core.engine import mujoco
 from lemma.core.poses import Pose
 from lemma.scene.objects.entity import kind_of
@@ -36,7 +37,7 @@ def stands_on_a_face(scene: Scene, name: str) -> bool:
     """Whether one of the faces that an object may stand on is level, below it."""
     up, least = _upward(scene.pose(name)), math.cos(TILT_RAD)
     return any(
-        sum(a * b for a, b in zip(up, top, strict=True)) >= least
+        ordered_sum(a * b for a, b in zip(up, top, strict=True)) >= least
         for top in kind_of(name).tops
     )
 

@@ -11,6 +11,7 @@ Scalars go through :mod:`math`, as in :mod:`lemma.core.poses`.
 import math
 from collections.abc import Sequence
 
+from lemma.core.arithmetic import ordered_sum
 from lemma.core.poses import FloatArray, matrix_from_quaternion, quaternion_from_matrix
 
 Quaternion = tuple[float, float, float, float]
@@ -54,7 +55,7 @@ def quaternion_from_rot6d(six: Sequence[float]) -> Quaternion | None:
     if length < _LEAST_NORM:
         return None
     first = [v / length for v in a]
-    along = sum(u * v for u, v in zip(first, b, strict=True))
+    along = ordered_sum(u * v for u, v in zip(first, b, strict=True))
     across = [v - along * u for u, v in zip(first, b, strict=True)]
     width = math.hypot(*across)
     # As a fraction, so that the same pair of directions is the same rotation.

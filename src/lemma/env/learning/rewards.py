@@ -15,6 +15,7 @@ in, for learners that go on from the value of that state.
 import math
 from collections.abc import Callable
 
+from lemma.core.arithmetic import ordered_sum
 from lemma.core.registry import Registry
 from lemma.env.episode import Episode
 from lemma.scene.objects.entity import kind_of
@@ -53,7 +54,7 @@ def goal_potential(episode: Episode) -> float:
         else _advance(simulation.scene, on, hands, held)
         for on in episode.instance.goal.conjuncts
     ]
-    return sum(parts) / len(parts)
+    return ordered_sum(parts) / len(parts)
 
 
 def _advance(scene: Scene, on: On, hands: list[list[float]], held: set[str]) -> float:
