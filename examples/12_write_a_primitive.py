@@ -17,7 +17,8 @@ from lemma.motion.moves import Motion, Moves
 from lemma.motion.obstacles import around
 from lemma.motion.skills import SkillRunner, stand_at
 from lemma.robots.reach import TRAVEL_HEIGHT_M
-from lemma.scene.objects.entity import SHARED, STICK
+from lemma.scene.objects.entity import STICK
+from lemma.scene.regions import SHARED
 from lemma.tasks.drags import stick_discs
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
@@ -57,7 +58,7 @@ def ground(
     obstacles = geometry.discs(now, but=cube)
     if STICK in now.poses:
         obstacles += stick_discs(now.poses[STICK])
-    start, target = now.poses[cube], geometry.places.free_spot(obstacles)
+    start, target = now.poses[cube], geometry.regions[SHARED].free_spot(obstacles)
     if target is None or not 0.05 < start.distance(target) < LONGEST_M:
         return None
     way = Pose2(start.x, start.y, math.atan2(target.y - start.y, target.x - start.x))

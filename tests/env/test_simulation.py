@@ -7,6 +7,7 @@ import pytest
 from recorded_episodes import first_instance, run_expert
 from small_tables import cube, facing, pad, stick
 
+from lemma.core.errors import InvalidActionError
 from lemma.core.poses import Pose, Pose2
 from lemma.env.simulation import STEPS_PER_TICK, TICK_S, Simulation
 from lemma.motion.skills import SkillRunner
@@ -205,3 +206,70 @@ def test_time_does_not_drift() -> None:
     simulation = Simulation(facing("ur5"))
     simulation.rest(100.0)
     assert math.isclose(simulation.time_s, 100.0, abs_tol=1e-6)
+
+
+def run_alone(simulation: Simulation, subtask: GroundedSubTask) -> None:
+    """Execute a sub-task by the shortest loop that can: a reference."""
+    for _ in SkillRunner(simulation.arms).run(subtask):
+        simulation.tick((subtask.robot,))
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_begin_and_advance_give_the_states_of_a_plain_loop(task: str) -> None:
+    """Also where time passes in pieces, and another robot's turn comes at once."""
+    instance = first_instance(task, "ur5+ur10")
+    _, _, steps, _ = run_expert(instance)
+    plain, pieces = Simulation(instance.scene), Simulation(instance.scene)
+    for number, step in enumerate(steps):
+        run_alone(plain, step.grounded)
+        pieces.begin(step.grounded)
+        ended, piece_s = (), 0.07 + 0.31 * number
+        while not ended:
+            assert pieces.busy == {step.grounded.robot: step.grounded}
+            ended = pieces.advance(pieces.time_s + piece_s)
+        assert [done.subtask for done in ended] == [step.grounded]
+        assert pieces.scene.state_hash() == plain.scene.state_hash()
+    assert pieces.advance() == ()
+
+
+def test_two_robots_at_once_end_each_at_its_own_time() -> None:
+    spots = {"robot_0": Pose2(-0.55, 0.35), "robot_1": Pose2(0.55, -0.35)}
+    colors = ("red", "green")
+    cubes = [cube(c, *s.xy) for c, s in zip(colors, spots.values(), strict=True)]
+    simulation = Simulation(facing("ur5", *cubes))
+    long, short = (
+        GroundedSubTask(name, Primitive.MOVE, spot, Pose2(*(0.8 * v for v in spot.xy)))
+        for name, spot in spots.items()
+    )
+    simulation.begin(long)
+    assert simulation.advance(1.0) == ()
+    simulation.begin(short)
+    for refused in (lambda: simulation.begin(short), simulation.snapshot):
+        with pytest.raises(InvalidActionError, match="is busy"):
+            refused()
+    with pytest.raises(InvalidActionError, match="cannot work alone"):
+        simulation.execute(short)
+    (first,) = simulation.advance()
+    assert (first.subtask, first.start_s) == (long, 0.0)
+    assert simulation.busy == {"robot_1": short}
+    (second,) = simulation.advance()
+    assert (second.subtask, second.start_s) == (short, pytest.approx(1.0))
+    assert first.result.ok
+    assert second.result.ok
+    for done in (first, second):
+        clock = simulation.clocks[done.subtask.robot]
+        assert clock.busy_s == done.result.duration_s
+
+
+def test_a_busy_robot_is_broken_off_at_its_time_and_freed_by_restore() -> None:
+    simulation = Simulation(facing("ur5", cube("red", *PICK.xy, PICK.yaw)))
+    start = simulation.snapshot()
+    simulation.begin(MOVE, until_s=0.5)
+    (ended,) = simulation.advance()
+    assert ended.result.outcome == "out_of_time"
+    assert simulation.time_s == pytest.approx(0.5)
+    simulation.begin(MOVE)
+    simulation.advance(1.0)
+    simulation.restore(start)
+    assert simulation.busy == {}
+    assert simulation.execute(MOVE).ok

@@ -14,7 +14,8 @@ from lemma.expert.allocation import allocate, pose_problem
 from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.planner import Plan, find_plan, utility
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.scene.objects.entity import SHARED, STICK
+from lemma.scene.objects.entity import STICK
+from lemma.scene.regions import SHARED
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
@@ -265,22 +266,35 @@ def test_there_is_no_plan_longer_than_the_time() -> None:
     assert find_plan(now, instance.goal, grounder, limit_s=20.0) is None
 
 
-def test_a_team_can_be_larger_or_smaller_than_two() -> None:
-    """Nothing counts on two: a third robot hands on from the second to the fourth."""
+def test_three_in_a_row_hand_on_in_the_regions_of_pairs() -> None:
+    """No place is reached by all three; the outer two share none with each other."""
     away = THREE.robots[1].base.x
     base = Pose2(3 * away, 0.0, math.pi)
     third = RobotPlacement("ur5", "red", base)
     beyond = ObjectPlacement("pad", "green", Pose2(3 * away - 0.3, -0.3))
     spec = SceneSpec((*THREE.robots, third), (*THREE.objects, beyond))
+    assert spec.regions == {"shared_01": (0, 1), "shared_12": (1, 2)}
     now, grounder = look(spec)
-    goal = Goal.from_pairs((("green_cube", "green_pad"),))
-    # Only the third reaches the pad, and nobody can hand it the cube: no place is
-    # reached by all three.
-    assert find_plan(now, goal, grounder) is None
+    plan = find_plan(now, Goal.from_pairs((("red_cube", "green_pad"),)), grounder)
+    assert plan is not None
+    assert [(s.robot, s.place) for s in plan.subtasks] == [
+        ("robot_0", "shared_01"),
+        ("robot_1", "shared_12"),
+        ("robot_2", "green_pad"),
+    ]
+    assert {s.pick for s in plan.subtasks} == {"red_cube"}
     goal = Goal.from_pairs((("red_cube", "white_pad"),))
     alone = find_plan(now, goal, grounder, team=("robot_0",))
     assert alone is not None
     assert [subtask.robot for subtask in alone.subtasks] == ["robot_0"]
+
+
+def test_robots_that_all_reach_a_place_have_one_region() -> None:
+    assert THREE.regions == {"shared": (0, 1)}
+    alone = SceneSpec(THREE.robots[:1], ())
+    assert alone.regions == {"shared": (0,)}
+    crowd = SceneSpec((*THREE.robots, THREE.robots[0]), ())
+    assert crowd.regions == {"shared": (0, 1, 2)}
 
 
 # --- The mirror --------------------------------------------------------------------

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lemma.core.engine import mujoco
-from lemma.core.errors import PhysicsError, UnknownNameError
+from lemma.core.errors import InvalidActionError, PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.outcome import Outcome, SkillResult
@@ -43,6 +43,30 @@ class RobotClock:
     def idle_s(self, elapsed_s: float) -> float:
         """Return the time spent waiting so far [s]."""
         return max(0.0, elapsed_s - self.busy_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A sub-task that has ended."""
+
+    subtask: GroundedSubTask
+    result: SkillResult
+    start_s: float
+    """Simulated time at which it began [s]."""
+
+
+@dataclass(slots=True)
+class _Running:
+    """A sub-task that is being executed."""
+
+    subtask: GroundedSubTask
+    skill: Skill
+    start_s: float
+    until_s: float
+    fallen: tuple[str, ...]
+    """Objects that had fallen off the table before it began."""
+    looked_s: float = -math.inf
+    """Simulated time at which the skill last looked at the world [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +112,7 @@ class Simulation:
         self.clocks = {name: RobotClock() for name in self.arms}
         self.observers: list[Callable[[], None]] = []
         self._skills = SkillRunner(self.arms)
+        self._running: dict[str, _Running] = {}
         self._control: FloatArray = self.scene.data.ctrl
         self._commands = np.empty((STEPS_PER_TICK, self.scene.model.nu))
         for arm in self.arms.values():
@@ -154,26 +179,109 @@ class Simulation:
     def execute(
         self, subtask: GroundedSubTask, until_s: float = HORIZON_S
     ) -> SkillResult:
-        """Execute a grounded sub-task to its end.
+        """Execute a grounded sub-task to its end, while no other robot works.
 
         Args:
-            subtask: What to do.
-            until_s: Simulated time at which to break off [s].
+            subtask: The sub-task.
+            until_s: Simulated time at which to break it off [s].
 
         Raises:
+            InvalidActionError: A robot is busy.
+            UnknownNameError: There is no such robot in this scene.
+        """
+        if self._running:
+            raise InvalidActionError(
+                f"{subtask.robot} cannot work alone: {', '.join(self._running)} is "
+                "busy. Call advance() until no robot is."
+            )
+        self.begin(subtask, until_s)
+        (ended,) = self.advance()
+        return ended.result
+
+    def begin(self, subtask: GroundedSubTask, until_s: float = HORIZON_S) -> None:
+        """Give a grounded sub-task to a free robot; :meth:`advance` carries it out.
+
+        Args:
+            subtask: The sub-task.
+            until_s: Simulated time at which to break it off [s].
+
+        Raises:
+            InvalidActionError: The robot is busy.
             UnknownNameError: There is no such robot in this scene.
         """
         if subtask.robot not in self.arms:
             raise UnknownNameError("robot in this scene", subtask.robot, self.arms)
-        start, before = self.time_s, self.scene.fallen
+        if subtask.robot in self._running:
+            raise InvalidActionError(
+                f"{subtask.robot} is busy. Only a free robot can begin a sub-task."
+            )
         skill = self._skills.run(subtask)
-        try:
-            result = self._drive(skill, subtask.robot, until_s)
-        finally:
-            # An observer may break it off by raising something.
-            skill.close()
-            self.clocks[subtask.robot].busy_s += self.time_s - start
-        return self._with_losses(result, before)
+        self._running[subtask.robot] = _Running(
+            subtask, skill, self.time_s, until_s, self.scene.fallen
+        )
+
+    @property
+    def busy(self) -> dict[str, GroundedSubTask]:
+        """The sub-tasks being executed, by robot, in the order of the team."""
+        running = self._running
+        return {name: running[name].subtask for name in self.arms if name in running}
+
+    def advance(self, until_s: float = math.inf) -> tuple[Ended, ...]:
+        """Let time pass until a busy robot becomes free.
+
+        Args:
+            until_s: Simulated time at which to return at the latest [s]; robots that
+                are busy then stay so.
+
+        Returns:
+            The sub-tasks that ended, all at the present time; several where they ended
+            in the same tick, none where ``until_s`` came first or no robot is busy.
+        """
+        data, end = self.scene.data, until_s - 0.5 * TIME_STEP_S
+        while self._running:
+            ended = self._end_those_done()
+            if ended or data.time >= end:
+                return ended
+            try:
+                self.tick(tuple(self.busy))
+            except BaseException:
+                # An observer may break everything off by raising something.
+                for name in tuple(self._running):
+                    self._free(name)
+                raise
+        return ()
+
+    def _end_those_done(self) -> tuple[Ended, ...]:
+        """Let every skill look at the present state once; free robots that are done."""
+        ended = []
+        for name in self.busy:
+            running, result = self._running[name], None
+            try:
+                if running.looked_s != self.time_s:
+                    running.looked_s = self.time_s
+                    next(running.skill)
+            except StopIteration as done:
+                result = done.value
+            except BaseException:
+                self._free(name)
+                raise
+            if result is None and self.time_s >= running.until_s - 0.5 * TIME_STEP_S:
+                result = SkillResult(
+                    Outcome.OUT_OF_TIME,
+                    f"The episode ended at {running.until_s:g} s.",
+                    self.time_s - running.start_s,
+                )
+            if result is not None:
+                self._free(name)
+                result = self._with_losses(result, running.fallen)
+                ended.append(Ended(running.subtask, result, running.start_s))
+        return tuple(ended)
+
+    def _free(self, robot: str) -> None:
+        """End what a robot does, and count the time it took."""
+        running = self._running.pop(robot)
+        running.skill.close()
+        self.clocks[robot].busy_s += self.time_s - running.start_s
 
     def _with_losses(self, result: SkillResult, before: tuple[str, ...]) -> SkillResult:
         """Return a result that tells what fell off the table, if something did."""
@@ -183,24 +291,6 @@ class Simulation:
         told = "" if result.ok else f"{result.explanation} "
         told += f"The {' and the '.join(fell)} fell off the table."
         return SkillResult(Outcome.DROPPED, told, result.duration_s)
-
-    def _drive(self, skill: Skill, robot: str, until_s: float) -> SkillResult:
-        data = self.scene.data
-        start, end = data.time, until_s - 0.5 * TIME_STEP_S
-        active = (robot,)
-        while True:
-            try:
-                next(skill)
-            except StopIteration as done:
-                result: SkillResult = done.value
-                return result
-            if data.time >= end:
-                return SkillResult(
-                    Outcome.OUT_OF_TIME,
-                    f"The episode ended at {until_s:g} s.",
-                    self.time_s - start,
-                )
-            self.tick(active)
 
     def rest(self, seconds: float) -> None:
         """Let time pass without moving any arm."""
@@ -226,7 +316,16 @@ class Simulation:
             data.ctrl[arm.robot.ctrl] = -damping * data.qvel[arm.robot.dof]
 
     def snapshot(self) -> SimulationSnapshot:
-        """Return all that the future depends on; not while a sub-task is executed."""
+        """Return all that the future depends on.
+
+        Raises:
+            InvalidActionError: A robot is busy: a motion in its midst cannot be saved.
+        """
+        if self._running:
+            raise InvalidActionError(
+                f"{', '.join(self._running)} is busy, and a sub-task in its midst "
+                "cannot be saved. Call advance() until no robot is."
+            )
         arms = {
             name: ArmSnapshot(
                 arm.state.copy(),
@@ -239,7 +338,10 @@ class Simulation:
         return SimulationSnapshot(self.scene.snapshot(), arms)
 
     def restore(self, snapshot: SimulationSnapshot) -> None:
-        """Go back to a snapshot; what follows is equal to the bit."""
+        """Go back to a snapshot; what follows is equal to the bit. No robot is busy."""
+        for running in self._running.values():
+            running.skill.close()
+        self._running.clear()
         self.scene.restore(snapshot.physics)
         # The contacts too, which tell what is held.
         mujoco.mj_fwdPosition(self.scene.model, self.scene.data)

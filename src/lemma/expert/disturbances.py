@@ -15,7 +15,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.scene.objects.entity import SHARED, STICK
+from lemma.scene.objects.entity import STICK
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
@@ -145,12 +145,13 @@ class Perturber:
         """Yield the sub-tasks that make sense, whether or not their robot can."""
         for robot in self._grounder.robots:
             for cube in now.supports:
-                for place in (SHARED, *now.poses):
+                for place in (*now.spec.regions, *now.poses):
                     if place not in (cube, STICK, now.supports[cube]):
                         yield SubTask(robot, Primitive.MOVE, cube, place)
             if STICK not in now.poses:
                 continue
-            yield SubTask(robot, Primitive.MOVE, STICK, SHARED)
+            for region in now.spec.regions:
+                yield SubTask(robot, Primitive.MOVE, STICK, region)
             for cube in now.supports:
                 for primitive in Primitive:
                     if primitive not in (Primitive.MOVE, Primitive.STOP):

@@ -1,13 +1,12 @@
-"""Free places in the region that all robots share."""
+"""Free places in a region that several robots share."""
 
 import math
-from functools import lru_cache
 
 from lemma.core.poses import Pose2
-from lemma.robots.reach import reach_of
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
+from lemma.scene.regions import EDGE_M, spots_of
 from lemma.scene.spec import RobotPlacement
-from lemma.scene.table import TABLE_HALF_Y_M, Gap, lies_on_table
+from lemma.scene.table import Gap, lies_on_table
 from lemma.tasks.drags import (
     HAND_CLEARANCE_M,
     LARGEST_HEADING_RAD,
@@ -18,36 +17,30 @@ from lemma.tasks.drags import (
     stick_in_grasp,
 )
 
-_GRID_M = 0.02
-_MARGIN_M = 0.03
-_GOOD_MARGIN_M = 0.10
 _CLEARANCE_M = 0.065
 """From a cube's centre to the edge of anything else: fingers fit between."""
 _GOOD_CLEARANCE_M = 0.12
 _STICK_CLEARANCE_M = STICK_SECTION_M / 2 + 0.02
 _STICK_GRID = 3
 _STICK_YAWS = 24
-_EDGE_M = 0.05
 
 _StickKey = tuple[tuple[Disc, ...], Pose2, Pose2]
-Spot = tuple[float, float, float]
-"""x, y, and the smallest margin of any robot there, where more is no better [m]."""
 
 
 class FreeSpots:
-    """Chooses where to put things down so that everyone can pick them up again."""
+    """Chooses where to put things down so that others can pick them up again."""
 
     def __init__(
         self, robots: tuple[RobotPlacement, ...], gap_m: Gap | None = None
     ) -> None:
-        """Find the shared region of a team.
+        """Find the places that some robots share.
 
         Args:
-            robots: The team.
+            robots: Those of one region.
             gap_m: Where the table is missing.
         """
         self._gap_m = gap_m
-        self._spots = _shared_spots(robots, gap_m)
+        self._spots = spots_of(tuple((r.arm, r.base) for r in robots), gap_m)
         self._bases = tuple(robot.base for robot in robots)
         self._stick_places: dict[_StickKey, Pose2 | None] = {}
 
@@ -101,7 +94,7 @@ class FreeSpots:
         return self._stick_places[key]
 
     def _stick_poses(self, x: float, y: float) -> list[Pose2]:
-        """Return gripper poses at a place that suit every robot, best first."""
+        """Return gripper poses at a place that suit each robot, best first."""
 
         def worst(grip: Pose2) -> float:
             stick = stick_in_grasp(grip)
@@ -119,35 +112,10 @@ def _stick_is_free(grip: Pose2, obstacles: tuple[Disc, ...], gap_m: Gap | None) 
         stick @ Pose2(HANDLE_LENGTH_M, 0.0),
         stick @ Pose2(HANDLE_LENGTH_M, HOOK_LENGTH_M),
     ):
-        if not lies_on_table(gap_m, corner, _EDGE_M):
+        if not lies_on_table(gap_m, corner, EDGE_M):
             return False
     return all(
         stick_gap(stick, x, y) > radius + _STICK_CLEARANCE_M
         and math.hypot(x - grip.x, y - grip.y) > radius + HAND_CLEARANCE_M
         for x, y, radius in obstacles
     )
-
-
-@lru_cache(maxsize=64)
-def _shared_spots(
-    robots: tuple[RobotPlacement, ...], gap_m: Gap | None
-) -> tuple[Spot, ...]:
-    spots = []
-    reaches = [(reach_of(r.arm), r.base) for r in robots]
-    left = max(base.x - reach.travel_m for reach, base in reaches)
-    right = min(base.x + reach.travel_m for reach, base in reaches)
-    half = round(TABLE_HALF_Y_M / _GRID_M)
-    for i in range(math.ceil(left / _GRID_M), math.floor(right / _GRID_M) + 1):
-        for j in range(-half, half + 1):
-            x, y = i * _GRID_M, j * _GRID_M
-            if not lies_on_table(gap_m, Pose2(x, y), _EDGE_M):
-                continue
-            margin = math.inf
-            for reach, base in reaches:
-                margin = min(margin, reach.margin(base, x, y))
-                if margin < _MARGIN_M:
-                    break
-            else:
-                spots.append((x, y, min(margin, _GOOD_MARGIN_M)))
-    # Best first, and among equals the most central.
-    return tuple(sorted(spots, key=lambda s: (-s[2], s[0] ** 2 + s[1] ** 2)))

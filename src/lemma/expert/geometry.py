@@ -57,8 +57,11 @@ class SceneGeometry:
             spec: The scene; robots do not move their bases.
         """
         self._robots = dict(zip(spec.robot_names, spec.robots, strict=True))
-        self.places = FreeSpots(spec.robots, spec.gap_m)
-        """Where things can be put down so that everyone reaches them."""
+        self.regions = {
+            name: FreeSpots(tuple(spec.robots[i] for i in robots), spec.gap_m)
+            for name, robots in spec.regions.items()
+        }
+        """Free places, by region: where things can be put down for each other."""
         self._gap_m = spec.gap_m
         self._drags: dict[_DragKey, Drag | None] = {}
 

@@ -11,7 +11,7 @@ from lemma.expert.geometry import GroundedOption, SceneGeometry
 from lemma.expert.primitives import PRIMITIVES
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult, has_fallen
-from lemma.scene.objects.entity import SHARED, STICK
+from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import Primitive, SubTask
 
 __all__ = ["GeometricGrounder", "GroundedOption", "ground_or_refuse"]
@@ -75,7 +75,7 @@ def _why_senseless(subtask: SubTask, now: SymbolicState) -> str | None:
     for name in (pick, place):
         if name == "":
             return f"{primitive} needs something to pick and a place."
-        if name != SHARED and name not in now.poses:
+        if name not in now.spec.regions and name not in now.poses:
             return f"There is no {name} on this table, only {', '.join(now.poses)}."
     spec = PRIMITIVES[primitive]
     if spec.tool and pick != STICK:
@@ -92,7 +92,7 @@ def _why_unreachable(
     robot = subtask.robot
     arm = grounder.robots[robot].arm
     for name in (subtask.pick, subtask.place):
-        if PRIMITIVES[subtask.primitive].tool or name in (SHARED, STICK):
+        if PRIMITIVES[subtask.primitive].tool or name in (*grounder.regions, STICK):
             continue
         if not grounder.reaches(robot, now.poses[name]):
             return f"{robot} ({arm}) cannot reach the {name}."

@@ -15,7 +15,7 @@ from lemma.core.arithmetic import ordered_sum
 from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.primitives import PRIMITIVES, Wish
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.scene.objects.entity import SHARED, STICK, kind_of
+from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.subtask import Primitive, SubTask
 
@@ -53,7 +53,7 @@ class Plan:
 def utility(step: GroundedOption, before: SymbolicState, goal: Goal) -> float:
     """Return u = q - c of a step; see the constants of this module."""
     subject = step.subtask.pick
-    if subject == STICK and step.subtask.place != SHARED:
+    if subject == STICK and step.subtask.place not in before.spec.regions:
         subject = step.subtask.place
     cost = _EFFORT + _PER_SECOND * (step.duration_s + step.reluctance_s)
     if step.subtask.primitive is Primitive.MOVE and _was_handled(subject, before):
@@ -66,7 +66,7 @@ def utility(step: GroundedOption, before: SymbolicState, goal: Goal) -> float:
 
 def _was_handled(name: str, now: SymbolicState) -> bool:
     """Whether an object lies where somebody has put it, not pushed or dragged it."""
-    return now.labels[name] == SHARED or now.labels[name].startswith("on ")
+    return now.labels[name] in now.spec.regions or now.labels[name].startswith("on ")
 
 
 def conjunct_of(name: str, now: SymbolicState, goal: Goal) -> int | None:
@@ -156,8 +156,8 @@ def candidates(
         grounder: Of the same scene.
     """
     wanted = _wanted(now, goal)
-    if STICK in now.poses and now.labels[STICK] != SHARED:
-        wanted[STICK] = [SHARED]
+    if STICK in now.poses and (elsewhere := _other_regions(STICK, now)):
+        wanted[STICK] = elsewhere
     for item, places in wanted.items():
         able = [name for name in robots if grounder.reaches(name, now.poses[item])]
         wish = Wish(item, tuple(places), tuple(able))
@@ -180,6 +180,10 @@ def _wanted(now: SymbolicState, goal: Goal) -> dict[str, list[str]]:
         if kind_of(on.bottom).cargo:
             wanted.setdefault(on.bottom, [])
     for cube, places in wanted.items():
-        if now.labels[cube] != SHARED:
-            places.append(SHARED)
+        places += _other_regions(cube, now)
     return wanted
+
+
+def _other_regions(name: str, now: SymbolicState) -> list[str]:
+    """Return the regions in which an object does not lie."""
+    return [region for region in now.spec.regions if region != now.labels[name]]

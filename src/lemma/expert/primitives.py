@@ -15,7 +15,7 @@ from lemma.expert.geometry import GroundedOption, SceneGeometry
 from lemma.expert.symbolic_state import TABLE, SymbolicState
 from lemma.motion.skills import SKILLS, SkillMotion
 from lemma.scene.objects.cube import CUBE
-from lemma.scene.objects.entity import SHARED, STICK, kind_of
+from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.drags import (
     grasp_on_stick,
     stick_discs,
@@ -34,7 +34,8 @@ class Wish:
     item: str
     """The object: a cube, or the stick."""
     places: tuple[str, ...]
-    """Where it is wanted: entities, or ``"shared"``; none if anywhere else will do."""
+    """Where it is wanted: entities, or regions such as ``"shared"``. Empty if
+    anywhere else will do."""
     able: tuple[str, ...]
     """Robots that can grasp it where it is."""
 
@@ -105,21 +106,22 @@ PRIMITIVES: Registry[PrimitiveSpec] = Registry(
 def ground_move(
     geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
 ) -> GroundedOption | None:
-    """Ground ``move``: a cube to an entity or the shared region, the stick to it."""
+    """Ground ``move``: a cube to an entity or a region, the stick to a region."""
     if subtask.pick == STICK:
         return _ground_pass_stick(geometry, subtask, now)
     cube = subtask.pick
     if cube not in now.supports or now.on_top_of(cube) is not None:
         return None
     start, kind = now.poses[cube], kind_of(cube)
-    if subtask.place == SHARED:
+    if subtask.place in geometry.regions:
         obstacles = geometry.discs(now, but=cube)
         if STICK in now.poses:
             obstacles += stick_discs(now.poses[STICK])
-        spot = geometry.places.free_spot(obstacles, kind.disc_m - CUBE.disc_m)
+        region = geometry.regions[subtask.place]
+        spot = region.free_spot(obstacles, kind.disc_m - CUBE.disc_m)
         if spot is None:
             return None
-        target, support, label = spot, TABLE, SHARED
+        target, support, label = spot, TABLE, subtask.place
     elif subtask.place in now.poses and subtask.place != cube:
         if now.on_top_of(subtask.place) is not None:
             return None
@@ -153,10 +155,10 @@ def ground_move(
 def _ground_pass_stick(
     geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
 ) -> GroundedOption | None:
-    if subtask.place != SHARED:
+    if subtask.place not in geometry.regions:
         return None
     pick = grasp_on_stick(now.poses[STICK])
-    place = geometry.places.free_stick(
+    place = geometry.regions[subtask.place].free_stick(
         geometry.discs(now, but=STICK), geometry.robots[subtask.robot].base, pick
     )
     if place is None or geometry.margin(subtask.robot, pick, place) <= 0.0:
@@ -164,7 +166,7 @@ def _ground_pass_stick(
     return GroundedOption(
         subtask,
         GroundedSubTask(subtask.robot, subtask.primitive, pick, place),
-        now.moved(STICK, stick_in_grasp(place), TABLE, SHARED),
+        now.moved(STICK, stick_in_grasp(place), TABLE, subtask.place),
         geometry.quality(subtask.robot, pick, place),
         geometry.duration_s(subtask.robot, pick, place),
     )
@@ -254,15 +256,15 @@ def _propose_using(
 
 
 def _why_not_move(subtask: SubTask, now: SymbolicState) -> str | None:
-    pick, place = subtask.pick, subtask.place
+    pick, place, regions = subtask.pick, subtask.place, now.spec.regions
     if pick == STICK:
-        return None if place == SHARED else f"The stick cannot be put on {place}."
+        return None if place in regions else f"The stick cannot be put on {place}."
     if pick not in now.supports:
         return f"The {pick} is fixed to the table."
-    if place == pick or (place != SHARED and kind_of(place).support_m is None):
+    if place == pick or (place not in regions and kind_of(place).support_m is None):
         return f"The {pick} cannot be put on {place}."
     for name in (pick, place):
-        above = None if name == SHARED else now.on_top_of(name)
+        above = None if name in regions else now.on_top_of(name)
         if above is not None and above != pick:
             return f"The {above} lies on the {name}."
     return f"The {pick} lies there already." if now.supports[pick] == place else None

@@ -11,6 +11,7 @@ from lemma.robots.ur.arms import ARMS
 from lemma.scene.objects.entity import Entity
 from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.regions import Regions, regions_of
 from lemma.scene.table import TABLE_HALF_X_M, Gap
 
 ROBOT_COLORS = ("red", "white")
@@ -124,6 +125,14 @@ class SceneSpec:
     def object_names(self) -> tuple[str, ...]:
         """Entity names in the order of ``objects``."""
         return tuple(placed.name for placed in self.objects)
+
+    @property
+    def regions(self) -> Regions:
+        """Where several robots work: names of regions, and their robots by index.
+
+        ``{"shared": (0, 1)}`` for a pair; see :mod:`lemma.scene.regions`.
+        """
+        return regions_of(tuple((r.arm, r.base) for r in self.robots), self.gap_m)
 
     def placement(self, name: str) -> ObjectPlacement:
         """Return the object called ``name``.

@@ -7,7 +7,7 @@ from lemma.audit.attack import ATTACKS, Attack, Lost
 from lemma.audit.pushes import CONTACTS, GRASPS, push
 from lemma.audit.skill_trial import SkillTrial
 from lemma.core.poses import Pose2
-from lemma.scene.objects.entity import SHARED, STICK, kind_of
+from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _STEPS = 12
@@ -68,7 +68,7 @@ def expert_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
     now = trial.state()
     for primitive in Primitive:
         for pick in now.poses:
-            for place in (*now.poses, SHARED):
+            for place in (*now.poses, *now.spec.regions):
                 subtask = SubTask(trial.robot, primitive, pick, place)
                 option = trial.grounder.ground(subtask, now)
                 if option is not None:

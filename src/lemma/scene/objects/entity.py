@@ -56,8 +56,6 @@ class Entity:
 
 STICK = STICK_KIND.name
 """Name of the one L-shaped stick."""
-SHARED = "shared"
-"""Place entity: the region that every robot of the team reaches."""
 ENTITIES = (
     *(Entity(color, CUBE).name for color in BENCHMARK_COLORS),
     *(Entity(color, PAD).name for color in BENCHMARK_COLORS),
