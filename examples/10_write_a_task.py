@@ -7,15 +7,15 @@ import sys
 
 import lemma
 from lemma.tasks.goal import Goal, On
-from lemma.tasks.placement import Board
+from lemma.tasks.placement import ObjectPlacer
 
 
-def arrange(board: Board) -> Goal:
+def arrange(placer: ObjectPlacer) -> Goal:
     """Set the table: who reaches what, and what shall become true."""
-    giver, builder = board.order
-    lower = board.cube(board.only(giver))
-    upper = board.cube(board.only(builder))
-    pad = board.pad(board.only(builder))
+    giver, builder = placer.order
+    lower = placer.cube(placer.only(giver))
+    upper = placer.cube(placer.only(builder))
+    pad = placer.pad(placer.only(builder))
     return Goal((On(lower, pad), On(upper, lower)))
 
 

@@ -8,7 +8,7 @@ import sys
 import lemma
 from lemma.scene.objects.kind import cylinder
 from lemma.tasks.goal import Goal, On
-from lemma.tasks.placement import Board
+from lemma.tasks.placement import ObjectPlacer
 
 CAN = lemma.OBJECT_KINDS.add(
     "can",
@@ -17,12 +17,12 @@ CAN = lemma.OBJECT_KINDS.add(
 lemma.OBJECT_COLORS.add("purple", (0.45, 0.20, 0.60, 1.0))
 
 
-def arrange(board: Board) -> Goal:
+def arrange(placer: ObjectPlacer) -> Goal:
     """Set the table: one robot has a can, the other its pad and a cube to top it."""
-    giver, taker = board.order
-    can = board.put("can", board.only(giver), color="purple")
-    pad = board.pad(board.only(taker))
-    cube = board.cube(board.only(taker))
+    giver, taker = placer.order
+    can = placer.put("can", placer.only(giver), color="purple")
+    pad = placer.pad(placer.only(taker))
+    cube = placer.cube(placer.only(taker))
     return Goal((On(can, pad), On(cube, can)))
 
 

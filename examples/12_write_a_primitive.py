@@ -17,8 +17,7 @@ from lemma.motion.moves import Motion, Moves
 from lemma.motion.obstacles import around
 from lemma.motion.skills import SkillRunner, stand_at
 from lemma.robots.reach import TRAVEL_HEIGHT_M
-from lemma.scene.objects.entity import STICK
-from lemma.scene.regions import SHARED
+from lemma.scene.objects.entity import SHARED, STICK
 from lemma.tasks.drags import stick_discs
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 

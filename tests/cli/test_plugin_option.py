@@ -131,7 +131,7 @@ def test_names_of_tasks_are_words(name: str) -> None:
             summary="",
             subtasks=1,
             distractors=(0, 0),
-            arrange=lambda board: lemma.TASKS["stack"].arrange(board),
+            arrange=lambda placer: lemma.TASKS["stack"].arrange(placer),
             language=bank_for("stack"),
         )
 

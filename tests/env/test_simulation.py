@@ -9,7 +9,7 @@ from small_tables import cube, facing, pad, stick
 
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import Pose, Pose2
-from lemma.env.simulation import STEPS_PER_TICK, TICK_S, Simulation
+from lemma.env.simulation import STEPS_PER_TICK, TICK_S, Ended, Simulation
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.build import TIME_STEP_S
@@ -223,7 +223,8 @@ def test_begin_and_advance_give_the_states_of_a_plain_loop(task: str) -> None:
     for number, step in enumerate(steps):
         run_alone(plain, step.grounded)
         pieces.begin(step.grounded)
-        ended, piece_s = (), 0.07 + 0.31 * number
+        ended: tuple[Ended, ...] = ()
+        piece_s = 0.07 + 0.31 * number
         while not ended:
             assert pieces.busy == {step.grounded.robot: step.grounded}
             ended = pieces.advance(pieces.time_s + piece_s)
@@ -253,7 +254,8 @@ def test_two_robots_at_once_end_each_at_its_own_time() -> None:
     assert (first.subtask, first.start_s) == (long, 0.0)
     assert simulation.busy == {"robot_1": short}
     (second,) = simulation.advance()
-    assert (second.subtask, second.start_s) == (short, pytest.approx(1.0))
+    assert second.subtask == short
+    assert second.start_s == pytest.approx(1.0)
     assert first.result.ok
     assert second.result.ok
     for done in (first, second):

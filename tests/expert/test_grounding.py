@@ -15,8 +15,7 @@ from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import TABLE, SymbolicState
 from lemma.robots.reach import reach_of
-from lemma.scene.objects.entity import STICK
-from lemma.scene.regions import SHARED
+from lemma.scene.objects.entity import SHARED, STICK
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.drags import (

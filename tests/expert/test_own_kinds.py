@@ -8,7 +8,7 @@ from own_plugins import loaded
 import lemma
 from lemma.scene.objects.kind import OBJECT_KINDS, box, cylinder
 from lemma.tasks.goal import Goal, On
-from lemma.tasks.placement import Board
+from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.subtask import Primitive
 
 
@@ -20,19 +20,19 @@ def _kinds() -> Iterator[None]:
         yield
 
 
-def stacked_bricks(board: Board) -> Goal:
-    giver, taker = board.order
-    lower = board.put("brick", board.only(giver))
-    pad = board.pad(board.only(taker))
-    upper = board.put("brick", board.only(taker))
+def stacked_bricks(placer: ObjectPlacer) -> Goal:
+    giver, taker = placer.order
+    lower = placer.put("brick", placer.only(giver))
+    pad = placer.pad(placer.only(taker))
+    upper = placer.put("brick", placer.only(taker))
     return Goal((On(lower, pad), On(upper, lower)))
 
 
-def tin_out_of_reach(board: Board) -> Goal:
-    robot, other = board.order
-    board.stick(robot)
-    tin = board.put("tin", board.tool_only(Primitive.HOOK, robot, other, "tin"))
-    return Goal((On(tin, board.pad(board.only(robot))),))
+def tin_out_of_reach(placer: ObjectPlacer) -> Goal:
+    robot, other = placer.order
+    placer.stick(robot)
+    tin = placer.put("tin", placer.tool_only(Primitive.HOOK, robot, other, "tin"))
+    return Goal((On(tin, placer.pad(placer.only(robot))),))
 
 
 @pytest.mark.slow

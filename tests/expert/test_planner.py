@@ -14,8 +14,7 @@ from lemma.expert.allocation import allocate, pose_problem
 from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.planner import Plan, find_plan, utility
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.scene.objects.entity import STICK
-from lemma.scene.regions import SHARED
+from lemma.scene.objects.entity import SHARED, STICK
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal

@@ -7,8 +7,7 @@ from small_tables import cube, facing, pad, stick
 
 from lemma.core.poses import Pose, Pose2
 from lemma.expert.symbolic_state import TABLE, SymbolicState
-from lemma.scene.objects.entity import STICK
-from lemma.scene.regions import SHARED
+from lemma.scene.objects.entity import SHARED, STICK
 from lemma.scene.scene import Scene
 from lemma.tasks.drags import PREPARE_GAP_M
 from lemma.tasks.subtask import Primitive

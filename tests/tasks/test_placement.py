@@ -1,4 +1,4 @@
-"""The board: zones by what robots could do, places that fit, colors that run out."""
+"""The placer: zones by what robots could do, places that fit, colors that run out."""
 
 import math
 
@@ -32,7 +32,7 @@ from lemma.tasks.drags import (
     heading_from,
 )
 from lemma.tasks.goal import Goal
-from lemma.tasks.placement import Board, PlacementError
+from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.zones import Territory, Zone
 
@@ -50,8 +50,8 @@ AROUND_TABLE = st.builds(
 )
 
 
-def board(seed: int = 0, team: tuple[RobotPlacement, ...] = TEAM) -> Board:
-    return Board(team, stream("test", "board", seed))
+def placer(seed: int = 0, team: tuple[RobotPlacement, ...] = TEAM) -> ObjectPlacer:
+    return ObjectPlacer(team, stream("test", "placer", seed))
 
 
 def distance(robot: int, pose: Pose2) -> float:
@@ -94,7 +94,7 @@ def test_between_what_works_and_what_could_lies_a_wide_strip(
 
 @given(ON_TABLE, KINDS)
 def test_zones_say_who_could_do_what(pose: Pose2, kind: ObjectKind) -> None:
-    table = board()
+    table = placer()
     can = [works(robot, pose) for robot in (0, 1)]
     never = [cannot(robot, kind, pose) for robot in (0, 1)]
     assert sifts(table.only(0), kind, pose) == (can[0] and never[1])
@@ -126,7 +126,7 @@ def test_on_the_table_is_on_one_of_its_tops(
 @given(SEEDS)
 @settings(max_examples=20)
 def test_what_is_put_lies_in_its_zone_and_has_a_color_of_its_own(seed: int) -> None:
-    table = board(seed)
+    table = placer(seed)
     names = [table.cube(table.only(0)), table.cube(table.only(1))]
     names += [table.pad(table.only(1)), table.pad(table.anywhere())]
     assert len(set(names)) == 4
@@ -146,7 +146,7 @@ def test_what_is_put_lies_in_its_zone_and_has_a_color_of_its_own(seed: int) -> N
 @settings(max_examples=20)
 def test_no_point_of_the_stick_is_another_robots(seed: int) -> None:
     for which in (0, 1):
-        table = board(seed)
+        table = placer(seed)
         assert table.stick(which) == STICK
         pose = table.objects[0].pose
         assert works(which, grasp_on_stick(pose))
@@ -164,7 +164,7 @@ def test_no_point_of_the_stick_is_another_robots(seed: int) -> None:
 
 
 def test_robots_play_their_roles_in_either_order() -> None:
-    orders = {board(seed).order for seed in range(20)}
+    orders = {placer(seed).order for seed in range(20)}
     assert orders == {(0, 1), (1, 0)}
 
 
@@ -172,12 +172,12 @@ def test_colors_come_in_another_order_each_time() -> None:
     def anywhere(pose: Pose2) -> bool:
         return True
 
-    firsts = {board(seed).cube(anywhere) for seed in range(60)}
+    firsts = {placer(seed).cube(anywhere) for seed in range(60)}
     assert firsts == {f"{color}_cube" for color in OBJECT_COLORS}
 
 
 def test_colors_run_out() -> None:
-    table = board()
+    table = placer()
     for _ in OBJECT_COLORS:
         assert table.has_colors("pad")
         table.pad(table.anywhere())
@@ -188,7 +188,7 @@ def test_colors_run_out() -> None:
 
 
 def test_a_zone_without_room_gives_the_attempt_up() -> None:
-    table = board()
+    table = placer()
     with pytest.raises(PlacementError):
         table.cube(lambda pose: False)
     assert table.objects == []
@@ -198,10 +198,10 @@ def test_a_stick_that_nobody_else_leaves_room_for_gives_the_attempt_up() -> None
     """Both robots at one side reach the same places: none is one robot's alone."""
     twins = (TEAM[1], RobotPlacement("ur10", "red", Pose2(0.9, 0.05, math.pi)))
     with pytest.raises(PlacementError, match="stick"):
-        board(0, twins).stick(0)
+        placer(0, twins).stick(0)
 
 
-def drag_of(table: Board, primitive: Primitive, by: int, to: int) -> bool:
+def drag_of(table: ObjectPlacer, primitive: Primitive, by: int, to: int) -> bool:
     """Whether the stick brings the first thing on a table home."""
     pose = table.objects[0].pose
     discs = table.discs(but=table.objects[0].name)
@@ -212,7 +212,7 @@ def drag_of(table: Board, primitive: Primitive, by: int, to: int) -> bool:
 @given(SEEDS)
 @settings(max_examples=10)
 def test_what_is_put_for_hooking_can_be_hooked_in_one_way_only(seed: int) -> None:
-    table = board(seed)
+    table = placer(seed)
     robot, partner = table.order
     table.cube(table.tool_only(Primitive.HOOK, robot, partner))
     assert all(cannot(which, CUBE, table.objects[0].pose) for which in (0, 1))
@@ -227,7 +227,7 @@ def test_what_is_put_for_hooking_can_be_hooked_in_one_way_only(seed: int) -> Non
 def test_what_one_alone_can_hook_is_farther_than_a_stick_from_the_other(
     seed: int,
 ) -> None:
-    table = board(seed)
+    table = placer(seed)
     robot, partner = table.order
     table.cube(table.tool_only(Primitive.HOOK, robot, partner, alone=True))
     pose = table.objects[0].pose
@@ -240,7 +240,7 @@ def test_what_one_alone_can_hook_is_farther_than_a_stick_from_the_other(
 
 
 def test_check_finds_what_was_put_in_the_way_later() -> None:
-    table = board(1)
+    table = placer(1)
     robot, partner = 1, 0
     cube_name = table.cube(table.tool_only(Primitive.HOOK, robot, partner))
     pad_name = table.pad(table.only(partner))
@@ -273,7 +273,7 @@ def test_check_finds_a_tower_that_could_be_pushed(
     beyond_m: float, spare: bool, ok: bool
 ) -> None:
     far_m = could_of(TEAM[0].arm).touch_m + PAD.disc_m + beyond_m
-    table = board(3)
+    table = placer(3)
     goal = Goal.from_pairs(
         ((table.cube(table.only(0)), table.pad(straight_ahead(far_m))),)
     )
@@ -288,7 +288,7 @@ def test_check_finds_a_tower_that_could_be_pushed(
 
 def test_a_spare_cube_of_the_other_robot_builds_no_tower() -> None:
     far_m = could_of(TEAM[0].arm).touch_m + PAD.disc_m + 0.05
-    table = board(3)
+    table = placer(3)
     goal = Goal.from_pairs(
         ((table.cube(table.only(0)), table.pad(straight_ahead(far_m))),)
     )
@@ -297,7 +297,7 @@ def test_a_spare_cube_of_the_other_robot_builds_no_tower() -> None:
 
 
 def test_discs_cover_bases_and_objects_but_not_the_stick() -> None:
-    table = board(2)
+    table = placer(2)
     cube = table.cube(table.only(0))
     table.stick(1)
     discs = table.discs()

@@ -26,7 +26,7 @@ from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.tasks.drags import grasp_on_stick
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.placement import Board, PlacementError
+from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import SUITE, load_instance, task_named
 from lemma.tasks.task import TEAMS, Task
@@ -350,7 +350,7 @@ def test_a_team_can_be_asked_for(team: tuple[str, str]) -> None:
 
 
 def test_a_task_that_no_table_satisfies_says_so() -> None:
-    def arrange(board: Board) -> Goal:
+    def arrange(placer: ObjectPlacer) -> Goal:
         raise PlacementError("cube")
 
     impossible = Task(

@@ -18,8 +18,7 @@ from lemma.core.errors import InvalidActionError, UnknownNameError, shown
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.core.robot_names import robot_name, robot_names, robot_number
-from lemma.scene.objects.entity import ENTITIES, extra_entities
-from lemma.scene.regions import SHARED
+from lemma.scene.objects.entity import ENTITIES, SHARED, extra_entities
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.tasks.subtask import (
     STOP,

@@ -18,13 +18,13 @@ from torch import Tensor
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.scene.objects.entity import (
     ENTITIES,
+    SHARED,
     STICK,
     entity_named,
     kind_of,
     known_entities,
 )
 from lemma.scene.objects.kind import ObjectKind
-from lemma.scene.regions import SHARED
 
 
 @dataclass(frozen=True)

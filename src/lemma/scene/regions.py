@@ -13,10 +13,9 @@ from types import MappingProxyType
 
 from lemma.core.poses import Pose2
 from lemma.robots.reach import reach_of
+from lemma.scene.objects.entity import SHARED
 from lemma.scene.table import TABLE_HALF_Y_M, Gap, lies_on_table
 
-SHARED = "shared"
-"""Name of the region that every robot of a team reaches."""
 EDGE_M = 0.05
 """Things are put down no nearer to an edge of the table than this [m]."""
 

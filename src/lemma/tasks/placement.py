@@ -1,6 +1,6 @@
 """A table being set: where things may go, by who could reach them.
 
-A task says what it needs ("a cube that only this robot reaches"); the board finds a
+A task says what it needs ("a cube that only this robot reaches"); the placer finds a
 place by rejection sampling, as in the paper, and remembers what is there. When no place
 is found, the whole attempt is given up and a new one begins. Zones are those of
 :mod:`lemma.tasks.zones`.
@@ -61,7 +61,7 @@ class PlacementError(Exception):
     """This attempt at setting the table failed; another one may succeed."""
 
 
-class Board:
+class ObjectPlacer:
     """The table while an instance is being sampled."""
 
     def __init__(
@@ -121,7 +121,7 @@ class Board:
         """
         record = OBJECT_KINDS[kind]
         if record.tool:
-            raise InvalidConfigError(f"A {kind} is put with Board.{kind}(robot).")
+            raise InvalidConfigError(f"A {kind} is put with ObjectPlacer.{kind}(robot).")
         free = self._free.get(kind)
         if free is None:
             free = self._free[kind] = self._shuffled() if record.colored else [kind]

@@ -20,7 +20,7 @@ from lemma.tasks.drags import LARGEST_HEADING_RAD, heading_from, stick_gap
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
-from lemma.tasks.placement import BESIDE_BASE_M, Board, PlacementError
+from lemma.tasks.placement import BESIDE_BASE_M, ObjectPlacer, PlacementError
 from lemma.tasks.sampling import (
     APART_M,
     LATERAL_M,
@@ -51,8 +51,8 @@ def problems(instance: Instance) -> tuple[str, ...]:
     task = TASKS[instance.task]
     crowded = tuple(_crowded(instance))
     found: tuple[str, ...] | None = None
-    for board, goal in _ways(instance, task):
-        told = (*_stands(instance, task, board.order), *board.judge(goal))
+    for placer, goal in _ways(instance, task):
+        told = (*_stands(instance, task, placer.order), *placer.judge(goal))
         if found is None or len(told) < len(found):
             found = told
         if not found:
@@ -62,7 +62,7 @@ def problems(instance: Instance) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*crowded, *found)))
 
 
-class _Reenactment(Board):
+class _RecordedPlacer(ObjectPlacer):
     """A table that is set already: what a task puts is what lies there."""
 
     def __init__(
@@ -167,7 +167,7 @@ class _Reenactment(Board):
         return bad
 
 
-def _ways(instance: Instance, task: Task) -> Iterator[tuple[_Reenactment, Goal]]:
+def _ways(instance: Instance, task: Task) -> Iterator[tuple[_RecordedPlacer, Goal]]:
     """Yield each way in which a task can have meant the objects of an instance."""
     by_kind: dict[str, list[ObjectPlacement]] = {}
     extra = [p for p in instance.scene.objects if p.name in instance.distractors]
@@ -178,15 +178,15 @@ def _ways(instance: Instance, task: Task) -> Iterator[tuple[_Reenactment, Goal]]
         every = product(*map(permutations, by_kind.values()))
         for chosen in islice(every, _MOST_WAYS):
             there = tuple(placed for kind in chosen for placed in kind)
-            board = _Reenactment(instance, order, (*there, *extra))
+            placer = _RecordedPlacer(instance, order, (*there, *extra))
             try:
-                goal = task.arrange(board)
+                goal = task.arrange(placer)
                 for placed in extra:
-                    board.put(placed.kind, board.anywhere(), placed.color)
+                    placer.put(placed.kind, placer.anywhere(), placed.color)
             except (LemmaError, PlacementError):
                 continue
             if set(goal.pairs) == set(instance.goal.pairs):
-                yield board, goal
+                yield placer, goal
 
 
 def _crowded(instance: Instance) -> Iterator[str]:

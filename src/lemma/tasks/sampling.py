@@ -16,7 +16,7 @@ from lemma.scene.table import Gap
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.template import KINDS
-from lemma.tasks.placement import Board, PlacementError
+from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.task import Task
 from lemma.tasks.zones import FROM_EDGE_M, OUTSIDE_M
 
@@ -80,14 +80,14 @@ def sample(
     order = tuple(int(i) for i in stream(*key, "order").permutation(len(chosen)))
     for rejected in range(_ATTEMPTS):
         robots, gap_m = _place_team(task, chosen, order, rng)
-        board = Board(robots, rng, order, gap_m)
+        placer = ObjectPlacer(robots, rng, order, gap_m)
         try:
-            goal = task.arrange(board)
-            extra = tuple(_distract(board) for _ in range(distractors))
-            board.check(goal)
+            goal = task.arrange(placer)
+            extra = tuple(_distract(placer) for _ in range(distractors))
+            placer.check(goal)
         except PlacementError:
             continue
-        shuffled = [board.objects[int(i)] for i in rng.permutation(len(board.objects))]
+        shuffled = [placer.objects[int(i)] for i in rng.permutation(len(placer.objects))]
         instance = Instance(
             task=task.name,
             split=split,
@@ -165,13 +165,13 @@ def gap_beyond(robots: tuple[RobotPlacement, ...], user: int) -> Gap:
     return round(far, 4), round(far + _GAP_WIDTH_M, 4)
 
 
-def _distract(board: Board) -> str:
+def _distract(placer: ObjectPlacer) -> str:
     """Add an object that the goal does not need, where it is not in the way."""
-    kind = "cube" if board.rng.random() < 0.5 else "pad"
-    if not board.has_colors(kind):
+    kind = "cube" if placer.rng.random() < 0.5 else "pad"
+    if not placer.has_colors(kind):
         kind = "pad" if kind == "cube" else "cube"
-    put = board.cube if kind == "cube" else board.pad
-    return put(board.anywhere())
+    put = placer.cube if kind == "cube" else placer.pad
+    return put(placer.anywhere())
 
 
 def _instruct(task: Task, goal: Goal, key: tuple[str | int, ...]) -> dict[str, str]:

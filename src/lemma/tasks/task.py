@@ -11,7 +11,7 @@ from lemma.core.registry import Registry
 from lemma.tasks.goal import Goal
 from lemma.tasks.language.bank import LanguageBank, add_bank
 from lemma.tasks.names import gym_id
-from lemma.tasks.placement import Board
+from lemma.tasks.placement import ObjectPlacer
 
 TEAMS: tuple[tuple[str, ...], ...] = (
     ("ur5", "ur5"),
@@ -35,8 +35,8 @@ class Task:
     """Sub-tasks of the shortest plan."""
     distractors: tuple[int, int]
     """Fewest and most objects that the goal does not need."""
-    arrange: Callable[[Board], Goal]
-    """Puts the objects that matter on the board and says what shall become true."""
+    arrange: Callable[[ObjectPlacer], Goal]
+    """Places the objects that matter, and returns the goal."""
     language: LanguageBank
     """Its instructions."""
     teams: tuple[tuple[str, ...], ...] = TEAMS

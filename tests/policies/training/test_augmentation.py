@@ -20,9 +20,8 @@ from lemma.policies.training.augmentation import augment, move
 from lemma.policies.training.config import Augmentation
 from lemma.policies.training.instructions import with_instructions, with_language
 from lemma.policies.training.recolor import permute_colors
-from lemma.scene.objects.entity import ENTITIES
+from lemma.scene.objects.entity import ENTITIES, SHARED
 from lemma.scene.palette import OBJECT_COLORS
-from lemma.scene.regions import SHARED
 from lemma.tasks.language.bank import parse
 
 COLORS, PLACES = tuple(OBJECT_COLORS), (*ENTITIES, SHARED)

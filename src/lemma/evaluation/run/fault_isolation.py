@@ -17,8 +17,7 @@ from lemma.core.robot_names import robot_names
 from lemma.policies.control.interfaces import Actions, ControlInput, ControlPolicy
 from lemma.policies.interfaces import Decision, Effort, Policy, PolicyInput
 from lemma.policies.planners.options import PlannerUnavailableError
-from lemma.scene.objects.entity import known_entities
-from lemma.scene.regions import SHARED
+from lemma.scene.objects.entity import SHARED, known_entities
 from lemma.serve.protocol.faults import (
     FaultKind,
     PolicyFailedError,

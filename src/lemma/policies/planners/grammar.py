@@ -8,8 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from lemma.expert.primitives import PRIMITIVES
-from lemma.scene.objects.entity import STICK, kind_of
-from lemma.scene.regions import SHARED
+from lemma.scene.objects.entity import SHARED, STICK, kind_of
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 NONE = "none"

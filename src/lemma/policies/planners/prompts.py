@@ -12,7 +12,7 @@ from lemma.core.robot_names import robot_number
 from lemma.policies.interfaces import PastStep, PolicyInput
 from lemma.policies.planners.grammar import NONE, WAIT, Grammar
 from lemma.policies.planners.scene_text import ObjectText, SceneText
-from lemma.scene.regions import SHARED
+from lemma.scene.objects.entity import SHARED
 from lemma.tasks.subtask import Primitive
 
 PROMPTS = 1

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 from lemma.core.robot_names import robot_names
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.planners.scene_text import ObjectText, RobotText, SceneText
-from lemma.scene.objects.entity import STICK
-from lemma.scene.regions import SHARED
+from lemma.scene.objects.entity import SHARED, STICK
 from lemma.tasks.subtask import Primitive
 
 if TYPE_CHECKING:

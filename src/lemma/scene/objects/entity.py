@@ -56,6 +56,8 @@ class Entity:
 
 STICK = STICK_KIND.name
 """Name of the one L-shaped stick."""
+SHARED = "shared"
+"""Name of the region that every robot of a team reaches: a place like an entity."""
 ENTITIES = (
     *(Entity(color, CUBE).name for color in BENCHMARK_COLORS),
     *(Entity(color, PAD).name for color in BENCHMARK_COLORS),

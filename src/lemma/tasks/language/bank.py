@@ -18,8 +18,7 @@ import numpy as np
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.core.registry import Registry
-from lemma.scene.objects.entity import ENTITIES, entity_named, kind_of
-from lemma.scene.regions import SHARED
+from lemma.scene.objects.entity import ENTITIES, SHARED, entity_named, kind_of
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.language.template import (
     KINDS,

@@ -2,17 +2,17 @@
 
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.language.bank import bank_for
-from lemma.tasks.placement import Board
+from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.task import TASKS, Task
 
 
-def arrange(board: Board) -> Goal:
+def arrange(placer: ObjectPlacer) -> Goal:
     """Set the table."""
-    first, second = board.order[:2]
-    cube_1 = board.cube(board.only(first))
-    pad_1 = board.pad(board.only(second))
-    cube_2 = board.cube(board.only(second))
-    pad_2 = board.pad(board.only(first))
+    first, second = placer.order[:2]
+    cube_1 = placer.cube(placer.only(first))
+    pad_1 = placer.pad(placer.only(second))
+    cube_2 = placer.cube(placer.only(second))
+    pad_2 = placer.pad(placer.only(first))
     return Goal((On(cube_1, pad_1), On(cube_2, pad_2)))
 
 

@@ -2,18 +2,18 @@
 
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.language.bank import bank_for
-from lemma.tasks.placement import Board
+from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.task import TASKS, Task
 
 
-def arrange(board: Board) -> Goal:
+def arrange(placer: ObjectPlacer) -> Goal:
     """Set the table."""
-    first, second = board.order[:2]
-    cube = board.cube(board.tool_only(Primitive.POKE, first, second))
+    first, second = placer.order[:2]
+    cube = placer.cube(placer.tool_only(Primitive.POKE, first, second))
     # Out of the first robot's way even with the stick: a raised one can push a cube up.
-    pad = board.pad(board.only(second, tool=True))
-    board.stick(first)
+    pad = placer.pad(placer.only(second, tool=True))
+    placer.stick(first)
     return Goal((On(cube, pad),))
 
 

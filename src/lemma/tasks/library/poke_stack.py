@@ -2,17 +2,17 @@
 
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.language.bank import bank_for
-from lemma.tasks.placement import Board
+from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.subtask import Primitive
 from lemma.tasks.task import TASKS, Task
 
 
-def arrange(board: Board) -> Goal:
+def arrange(placer: ObjectPlacer) -> Goal:
     """Set the table."""
-    first, second = board.order[:2]
-    top = board.cube(board.tool_only(Primitive.POKE, first, second))
-    bottom = board.cube(board.tool_only(Primitive.POKE, first, second))
-    board.stick(first)
+    first, second = placer.order[:2]
+    top = placer.cube(placer.tool_only(Primitive.POKE, first, second))
+    bottom = placer.cube(placer.tool_only(Primitive.POKE, first, second))
+    placer.stick(first)
     return Goal((On(top, bottom),))
 
 

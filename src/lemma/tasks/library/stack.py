@@ -2,15 +2,15 @@
 
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.language.bank import bank_for
-from lemma.tasks.placement import Board
+from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.task import TASKS, Task
 
 
-def arrange(board: Board) -> Goal:
+def arrange(placer: ObjectPlacer) -> Goal:
     """Set the table."""
-    first, second = board.order[:2]
-    bottom = board.cube(board.only(first))
-    top = board.cube(board.only(second))
+    first, second = placer.order[:2]
+    bottom = placer.cube(placer.only(first))
+    top = placer.cube(placer.only(second))
     return Goal((On(top, bottom),))
 
 

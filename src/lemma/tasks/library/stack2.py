@@ -2,17 +2,17 @@
 
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.language.bank import bank_for
-from lemma.tasks.placement import Board
+from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.task import TASKS, Task
 
 
-def arrange(board: Board) -> Goal:
+def arrange(placer: ObjectPlacer) -> Goal:
     """Set the table."""
-    first, second = board.order[:2]
-    bottom_1 = board.cube(board.only(first))
-    top_1 = board.cube(board.only(second))
-    bottom_2 = board.cube(board.only(second))
-    top_2 = board.cube(board.only(first))
+    first, second = placer.order[:2]
+    bottom_1 = placer.cube(placer.only(first))
+    top_1 = placer.cube(placer.only(second))
+    bottom_2 = placer.cube(placer.only(second))
+    top_2 = placer.cube(placer.only(first))
     return Goal((On(top_1, bottom_1), On(top_2, bottom_2)))
 
 
