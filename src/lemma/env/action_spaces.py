@@ -1,4 +1,4 @@
-"""What actions look like: their layout, their bounds, and what is wrong with a bad one.
+"""Actions: their layout, their bounds, and errors that say what is wrong with one.
 
 Boxes are two-dimensional, one row per robot or pose, because each row means the same
 thing; their numbers are SI units, not fractions of a range.
@@ -29,7 +29,7 @@ from lemma.tasks.subtask import (
 )
 
 PICKS = ("", *ENTITIES)
-"""What a sub-task of the benchmark may pick; the first means nothing."""
+"""Entities that a sub-task may pick; the first stands for none."""
 PLACES = (*PICKS, SHARED)
 """Where a sub-task of the benchmark may put it."""
 POSE_FIELDS = ("x", "y", "yaw")
@@ -47,9 +47,9 @@ class ActionLayout:
     """The meaning of a two-dimensional array of numbers."""
 
     rows: tuple[str, ...]
-    """What each row belongs to."""
+    """Robot of each row."""
     columns: tuple[str, ...]
-    """What each number of a row is."""
+    """Meaning of each number of a row."""
     low: tuple[float, ...]
     """Smallest value in each column."""
     high: tuple[float, ...]
@@ -95,7 +95,7 @@ class ActionLayout:
         if clip and np.isfinite(values).all():
             values = np.clip(values, low, high)
         if not _clip(values, low, high, slack):
-            # So written, NaN is outside.
+            # `~(a <= b)` also refuses NaN.
             outside = ~((low - slack <= values) & (values <= high + slack))
             self._refuse(values, np.argwhere(outside))
         return values
@@ -310,7 +310,7 @@ def check_keys(action: Any, keys: Sequence[str], hint: str = "") -> None:
     Args:
         action: The action.
         keys: Names of its parts.
-        hint: What to try.
+        hint: Advice.
 
     Raises:
         InvalidActionError: It is no dictionary with these keys.

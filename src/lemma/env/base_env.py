@@ -1,4 +1,4 @@
-"""What every Gymnasium environment of the benchmark shares, whatever its actions are.
+"""Common base of all Gymnasium environments, for all kinds of actions.
 
 An environment is one face of an :class:`~lemma.env.episode.Episode`. Rewards are
 sparse, 1 when the episode ends in success, else 0, or
@@ -43,7 +43,7 @@ class EnvSnapshot:
 
     episode: EpisodeSnapshot
     level: dict[str, Any]
-    """What the level remembers besides."""
+    """State that the level adds."""
 
 
 class LemmaEnv(gymnasium.Env[Observation, Any]):
@@ -266,7 +266,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         """
         if not isinstance(snapshot, EnvSnapshot):
             raise InvalidConfigError(
-                f"{shown(snapshot)} is no snapshot. Valid: what snapshot() returned."
+                f"{shown(snapshot)} is no snapshot. Valid: a result of snapshot()."
             )
         instance = snapshot.episode.instance
         if self._episode is None or self._episode.instance != instance:

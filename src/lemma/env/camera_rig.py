@@ -1,4 +1,4 @@
-"""The cameras: what makes views of a scene, for whoever needs them.
+"""The cameras of a scene, which make its views.
 
 Each robot has a camera that hangs above it, called as the robot is; these are what maps
 are fused from. Beside them there are the overview, which does not move, and a camera on
@@ -112,7 +112,7 @@ class CameraRig:
         whatever happens to the scene in between. The scene is left alone.
 
         Args:
-            scene: What to look at.
+            scene: The scene.
             robots: Names of the robots whose joints and cameras are of interest; all
                 if None.
             cameras: Names of the cameras whose images are of interest, see
@@ -126,7 +126,7 @@ class CameraRig:
         """Return what is seen now, rendered now: plain data, which knows no scene.
 
         Args:
-            scene: What to look at.
+            scene: The scene.
             cameras: Whether the images of the cameras are kept beside the map.
         """
         seen = self.look(scene)

@@ -1,4 +1,4 @@
-"""What an environment is made of, besides its task: the options of ``make``."""
+"""Options of an environment, besides its task: the arguments of ``make``."""
 
 from dataclasses import dataclass, fields
 from typing import Any, Self
@@ -30,7 +30,7 @@ class EnvConfig:
     task: str
     """Name of the task: ``"poke_stack"``."""
     control: str = "ee_pose"
-    """Control level only: what an action commands; a name in
+    """Control level only: meaning of an action; a name in
     :data:`lemma.env.control.modes.CONTROLS`."""
     control_hz: float = 20.0
     """Control level only: actions per second; 100 divided by a whole number, at least
@@ -45,7 +45,7 @@ class EnvConfig:
     """Control modes ``"delta_..."`` only: by how much 1 turns the target, at most 1 rad
     [rad]."""
     observation: str = "state"
-    """What is observed; a name in :data:`lemma.env.observation.OBSERVATIONS`."""
+    """Content of observations; a name in :data:`lemma.env.observation.OBSERVATIONS`."""
     width: int = CAMERA_WIDTH_PX
     """Width of camera images [px]."""
     height: int = CAMERA_HEIGHT_PX
@@ -71,7 +71,7 @@ class EnvConfig:
     """Which instruction is given: ``"high_level"``, ``"human"``, ``"unseen"`` or, for
     evaluation and not of split ``"train"``, ``"blind"``."""
     reward: str = "sparse"
-    """What steps are rewarded by; a name in
+    """How steps are rewarded; a name in
     :data:`lemma.env.learning.rewards.REWARDS`."""
     reward_discount: float = 0.99
     """The learner's discount gamma, which dense rewards are shaped for."""

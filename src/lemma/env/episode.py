@@ -1,4 +1,4 @@
-"""One instance being worked on: what was done, how long it took, how it stands."""
+"""One instance being executed: sub-tasks so far, time, success."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -155,7 +155,7 @@ class Episode:
             self.conclude()
 
     def conclude(self) -> None:
-        """Judge the episode if it has just ended: whoever lets time pass asks for it.
+        """Judge the episode if it has just ended. Call it after letting time pass.
 
         The robots stand still for :data:`STILL_S` before.
         """

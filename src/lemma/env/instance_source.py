@@ -1,4 +1,4 @@
-"""Which instance an episode is about: what ``reset`` is asked for, or a draw."""
+"""The instance of the next episode: as ``reset`` asks, or drawn."""
 
 import warnings
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ def own_options(options: object) -> dict[str, Any]:
     foreign is ignored, with a warning.
 
     Args:
-        options: What was passed to ``reset``.
+        options: Argument of ``reset``.
 
     Raises:
         InvalidConfigError: It is no dictionary.

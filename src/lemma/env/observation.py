@@ -1,4 +1,4 @@
-"""What is observed: joints and the instruction, and cameras or the truth on request."""
+"""Observations: joints and the instruction, and cameras or the true state."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ _LARGEST_DEPTH_M = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What an observation holds beside joints and instruction."""
+    """Content of an observation beside joints and instruction."""
 
     rgb: bool = False
     """``pixels``: for each camera, (height, width, 3)."""
@@ -45,7 +45,7 @@ class Contents:
     """``depth``: for each camera, (height, width) [m] in steps of 0.1 mm; 0
     where nothing is."""
     topdown: bool = False
-    """``map``: what all cameras see, from above; see :mod:`lemma.scene.raster`."""
+    """``map``: all cameras fused, from above; see :mod:`lemma.scene.raster`."""
     truth: bool = False
     """Poses of objects and robots, and the goal: not for a fair comparison."""
 
@@ -65,7 +65,7 @@ OBSERVATIONS.add("privileged", Contents(truth=True))
 
 
 TRUTH = ("objects", "present", "robots", "goal", "goal_poses")
-"""What the truth consists of, in the order of :func:`truth_vector`."""
+"""Parts of the true state, in the order of :func:`truth_vector`."""
 POSE_AXES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Numbers of a pose."""
 GOAL_PAIRS = 4
@@ -242,8 +242,8 @@ class Observer:
 
         Args:
             poses: Of every object, see :func:`object_poses`.
-            spec: What is on the table, and who stands at it.
-            goal: What shall become true.
+            spec: The scene.
+            goal: The goal.
         """
         number = {name: i for i, name in enumerate(self._entities)}
         objects = np.zeros((len(number), 7))

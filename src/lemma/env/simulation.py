@@ -1,7 +1,7 @@
 """The step loop: physics, servos and skills, one servo tick at a time.
 
 This is the only place that steps the physics. The expert, the environments, data
-generation and viewers all drive it; whoever wants to watch registers an observer.
+generation and viewers all drive it. Code that wants to watch registers an observer.
 """
 
 import math
@@ -71,7 +71,7 @@ class _Running:
 
 @dataclass(frozen=True, slots=True)
 class ArmSnapshot:
-    """What an arm's motion depends on, beside the physics."""
+    """State of an arm's motion, beside the physics."""
 
     reference: FloatArray
     """Joint angles and velocities that the servos follow, (2, 6) [rad, rad/s]."""
@@ -142,7 +142,7 @@ class Simulation:
 
         Args:
             active: Robots whose reference moves under RMPflow; the servos of the others
-                keep what they were last told.
+                keep their last command.
             drive: Called before every physics step, to command servos otherwise.
 
         Raises:
@@ -151,7 +151,7 @@ class Simulation:
         model, data = self.scene.model, self.scene.data
         start = data.time
         if active:
-            # What RMPflow wants does not depend on the physics within a tick.
+            # The reference of RMPflow does not depend on the physics within a tick.
             control, commands = self._control, self._commands
             commands[:] = control
             for name in active:
@@ -167,7 +167,7 @@ class Simulation:
                 mujoco.mj_step(model, data)
         else:
             mujoco.mj_step(model, data, STEPS_PER_TICK)
-        # What diverges is put back to the beginning by MuJoCo: its time too.
+        # MuJoCo resets a state that diverges, its time included.
         if not data.time > start:
             raise PhysicsError(
                 f"The physics became unstable {start:g} s after the beginning, and "
@@ -288,9 +288,9 @@ class Simulation:
         fell = [name for name in self.scene.fallen if name not in before]
         if not fell or result.outcome is Outcome.OUT_OF_TIME:
             return result
-        told = "" if result.ok else f"{result.explanation} "
-        told += f"The {' and the '.join(fell)} fell off the table."
-        return SkillResult(Outcome.DROPPED, told, result.duration_s)
+        explanation = "" if result.ok else f"{result.explanation} "
+        explanation += f"The {' and the '.join(fell)} fell off the table."
+        return SkillResult(Outcome.DROPPED, explanation, result.duration_s)
 
     def rest(self, seconds: float) -> None:
         """Let time pass without moving any arm."""

@@ -11,7 +11,7 @@ from lemma.tasks.subtask import GroundedSubTask
 
 
 class SubTaskEnv(LemmaEnv):
-    """What skill level and plan level share: a step is a sub-task, carried out.
+    """Common base of skill level and plan level: a step executes one sub-task.
 
     The episode is terminated by ``stop``, and success is judged then; it is truncated
     at T_max. ``info["outcome"]`` and ``info["explanation"]`` say how the sub-task went.

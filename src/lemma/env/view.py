@@ -1,8 +1,8 @@
-"""What a policy sees at one moment.
+"""Observation of a policy at one moment.
 
 Environments, rendered data and evaluation all make their observations of the views of
 :class:`lemma.env.camera_rig.CameraRig`, so they are equal to the bit. A view itself is
-plain data: who serves a policy, and receives views over a network, needs no simulator.
+plain data: a server of policies that receives views over a network needs no simulator.
 """
 
 from collections.abc import Mapping
@@ -38,6 +38,6 @@ class View:
     opening_m_s: FloatArray | None = None
     """Rates of the gripper openings [m/s], (robots,); None if they were not sent."""
     cameras: Mapping[str, CameraImage] = field(default_factory=dict)
-    """What each robot's camera sees, with intrinsics and extrinsics, by the names of
+    """Image of each robot's camera, with intrinsics and extrinsics, by the names of
     the robots, or what the cameras see that an environment was asked for, by theirs;
     empty if it was not sent."""

@@ -1,8 +1,8 @@
-"""Mistakes made on purpose: what is executed instead of what the expert would do.
+"""Deliberate mistakes, executed in place of the expert's sub-task.
 
 A policy that has seen perfect demonstrations alone never sees what follows a missed
 grasp, a cube beside its pad, a stick laid elsewhere, or the wrong robot at work. Here
-are such mistakes; what would then be right is the expert's to say.
+are such mistakes; the expert then says the right sub-task.
 """
 
 import math
@@ -56,7 +56,7 @@ class Perturbation:
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """What is executed instead."""
+    """The sub-task that is executed instead."""
 
     kind: str
     """One of :data:`KINDS`."""
@@ -85,7 +85,7 @@ class Perturber:
         """Return a mistake that could be made now.
 
         Args:
-            subtask: What the expert would do.
+            subtask: The expert's sub-task.
             grounded: The same with poses.
             now: Where things are.
             rng: Of all that is drawn.
@@ -184,7 +184,7 @@ def _place_off(grounded: GroundedSubTask, rng: np.random.Generator) -> GroundedS
 
 
 def _dropped(grounded: GroundedSubTask, rng: np.random.Generator) -> GroundedSubTask:
-    """End halfway: what is held is put down there."""
+    """End halfway: the held object is put down there."""
     pick, place, part = grounded.pick, grounded.place, rng.uniform(*_HALFWAY)
     there = Pose2(
         pick.x + part * (place.x - pick.x),

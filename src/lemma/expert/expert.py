@@ -43,7 +43,7 @@ class Expert:
 
         Args:
             scene: The world.
-            goal: What shall become true.
+            goal: The goal.
             team: Robots that may act; all if None.
         """
         self._scene = scene

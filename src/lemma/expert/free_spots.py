@@ -50,7 +50,7 @@ class FreeSpots:
         """Return the best place for a cube: well inside reach, clear of the rest.
 
         Args:
-            obstacles: What lies around.
+            obstacles: Discs of the objects around.
             wider_m: By how much more room is needed than for a cube [m].
         """
         best, best_score = None, -math.inf
@@ -75,7 +75,7 @@ class FreeSpots:
         """Return the best gripper pose to lay the stick down for somebody else.
 
         Args:
-            obstacles: What lies around.
+            obstacles: Discs of the objects around.
             base: Of the robot that brings it.
             pick: Gripper pose where that robot grasps it.
         """

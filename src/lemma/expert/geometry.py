@@ -1,4 +1,4 @@
-"""Geometry of a scene for whoever grounds sub-tasks: reach, grasps, drags, free places.
+"""Geometry of a scene for grounding: reach, grasps, drags, free places.
 
 A ground function of :class:`lemma.expert.primitives.PrimitiveSpec` is given one.
 """
@@ -23,7 +23,7 @@ _FLAT_M = 0.01
 """Fingers that grasp something come down over what is lower than this."""
 
 _HANDLING_S = 5.5
-"""What every sub-task takes, wherever it happens: descend, grasp, lift, lower."""
+"""Time of every sub-task, wherever it happens: descend, grasp, lift, lower [s]."""
 _SWING_RAD_S = 1.6
 _RADIAL_M_S = 0.6
 _GOOD_MARGIN_M = 0.10
@@ -44,11 +44,11 @@ class GroundedOption:
     duration_s: float
     """tau: predicted time [s]."""
     reluctance_s: float = 0.0
-    """What the choice between plans counts beside it [s]."""
+    """Time that the choice between plans adds to it [s]."""
 
 
 class SceneGeometry:
-    """What can be reached, grasped, dragged and put down, by the true state."""
+    """Reach, grasps, drags and free places, by the true state."""
 
     def __init__(self, spec: SceneSpec) -> None:
         """Prepare for a scene.

@@ -2,8 +2,8 @@
 
 Each grounding also says what will be true afterwards and how good it is, which is what
 the planner's utility is made of. How each primitive is grounded stands in
-:mod:`lemma.expert.primitives`. What cannot be done has one answer, at whatever level it
-was asked for.
+:mod:`lemma.expert.primitives`. A sub-task that cannot be done is refused with the same
+outcome at every level.
 """
 
 from lemma.core.errors import UnknownNameError

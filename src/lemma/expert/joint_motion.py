@@ -2,7 +2,7 @@
 
 Before every sub-task a copy of the episode takes its present state, the expert's skill
 acts in the copy, and the joint angles that the servos were led to there become actions.
-So what went otherwise than in the copy is seen before the next sub-task.
+A difference from the copy is seen before the next sub-task.
 """
 
 import numpy as np

@@ -89,7 +89,7 @@ def find_plan(
 
     Args:
         now: Where things are.
-        goal: What shall become true.
+        goal: The goal.
         grounder: Says what can be done and what follows.
         limit_s: Largest predicted duration, the paper's T_max [s].
         team: Robots that may act; all if None.
@@ -151,7 +151,7 @@ def candidates(
 
     Args:
         now: Where things are.
-        goal: What shall become true.
+        goal: The goal.
         robots: Robots that may act.
         grounder: Of the same scene.
     """

@@ -1,7 +1,7 @@
-"""What robots can do: one record per primitive, and what it means to every layer.
+"""Primitives: one record each, with its meaning to every layer.
 
 The benchmark's six come first, in the order in which action spaces and trained weights
-number them; what users add is numbered after them.
+number them; those of users are numbered after them.
 """
 
 import math

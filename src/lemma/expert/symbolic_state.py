@@ -1,4 +1,4 @@
-"""What the symbolic planner knows of the world: where things are and on what."""
+"""State of the symbolic planner: poses of objects, and their supports."""
 
 from dataclasses import dataclass, replace
 
@@ -14,8 +14,8 @@ _ON_M = 0.03
 """A thing lies on another when their middles are no farther apart, or as far as the
 other's kind allows."""
 _LIFTED_M = 0.025
-"""What has its bottom higher than this above the table lies on what has its top higher
-than this, such as a pad or a cube; what has it lower, on the table or on a thin mat."""
+"""An object with its bottom higher than this lies on an object with its top higher than
+this, such as a pad or a cube; one with its bottom lower, on the table or a thin mat."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ class SymbolicState:
     poses: dict[str, Pose2]
     """Every object that is on the table."""
     supports: dict[str, str]
-    """What each thing lies on that is no tool and not fixed: an entity or the table."""
+    """Support of each movable object but the tool: an entity or the table."""
     labels: dict[str, str]
     """How each movable object got where it is: two ways to one place are one state."""
     fallen: tuple[str, ...] = ()
-    """What has fallen off the table: it is lost, and nothing else here speaks of it."""
+    """Objects that fell off the table: they are lost, and no other field has them."""
 
     @classmethod
     def observe(cls, scene: Scene) -> "SymbolicState":
@@ -51,7 +51,7 @@ class SymbolicState:
 
     @property
     def key(self) -> tuple[tuple[str, str], ...]:
-        """What makes two situations the same to the planner."""
+        """Key by which the planner compares situations."""
         return tuple(sorted(self.labels.items()))
 
     def on_top_of(self, name: str) -> str | None:

@@ -340,7 +340,7 @@ class ArmMotion:
         """Advance the reference by some physics steps.
 
         Args:
-            commands: What all servos of the scene are told before each step, (n, nu);
+            commands: Commands of all servos before each step, (n, nu);
                 this arm's are written.
         """
         space = self.workspace

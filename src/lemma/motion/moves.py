@@ -49,7 +49,7 @@ _TICKS = round(_TIMEOUT_S / _TICK_S)
 
 
 class Moves:
-    """What one arm can be told to do next."""
+    """Motions of one arm."""
 
     def __init__(self, arm: ArmMotion) -> None:
         """Keep the arm."""
@@ -110,7 +110,7 @@ class Moves:
         Args:
             stand: The waypoint.
             fly_by: Near is enough: the arm does not slow down.
-            contact: What is held is put down: it must be there to the millimetre, and
+            contact: The held object is put down: the pose is exact to a millimetre, and
                 that it touches the support a little early ends the motion well.
         """
         x, y, z, _ = stand
@@ -186,7 +186,7 @@ class Moves:
         height = float(self.arm.reference_pose()[2, 3])
         above = _at_height(stand, max(height, stand[2]))
         if contact:
-            # What is put down fast sinks in or bounces.
+            # An object that is put down fast sinks in or bounces.
             gently = _at_height(stand, min(above[2], stand[2] + _TOUCHDOWN_M))
             yield from self.along(above, gently, _VERTICAL_M_S)
             above = gently

@@ -1,4 +1,4 @@
-"""What an arm keeps clear of: the other arms, and what lies on the table."""
+"""Obstacles of an arm: the other arms, and the objects on the table."""
 
 import math
 
@@ -27,8 +27,8 @@ def around(
     Args:
         arms: All arms of the scene.
         arm: The arm that will move; it is no obstacle to itself.
-        target: Where it will work, if anywhere; what stands there is left out.
-        held: What it holds or will pick up; left out.
+        target: Where it will work, if anywhere; the object there is left out.
+        held: The object that it holds or will pick up; left out.
 
     Returns:
         Capsules with the range in which they are felt, (n, 8) [m].

@@ -38,7 +38,7 @@ _MEETING_M_S = 0.1
 """The stick meets the cube slowly: a knock would send it ahead."""
 _ASIDE_M = 0.03
 _PRESS_M = 0.0005
-"""What is put down is lowered until it surely touches: nothing is dropped."""
+"""A held object is lowered until it surely touches: nothing is dropped."""
 
 
 class SkillRunner:

@@ -36,7 +36,7 @@ pads, 12 mm to either side, just touch its edge."""
 _ANGLES = 721
 """Of each of the two angles over a turn: half a degree apart, which is 0.1 mm."""
 _HIGHEST_M = 0.2
-"""What lies on the table, also a cube on a cube on a pad, is handled below this."""
+"""Objects on the table, also a cube on a cube on a pad, are handled below this."""
 
 
 @dataclass(frozen=True, slots=True)

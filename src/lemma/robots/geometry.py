@@ -1,7 +1,7 @@
 """Solids that robots are drawn and collided with.
 
-What collides is a capsule or a box (few, group 3); what is seen never touches
-anything (group 2). Neither carries mass: links state their inertia themselves.
+Collision geoms are a few capsules and boxes (group 3). Visible geoms never touch
+anything (group 2). Neither has mass: links state their inertia themselves.
 """
 
 import math
@@ -87,7 +87,7 @@ def draw(
 
     Args:
         spec: The scene that is being built.
-        body: What the mesh is fixed to.
+        body: Body that the mesh is fixed to.
         name: Name of the mesh; drawn a second time, it is shared.
         surface: Its triangles, in the frame of ``body``.
         rgba: Color.

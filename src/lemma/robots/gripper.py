@@ -19,7 +19,7 @@ FINGER_CENTER_M = 0.059
 FINGER_DISC_M = 0.014
 """Radius of a disc around it that covers the finger, with little to spare."""
 PALM_BEYOND_FLANGE_M = 0.072
-"""Where the palm ends: what is deeper than this collides with it."""
+"""Where the palm ends: an object deeper than this collides with it."""
 PALM_ABOVE_TCP_M = TCP_OFFSET_M - PALM_BEYOND_FLANGE_M
 """How deep a thing may stand between the fingers, from the tool centre point up."""
 GRIP_FORCE_N = 50.0

@@ -111,7 +111,7 @@ def _make_rubber(pad: mujoco.MjsGeom) -> None:
     pad.condim = 4
     pad.friction = [1.2, 0.02, 0.0001]
     # Stiffness and damping of the contact [1/s2, 1/s]. Friction stops slip by damping
-    # alone, and each step of h bends a moving arm's path: what it holds drifts by
+    # alone, and each step of h bends a moving arm's path: a held object drifts by
     # (1 / damping - h / 2) times the centripetal acceleration. At h = 5 ms, 280 leaves
     # two fifths of the drift that the usual 200 does; from about 320 fingers bounce.
     pad.solref = [-10000.0, -280.0]

@@ -1,4 +1,4 @@
-"""Who can reach what: one function for sampling, expert, allocation and reach maps.
+"""Reachable sets: one function for sampling, expert, allocation and reach maps.
 
 A robot reaches a table position if closed-form inverse kinematics has a solution with
 the gripper pointing down, at grasp height *and* at travel height, inside the joint

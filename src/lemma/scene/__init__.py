@@ -1,1 +1,1 @@
-"""What lies on the table, how it is compiled, and who sees it."""
+"""Scenes: objects, their compiled model, and cameras."""

@@ -76,7 +76,7 @@ def _set_options(world: mujoco.MjSpec) -> None:
     option.iterations = 100
     option.ls_iterations = 50
     option.tolerance = 1e-8
-    # Friction harder than the normal constraint: what is held does not creep.
+    # Friction harder than the normal constraint: a held object does not creep.
     option.impratio = 300
     visual = world.visual
     visual.map.znear = 0.05
@@ -169,7 +169,7 @@ def _add_light(
         pos=[-4.0 * component for component in direction],
         dir=direction,
         diffuse=color,
-        # Little: what shines looks different to every camera.
+        # Little: a shining surface looks different to every camera.
         specular=[0.25 * component if shadow else 0.0 for component in color],
         castshadow=shadow,
     )

@@ -43,7 +43,7 @@ def camera_mount(robot: RobotPlacement) -> tuple[Pose, float]:
 
 
 class CameraFootprint:
-    """What a robot's camera sees of the table."""
+    """Part of the table that a robot's camera sees."""
 
     def __init__(self, robot: RobotPlacement) -> None:
         """Look from where the robot's camera hangs."""

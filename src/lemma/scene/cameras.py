@@ -130,7 +130,7 @@ class Camera:
 
 
 class CameraImage(NamedTuple):
-    """What a camera sees."""
+    """Image of a camera."""
 
     rgb: RgbImage
     """Color, shape (height, width, 3)."""

@@ -9,7 +9,7 @@ from lemma.scene.scene import Scene
 from lemma.scene.table import TABLE_HALF_Y_M, lies_on_table, tops
 
 TOLERANCE_M = 0.005
-"""What contacts push apart gently."""
+"""Penetration that contacts resolve gently."""
 
 
 def check_layout(scene: Scene) -> None:
@@ -76,7 +76,7 @@ def _overlaps(scene: Scene) -> list[tuple[str, str, float]]:
         first, second = int(solid[i]), int(solid[j])
         gap_m = mujoco.mj_geomDistance(model, data, first, second, TOLERANCE_M, None)
         if np.abs(position[i] - position[j]).max() < TOLERANCE_M:
-            # Of what has one middle, MuJoCo says that the distance is 0.
+            # MuJoCo returns 0 for concentric geoms.
             gap_m = -float(min(radius[i], radius[j]))
         names = (model.body(int(roots[k])).name.partition("/")[0] for k in (i, j))
         found.append((*names, -gap_m))

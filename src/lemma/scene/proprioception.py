@@ -1,4 +1,4 @@
-"""What robots feel: joints, gripper and tool centre point, in one compiled call.
+"""Proprioception: joints, gripper and tool centre point, in one compiled call.
 
 Pictures aside this is all that an observation measures, in every step of every
 environment; array by array it takes longer than the physics between two of them.

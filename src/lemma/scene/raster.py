@@ -3,8 +3,8 @@
 A map is an orthographic picture of the table. Row 0 lies at +y and column 0 at -x:
 seen in the usual way, x grows to the right and y upward.
 
-Whoever looks at a scene sees depths and heights in steps of 0.1 mm, because files of
-rendered keyframes store them as ``uint16`` in these units: what was trained on files
+All views have depths and heights in steps of 0.1 mm, because files of rendered
+keyframes store them as ``uint16`` in these units: a policy that was trained on files
 then sees the same numbers everywhere. No depth camera is that accurate, and a pixel of
 these sees some millimetres; a millimetre would show as steps in slanted surfaces, and
 finer units would not fit the room into 16 bits. 0 means that nothing was seen.
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from lemma.core.errors import InvalidConfigError
 
 UNIT_M = 1e-4
-"""What 1 stands for in images of depth and height [m]."""
+"""Unit of stored depths and heights [m]."""
 CEILING_M = 0.6
 """Points above it are not on the map: the table below them counts as not seen [m]."""
 
@@ -40,8 +40,8 @@ class Raster:
     cell_m: float = 0.008
     """Side of a cell [m]."""
     floor_m: float = -0.1
-    """Points below it are not on the map: whatever is beside the table. What a stored
-    height of 1 stands for [m]."""
+    """Points below it, beside the table, are not on the map. A stored
+    height of 1 means this height [m]."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""

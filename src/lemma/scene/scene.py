@@ -159,7 +159,7 @@ class Scene:
         self.data.qvel[dof : dof + 6] = 0.0
 
     def speed(self, name: str) -> float:
-        """Return the linear speed of an object [m/s]; what is fixed has none."""
+        """Return the linear speed of an object [m/s]; 0 where it is fixed."""
         if name not in self._free_qpos:
             return 0.0
         dof = int(self.model.joint(name).dofadr[0])
@@ -167,7 +167,7 @@ class Scene:
         return math.sqrt(vx * vx + vy * vy + vz * vz)
 
     def turn_rate(self, name: str) -> float:
-        """Return how fast an object turns [rad/s]; what is fixed does not."""
+        """Return how fast an object turns [rad/s]; 0 where it is fixed."""
         if name not in self._free_qpos:
             return 0.0
         dof = int(self.model.joint(name).dofadr[0]) + 3

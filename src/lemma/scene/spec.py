@@ -1,4 +1,4 @@
-"""What a scene consists of: frozen data, no physics."""
+"""Specification of a scene: frozen data, no physics."""
 
 import math
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ ROOM_M = 10.0
 
 @dataclass(frozen=True, slots=True)
 class RobotPlacement:
-    """One robot: what it is and where it stands."""
+    """One robot: type, color and base."""
 
     arm: str
     """Arm type, a name in ``lemma.robots.ur.build.ARMS``."""
@@ -46,13 +46,13 @@ class RobotPlacement:
 
 @dataclass(frozen=True, slots=True)
 class ObjectPlacement:
-    """One object: what it is and where it lies."""
+    """One object: kind, color and pose."""
 
     kind: str
     """A name in ``lemma.scene.objects.kind.OBJECT_KINDS``: ``"cube"``."""
     color: str
-    """A name in ``lemma.scene.palette.OBJECT_COLORS``. What comes in one color only may
-    say any word: the stick is ``"yellow"``."""
+    """A name in ``lemma.scene.palette.OBJECT_COLORS``. A kind of one color only may
+    have any word: the stick is ``"yellow"``."""
     pose: Pose2
     """World from object, lying on the table."""
 
@@ -69,7 +69,7 @@ class ObjectPlacement:
 
     @property
     def entity(self) -> Entity:
-        """What it is."""
+        """Its entity."""
         kind = OBJECT_KINDS[self.kind]
         return Entity(self.color if kind.colored else "", kind)
 

@@ -1,4 +1,4 @@
-"""The top-down map: what all cameras see, as one orthographic picture of the table.
+"""The top-down map: all cameras fused into one orthographic picture of the table.
 
 Every pixel of every camera becomes a point in the world, and the highest point over
 each cell of the map gives its height and color.
@@ -32,7 +32,7 @@ def fuse(
     opposite sides of it: surfaces continue, and nothing grows.
 
     Args:
-        images: What the cameras see; a depth of 0 means that nothing was seen.
+        images: Images of the cameras; a depth of 0 means that nothing was seen.
         raster: The cells of the map.
         ceiling_m: Points above it are dropped [m].
 

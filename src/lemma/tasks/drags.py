@@ -121,11 +121,11 @@ def find_drag(
 
     Args:
         primitive: ``HOOK`` (towards the robot) or ``POKE`` (away from it).
-        robot: Who drags.
-        receiver: Who shall reach the cube then.
+        robot: The robot that drags.
+        receiver: The robot that shall reach the cube then.
         cube: Where the cube is.
-        obstacles: What the stick and the cube keep clear of.
-        kind: What is dragged, if it is no cube.
+        obstacles: Discs that the stick and the cube keep clear of.
+        kind: Kind of the dragged object, if it is no cube.
         gap_m: Where the table is missing; a cube that is dragged there falls.
 
     Returns:
@@ -193,7 +193,7 @@ def withdrawn(primitive: Primitive, robot: RobotPlacement, end: Pose2) -> Pose2:
 
     Args:
         primitive: ``HOOK`` or ``POKE``.
-        robot: Who drags.
+        robot: The robot that drags.
         end: Gripper where the drag ends, turned as the stick is.
     """
     back = _LEAST_WITHDRAWAL_M

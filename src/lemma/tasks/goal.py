@@ -1,4 +1,4 @@
-"""What shall become true: a conjunction of ``On(top, bottom)``."""
+"""Goals: conjunctions of ``On(top, bottom)``."""
 
 from dataclasses import dataclass
 from typing import Self

@@ -165,7 +165,7 @@ class Instance:
             source: Where it comes from, for the error.
 
         Returns:
-            The instance, in :data:`OWN_SPLIT`: whatever a file says, it is on no list.
+            The instance, in :data:`OWN_SPLIT` whatever split the file names.
 
         Raises:
             InvalidConfigError: It is no JSON, of another version of the benchmark, or

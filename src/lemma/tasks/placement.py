@@ -92,7 +92,7 @@ class ObjectPlacer:
         self._zones: dict[str, Zone] = {}
         drawn = order if order is not None else rng.permutation(len(robots))
         self.order: tuple[int, ...] = tuple(int(i) for i in drawn)
-        """The robots in random order: who plays which role."""
+        """The robots by role, in random order."""
 
     def cube(self, zone: ZoneLike, color: str | None = None) -> str:
         """Put a cube into a zone; see :meth:`put`."""
@@ -121,7 +121,7 @@ class ObjectPlacer:
         """
         record = OBJECT_KINDS[kind]
         if record.tool:
-            raise InvalidConfigError(f"A {kind} is put with ObjectPlacer.{kind}(robot).")
+            raise InvalidConfigError(f"A {kind} is placed by placer.{kind}(robot).")
         free = self._free.get(kind)
         if free is None:
             free = self._free[kind] = self._shuffled() if record.colored else [kind]
@@ -170,7 +170,7 @@ class ObjectPlacer:
         """Return where all of the stick is one robot's alone, whatever else lies there.
 
         Args:
-            robot: Who shall pick it up.
+            robot: The robot that shall pick it up.
             x: World positions, (n,) [m].
             y: World positions, (n,) [m].
             yaw: Directions of its handle, (n,) [rad].
@@ -205,9 +205,9 @@ class ObjectPlacer:
             primitive: ``HOOK``: ``robot`` can drag the cube into its own reach, and
                 there is no other way. ``POKE``: it can push it into its partner's
                 reach, and not drag it into its own.
-            robot: Who uses the stick.
+            robot: The robot that uses the stick.
             partner: The other robot.
-            kind: What will be put there.
+            kind: Kind of the object that will be put there.
             alone: Whether the partner could not even touch it with the stick in its
                 hand.
         """

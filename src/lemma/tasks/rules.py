@@ -52,9 +52,9 @@ def problems(instance: Instance) -> tuple[str, ...]:
     crowded = tuple(_crowded(instance))
     found: tuple[str, ...] | None = None
     for placer, goal in _ways(instance, task):
-        told = (*_stands(instance, task, placer.order), *placer.judge(goal))
-        if found is None or len(told) < len(found):
-            found = told
+        faults = (*_stands(instance, task, placer.order), *placer.judge(goal))
+        if found is None or len(faults) < len(found):
+            found = faults
         if not found:
             break
     if found is None:
@@ -63,7 +63,7 @@ def problems(instance: Instance) -> tuple[str, ...]:
 
 
 class _RecordedPlacer(ObjectPlacer):
-    """A table that is set already: what a task puts is what lies there."""
+    """A placer for a table that is set: it returns the objects that lie there."""
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class _RecordedPlacer(ObjectPlacer):
         self._robots = robot_phrases(instance.scene.robots)
 
     def put(self, kind: str, zone: ZoneLike, color: str | None = None) -> str:
-        """Take the next object of a kind for the one that is meant."""
+        """Return the next object of a kind."""
         placed = self._take(kind, color)
         wanted = zone if isinstance(zone, Zone) else Zone.where(zone)
         self._asked.append((placed, wanted, len(self.objects)))
@@ -103,12 +103,12 @@ class _RecordedPlacer(ObjectPlacer):
         raise PlacementError(kind)
 
     def judge(self, goal: Goal) -> tuple[str, ...]:
-        """Return what is wrong with what was taken, in sentences."""
+        """Return what is wrong with the objects, in sentences."""
         everything, bad = self.objects, []
         for placed, zone, before in self._asked:
             self.objects = everything[:before]
-            told = self._wrong(placed, zone)
-            bad += [told] if told else []
+            fault = self._wrong(placed, zone)
+            bad += [fault] if fault else []
         self.objects = everything
         if self._stick_of is not None:
             bad += self._wrong_stick(self._stick_of)
@@ -135,7 +135,7 @@ class _RecordedPlacer(ObjectPlacer):
     def _situation(self, placed: ObjectPlacement) -> str:
         """Return what each robot could do to a thing where it lies."""
         x, y = np.array([placed.pose.x]), np.array([placed.pose.y])
-        told = []
+        phrases = []
         for robot, phrase in enumerate(self._robots):
             if self.territory.works(robot, x, y)[0]:
                 what = "works there"
@@ -143,8 +143,8 @@ class _RecordedPlacer(ObjectPlacer):
                 what = "could not touch it"
             else:
                 what = "might touch it, but does not surely work there"
-            told.append(f"the {phrase} {what}")
-        return " and ".join(told)
+            phrases.append(f"the {phrase} {what}")
+        return " and ".join(phrases)
 
     def _wrong_stick(self, robot: int) -> list[str]:
         (placed,) = (p for p in self.objects if p.kind == "stick")

@@ -26,7 +26,7 @@ APART_M = (-0.02, 0.05)
 """How much farther apart robots stand than a cube between them needs that neither could
 touch; the stick bridges little more."""
 _GAP_WIDTH_M = 0.20
-"""Of the gap in the table: what is dragged into it falls."""
+"""Width of the gap in the table. A cube that is dragged into it falls."""
 LATERAL_M = 0.05
 """How far a robot stands from the line through the middle of the table, at most."""
 YAW_RAD = 0.10
@@ -70,7 +70,7 @@ def sample(
         )
     key = (BENCHMARK_VERSION, task.name, split, index)
     rng = stream(*key, "layout", attempt)
-    # What is refused does not depend on these: hard teams stay as frequent as others.
+    # Drawn before rejection, which cannot bias them.
     chosen = team or _draw_team(task, stream(*key, "team"))
     distractors = int(
         stream(*key, "distractors").integers(
@@ -87,7 +87,9 @@ def sample(
             placer.check(goal)
         except PlacementError:
             continue
-        shuffled = [placer.objects[int(i)] for i in rng.permutation(len(placer.objects))]
+        shuffled = [
+            placer.objects[int(i)] for i in rng.permutation(len(placer.objects))
+        ]
         instance = Instance(
             task=task.name,
             split=split,

@@ -1,4 +1,4 @@
-"""Sub-tasks: what a planner says, and what a grounder adds."""
+"""Sub-tasks: symbolic ones of a planner, and grounded ones of a grounder."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -9,7 +9,7 @@ from lemma.core.poses import Pose2
 
 
 class Primitive(StrEnum):
-    """What a robot can do (paper, section IV).
+    """A primitive (paper, section IV).
 
     The members are the benchmark's six, which action spaces and trained weights number
     in this order. ``Primitive("push")`` also finds what users have added to

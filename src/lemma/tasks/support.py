@@ -1,4 +1,4 @@
-"""What carries what: read off contacts, speeds and tilts of a scene.
+"""Support relations, read off contacts, speeds and tilts of a scene.
 
 Everything here is a function of where things are and how fast they move, not of what
 the engine computed last: it is the same after a step, after a snapshot was restored,
@@ -18,12 +18,12 @@ from lemma.scene.objects.kind import Point
 from lemma.scene.scene import Scene
 
 REST_M_S = 0.01
-"""Slower than this a thing is at rest [m/s]. What lies for a second moves at less than
-a billionth of it."""
+"""An object at rest is slower than this [m/s]. After a second of rest it moves at less
+than a billionth of it."""
 REST_RAD_S = 0.1
 """And it turns slower than this [rad/s]."""
 TILT_RAD = math.radians(3.0)
-"""What stands on a face has it within this of level [rad]."""
+"""An object stands on a face that is within this of level [rad]."""
 _STEEP = math.cos(math.radians(30.0))
 """A contact carries if its normal is nearer to the vertical than this."""
 

@@ -1,4 +1,4 @@
-"""What a task is: how its table is set, and the sentences that ask for its goal."""
+"""Tasks: how a table is set, and the sentences that ask for the goal."""
 
 import re
 from collections.abc import Callable
@@ -92,5 +92,5 @@ def _make_known(name: str, task: Task) -> None:
 
 
 TASKS: Registry[Task] = Registry("task", Task, on_add=_make_known)
-"""Every task that can be sampled, built-in ones first. What is added here is known to
+"""Every task that can be sampled, built-in ones first. An added task is known to
 Gymnasium, to every function that takes the name of a task, and to the command line."""

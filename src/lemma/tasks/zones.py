@@ -73,7 +73,7 @@ ZoneLike = Zone | Callable[[Pose2], bool]
 
 
 class Territory:
-    """Who could do what where, for many positions of the table at once."""
+    """Reach of each robot over many positions of the table at once."""
 
     def __init__(
         self, robots: tuple[RobotPlacement, ...], gap_m: Gap | None = None

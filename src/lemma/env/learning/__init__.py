@@ -1,1 +1,1 @@
-"""What learners ask for: rewards on the way, and flat views."""
+"""For learners: dense rewards, and flat views."""

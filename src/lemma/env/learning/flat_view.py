@@ -20,7 +20,7 @@ from lemma.env.observation import (
 from lemma.robots.ur.build import JOINTS
 
 STATES = ("agent_pos", "agent_vel", "tcp_pose", "base_pose")
-"""What a state may consist of."""
+"""Parts that a state may have."""
 
 
 class FlatView(
@@ -53,7 +53,7 @@ class FlatView(
 
         Args:
             env: An environment at control level, with or without wrappers around it.
-            state: What the state consists of, of :data:`STATES`.
+            state: Parts of the state, of :data:`STATES`.
 
         Raises:
             InvalidConfigError: The environment is of another level, or there is no such
@@ -79,9 +79,9 @@ class FlatView(
             for row in self.layout.rows
             for column in self.layout.columns
         )
-        """What each number of an action is: ``robot_0.dx``."""
+        """Name of each number of an action: ``robot_0.dx``."""
         self.state_names = _state_names(inner.robot_names, self._state)
-        """What each number of the state is: ``robot_0.gripper``."""
+        """Name of each number of the state: ``robot_0.gripper``."""
         box = self.layout.box()
         self.action_space = spaces.Box(
             box.low.reshape(-1), box.high.reshape(-1), dtype=np.float32

@@ -11,7 +11,7 @@ from lemma.env.instance_source import RESET_OPTIONS
 from lemma.tasks.instance import SPLITS
 
 FIGURES = ("is_success", "success", "progress", "elapsed_s", "instance")
-"""What is reported of an episode; nothing that harnesses might take for observed."""
+"""Keys of ``info`` about an episode; none that a harness might take for observed."""
 
 
 class HarnessEpisodes(

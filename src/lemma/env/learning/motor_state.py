@@ -1,4 +1,4 @@
-"""What arms and grippers are like, in the numbers that an action commands.
+"""State of arms and grippers, in the numbers that an action commands.
 
 Data sets and policies of imitation have states and actions of the same numbers: what is
 measured, and what shall be.
@@ -23,7 +23,7 @@ MOTORS = {
     JOINT_POSITION: (*JOINTS, "gripper"),
     WAYPOINT: ("x", "y", "z", *ROT6D.columns, "gripper"),
 }
-"""What each number of a robot is, by control mode."""
+"""Meaning of each number of a robot, by control mode."""
 
 
 def motor_names(control: str, robots: Sequence[str]) -> list[str]:

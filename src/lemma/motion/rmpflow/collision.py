@@ -33,7 +33,7 @@ def add_collision_leaves(
         spheres: Centre, radius, link, whether it meets the table: (n, 6) [m].
         qd: Joint velocities, (6,) [rad/s].
         obstacles: Capsules and the range in which they are felt, (m, 8) [m].
-        memory: What :func:`collision_memory` returned for spheres and obstacles.
+        memory: Value of :func:`collision_memory` for spheres and obstacles.
     """
     centres, balls = memory
     near = _find_near(root, spheres, centres, balls)

@@ -1,4 +1,4 @@
-"""The leaves of RMPflow: what each wants, and how much it cares.
+"""The leaves of RMPflow: desired acceleration and metric of each.
 
 Each leaf is a second-order policy in its own task space: a desired acceleration and a
 metric that weighs it against the other leaves (Ratliff et al., *Riemannian Motion

@@ -1,4 +1,4 @@
-"""What RMPflow works on: an arm, a goal, and one flat record that holds everything."""
+"""Memory of RMPflow: an arm, a goal, and one flat record that holds everything."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from lemma.motion.rmpflow.leaves import Leaves
 
 
 class ArmModel(NamedTuple):
-    """What RMPflow knows about the arm that it moves."""
+    """Constants of the arm that RMPflow moves."""
 
     dh: FloatArray
     """(6,) [m]."""
@@ -65,7 +65,7 @@ _LEAVES = np.dtype(
 )
 _RECORD = np.dtype(
     [
-        # What the leaves add up to; the metric's lower triangle only.
+        # Sum over the leaves; the metric's lower triangle only.
         ("metric", np.float64, (6, 6)),
         ("force", np.float64, 6),
         # Link frames, and their motion if no joint accelerated.
@@ -85,7 +85,7 @@ _RECORD = np.dtype(
         ("wanted", np.float64, 3),
         ("weight", np.float64, (3, 3)),
         ("acceleration", np.float64, 6),
-        # What does not change within a call.
+        # Constants within a call.
         ("dh", np.float64, 6),
         ("world_from_base", np.float64, (4, 4)),
         ("tcp_offset_m", np.float64),
@@ -100,7 +100,7 @@ _RECORD = np.dtype(
 
 
 class Workspace:
-    """Memory of one arm: what its leaves read and what they are added up in.
+    """Memory of one arm: inputs of its leaves and their sum.
 
     It is one flat record because that enters Numba as a single pointer. Named tuples
     are taken apart at every call, which took longer than RMPflow itself.
@@ -127,7 +127,7 @@ class Workspace:
 
     @property
     def goal(self) -> ArmTarget:
-        """What the record says of the goal, copied."""
+        """The goal in the record, copied."""
         row = self.record[0]["goal"]
         return ArmTarget(*(row[name].copy() for name in ArmTarget._fields))
 

@@ -59,7 +59,7 @@ class ArmSpec:
     velocity_limits: Six
     """Largest joint speeds [rad/s]."""
     payload_kg: float
-    """What the arm may carry, gripper included."""
+    """Payload of the arm, gripper included."""
     shoulder_radius: float
     """Radius of the shoulder's housings [m]."""
     elbow_radius: float

@@ -36,7 +36,7 @@ COLORS: dict[str, Rgba] = {
     "red": (0.74, 0.07, 0.06, 1.0),
     "white": (0.92, 0.92, 0.90, 1.0),
 }
-"""What robots are painted."""
+"""Paint of the robots."""
 
 _LID_BLUE: Rgba = (0.45, 0.66, 0.82, 1.0)
 

@@ -16,7 +16,7 @@ LID = 1.1
 _EDGE = 0.35
 """Radius of the lids' edges, in radii of the housing."""
 _INSET = 0.985
-"""Radius of lids and seams, in the same: what meets a shell lies just inside it."""
+"""Radius of lids and seams, in the same unit: they lie just inside a shell."""
 _SEAM_M = 0.006
 _ORIGIN: Vector = (0, 0, 0)
 _Z: Vector = (0, 0, 1)

@@ -37,7 +37,7 @@ def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBo
 
     Args:
         spec: The scene that is being built, with angles in radians.
-        entity: What it is.
+        entity: The entity.
         pose: Where it lies.
 
     Returns:

@@ -1,4 +1,4 @@
-"""The cube: what is moved, stacked, hooked and poked."""
+"""The cube, which is moved, stacked, hooked and poked."""
 
 from lemma.scene.objects.kind import OBJECT_KINDS, Capsule, Shell, box
 

@@ -5,7 +5,7 @@ where that comes in one color (``"stick"``). Instances, plans, actions and data 
 these names; :func:`entity_named` is the one place that takes them apart.
 
 The numbers of actions and labels count :data:`ENTITIES`, the benchmark's own. These
-never change. What users register comes behind them, and behind ``"shared"`` where
+never change. Entities of users come behind them, and behind ``"shared"`` where
 that is a choice too: see :func:`known_entities`.
 """
 
@@ -50,7 +50,7 @@ class Entity:
 
     @property
     def rgba(self) -> Rgba:
-        """What it is painted."""
+        """Its paint."""
         return OBJECT_COLORS[self.color] if self.kind.color is None else self.kind.color
 
 

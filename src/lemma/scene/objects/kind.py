@@ -1,4 +1,4 @@
-"""What a kind of object is: its shape, and what can be done with it.
+"""Kinds of objects: shape, and what robots can do with it.
 
 One record answers every question that the rest asks about an object: physics what it is
 made of, skills where to grasp it, goals what may lie on it, the planner how much room
@@ -70,7 +70,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Capsule:
-    """A capsule in an object's frame: what the object is to an arm that moves by."""
+    """A capsule in an object's frame: its obstacle to an arm that moves by."""
 
     start: Point
     end: Point
@@ -79,7 +79,7 @@ class Capsule:
 
 @dataclass(frozen=True, slots=True)
 class Shell:
-    """What the safety filter of control-level actions keeps arms clear of."""
+    """Obstacle of the safety filter of control-level actions."""
 
     capsules: tuple[Capsule, ...]
     """They cover the object, at any heading; of the stick, all but the inner edges of
@@ -116,12 +116,12 @@ class ObjectKind:
     """
 
     name: str
-    """What entities of the kind are called after their color: ``"cube"``. Lower-case
+    """Nouns of the kind, which follow a color: ``"cube"``. Lower-case
     letters and digits."""
     nouns: tuple[str, ...] = ()
     """Words for it; instructions use the first. The name if empty."""
     parts: tuple[Part, ...]
-    """What it is made of."""
+    """Its geoms."""
     build: Builder | None = None
     """Adds what parts cannot say, such as meshes."""
     color: Rgba | None = None
@@ -156,9 +156,9 @@ class ObjectKind:
     """From its middle to where the stick touches it; None where the stick must not
     drag it."""
     obstacle: tuple[Capsule, ...]
-    """What arms steer around."""
+    """Obstacles that arms under RMPflow avoid."""
     shell: Shell
-    """What arms that are commanded directly are kept clear of."""
+    """Obstacles that the safety filter keeps arms clear of."""
 
     def __post_init__(self) -> None:
         """Check what would go wrong later.
@@ -220,7 +220,7 @@ class ObjectKind:
 
     @property
     def faceted(self) -> bool:
-        """Whether it is held along its faces: what is stacked lies face over face."""
+        """Whether it is grasped along its faces, which stacks then align."""
         return self.grasp is not None and self.grasp.turn_rad > 0.0
 
     @property

@@ -1,4 +1,4 @@
-"""Instructions: what shall become true, said in many ways.
+"""Instructions: the goal in words, in many ways.
 
 The templates of the built-in tasks are the TOML files in ``templates/``: one
 high-level, ten human and ten unseen ones per task, and one line per primitive for

@@ -2,7 +2,7 @@
 
 Their author had read none of this project's templates, rules or results. They are kept
 as the author wrote them, apart from the templates of the other kinds, and compressed,
-so that no search through the sources shows them to whoever works on a reader.
+so that no search through the sources shows them to developers of a reader.
 """
 
 import gzip

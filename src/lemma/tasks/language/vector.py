@@ -13,7 +13,7 @@ import numpy.typing as npt
 from lemma.tasks.language.bank import words
 
 WORDS = 40
-"""How many words there is room for; what follows is dropped."""
+"""Largest number of words; later ones are dropped."""
 WIDTH = 24
 """Numbers of each word."""
 NUMBERS = WORDS * WIDTH
