@@ -1,7 +1,7 @@
 """The pad: a round plate on the table, on which things are put.
 
-It is too high to be climbed by a cube that the stick pushes along the table: a robot that
-puts a cube on it must lift the cube, and so must reach the pad.
+It is too high to be climbed by a cube that the stick pushes along the table. A robot
+that puts a cube on it must lift the cube, and so must reach the pad.
 """
 
 import math
