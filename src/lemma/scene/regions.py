@@ -7,6 +7,7 @@ whole team, each pair of robots that has one has a region: ``"shared_01"`` is th
 """
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import combinations
 from types import MappingProxyType
@@ -27,12 +28,12 @@ Stand = tuple[str, Pose2]
 """Arm type and base of a robot."""
 Spot = tuple[float, float, float]
 """x, y, and the smallest margin of any robot there, where more is no better [m]."""
-Regions = MappingProxyType[str, tuple[int, ...]]
-"""The robots of each region, as indices in the team."""
 
 
 @lru_cache(maxsize=64)
-def regions_of(stands: tuple[Stand, ...], gap_m: Gap | None) -> Regions:
+def regions_of(
+    stands: tuple[Stand, ...], gap_m: Gap | None
+) -> Mapping[str, tuple[int, ...]]:
     """Return the regions of a team.
 
     Args:
@@ -40,8 +41,9 @@ def regions_of(stands: tuple[Stand, ...], gap_m: Gap | None) -> Regions:
         gap_m: Where the table is missing.
 
     Returns:
-        ``{"shared": (0, 1, ...)}`` for one or two robots, and for more where
-        all of them reach a place; otherwise a region for each pair that shares one.
+        The robots of each region, as indices in the team: ``{"shared": (0, 1, ...)}``
+        for one or two robots, and for more where all of them reach a place. Otherwise
+        a region for each pair that shares one.
     """
     team = tuple(range(len(stands)))
     if len(team) <= 2 or spots_of(stands, gap_m):

@@ -1,6 +1,7 @@
 """Specification of a scene: frozen data, no physics."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from lemma.core.arguments import known, real
@@ -11,7 +12,6 @@ from lemma.robots.ur.arms import ARMS
 from lemma.scene.objects.entity import Entity
 from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.palette import OBJECT_COLORS
-from lemma.scene.regions import Regions, regions_of
 from lemma.scene.table import TABLE_HALF_X_M, Gap
 
 ROBOT_COLORS = ("red", "white")
@@ -127,11 +127,14 @@ class SceneSpec:
         return tuple(placed.name for placed in self.objects)
 
     @property
-    def regions(self) -> Regions:
+    def regions(self) -> Mapping[str, tuple[int, ...]]:
         """Where several robots work: names of regions, and their robots by index.
 
         ``{"shared": (0, 1)}`` for a pair; see :mod:`lemma.scene.regions`.
         """
+        # Reach needs the simulator's kernels, which servers of policies do not have.
+        from lemma.scene.regions import regions_of  # noqa: PLC0415
+
         return regions_of(tuple((r.arm, r.base) for r in self.robots), self.gap_m)
 
     def placement(self, name: str) -> ObjectPlacement:
