@@ -32,6 +32,7 @@ from lemma.viewer.failures.page import FailurePage
 from lemma.viewer.page import Page
 from lemma.viewer.recording.sources import cases_in
 from lemma.viewer.scene.pictures import MAP
+from lemma.viewer.server import open_server
 
 RESULTS = Path(__file__).parents[1] / "results"
 HOST, PORT = "127.0.0.1", 18280
@@ -178,7 +179,7 @@ def take(browser: Browser, path: Path, scroll_to: str = "") -> None:
 
 def shoot(shot: Shot, browser: Browser, path: Path) -> None:
     """Open a page, do what a visitor would, and save what is seen."""
-    page = Page(Session(shot.request, ("oracle", "reachnet")), HOST, PORT)
+    page = Page(Session(shot.request, ("oracle", "reachnet")), open_server(HOST, PORT))
     with running(page):
         browser.resize(*shot.size)
         browser.open(page.address)
@@ -194,7 +195,7 @@ def shoot(shot: Shot, browser: Browser, path: Path) -> None:
 def shoot_failures(browser: Browser, path: Path) -> None:
     """Open failures of a result that ships, and save what is seen."""
     catalog = Catalog(cases_in(RESULTS / "et-cliport-single-step"))
-    page = FailurePage(catalog, HOST, PORT, Filter(task="stack"))
+    page = FailurePage(catalog, open_server(HOST, PORT), Filter(task="stack"))
     with running(page):
         browser.resize(1240, 640)
         browser.open(page.address)

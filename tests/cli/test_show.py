@@ -1,10 +1,13 @@
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from recipes import lemma
 
 from lemma.cli.main import main
+from lemma.tasks.suite import load_instance
 from lemma.viz.instance_sheet import SHEET_HEIGHT_PX, SHEET_WIDTH_PX, depth_picture
 
 
@@ -25,6 +28,33 @@ def test_show_writes_one_picture(
         pixels = np.asarray(picture).reshape(-1, 3)
     # Cameras, depth and map bring many colors; a blank sheet would have few.
     assert len(np.unique(pixels, axis=0)) > 2000
+
+
+@pytest.mark.parametrize("name", ["picture", "picture.xyz", ""])
+def test_name_that_is_no_picture_is_refused(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert lemma("show", "pass", "--out", tmp_path / name) == 2
+    assert "picture" in capsys.readouterr().err
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("robots", [1, 2])
+def test_table_with_one_robot_or_one_sentence_is_shown(
+    robots: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = load_instance("stack", "test", 0).to_dict()
+    data["robots"] = data["robots"][:robots]
+    data["instructions"] = {"human": "Stack [them]"}
+    own = tmp_path / "own.json"
+    own.write_text(json.dumps(data))
+    path = tmp_path / "[draft].png"
+    assert lemma("show", "--instance", own, "--out", path) == 0
+    told = capsys.readouterr().out
+    assert "Stack [them]" in told
+    assert ("There are 1 robots" in told) == (robots == 1)
+    assert str(path) in told
+    assert path.exists()
 
 
 def test_near_is_bright_and_nothing_is_black() -> None:

@@ -18,6 +18,7 @@ from lemma.viewer.failures.panel import MISTAKE, ON, PLAY, START
 from lemma.viewer.failures.viewing import NOT_SAID, Cursor
 from lemma.viewer.recording.sources import cases_in
 from lemma.viewer.recording.track import EXPERT
+from lemma.viewer.server import open_server
 
 OTHER = "another"
 
@@ -34,7 +35,7 @@ def catalog(cases: list[Case]) -> Catalog:
 
 @pytest.fixture(scope="module")
 def page(catalog: Catalog) -> Iterator[FailurePage]:
-    found = FailurePage(catalog, "127.0.0.1", 18180, Filter(OTHER))
+    found = FailurePage(catalog, open_server("127.0.0.1", 18180), Filter(OTHER))
     yield found
     found.close()
 
@@ -174,7 +175,7 @@ def test_verb_wants_results(
 def test_visitor_goes_through_failures(
     catalog: Catalog, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    page = FailurePage(catalog, "127.0.0.1", 18190)
+    page = FailurePage(catalog, open_server("127.0.0.1", 18190))
     loop = threading.Thread(target=page.run)
     loop.start()
     try:

@@ -18,6 +18,7 @@ from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.viewer.episode.request import OWN_WORDS
 from lemma.viewer.episode.status import Phase
 from lemma.viewer.page import Page
+from lemma.viewer.server import open_server
 
 pytestmark = pytest.mark.slow
 
@@ -38,7 +39,7 @@ class Raises:
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    page = Page(session_of(STACK, broken=Raises()), "127.0.0.1", 18080)
+    page = Page(session_of(STACK, broken=Raises()), open_server("127.0.0.1", 18080))
     loop = threading.Thread(target=page.run)
     loop.start()
     yield page
@@ -210,3 +211,8 @@ def test_page_is_there_at_the_width_of_a_phone(
     wide = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
     browser.wait_for("document.querySelector('canvas').clientWidth <= 390")
     assert not browser.run(wide)
+    panel = "document.querySelector('.mantine-Paper-root').getBoundingClientRect()"
+    assert browser.run(f"{panel}.width") == 390
+    assert browser.run(f"{panel}.top") > 300
+    place = f"{BUTTON.format('Do it')}.getBoundingClientRect()"
+    assert browser.run(f"{place}.bottom") <= 640

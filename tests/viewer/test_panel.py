@@ -4,6 +4,7 @@ import json
 import socket
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,16 +13,26 @@ from looked_at import STACK, Explains, Reads, own, session_of, until
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
+from lemma.policies.interfaces import Insight, SeenObject
+from lemma.scene.objects.entity import entity_named
+from lemma.tasks.subtask import STOP
 from lemma.tasks.suite import SUITE, load_instance
+from lemma.viewer.episode.explanation import Explanation
 from lemma.viewer.episode.request import OWN_WORDS
 from lemma.viewer.episode.status import Line, Phase, Reading, Status
 from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
-from lemma.viewer.origins import is_own
+from lemma.viewer.origins import Guard
 from lemma.viewer.page import Page
 from lemma.viewer.panel.panel import PAUSE, PLAY, RESTART, STEP
 from lemma.viewer.panel.teleoperation import CLOSE
-from lemma.viewer.panel.words import complaint_html, status_html, timeline_html
+from lemma.viewer.panel.words import (
+    complaint_html,
+    status_html,
+    timeline_html,
+    why_html,
+)
 from lemma.viewer.scene.pictures import MAP
+from lemma.viewer.server import address_of, open_server
 
 VISITOR = SimpleNamespace(client_id=1)
 EVIL = "<img src=x onerror=alert(1)>{1+1}"
@@ -42,7 +53,7 @@ def page() -> Iterator[Page]:
     vague = Reads((("red_cube", "blue_pad"),), 0.2)
     session = session_of(STACK, vague=vague, knows=Explains(GOAL, 0.9))
     session.policies = (*session.policies, BY_HAND)
-    found = Page(session, "127.0.0.1", free_port())
+    found = Page(session, open_server("127.0.0.1", free_port()))
     yield found
     found.close()
 
@@ -320,7 +331,7 @@ def test_what_is_carried_is_shown_and_snaps_back(page: Page) -> None:
 
 
 def test_two_pages_take_two_ports_and_know_nothing_of_each_other(page: Page) -> None:
-    other = Page(session_of(), "127.0.0.1", page.port)
+    other = Page(session_of(), open_server("127.0.0.1", page.port))
     assert other.port != page.port
     other.session.ask(own("x"), acts=True)
     until_phase(page, Phase.READY)
@@ -367,7 +378,44 @@ def test_other_pages_cannot_steer_this_one(
 def test_a_name_that_resolves_to_this_machine_is_not_ours(
     host: str, listens_at: str, own: bool
 ) -> None:
-    assert is_own(f"http://{host}", host, listens_at) is own
+    assert Guard(listens_at).admits(f"http://{host}", host) is own
+
+
+def test_a_proxy_may_be_named_and_refusals_are_told_once() -> None:
+    told: list[str] = []
+    guard = Guard("127.0.0.1", frozenset({"robots.example"}), told.append)
+    assert guard.admits("https://robots.example:444", "127.0.0.1:8080")
+    assert not guard.admits("https://evil.example", "robots.example")
+    for _ in range(2):
+        guard.refuse("https://other.example", "127.0.0.1:8080")
+    (sentence,) = told
+    assert "https://other.example" in sentence
+    assert "--allow-host" in sentence
+
+
+@pytest.mark.parametrize(
+    ("host", "address"),
+    [
+        ("127.0.0.1", "http://127.0.0.1:7"),
+        ("::1", "http://[::1]:7"),
+        ("0.0.0.0", "http://127.0.0.1:7"),
+        ("::", "http://[::1]:7"),
+    ],
+)
+def test_address_can_be_visited(host: str, address: str) -> None:
+    server: Any = SimpleNamespace(get_host=lambda: host, get_port=lambda: 7)
+    assert address_of(server) == address
+
+
+def test_why_says_what_lies_under_something_else() -> None:
+    ((top, bottom),) = GOAL
+    seen = Insight((SeenObject(top, (0.3, 0.2)),), (), GOAL, ((STOP, 0.9),))
+    instance = load_instance("stack", "test", 0)
+    hidden = why_html(Explanation(0.0, seen, covers=((bottom, top),)), instance)
+    phrases = [entity_named(name).phrase for name in (top, bottom)]
+    assert "The {} hides the {}.".format(*phrases) in hidden
+    assert "It sees no" not in hidden
+    assert f"It sees no {phrases[1]}" in why_html(Explanation(0.0, seen), instance)
 
 
 def test_nothing_that_was_typed_is_markup() -> None:
@@ -392,5 +440,5 @@ def test_timeline_says_what_runs_and_what_is_still_to_come() -> None:
 def test_impossible_address_is_refused(host: str, port: int) -> None:
     session = session_of()
     with pytest.raises(InvalidConfigError):
-        Page(session, host, port)
+        Page(session, open_server(host, port))
     session.close()

@@ -1,9 +1,12 @@
 """Plays without a page: what is done, understood and said, and that nothing breaks."""
 
+import gc
 import threading
 import time
+import weakref
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from looked_at import (
@@ -20,7 +23,7 @@ from looked_at import (
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
-from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.interfaces import Composite, Decision, PolicyInput
 from lemma.policies.spec import PolicySpec
 from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.tasks.language.template import KINDS
@@ -28,7 +31,7 @@ from lemma.tasks.suite import SUITE, load_instance, task_named
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan
 from lemma.viewer.episode.request import EpisodeRequest
-from lemma.viewer.episode.status import Phase, Reading
+from lemma.viewer.episode.status import Phase, Reading, say_goal
 
 INSTANCE = load_instance("stack", "test", 0)
 ABSENT = [c for c in BENCHMARK_COLORS if f"{c}_cube" not in INSTANCE.scene.object_names]
@@ -141,6 +144,34 @@ def test_goal_that_was_read_is_what_is_judged() -> None:
     assert play.rollout.asked_holds is False
 
 
+class ReadsAndActs(Composite):
+    """The expert, as a policy that says what it read."""
+
+    def __init__(self) -> None:
+        self.expert = Player.load(PolicySpec()).policy
+
+    @property
+    def parts(self) -> tuple[object, ...]:
+        return (self.expert, Reads(INSTANCE.goal.pairs, 0.9))
+
+    def act(self, inputs: Sequence[PolicyInput]) -> Any:
+        return self.expert.act(inputs)
+
+
+def test_a_goal_that_was_only_understood_is_not_called_solved() -> None:
+    play = played(own(SAID, "reader"), reader=ReadsAndActs())
+    assert play.status.phase is Phase.FOLLOWED
+    assert say_goal(INSTANCE.goal.pairs) in play.status.note
+
+
+def test_a_sentence_of_the_benchmark_is_judged_by_what_it_asks_for() -> None:
+    ((top, bottom),) = INSTANCE.goal.pairs
+    said = f"Place the {bottom} on top of the {top}".replace("_", " ")
+    play = played(own(said, "reader"), reader=Reads(INSTANCE.goal.pairs, 0.9))
+    assert play.status.phase is Phase.FAILED
+    assert f"asks for {say_goal(((bottom, top),))}" in play.status.note
+
+
 def test_expert_says_when_it_knows_no_way() -> None:
     simulation = Rollout(INSTANCE).episode.simulation
     pairs = INSTANCE.goal.pairs
@@ -219,6 +250,18 @@ def test_closing_ends_the_thread() -> None:
     until(lambda: session.play.status.phase is Phase.ACTING)
     session.close()
     until(lambda: threading.active_count() <= before)
+
+
+def test_tables_of_before_are_freed() -> None:
+    session = session_of()
+    session.ask(STACK, acts=True)
+    until(lambda: session.play.status.phase is Phase.ACTING)
+    left = [weakref.ref(session.play), weakref.ref(session.play.transport)]
+    session.ask(replace(STACK, index=1), acts=False)
+    until(lambda: session.play.status.phase is Phase.READY)
+    gc.collect()
+    assert [ref() for ref in left] == [None, None]
+    session.close()
 
 
 def test_pause_stops_the_simulation() -> None:

@@ -21,6 +21,7 @@ from lemma.viewer.episode.request import EpisodeRequest
 from lemma.viewer.episode.session import Session
 from lemma.viewer.episode.status import Phase
 from lemma.viewer.page import Page
+from lemma.viewer.server import open_server
 
 HOST = "127.0.0.1"
 _LOOK_S = 0.002
@@ -88,7 +89,7 @@ def measure_page(instance: Instance, speed: float = 1.0) -> PageFigures:
     request = EpisodeRequest(
         instance.task, instance.split, instance.index, policy=ORACLE
     )
-    page = Page(Session(request, (ORACLE,)), HOST, _free_port())
+    page = Page(Session(request, (ORACLE,)), open_server(HOST, _free_port()))
     loop = threading.Thread(target=page.run, daemon=True)
     loop.start()
     try:

@@ -17,10 +17,17 @@ from lemma.evaluation.run.rollout import Player
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE
-from lemma.viewer.episode.reading import hear, say_goal
+from lemma.viewer.episode.reading import hear
+from lemma.viewer.episode.status import say_goal
 from lemma.viz.illustrate import illustrate_all
 from lemma.viz.pages.demo import write_page
-from lemma.viz.recording import RecordedStep, Recording, record, warm_up
+from lemma.viz.recording import (
+    RecordedStep,
+    Recording,
+    main_sentence,
+    record,
+    warm_up,
+)
 from lemma.viz.video import VideoStyle
 
 _OUT = Path("out/demo")
@@ -75,7 +82,8 @@ def demo(
     console.print()
     console.print(summary(recordings))
     if page:
-        console.print(f"Videos and a page to look at them: {page}", soft_wrap=True)
+        words = f"Videos and a page to look at them: {page}"
+        console.print(words, markup=False, soft_wrap=True)
     if as_json:
         print_json([recording.to_dict() for recording in recordings])
     return 0 if all(recording.success for recording in recordings) else 1
@@ -104,13 +112,14 @@ def _solve_and_film(
     # A replay may be looked at slowly; a video needs fewer states.
     frame_s = style.frame_s / _FINER
     recordings = [_solve(console, instance, player, frame_s) for instance in instances]
-    console.print(f"\nRendering {len(recordings)} videos in {page.parent} ...")
+    words = f"\nRendering {len(recordings)} videos in {page.parent} ..."
+    console.print(words, markup=False, soft_wrap=True)
     try:
         illustrations = illustrate_all(
             [recording.thinned(_FINER) for recording in recordings],
             page.parent,
             style,
-            on_video=lambda path: console.print(f"  {path.name}"),
+            on_video=lambda path: console.print(f"  {path.name}", markup=False),
         )
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
@@ -136,7 +145,7 @@ def _replay_all(
         task = done.instance.task
         replays[task] = f"{_REPLAYS}/{task}.html"
         write_recording(folder / replays[task], done, _WHO)
-        console.print(f"  {replays[task]}")
+        console.print(f"  {replays[task]}", markup=False)
     return replays
 
 
@@ -144,7 +153,7 @@ def _solve(
     console: Console, instance: Instance, player: Player, frame_s: float | None
 ) -> Recording:
     """Let a policy solve an instance, reporting what it does."""
-    instruction = instance.instructions["high_level"]
+    instruction = main_sentence(instance)
     line = Text.assemble(
         (f"\n{instance.task}", "bold"), "  ", (f"“{instruction}”", "italic")
     )
@@ -180,7 +189,7 @@ def summary(recordings: list[Recording]) -> Table:
         answer = "yes" if done.success else f"no: {done.failure}"
         table.add_row(
             done.instance.task,
-            done.instance.instructions["high_level"],
+            main_sentence(done.instance),
             done.instance.team,
             str(len(done.steps)),
             f"{done.elapsed_s:.1f}",

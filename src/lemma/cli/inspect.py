@@ -15,6 +15,7 @@ from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.recipe.summary import ALL, GroupSummary, RecipeSummary, summarize
 from lemma.tasks.language.template import KINDS
 from lemma.viz.keyframe_sheet import keyframe_strip
+from lemma.viz.picture_files import check_picture_path, save_picture
 
 _SPLIT = "test"
 _HEADINGS = (
@@ -65,12 +66,12 @@ def _inspect_episode(
         )
     record = recipe.find(task, split, index)
     path = out or Path("out", "inspect", f"{task}-{split}-{index}.png")
+    check_picture_path(path)
     with messages().status(f"Drawing {record.keyframes} keyframes ..."):
         picture = keyframe_strip(record)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture.save(path)
+    save_picture(picture, path)
     _print_episode(record)
-    output().print(f"picture    {path}", style="bold", soft_wrap=True)
+    output().print(f"picture    {path}", style="bold", markup=False, soft_wrap=True)
     return 0
 
 

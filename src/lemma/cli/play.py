@@ -15,6 +15,8 @@ from lemma.tasks.task import TASKS
 from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
 
 if TYPE_CHECKING:
+    import viser
+
     from lemma.viewer.failures.page import FailurePage
     from lemma.viewer.page import Page
 
@@ -32,6 +34,10 @@ class Listening:
     """Port to listen on; the next one that is free if it is taken."""
     no_open: Flag = False
     """Open no browser."""
+    allow_host: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="HOST", help_behavior_hint="")
+    ] = ()
+    """Hosts in the browser's address bar where a proxy passes the page on."""
 
 
 _HERE = Listening()
@@ -82,7 +88,9 @@ def play(
     _warn_of(at.host)
     if failures:
         if which != _FIRST_ONE or say is not None:
-            raise InvalidConfigError("--failures takes --policy and no instance.")
+            raise InvalidConfigError(
+                "--failures takes --policy, no instance and no sentence."
+            )
         return _open(_failures(task, policy, at), at)
     from lemma.viewer.episode.session import Session
     from lemma.viewer.page import Page
@@ -100,9 +108,8 @@ def play(
     kind = "high_level" if say is None else OWN_WORDS
     who = policy or policies[0]
     request = EpisodeRequest(task, split, index or 0, kind, say or "", who, own)
-    return _open(
-        Page(Session(request, policies, acts=say is not None), at.host, at.port), at
-    )
+    server = _listen(at)
+    return _open(Page(Session(request, policies, acts=say is not None), server), at)
 
 
 def _failures(folder: str | None, policy: str | None, at: Listening) -> "FailurePage":
@@ -124,7 +131,21 @@ def _failures(folder: str | None, policy: str | None, at: Listening) -> "Failure
     catalog = Catalog(cases_in(Path(folder)))
     if policy is not None and policy not in catalog.policies:
         raise UnknownNameError("policy", policy, catalog.policies[1:])
-    return FailurePage(catalog, at.host, at.port, Filter(policy or ALL))
+    return FailurePage(catalog, _listen(at), Filter(policy or ALL))
+
+
+def _listen(at: Listening) -> "viser.ViserServer":
+    """Start the server of a page, which reports the first refusal on the terminal."""
+    from lemma.viewer.server import open_server
+
+    return open_server(
+        at.host,
+        at.port,
+        at.allow_host,
+        lambda text: messages().print(
+            text, style="yellow", markup=False, soft_wrap=True
+        ),
+    )
 
 
 def _open(page: "Page | FailurePage", at: Listening) -> int:
@@ -144,6 +165,6 @@ def _open(page: "Page | FailurePage", at: Listening) -> int:
 def _warn_of(host: str) -> None:
     if host not in (LOOPBACK, "localhost", "::1"):
         messages().print(
-            f"Whoever reaches {host} can use this page; it asks for no password.",
+            f"Everybody who reaches {host} can use this page: it has no password.",
             style="yellow",
         )

@@ -4,9 +4,9 @@ from pathlib import Path
 
 from lemma.cli.options import File, MaybeTask, messages, output
 from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
-from lemma.tasks.language.template import KINDS
 from lemma.tasks.rules import problems
 from lemma.viz.instance_sheet import instance_sheet
+from lemma.viz.picture_files import check_picture_path, save_picture
 
 
 def show(
@@ -19,23 +19,28 @@ def show(
     Args:
         task: Name of the task, unless the instance is in a file.
         which: Which instance.
-        out: The PNG file; out/show/TASK-SPLIT-INDEX.png by default.
+        out: The picture (.png, .jpg or .webp); out/show/TASK-SPLIT-INDEX.png by
+            default.
     """
     instance = select_instance(task, which)
     name = f"{instance.task}-{instance.split}-{instance.index}.png"
     path = out or Path("out", "show", name)
+    check_picture_path(path)
     with messages().status("Drawing ..."):
         picture = instance_sheet(instance)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture.save(path)
+    save_picture(picture, path)
     console = output()
-    for kind in KINDS:
-        console.print(f"{kind:<11}{instance.instructions[kind]}", soft_wrap=True)
-    console.print(f"{'team':<11}{instance.team}")
+
+    def say(name: str, text: str, style: str = "") -> None:
+        console.print(f"{name:<11}{text}", style=style, markup=False, soft_wrap=True)
+
+    for kind, sentence in instance.instructions.items():
+        say(kind, sentence)
+    say("team", instance.team)
     for problem in problems(instance):
-        console.print(f"{'problem':<11}{problem}", style="yellow", soft_wrap=True)
-    console.print(f"{'goal':<11}{_goal(instance.goal.pairs)}", soft_wrap=True)
-    console.print(f"{'picture':<11}{path}", style="bold", soft_wrap=True)
+        say("problem", problem, "yellow")
+    say("goal", _goal(instance.goal.pairs))
+    say("picture", str(path), "bold")
     return 0
 
 

@@ -49,6 +49,9 @@ def problems(instance: Instance) -> tuple[str, ...]:
         UnknownNameError: There is no such task.
     """
     task = TASKS[instance.task]
+    robots = len(instance.scene.robots)
+    if robots < 2:
+        return (f"There are {robots} robots, and the sampler sets tables for two.",)
     crowded = tuple(_crowded(instance))
     found: tuple[str, ...] | None = None
     for placer, goal in _ways(instance, task):

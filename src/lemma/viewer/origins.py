@@ -1,11 +1,12 @@
-"""Who may speak to a page: scripts of other pages in the same browser may not.
+"""Who may open a socket to a page: scripts of other pages in the same browser may not.
 
-A browser lets every page open a socket to every address, this machine's too, and says
-in a header whose script it is. Nothing checks that but the server.
+A browser lets every page open a socket to every address, this machine's too, and names
+the page whose script it is in the header ``Origin``. The server has to check it.
 """
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from http import HTTPStatus
 from ipaddress import ip_address
@@ -18,20 +19,43 @@ import websockets.asyncio.server
 _PATCHING = Lock()
 
 
-def is_own(origin: str | None, host: str | None, listens_at: str) -> bool:
-    """Return whether a socket is opened by a page of ours, or by no page at all.
+@dataclass
+class Guard:
+    """Decides which sockets are opened by our own page, or by no page at all."""
 
-    Args:
-        origin: Whose script opens it; None if no browser says so.
-        host: By which name and port we were called.
-        listens_at: Address that we listen on. On the loopback address nobody calls us
-            by a name of theirs, whatever that name resolves to.
-    """
-    if origin is None:
-        return True
-    if not host or urlsplit(origin).netloc != host:
-        return False
-    return not _is_loopback(listens_at) or _is_loopback(urlsplit(f"//{host}").hostname)
+    listens_at: str
+    """Address of the server. On the loopback address nobody may call it by a name of
+    their own, whatever that name resolves to."""
+    hosts: frozenset[str] = frozenset()
+    """Names by which a proxy may be called whose pages are ours, without ports."""
+    tell: Callable[[str], None] = lambda _: None
+    """Called with a sentence at the first refusal."""
+    _refused: bool = field(default=False, init=False)
+
+    def admits(self, origin: str | None, host: str | None) -> bool:
+        """Return whether a socket may be opened.
+
+        Args:
+            origin: Page whose script opens it; None if no browser says so.
+            host: Name and port by which the server was called.
+        """
+        if origin is None:
+            return True
+        page, called = urlsplit(origin), urlsplit(f"//{host or ''}")
+        if page.hostname and page.hostname in self.hosts:
+            return True
+        if not host or page.netloc != host:
+            return False
+        return not _is_loopback(self.listens_at) or _is_loopback(called.hostname)
+
+    def refuse(self, origin: str | None, host: str | None) -> None:
+        """Say on the terminal that a socket was refused, the first time."""
+        if not self._refused:
+            self._refused = True
+            self.tell(
+                f"A page of {origin} was refused; it called this server {host}. Behind "
+                "a proxy, name the host in the browser's address bar: --allow-host HOST"
+            )
 
 
 def _is_loopback(name: str | None) -> bool:
@@ -42,18 +66,15 @@ def _is_loopback(name: str | None) -> bool:
 
 
 @contextmanager
-def only_own(listens_at: str) -> Iterator[None]:
-    """Let servers that are started meanwhile refuse sockets of other pages.
+def guarded_by(guard: Guard) -> Iterator[None]:
+    """Let servers that are started meanwhile ask a guard before they open a socket.
 
     viser has no option for it, and starts its server by this function.
-
-    Args:
-        listens_at: Address that they listen on.
     """
     library: Any = websockets.asyncio.server
     with _PATCHING:
         start = library.serve
-        library.serve = partial(_serve, start, listens_at)
+        library.serve = partial(_serve, start, guard)
         try:
             yield
         finally:
@@ -62,7 +83,7 @@ def only_own(listens_at: str) -> Iterator[None]:
 
 def _serve(
     start: Callable[..., Any],
-    listens_at: str,
+    guard: Guard,
     *arguments: Any,
     process_request: Callable[[Any, Any], Any],
     **options: Any,
@@ -70,7 +91,8 @@ def _serve(
     def check(connection: Any, request: Any) -> Any:
         origin, host = (request.headers.get(name) for name in ("Origin", "Host"))
         wants_socket = request.headers.get("Upgrade", "").lower() == "websocket"
-        if wants_socket and not is_own(origin, host, listens_at):
+        if wants_socket and not guard.admits(origin, host):
+            guard.refuse(origin, host)
             return connection.respond(HTTPStatus.FORBIDDEN, "Not from another page.\n")
         return process_request(connection, request)
 

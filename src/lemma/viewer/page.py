@@ -4,10 +4,10 @@ import viser
 
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.session import Session
-from lemma.viewer.panel.panel import Panel, set_theme
+from lemma.viewer.panel.panel import Panel
 from lemma.viewer.scene.pictures import Pictures
 from lemma.viewer.scene.stage import Stage
-from lemma.viewer.server import Rounds, close_server, open_server
+from lemma.viewer.server import Rounds, address_of, close_server, prepare_panel
 
 _LOOK_AT_FIRST = {"names"}
 
@@ -15,23 +15,18 @@ _LOOK_AT_FIRST = {"names"}
 class Page:
     """A page on an address; all of its tabs see the same."""
 
-    def __init__(self, session: Session, host: str, port: int) -> None:
-        """Listen.
+    def __init__(self, session: Session, server: viser.ViserServer) -> None:
+        """Show a session.
 
         Args:
             session: What is shown; closed with the page.
-            host: Address to listen on.
-            port: Port to listen on; the next one that is free if it is taken.
-
-        Raises:
-            InvalidConfigError: That is no address of this machine, or no port.
+            server: Of the page; closed with it.
         """
-        self._server = open_server(host, port)
+        self._server = server
         self.session = session
-        set_theme(self._server.gui, dark=False)
-        self._server.gui.main_panel.dock_right()
-        self.port = self._server.get_port()
-        self.address = f"http://{host}:{self.port}"
+        prepare_panel(server)
+        self.port = server.get_port()
+        self.address = address_of(server)
         self.stage = Stage(self._server, _LOOK_AT_FIRST)
         self.panel = Panel(
             self._server, session, _LOOK_AT_FIRST, self.stage.set_visible
@@ -78,7 +73,7 @@ class Page:
 
     def close(self) -> None:
         """Stop listening, and free what was held."""
-        # What moves the scene finds it there until it has moved it.
+        # The loop uses the session and the scene: it ends first.
         self._rounds.end()
         self.session.close()
         self.pictures.close()

@@ -1,46 +1,100 @@
-"""Servers of pages: on an address that is checked, without a tunnel or a word."""
+"""Servers of pages: their address, who may use them, how they look, and their loop."""
 
 import contextlib
 import io
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import viser
 
 from lemma.core.errors import InvalidConfigError
-from lemma.viewer.origins import only_own
+from lemma.viewer.origins import Guard, guarded_by
 
 UPDATES_HZ = 25.0
 """How often a scene is moved on its page."""
 
 
+PHONE_PANEL = 0.52
+"""Share of the height that the panel covers at most in a narrow window."""
+_STYLE = f"""<style>
+#webgl-software-rendering {{ animation: leave 1s 5s forwards; }}
+#webgl-software-rendering .mantine-Notification-description {{ display: none; }}
+@keyframes leave {{ to {{ opacity: 0; visibility: hidden; }} }}
+@media (max-width: 36em) {{
+  .mantine-Paper-root:has(#lemma-style) {{
+    width: 100% !important; max-height: {PHONE_PANEL:.0%} !important;
+  }}
+  .mantine-Paper-root:has(#lemma-style) div:has(#lemma-style) {{
+    width: 100% !important; min-width: 0 !important;
+  }}
+}}
+</style>"""
+"""The library's notice of software WebGL is one line and leaves by itself, and the
+panel is as wide as a phone."""
+
+
 class _Server(viser.ViserServer):
-    """A server that nobody opens to the world: there is no tunnel."""
+    """A server without a tunnel to the internet."""
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Do nothing, whoever asks."""
+        """Do nothing: visitors could ask for a tunnel."""
 
 
-def open_server(host: str, port: int) -> viser.ViserServer:
+def open_server(
+    host: str,
+    port: int,
+    hosts: Iterable[str] = (),
+    tell: Callable[[str], None] = lambda _: None,
+) -> viser.ViserServer:
     """Listen.
 
     Args:
         host: Address to listen on.
         port: Port to listen on; the next one that is free if it is taken.
+        hosts: Names by which a proxy may be called.
+        tell: Called with a sentence when a socket is refused for the first time.
 
     Raises:
         InvalidConfigError: That is no address of this machine, or no port.
     """
     _check_address(host, port)
-    # It would announce itself, and we do that.
-    with contextlib.redirect_stdout(io.StringIO()), only_own(host):
+    guard = Guard(host, frozenset(name.lower() for name in hosts), tell)
+    # The library would print an address of its own.
+    with contextlib.redirect_stdout(io.StringIO()), guarded_by(guard):
         return _Server(host, port, label="LEMMA Bench", verbose=False)
 
 
+def address_of(server: viser.ViserServer) -> str:
+    """Return the address to visit on this machine: IPv6 stands in brackets."""
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(
+        server.get_host(), server.get_host()
+    )
+    return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+
+
+def prepare_panel(server: viser.ViserServer) -> None:
+    """Lay the panel at the right, or below the scene in a narrow window."""
+    set_theme(server.gui, dark=False)
+    server.gui.main_panel.dock_right()
+    server.gui.add_html(f'<div id="lemma-style">{_STYLE}</div>')
+
+
+def set_theme(gui: Any, *, dark: bool) -> None:
+    """Set how a page looks."""
+    gui.configure_theme(
+        dark_mode=dark,
+        control_width="large",
+        show_logo=False,
+        show_share_button=False,
+        brand_color=(34, 110, 190),
+    )
+
+
 def close_server(server: viser.ViserServer) -> None:
-    """Stop listening, without a word."""
+    """Stop listening, and print nothing."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 

@@ -3,7 +3,7 @@
 from PIL import Image, ImageDraw
 
 from lemma.viz.annotate import BAD, GOOD, Color, fitting_size, font
-from lemma.viz.recording import RecordedStep, Recording
+from lemma.viz.recording import RecordedStep, Recording, main_sentence
 
 _INK: Color = (246, 247, 249)
 _FAINT: Color = (160, 170, 182)
@@ -31,7 +31,7 @@ def caption(
     strip = Image.new("RGB", size, _GROUND[:3])
     draw = ImageDraw.Draw(strip)
     edge = round(0.22 * height)
-    instruction = f"“{recording.instance.instructions['high_level']}”"
+    instruction = f"“{main_sentence(recording.instance)}”"
     large = font(fitting_size(instruction, 0.28 * height, width - 2 * edge))
     at = (edge, 0.31 * height)
     draw.text(at, instruction, fill=_INK[:3], font=large, anchor="lm")
@@ -55,6 +55,8 @@ def _status(recording: Recording, time_s: float, ended: bool) -> tuple[str, Colo
         return "Solved.", GOOD
     if ended:
         return f"Not solved: {recording.failure}.", BAD
+    if not recording.steps:
+        return "", _FAINT
     number, step = _running(recording, time_s)
     return f"{number}/{len(recording.steps)}   {step.words}", _FAINT
 

@@ -22,7 +22,7 @@ from lemma.viz.annotate import (
 )
 from lemma.viz.camera_fit import outline, overview
 from lemma.viz.map_overlay import annotated_map
-from lemma.viz.recording import robot_titles
+from lemma.viz.recording import main_sentence, robot_titles
 
 SHEET_WIDTH_PX = 1900
 SHEET_HEIGHT_PX = 1540
@@ -35,7 +35,6 @@ _TITLE_PX = 34
 _MAP_PX = 842
 _VIEW_PX = _INNER_PX - _MAP_PX - _GAP_PX
 _SCALE_TICKS = 5
-_KIND_TITLES = {"high_level": "high level", "human": "human", "unseen": "unseen"}
 
 
 def instance_sheet(instance: Instance) -> Image.Image:
@@ -138,7 +137,7 @@ def _write(
     """Add the head and the titles of the pictures."""
     canvas = Canvas(sheet)
     x, y = float(_EDGE_PX), 50.0
-    main = f"“{instance.instructions['high_level']}”"
+    main = f"“{main_sentence(instance)}”"
     canvas.text((x, y), main, fitting_size(main, 40, _INNER_PX), INK, "lm")
     y += 46
     facts = "  ·  ".join(
@@ -155,8 +154,8 @@ def _write(
     )
     canvas.text((x, y), facts, fitting_size(facts, 20, _INNER_PX), FAINT, "lm")
     y += 42
-    for kind in KINDS[1:]:
-        canvas.text((x, y), _KIND_TITLES[kind], 19, FAINT, "lm")
+    for kind in [kind for kind in KINDS[1:] if kind in instance.instructions]:
+        canvas.text((x, y), kind.replace("_", " "), 19, FAINT, "lm")
         sentence = instance.instructions[kind]
         size = fitting_size(sentence, 24, _INNER_PX - 110)
         canvas.text((x + 100, y), sentence, size, INK, "lm")

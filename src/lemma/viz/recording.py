@@ -77,7 +77,7 @@ class Recording:
         return {
             "task": self.instance.task,
             "instance": self.instance.key,
-            "instruction": self.instance.instructions["high_level"],
+            "instruction": main_sentence(self.instance),
             "team": self.instance.team,
             "success": self.success,
             "failure": self.failure,
@@ -134,6 +134,12 @@ def record(
         elapsed_s=episode.elapsed_s,
         wall_s=time.perf_counter() - started,
     )
+
+
+def main_sentence(instance: Instance) -> str:
+    """Return the sentence by which an instance is named; an own one may have none."""
+    sentences = instance.instructions
+    return sentences.get("high_level") or next(iter(sentences.values()), "")
 
 
 def describe_step(step: TakenStep, instance: Instance) -> RecordedStep:

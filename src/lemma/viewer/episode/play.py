@@ -6,7 +6,7 @@ is left behind, and the next one begins beside it.
 
 import threading
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.poses import Pose2
@@ -22,10 +22,13 @@ from lemma.scene.objects.entity import entity_named
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.explanation import NOTHING, Explanation, Moved
+from lemma.viewer.episode.explanation import (
+    NOTHING,
+    Explanation,
+    ObservedPolicy,
+    explain,
+)
 from lemma.viewer.episode.log import EpisodeLog
-from lemma.viewer.episode.observed_policy import ObservedPolicy
-from lemma.viewer.episode.planned_path import planned_path
 from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan, parse_goal
 from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
 from lemma.viewer.episode.status import Line, Phase, Reading, Status, StatusBoard
@@ -40,6 +43,15 @@ from lemma.viz.recording import describe_step, describe_subtask
 
 Load = Callable[[str], Player]
 """Returns a player by the name of its policy."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """An object that a visitor wanted to lay elsewhere, and the result."""
+
+    name: str
+    problem: str = ""
+    """Why it could not be moved; empty if it was."""
 
 
 class Play:
@@ -77,6 +89,9 @@ class Play:
         self._log, self._controls = EpisodeLog(), False
         self._taking = threading.Lock()
         self._asked = self._leads = False
+        self.led_first = ""
+        """Name of the robot that was acting when a visitor took over."""
+        self._goal_is_known = True
         self.moved: Moved | None = None
         """What visitors did last to things of the running episode."""
         self._load = load
@@ -226,13 +241,13 @@ class Play:
         kind, control = request.saying, LanguageControl()
         if kind == OWN_WORDS:
             kind, control = "high_level", LanguageControl(request.text)
+            # Sentences of the benchmark say what they ask for, whoever acts.
+            reading = parse_goal(request.text, instance)
+            self._goal_is_known = reading.acts
+            if reading.acts and reading.pairs:
+                instance = replace(instance, goal=Goal.from_pairs(reading.pairs))
             if self.acts and request.policy == ORACLE:
-                # The expert reads no sentence: it is given the goal.
-                reading = parse_goal(request.text, instance)
                 self._board.tell(reading=reading)
-                if reading.acts and reading.pairs:
-                    goal = Goal.from_pairs(reading.pairs)
-                    instance = replace(instance, goal=goal)
         rollout = Rollout(instance, kind, control=control)
         self._watch(rollout)
         self._board.tell(said=rollout.instruction)
@@ -276,9 +291,7 @@ class Play:
                         self._lead(rollout)
                     # Else robots stand still, to be judged: nobody can lead them.
                     rollout.episode.conclude()
-            reading, own = self.status.reading, self.request.saying == OWN_WORDS
-            nobody_knows = own and (reading is None or reading.pairs is None)
-            self._board.conclude(rollout, judged=not nobody_knows)
+            self._board.conclude(rollout, known=self._goal_is_known)
         finally:
             if player.rig is not None:
                 player.rig.close()
@@ -288,6 +301,8 @@ class Play:
         episode, teleoperator = rollout.episode, self.teleoperator
         assert teleoperator is not None
         now_s = episode.simulation.time_s
+        acted = (each.robot for each in reversed(self.explanations) if each.robot)
+        self.led_first = next(acted, "")
         self._log.end(until_s=now_s)
         self._log.lead(teleoperator, now_s)
         self.explanations = (*self.explanations, Explanation(now_s))
@@ -321,7 +336,7 @@ class Play:
         if not reading.acts:
             self._board.tell(Phase.FAILED)
             return False
-        if own and reading.pairs and not knows:
+        if reading.pairs and not self._goal_is_known:
             rollout.control = LanguageControl(self.request.text, reading.pairs)
         return True
 
@@ -336,13 +351,9 @@ class Play:
                 self._board.tell(Phase.ACTING)
             return
         episode, subtask = self.rollout.episode, decision.subtask
-        waypoints = NOTHING.waypoints
-        if decision.grounded is not None:
-            waypoints = planned_path(episode.simulation, decision.grounded)
-        self._log.begin(decision, episode.elapsed_s)
-        explanation = Explanation(
-            episode.elapsed_s, self._insight, subtask.robot, waypoints
-        )
+        now_s, insight = episode.elapsed_s, self._insight
+        self._log.begin(decision, now_s)
+        explanation = explain(episode.simulation, now_s, decision, insight)
         self.explanations = (*self.explanations, explanation)
         if decision.stops:
             self._board.tell(Phase.ACTING)

@@ -15,7 +15,7 @@ from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import parse, phrase
 from lemma.tasks.language.template import GoalPairs
-from lemma.viewer.episode.status import Reading
+from lemma.viewer.episode.status import Reading, say_goal
 
 _DENIES = re.compile(
     "\\b(?:not|never|cannot|dont|nor)\\b|n['\u2019]t\\b", re.IGNORECASE
@@ -123,13 +123,6 @@ def find_reader(policy: Any) -> Reader | None:
         found = (find_reader(part) for part in policy.parts)
         return next((reader for reader in found if reader is not None), None)
     return policy if isinstance(policy, Reader) else None
-
-
-def say_goal(pairs: GoalPairs) -> str:
-    """Return a goal in words: ``"the red cube on the white pad"``."""
-    return " and ".join(
-        f"the {phrase(top)} on the {phrase(bottom)}" for top, bottom in pairs
-    )
 
 
 def _possible(pairs: GoalPairs, instance: Instance) -> Reading:

@@ -5,6 +5,7 @@ from enum import StrEnum
 from typing import Any
 
 from lemma.evaluation.run.rollout import Rollout
+from lemma.tasks.language.bank import phrase
 from lemma.tasks.language.template import GoalPairs
 
 
@@ -31,12 +32,14 @@ class Phase(StrEnum):
     ACTING = "Acting"
     LED = "You lead"
     SOLVED = "Done"
+    FOLLOWED = "Done, as I understood it"
+    """What was understood holds; whether it was meant, nobody here can say."""
     FAILED = "Not done"
     ENDED = "Ended"
     BROKEN = "Stopped"
 
 
-ENDS = (Phase.SOLVED, Phase.FAILED, Phase.ENDED, Phase.BROKEN)
+ENDS = (Phase.SOLVED, Phase.FOLLOWED, Phase.FAILED, Phase.ENDED, Phase.BROKEN)
 """Phases that do not end by themselves."""
 
 
@@ -66,6 +69,13 @@ class Status:
     """Why it is so, or what came of it."""
     reading: Reading | None = None
     lines: tuple[Line, ...] = ()
+
+
+def say_goal(pairs: GoalPairs) -> str:
+    """Return a goal in words: ``"the red cube on the white pad"``."""
+    return " and ".join(
+        f"the {phrase(top)} on the {phrase(bottom)}" for top, bottom in pairs
+    )
 
 
 class StatusBoard:
@@ -128,20 +138,22 @@ class StatusBoard:
         running = tuple(line for line in lines if line.end_s is None)
         return tuple(line for line in lines if line.end_s is not None), running
 
-    def conclude(self, rollout: Rollout, *, judged: bool) -> None:
+    def conclude(self, rollout: Rollout, *, known: bool) -> None:
         """Say how an episode ended.
 
         Args:
             rollout: The episode.
-            judged: Whether there is a goal to judge it by.
+            known: Whether its instance's goal is what the sentence asks for; else only
+                what was understood can be judged.
         """
         took = f"{rollout.episode.elapsed_s:.1f} s"
+        understood = self.status.reading.pairs if self.status.reading else None
         if rollout.fault is not None:
             done, _ = self._split()
             note = f"The policy failed: {rollout.fault.explanation}"
             self.tell(Phase.BROKEN, note=note, lines=done)
             return
-        if not judged:
+        if not known and understood is None:
             self.tell(Phase.ENDED, note=f"after {took}: nobody can judge it")
             return
         asked = rollout.asked_holds
@@ -151,4 +163,10 @@ class StatusBoard:
         note = f"after {took}" if holds else f"after {took}: {what}"
         if holds and rollout.protective_stop is not None:
             note += ", though a robot was asked for what it cannot do"
-        self.tell(Phase.SOLVED if holds else Phase.FAILED, note=note)
+        goal = rollout.instance.goal.pairs
+        if known and understood is not None and set(understood) != set(goal):
+            note += f". The sentence asks for {say_goal(goal)}"
+        if holds and not known and understood:
+            note = f"{say_goal(understood)}, {note}"
+        good = Phase.SOLVED if known else Phase.FOLLOWED
+        self.tell(good if holds else Phase.FAILED, note=note)

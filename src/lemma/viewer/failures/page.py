@@ -1,12 +1,13 @@
 """A page of failures: two tables side by side, at the moment where it went wrong."""
 
+import viser
+
 from lemma.viewer.failures.catalog import Catalog, Filter
 from lemma.viewer.failures.panel import FailurePanel
 from lemma.viewer.failures.viewing import Cursor, Sight, Viewing
-from lemma.viewer.panel.panel import set_theme
 from lemma.viewer.recording.tables import Tables
 from lemma.viewer.scene.viewpoint import Viewpoint
-from lemma.viewer.server import Rounds, close_server, open_server
+from lemma.viewer.server import Rounds, address_of, close_server, prepare_panel
 
 _HALF_WIDTH_M = 3.6
 """What is seen at first to the left and right of two tables [m]."""
@@ -16,23 +17,21 @@ class FailurePage:
     """A page on an address; all of its tabs see the same."""
 
     def __init__(
-        self, catalog: Catalog, host: str, port: int, wanted: Filter | None = None
+        self,
+        catalog: Catalog,
+        server: viser.ViserServer,
+        wanted: Filter | None = None,
     ) -> None:
-        """Listen, and look at the first failure.
+        """Show the first failure.
 
         Args:
-            catalog: What there is to look at.
-            host: Address to listen on.
-            port: Port to listen on; the next one that is free if it is taken.
-            wanted: What is looked for at first.
-
-        Raises:
-            InvalidConfigError: That is no address of this machine, or no port.
+            catalog: The failures.
+            server: Of the page; closed with it.
+            wanted: Filter to begin with.
         """
-        self._server = open_server(host, port)
-        set_theme(self._server.gui, dark=False)
-        self._server.gui.main_panel.dock_right()
-        self.address = f"http://{host}:{self._server.get_port()}"
+        self._server = server
+        prepare_panel(server)
+        self.address = address_of(server)
         self.cursor, self.viewing = Cursor(), Viewing()
         self.panel = FailurePanel(
             self._server, catalog, self.viewing, self.cursor, wanted or Filter()
@@ -68,7 +67,7 @@ class FailurePage:
 
     def close(self) -> None:
         """Stop listening, and free what was held."""
-        # What moves the scene finds it there until it has moved it.
+        # The loop uses the scene: it ends first.
         self._rounds.end()
         self.viewing.close()
         close_server(self._server)

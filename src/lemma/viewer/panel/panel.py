@@ -21,12 +21,13 @@ from lemma.viewer.panel.dragging import DraggingPanel
 from lemma.viewer.panel.teleoperation import TeleoperationPanel
 from lemma.viewer.panel.words import (
     complaint_html,
-    insight_html,
     status_html,
     timeline_html,
+    why_html,
 )
 from lemma.viewer.scene.pictures import MAP, NO_PICTURE
 from lemma.viewer.scene.stage import OVERLAYS
+from lemma.viewer.server import set_theme
 
 PLAY, PAUSE, STEP, RESTART = MOVES = ("Play", "Pause", "Step", "Restart")
 """What can be pressed while an episode is played."""
@@ -76,16 +77,16 @@ class Panel:
     def _add_choices(self, request: EpisodeRequest) -> None:
         gui = self._gui
         self.status = gui.add_html("")
-        names = tuple(TASKS)
-        self.task = gui.add_dropdown("Task", names, initial_value=request.task)
-        self.index = gui.add_number("Instance", request.index, min=0, max=_MOST)
         self.text = gui.add_text(
             "Say", request.text, multiline=True, hint="Type anything, then press Do it."
         )
+        self.do = gui.add_button("Do it", color="blue")
+        names = tuple(TASKS)
+        self.task = gui.add_dropdown("Task", names, initial_value=request.task)
+        self.index = gui.add_number("Instance", request.index, min=0, max=_MOST)
         self.policy = gui.add_dropdown(
             "Policy", self._session.policies, initial_value=request.policy
         )
-        self.do = gui.add_button("Do it", color="blue")
         self.do.on_click(lambda _: self.act())
         self.text.on_update(self.typed)
         for widget in (self.task, self.index):
@@ -270,7 +271,7 @@ class Panel:
         explanation = play.explanation()
         if explanation is not self._explanation and play.instance is not None:
             self._explanation = explanation
-            self.why.content = insight_html(explanation.insight, play.instance)
+            self.why.content = why_html(explanation, play.instance)
 
     def show_picture(self, picture: Any | None) -> None:
         """Show a picture, (H, W, 3) uint8; None for none."""
@@ -278,14 +279,3 @@ class Panel:
             self.image.image = picture
         if self.image.visible != (picture is not None):
             self.image.visible = picture is not None
-
-
-def set_theme(gui: Any, *, dark: bool) -> None:
-    """Set how the page looks."""
-    gui.configure_theme(
-        dark_mode=dark,
-        control_width="large",
-        show_logo=False,
-        show_share_button=False,
-        brand_color=(34, 110, 190),
-    )

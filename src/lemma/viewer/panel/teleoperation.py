@@ -6,9 +6,11 @@ from typing import Any
 import viser
 
 from lemma.core.errors import LemmaError
+from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.teleoperator import Teleoperator
 
 OPEN, CLOSE = GRIPS = ("Open", "Close")
 TARGET = "/teleoperation"
@@ -35,6 +37,7 @@ class TeleoperationPanel:
         self._server, self._session, self._complain = server, session, complain
         self._target: Any = None
         self._led: tuple[object, ...] = ()
+        self._offered: Teleoperator | None = None
         gui: Any = server.gui
         with gui.add_folder("By hand", visible=False) as self.folder:
             self.take = gui.add_button(
@@ -57,23 +60,12 @@ class TeleoperationPanel:
         return names.index(self.robot.value) if self.robot.value in names else 0
 
     def take_over(self) -> None:
-        """Lead the robots from now on, the one first that was doing something."""
-        play = self._session.play
+        """Lead the robots from now on, first the one that was acting."""
         try:
-            play.take_over()
+            self._session.play.take_over()
             self._complain("")
         except LemmaError as error:
             self._complain(str(error))
-            return
-        acted = next(
-            (each.robot for each in reversed(play.explanations) if each.robot), ""
-        )
-        assert play.instance is not None
-        names = play.instance.scene.robot_names
-        if acted in names:
-            phrases = robot_phrases(play.instance.scene.robots)
-            self.robot.options = phrases
-            self.robot.value = phrases[names.index(acted)]
 
     def grip(self, what: str) -> None:
         """Open or close the gripper of the robot that is led."""
@@ -107,17 +99,17 @@ class TeleoperationPanel:
             if widget.visible != needed:
                 widget.visible = needed
         teleoperator = play.teleoperator
+        if leads and teleoperator is not self._offered and play.instance is not None:
+            self._offered = teleoperator
+            self._offer(play.instance, play.led_first)
         goal = (
             teleoperator.target(self._number)
             if leads and teleoperator is not None
             else None
         )
-        if teleoperator is None or goal is None or play.instance is None:
+        if teleoperator is None or goal is None:
             self._remove()
             return
-        phrases = robot_phrases(play.instance.scene.robots)
-        if self.robot.options != phrases:
-            self.robot.options = phrases
         led = (teleoperator, self._number)
         if self._target is None or self._led != led:
             self._led = led
@@ -131,6 +123,15 @@ class TeleoperationPanel:
                 wxyz=goal[3:7],
             )
             self._target.on_update(self._moved)
+
+    def _offer(self, instance: Instance, acting: str) -> None:
+        """Offer the robots of a table, first the one that was acting."""
+        names, phrases = (
+            instance.scene.robot_names,
+            robot_phrases(instance.scene.robots),
+        )
+        self.robot.options = phrases
+        self.robot.value = phrases[names.index(acting) if acting in names else 0]
 
     def _remove(self) -> None:
         if self._target is not None:

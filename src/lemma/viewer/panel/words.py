@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from html import escape
 
-from lemma.policies.interfaces import Insight
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.subtask import Primitive
-from lemma.viewer.episode.reading import say_goal
-from lemma.viewer.episode.status import ENDS, Line, Phase, Status
+from lemma.viewer.episode.explanation import Explanation
+from lemma.viewer.episode.status import ENDS, Line, Phase, Status, say_goal
 from lemma.viz.recording import describe_subtask
 
 _FRAME = '<div style="padding:0 1em 0.5em;font-size:0.9em;line-height:1.45">{}</div>'
@@ -28,7 +27,8 @@ def status_html(status: Status) -> str:
     dots = "" if status.phase in (*ENDS, Phase.READY) else " …"
     title = escape(status.phase.value)
     if status.note and status.phase is not Phase.BROKEN:
-        title += f" {escape(status.note)}"
+        colon = ":" if status.phase is Phase.FOLLOWED else ""
+        title += f"{colon} {escape(status.note)}"
     parts = [
         f'<div data-phase="{escape(status.phase.name)}" style="font-weight:600;'
         f'color:{color}">{title}{dots}</div>'
@@ -67,13 +67,14 @@ def table_html(own: bool, problems: Sequence[str]) -> str:
     return _FRAME.format("".join(parts))
 
 
-def insight_html(insight: Insight | None, instance: Instance) -> str:
-    """Return why a policy decided as it did: what it weighed, and who reaches what.
+def why_html(explanation: Explanation, instance: Instance) -> str:
+    """Return why a policy decided as it did: its options, and who reaches what.
 
     Args:
-        insight: What it said; None if it says nothing.
+        explanation: Of one decision; the result is empty where the policy said nothing.
         instance: Whose robots and objects it speaks of.
     """
+    insight = explanation.insight
     if insight is None:
         return ""
     parts = ["<div style='font-weight:600'>Why</div>"]
@@ -95,12 +96,18 @@ def insight_html(insight: Insight | None, instance: Instance) -> str:
             )
             what = escape(entity_named(thing.name).phrase)
             rows.append(f"<tr><td>{what}</td>{cells}</tr>")
-    unseen = sorted(named - {thing.name for thing in insight.objects})
+    seen = {thing.name for thing in insight.objects}
+    covers = {lower: upper for lower, upper in explanation.covers if lower in named}
+    hidden = {name: top for name, top in covers.items() if name not in seen}
+    unseen = sorted(named - seen - set(hidden))
     head = "".join(f"<td>{escape(phrase)}</td>" for phrase in phrases)
     parts.append(
         f'<table style="width:100%"><tr style="color:{_FAINT}"><td>reaches</td>{head}'
         f"</tr>{''.join(rows)}</table>"
     )
+    for name, top in sorted(hidden.items()):
+        words = f"The {entity_named(top).phrase} hides the {entity_named(name).phrase}."
+        parts.append(f"<div>{escape(words)}</div>")
     if unseen:
         words = " and no ".join(entity_named(name).phrase for name in unseen)
         parts.append(f"<div>It sees no {escape(words)}.</div>")

@@ -9,7 +9,7 @@ from lemma.viewer.episode.status import Line
 from lemma.viewer.recording.serializer import client_page, serialize
 from lemma.viewer.recording.track import EXPERT, Track, track_of
 from lemma.viz.pages.replays import Replay, Side, Told, write_replays
-from lemma.viz.recording import Recording
+from lemma.viz.recording import Recording, main_sentence
 
 VISER = ".viser"
 """End of the names of files of the player."""
@@ -36,7 +36,7 @@ def replay_of(
         note: What else there is to say.
     """
     if sentence is None:
-        sentence = tracks[0].instance.instructions["high_level"]
+        sentence = main_sentence(tracks[0].instance)
     return Replay(
         name, title, sentence, serialize(tracks), [*map(_side, tracks)], opens_s, note
     )

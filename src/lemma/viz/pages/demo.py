@@ -8,7 +8,7 @@ from lemma.core.engine import mujoco
 from lemma.core.version import VERSION as __version__
 from lemma.tasks.suite import task_named
 from lemma.viz.pages.templates import fill
-from lemma.viz.recording import Recording, robot_titles
+from lemma.viz.recording import Recording, main_sentence, robot_titles
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +61,7 @@ def _card(recording: Recording, illustration: Illustration) -> dict[str, object]
     titles = robot_titles(recording.instance)
     return {
         "recording": recording,
+        "sentence": main_sentence(recording.instance),
         "summary": task_named(recording.instance.task).summary,
         "lanes": [
             {"robot": name, "title": title, "color": robot.color}
