@@ -42,9 +42,13 @@ def test_a_module_of_the_current_folder_is_found(tmp_path, monkeypatch) -> None:
     assert came == ["plugin_of_this_test"]
 
 
-def test_the_environment_names_plugins_and_hands_them_on(tmp_path, monkeypatch) -> None:
-    first, second = (write(tmp_path / f"{name}.py", "") for name in "ab")
-    monkeypatch.setenv(ENVIRONMENT, f" {first}, ")
+@pytest.mark.parametrize("folder", ["lab", "lab, room 2"])
+def test_the_environment_names_plugins_and_hands_them_on(
+    tmp_path, monkeypatch, folder: str
+) -> None:
+    (tmp_path / folder).mkdir()
+    first, second = (write(tmp_path / folder / f"{name}.py", "") for name in "ab")
+    monkeypatch.setenv(ENVIRONMENT, f"{first}" if "," in folder else f" {first}, ")
     load_plugins([str(second)])
     assert split_names(os.environ[ENVIRONMENT]) == [str(first), str(second)]
 
@@ -54,7 +58,8 @@ def names_of_loaded() -> list[str]:
 
 
 def test_workers_load_them_too(tmp_path: Path) -> None:
-    path = write(tmp_path / "mine.py", "")
+    (tmp_path / "lab, room 2").mkdir()
+    path = write(tmp_path / "lab, room 2" / "mine.py", "")
     load_plugins([str(path)])
     assert list(ProcessPool(1).run(names_of_loaded, [()])) == [[str(path)]]
 

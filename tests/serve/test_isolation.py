@@ -1,6 +1,11 @@
 """Other people's classes live in processes that may hang, crash and leave."""
 
+import os
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -103,3 +108,54 @@ def test_what_cannot_be_made_is_explained_before_the_run(name: str, words: str) 
 def test_times_are_checked(timeout_s: float) -> None:
     with pytest.raises(InvalidConfigError, match="positive"):
         PolicySpec("faulty_policies:Scripted", timeout_s=timeout_s)
+
+
+@pytest.mark.parametrize("crashes", [False, True])
+def test_processes_that_a_policy_starts_end_with_it(crashes: bool) -> None:
+    policy: Any = isolate("faulty_policies:StartsProcesses", LONG_S)
+    [decision] = policy.act([given()])
+    child = int(decision.explanation)
+    os.kill(child, 0)
+    if crashes:
+        # The child holds the pipe open.
+        with pytest.raises(PolicyFailedError, match="exit code 3"):
+            policy.act([given(BAD)])
+    policy.close()
+    end = time.monotonic() + 10.0
+    while _runs(child):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def _runs(pid: int) -> bool:
+    """Whether a process is there and no zombie that nobody has waited for."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+def test_a_class_in_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own_policy.py").write_text(
+        "from faulty_policies import Scripted\nclass Own(Scripted): pass"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for timeout_s in (0.0, LONG_S):
+        policy = load_policy(PolicySpec("own_policy:Own", timeout_s=timeout_s))
+        assert policy.act([given()])
+    policy.close()
+
+
+def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
+    script = tmp_path / "play.py"
+    line = 'lemma.serve.isolation.isolate("collections:Counter", 9.0)'
+    script.write_text(f"import lemma.serve.isolation\n{line}\n")
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, check=False
+    )
+    assert "under 'if __name__ == \"__main__\":'" in done.stderr
+    assert "lemma serve" not in done.stderr

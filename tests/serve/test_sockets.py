@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-import urllib.request
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -26,6 +25,7 @@ from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.policies.interfaces import Decision, OracleInput, PastStep, PolicyInput
 from lemma.serve.client.conversation import Conversation, ProtocolMode
 from lemma.serve.client.remote import remote
+from lemma.serve.client.vla_eval import ModelServer
 from lemma.serve.client.websocket import WebSocketChannel, connect, websocket_address
 from lemma.serve.protocol.faults import (
     FaultKind,
@@ -342,9 +342,42 @@ def test_addresses_may_be_written_in_four_ways() -> None:
     assert websocket_address("ws://[::1]:8000") == "ws://[::1]:8000"
 
 
-def test_browsers_are_told_what_this_is(served: PolicyServer) -> None:
-    with urllib.request.urlopen(served.url) as page:
-        assert b"policy server" in page.read()
+def test_an_address_with_a_password_is_refused_without_telling_it() -> None:
+    for url in ("http://me:word@h:1", "http://me:word@h:x", "ws://h/?key=word"):
+        with pytest.raises(InvalidConfigError, match="LEMMA_SERVER_AUTH") as caught:
+            websocket_address(url)
+        assert "word@" not in str(caught.value)
+    with pytest.raises(InvalidConfigError, match="LEMMA_SERVER_AUTH"):
+        ModelServer("vla-eval://me:word@h:1", PATIENT)
+
+
+@pytest.mark.parametrize(
+    ("request_line", "status"),
+    [
+        (b"GET / HTTP/1.1", 200),
+        (b"GET / HTTP/1.0", 200),
+        (b"HEAD /health HTTP/1.1", 200),
+        (b"POST / HTTP/1.1", 405),
+        (b"\x16\x03\x01 \xff", 400),
+        (b"", 0),
+    ],
+)
+def test_probes_get_a_proper_answer_and_leave_no_traceback(
+    served: PolicyServer,
+    request_line: bytes,
+    status: int,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with socket.create_connection((served.host, served.port), 10.0) as probe:
+        if not request_line:
+            probe.shutdown(socket.SHUT_WR)
+        else:
+            probe.sendall(request_line + b"\r\nHost: h\r\n\r\n")
+        answer = b"".join(iter(lambda: probe.recv(4096), b""))
+    assert answer.startswith(f"HTTP/1.1 {status} ".encode() if status else b"")
+    assert (b"policy server" in answer) == (status > 0 and b"HEAD" not in request_line)
+    assert (capsys.readouterr().err, caplog.text) == ("", "")
 
 
 def test_a_taken_port_is_explained(served: PolicyServer) -> None:

@@ -33,10 +33,15 @@ class RuleServer(ThreadingHTTPServer):
             faults: What goes wrong with the first requests, one each: ``"hang"``,
                 ``"drip"``, ``"html"``, ``"prose"``, ``"list"``, ``"name"``,
                 ``"impossible"``, or a status, such as ``"500"``; ``""`` for none.
+                Empty questions, which test the server, do not count as requests.
         """
         super().__init__(("127.0.0.1", 0), _Handler)
         self.faults = list(faults or [])
         self.always = ""
+        self.unknown: tuple[str, ...] = ()
+        self.answer_s = 0.0
+        self.one_by_one = threading.Lock()
+        self.probes: list[dict[str, Any]] = []
         self.requests: list[dict[str, Any]] = []
         self.headers: list[dict[str, str]] = []
         self.ended = threading.Event()
@@ -75,10 +80,17 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         length = int(self.headers["Content-Length"])
         request = json.loads(self.rfile.read(length))
+        is_probe = "Robots\n\nObjects" in question_of(request)
         with self.server.lock:
-            self.server.requests.append(request)
+            kept = self.server.probes if is_probe else self.server.requests
+            kept.append(request)
             self.server.headers.append(dict(self.headers))
-        fault = self.server.next_fault()
+        fault = self.server.always if is_probe else self.server.next_fault()
+        if any(name in request for name in self.server.unknown):
+            fault = "400"
+        if self.server.answer_s:
+            with self.server.one_by_one:
+                time.sleep(self.server.answer_s)
         if fault == "hang":
             self.server.ended.wait(30.0)
         elif fault == "drip":

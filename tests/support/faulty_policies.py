@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from multiprocessing import get_context
 
 import numpy as np
 
@@ -168,3 +169,16 @@ if __name__ == "__main__":
         port=int(sys.argv[2]),
         on_ready=lambda url: os.write(1, f"{url}\n".encode()),
     )
+
+
+class StartsProcesses(Scripted):
+    """Has a child, which would run for a long time; says its number."""
+
+    def __init__(self) -> None:
+        self.child = get_context("fork").Process(target=time.sleep, args=(600.0,))
+        self.child.start()
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        if inputs[0].instruction == BAD:
+            os._exit(3)
+        return [Decision(STOP, None, str(self.child.pid)) for _ in inputs]

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lemma.evaluation.analysis.result import Cell, Result
     from lemma.evaluation.records import Row
     from lemma.evaluation.run.evaluate import EvaluationConfig
-    from lemma.policies.planners.options import ChatOptions
+    from lemma.policies.planners.chat import ChatOptions
 
 _ALL = "all"
 _COMPLAINTS = 5
@@ -101,6 +101,12 @@ class LanguageModelOptions:
     """Answers to a question, until one is a sub-task."""
     max_tokens: Annotated[int, tyro.conf.arg(metavar="N")] = 1024
     """Of an answer."""
+    concurrency: Annotated[int, tyro.conf.arg(metavar="N")] = 8
+    """Requests at a time, of all workers of this machine. Each may take --timeout times
+    as long, since the server may answer one after the other."""
+    extra_body: Annotated[str, tyro.conf.arg(metavar="JSON")] = ""
+    """Fields of every request that replace the usual ones, for servers that do not know
+    those; null leaves a field out."""
 
 
 EVERYTHING = EvaluateOptions()
@@ -201,7 +207,7 @@ def _config(
 
 def _chat(policy: str, model: LanguageModelOptions) -> "ChatOptions | None":
     """Return how a language model is asked; None if none is, nor is one spoken of."""
-    from lemma.policies.planners.options import ChatOptions
+    from lemma.policies.planners.chat import ChatOptions
 
     if model == NO_MODEL and not policy.startswith("llm:"):
         return None
@@ -214,6 +220,8 @@ def _chat(policy: str, model: LanguageModelOptions) -> "ChatOptions | None":
         pictures=model.pictures,
         tries=model.tries,
         max_tokens=model.max_tokens,
+        concurrency=model.concurrency,
+        extra_body=model.extra_body,
     )
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import operator
+import os
 from collections.abc import Iterable
 from numbers import Real
 from typing import SupportsIndex
@@ -98,6 +99,25 @@ def known(kind: str, name: object, valid: Iterable[str]) -> str:
     if not isinstance(name, str) or name not in names:
         raise UnknownNameError(kind, name, names)
     return name
+
+
+def secret_of(variable: str) -> str:
+    """Return the secret in an environment variable, ready for a header of HTTP.
+
+    Args:
+        variable: Its name; the secret is empty where there is none.
+
+    Raises:
+        InvalidConfigError: It cannot be sent.
+    """
+    secret = os.environ.get(variable, "").strip(" \t\r\n\ufeff")
+    if not (secret.isascii() and secret.isprintable()):
+        raise InvalidConfigError(
+            f"The secret in the environment variable {variable} cannot be sent: it "
+            "holds a line break, a curly quotation mark or another character that is "
+            "not printable ASCII. Set the variable again."
+        )
+    return secret
 
 
 def _within(number: float, low: float | None, high: float | None) -> bool:

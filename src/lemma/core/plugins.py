@@ -1,14 +1,16 @@
 """Plugins: modules of users that register tasks, arms, primitives and other things.
 
-A plugin does no more than any module does: importing it adds records to registries.
-What is here sees to it that this happens wherever it must, also in worker processes.
+A plugin adds records to registries when it is imported. Its name travels in the
+environment, so that worker processes import it as well.
 """
 
+import json
 import os
 import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import cache, partial
 from hashlib import sha256
 from importlib import import_module
@@ -20,7 +22,7 @@ from types import ModuleType
 from lemma.core.errors import PluginError
 
 ENVIRONMENT = "LEMMA_PLUGINS"
-"""Environment variable that names plugins, separated by commas."""
+"""Environment variable that names plugins, separated by commas or as a JSON list."""
 GROUP = "lemma.plugins"
 """Entry points of installed distributions whose value is a plugin's module."""
 
@@ -49,9 +51,10 @@ def load_plugins(names: Iterable[str] = ()) -> tuple[str, ...]:
             path = Path(name).absolute()
             _load(str(path), partial(_import_file, path), name)
         else:
-            _load(name, partial(_import_from_here, name), name)
+            _load(name, partial(import_from_here, name), name)
     if _loaded:
-        os.environ[ENVIRONMENT] = ",".join(_loaded)
+        listed = any("," in name for name in _loaded)
+        os.environ[ENVIRONMENT] = (json.dumps if listed else ",".join)([*_loaded])
     return tuple(_loaded)
 
 
@@ -61,7 +64,17 @@ def _installed() -> tuple[EntryPoint, ...]:
 
 
 def split_names(listed: str) -> list[str]:
-    """Return the names in a list that is separated by commas."""
+    """Return the names in a list.
+
+    Args:
+        listed: Names separated by commas, a JSON list, or the path of one file.
+    """
+    if os.path.isfile(listed):
+        return [listed]
+    with suppress(ValueError, RecursionError):
+        names = json.loads(listed)
+        if isinstance(names, list):
+            return [str(name) for name in names]
     return [name.strip() for name in listed.split(",") if name.strip()]
 
 
@@ -79,14 +92,19 @@ def _load(key: str, load: Callable[[], ModuleType], name: str) -> None:
         return
     try:
         _loaded[key] = load()
-    # Whatever a user's module does wrong, the answer is which one and where.
+    # A user's module may raise anything: the message says which module and where.
     except (Exception, SystemExit) as error:
         raise PluginError(
             f"The plugin {name} cannot be loaded: {_why(error)}"
         ) from error
 
 
-def _import_from_here(name: str) -> ModuleType:
+def import_from_here(name: str) -> ModuleType:
+    """Return a module of an installed package or of the current folder.
+
+    Raises:
+        ImportError: There is none of that name.
+    """
     here = os.getcwd()
     if here not in sys.path:
         # An installed command does not look into the folder that it is called from.
@@ -118,7 +136,7 @@ def _why(error: BaseException) -> str:
     line = f" ({where[-1].filename}, line {where[-1].lineno})" if where else ""
     if isinstance(error, SystemExit):
         return (
-            f"it ends the process{line}. Put what shall only run as a script below "
+            f"it ends the process{line}. Put the part that only a script runs below "
             'if __name__ == "__main__":.'
         )
     text = str(error).rstrip(".")

@@ -1,15 +1,17 @@
-"""Classes by path: ``"package.module:Class"``; and those of ours with a short name."""
+"""Classes by path, ``"package.module:Class"``, and by the short names of LeRobot's."""
 
+import re
 from collections.abc import Mapping
-from importlib import import_module
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError
+from lemma.core.plugins import import_from_here
 
 LEROBOT = "lerobot:"
 """Begins the name of a checkpoint of LeRobot, ``"lerobot:CHECKPOINT"``."""
 LEROBOT_PRIVILEGED = "lerobot-privileged:"
-"""Begins the name of one that is told the truth: an oracle."""
+"""Begins the name of one that gets the simulation's state: an oracle."""
+_SECRET = re.compile(r"(?i)(^|_)(api_?key|key|token|secret|password|auth)(_|$)")
 _MODULE = "lemma.policies.control.lerobot"
 _LEROBOT_CLASSES = {
     LEROBOT: f"{_MODULE}:LeRobotPolicy",
@@ -26,12 +28,12 @@ def checkpoint_of(name: str) -> str | None:
 
 
 def privileged(name: str) -> bool:
-    """Return whether a policy's name means a checkpoint that is told the truth."""
+    """Return whether a policy's name means a checkpoint that is an oracle."""
     return name.startswith(LEROBOT_PRIVILEGED)
 
 
 def class_of(name: str) -> Any:
-    """Return a class, or whatever else makes an object when it is called.
+    """Return a class, or another callable that makes an object.
 
     Args:
         name: ``"package.module:Class"``, or ``"lerobot:CHECKPOINT"``.
@@ -43,10 +45,10 @@ def class_of(name: str) -> Any:
     path = _LEROBOT_CLASSES.get(f"{begin}{colon}", name)
     module, _, attribute = path.partition(":")
     try:
-        return getattr(import_module(module), attribute)
+        return getattr(import_from_here(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
-        valid = "Name a class of a module that can be imported here, as in "
-        valid += "mypackage.mymodule:MyPolicy."
+        valid = "Name a class of a module that can be imported, from an installed "
+        valid += "package or this folder, as in mypackage.mymodule:MyPolicy."
         if path != name:
             valid = "It needs the lerobot package: pip install 'lemma-bench[lerobot]', "
             valid += "in an environment with Python 3.12 or newer."
@@ -79,4 +81,8 @@ def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
 def _with(arguments: Mapping[str, Any] | None) -> str:
     if not arguments:
         return "without arguments"
-    return "with " + ", ".join(f"{name}={value!r}" for name, value in arguments.items())
+    shown = (
+        f"{name}=***" if _SECRET.search(name) else f"{name}={value!r}"
+        for name, value in arguments.items()
+    )
+    return f"with {', '.join(shown)}"

@@ -32,7 +32,7 @@ from lemma.policies.oracle import (
     OracleGrounder,
     OraclePlanner,
 )
-from lemma.policies.planners.options import ChatOptions
+from lemma.policies.planners.chat import ChatOptions
 from lemma.policies.planners.registry import asks_model, is_planner, make_planner
 from lemma.policies.weights import load_model, published_weights
 

@@ -1,16 +1,21 @@
 """Other people's policies, each in a process of its own.
 
-A thread that hangs cannot be ended, and a library that crashes takes its process along;
-a process of its own can be killed and begun again, whatever its policy does.
+A thread that hangs cannot be ended, and a library that crashes ends its process. A
+separate process can be killed and started again, whatever its policy does. It leads a
+process group of its own, so that the processes that a policy starts end with it.
 """
 
+import os
+import signal
 import sys
 import threading
+import time
 from collections.abc import Mapping
 from contextlib import suppress
-from multiprocessing import get_context, parent_process
+from multiprocessing import current_process, get_context, parent_process
 from multiprocessing.connection import Connection
-from os import _exit
+from multiprocessing.process import BaseProcess
+from multiprocessing.util import Finalize
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, LemmaError
@@ -18,11 +23,13 @@ from lemma.core.plugins import load_plugins
 from lemma.policies.class_path import instance_of
 from lemma.serve.client.conversation import Conversation, ProtocolMode
 from lemma.serve.client.remote import Remote, remote
+from lemma.serve.protocol.faults import PolicyUnreachableError
 from lemma.serve.protocol.messages import PROTOCOL, Error, Hello, decode_reply, encode
 from lemma.serve.server.session import Session
 
 _START_S = 300.0
 _END_S = 1.0
+_LOOK_S = 1.0
 
 
 def isolate(
@@ -53,24 +60,33 @@ class ProcessChannel:
             arguments: That it is called with, by name.
 
         Raises:
-            OSError: It died, or takes too long.
+            PolicyUnreachableError: It died, or takes too long.
             InvalidConfigError: There is no such class, or it cannot be made.
         """
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
+        # A daemon is ended with this process; "host" then lets it have children.
         self._process = context.Process(
             target=host,
             args=(theirs, name, arguments),
             daemon=True,
             name=f"policy {name}",
         )
-        self._process.start()
-        theirs.close()
         try:
+            self._process.start()
+            theirs.close()
+            # It also runs where workers end, which call no "atexit" functions.
+            self._kill = Finalize(self, _kill, (self._process,), exitpriority=100)
             ready = decode_reply(self.receive(_START_S))
-        except OSError:
+        except OSError as error:
             self.close()
-            raise
+            raise PolicyUnreachableError(
+                f"The process of the policy {name} could not start: "
+                f"{error or f'it took more than {_START_S:g} s'}. If it printed "
+                "something, that says why. It imports the program that starts it: "
+                "save that in a file, and put what it does under "
+                "'if __name__ == \"__main__\":'."
+            ) from error
         if isinstance(ready, Error):
             self.close()
             raise InvalidConfigError(ready.message)
@@ -90,34 +106,54 @@ class ProcessChannel:
             TimeoutError: There is none in time.
             OSError: The process is gone.
         """
-        if not self._pipe.poll(timeout_s):
-            raise TimeoutError
+        end = time.monotonic() + timeout_s
+        # The children of a dead process may hold its end of the pipe open.
+        while not self._pipe.poll(min(_LOOK_S, max(0.0, end - time.monotonic()))):
+            if not (self._process.is_alive() or self._pipe.poll()):
+                raise self._ended()
+            if time.monotonic() >= end:
+                raise TimeoutError
         try:
             return self._pipe.recv_bytes()
-        except EOFError as error:
+        except EOFError:
             self._process.join(_END_S)
-            raise ConnectionError(
-                f"its process ended with {_why(self._process.exitcode)}"
-            ) from error
+            raise self._ended() from None
+
+    def _ended(self) -> ConnectionError:
+        code = self._process.exitcode
+        return ConnectionError(f"its process ended with {_why(code)}")
 
     def close(self) -> None:
         """Kill the process; never raises."""
         with suppress(Exception):
-            self._process.kill()
+            self._kill()
             self._process.join(_END_S)
             self._pipe.close()
+
+
+def _kill(process: BaseProcess) -> None:
+    """Kill a process and the processes that it started; never raises."""
+    with suppress(Exception):
+        if process.pid is not None:
+            os.killpg(process.pid, signal.SIGKILL)
+    with suppress(Exception):
+        process.kill()
 
 
 def host(
     pipe: "Connection[Any, Any]", name: str, arguments: Mapping[str, Any] | None
 ) -> None:
-    """Make a policy and answer for it until nobody asks any more.
+    """Make a policy and answer for it until the pipe is closed.
 
     Args:
-        pipe: To whoever asks.
+        pipe: To the process that asks.
         name: Of the policy's class.
         arguments: That it is called with, by name.
     """
+    with suppress(AttributeError, OSError):
+        os.setsid()
+    # Daemons may have no children, and policies may start processes.
+    current_process().daemon = False
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         load_plugins()
@@ -126,7 +162,7 @@ def host(
         pipe.send_bytes(encode(Error(kind="request", message=str(error))))
         return
     _use_one_core()
-    # It is ready: the answer to a greeting that nobody sent.
+    # The answer to a hello, although none was sent, says that it is ready.
     pipe.send_bytes(session.answer(encode(Hello(protocol=PROTOCOL))))
     with suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
@@ -137,7 +173,10 @@ def _end_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         parent.join()
-    _exit(1)
+    with suppress(AttributeError, OSError):
+        if os.getpgrp() == os.getpid():
+            os.killpg(os.getpid(), signal.SIGKILL)
+    os._exit(1)
 
 
 def _use_one_core() -> None:

@@ -1,5 +1,6 @@
 """A faulty policy pays with its own episode; the others do not notice."""
 
+import errno
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -10,6 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lemma.core.errors import (
+    DatasetError,
+    LemmaError,
+    RenderingError,
+    WeightsError,
+)
 from lemma.core.poses import Pose2
 from lemma.core.workers.serial import Serial
 from lemma.env.simulation import Simulation
@@ -27,11 +34,14 @@ from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
 from lemma.policies.spec import PolicySpec
+from lemma.serve.client.conversation import Conversation, ProtocolMode
+from lemma.serve.client.remote import remote
 from lemma.serve.protocol.faults import (
     FaultKind,
     PolicyFailedError,
     PolicyUnreachableError,
 )
+from lemma.serve.server.session import Session
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 from lemma.tasks.suite import load_instance
 
@@ -361,3 +371,58 @@ def test_a_run_goes_on_and_names_the_faults(tmp_path: Path) -> None:
     }
     lines = (tmp_path / EPISODES).read_text().splitlines()
     assert [json.loads(line) for line in lines] == rows
+
+
+TROUBLE: dict[str, tuple[Exception, type[LemmaError]]] = {
+    "cassette": (DatasetError("Line 2 cannot be read."), DatasetError),
+    "weights": (WeightsError("They are damaged."), WeightsError),
+    "pictures": (RenderingError("No OpenGL."), RenderingError),
+    "disk": (OSError(errno.ENOSPC, "No space left"), PolicyUnreachableError),
+    "files": (OSError(errno.EMFILE, "Too many open files"), PolicyUnreachableError),
+    "memory": (MemoryError(), PolicyUnreachableError),
+    "gpu": (type("OutOfMemoryError", (RuntimeError,), {})(), PolicyUnreachableError),
+}
+
+
+class InTrouble:
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        raise self.error
+
+
+@pytest.mark.parametrize("what", TROUBLE)
+@pytest.mark.parametrize("served", [False, True])
+def test_trouble_of_the_machine_is_no_fault_of_the_policy(
+    what: str, served: bool
+) -> None:
+    error, kind = TROUBLE[what]
+    policy: Any = InTrouble(error)
+    if served:
+        channel = Straight(Session(policy))
+        policy = remote(Conversation("there", lambda: channel, ProtocolMode(9.0)))
+        kind = PolicyUnreachableError
+    with pytest.raises(kind):
+        IsolatedPolicy(policy).decide([given(), given()])
+
+
+class Straight:
+    """A channel to a session in this process."""
+
+    def __init__(self, session: Session) -> None:
+        self.session, self.answers = session, list[bytes]()
+
+    def send(self, message: bytes) -> None:
+        self.answers.append(self.session.answer(message))
+
+    def receive(self, timeout_s: float) -> bytes:
+        return self.answers.pop(0)
+
+    def close(self) -> None:
+        pass
+
+
+def test_other_errors_of_files_are_the_policys() -> None:
+    [fault] = IsolatedPolicy(InTrouble(FileNotFoundError("mine"))).decide([given()])
+    assert fault.kind is FaultKind.RAISED

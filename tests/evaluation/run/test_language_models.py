@@ -15,8 +15,7 @@ from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.result import read_result, summarise
 from lemma.evaluation.records import ABOUT, EPISODES, SUMMARY, Row, read_about
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
-from lemma.policies.planners import client
-from lemma.policies.planners.options import ChatOptions, PlannerUnavailableError
+from lemma.policies.planners.chat import ChatOptions, PlannerUnavailableError
 from lemma.policies.spec import PolicySpec
 
 TASKS = ("pass", "stack")
@@ -24,7 +23,7 @@ TASKS = ("pass", "stack")
 
 @pytest.fixture(autouse=True)
 def no_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "WAITS_S", ())
+    monkeypatch.setattr("lemma.policies.planners.chat.WAITS_S", ())
 
 
 def order(out: Path, chat: ChatOptions, **changes: Any) -> EvaluationConfig:
@@ -125,6 +124,13 @@ def test_another_setting_is_a_clear_error_too(tmp_path: Path, recorded: Path) ->
         evaluate(order(recorded, replace(chat, mode="record")), Serial())
 
 
+def test_a_cassette_that_cannot_be_used_ends_the_run(tmp_path: Path) -> None:
+    with chat_server() as server:
+        chat = ChatOptions(base_url=server.url, cassette=tmp_path)
+        with pytest.raises(DatasetError, match="cassette"):
+            evaluate(order(tmp_path / "out", chat, episodes=1), Serial())
+
+
 def failures(rows: list[Row]) -> dict[str, int]:
     kinds = [row["policy_error"]["kind"] for row in rows if row["policy_error"]]
     return {kind: kinds.count(kind) for kind in kinds}
@@ -132,7 +138,7 @@ def failures(rows: list[Row]) -> dict[str, int]:
 
 def play(tmp_path: Path, server: RuleServer, **options: Any) -> list[Row]:
     chat = ChatOptions(base_url=server.url, cassette=tmp_path / "c.jsonl", **options)
-    spec = PolicySpec("llm:rules", chat=chat, timeout_s=5.0)
+    spec = PolicySpec("llm:rules", chat=chat, timeout_s=0.7)
     config = EvaluationConfig(
         out=tmp_path / "out", policy=spec, tasks=("pass",), episodes=4, split="val"
     )
@@ -150,7 +156,7 @@ def test_the_run_goes_on_after_bad_answers(tmp_path: Path) -> None:
     assert good["success"]
     # What failed is on the cassette as well.
     chat = ChatOptions(cassette=tmp_path / "c.jsonl", mode="strict", tries=1)
-    spec = PolicySpec("llm:rules", chat=chat, timeout_s=5.0)
+    spec = PolicySpec("llm:rules", chat=chat, timeout_s=0.7)
     again = EvaluationConfig(
         out=tmp_path / "again", policy=spec, tasks=("pass",), episodes=4, split="val"
     )

@@ -9,7 +9,7 @@ import pytest
 
 from lemma.core.errors import DatasetError
 from lemma.policies.planners.cassette import Cassette, differences, key_of
-from lemma.policies.planners.client import Reply
+from lemma.policies.planners.chat import Reply
 
 
 def request(text: str = "go", **changes: Any) -> dict[str, Any]:
@@ -135,3 +135,21 @@ def test_what_changed_is_told(tmp_path: Path, now: dict[str, Any], told: str) ->
 def test_an_empty_cassette_says_so(tmp_path: Path) -> None:
     error = Cassette(tmp_path / "c.jsonl").missing(request(), "Nobody is asked.")
     assert "is empty" in str(error)
+
+
+def test_blank_lines_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    Cassette(path).keep(request("a"), Reply("a"))
+    path.write_bytes(b"\n" + path.read_bytes() + b"\r\n\n")
+    cassette = Cassette(path)
+    assert cassette.find(request("a")) == Reply("a")
+    cassette.keep(request("b"), Reply("b"))
+    assert Cassette(path).find(request("b")) == Reply("b")
+    assert "line 2" in str(cassette.missing(request("c"), "No."))
+
+
+def test_a_folder_is_no_cassette(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="cassette"):
+        Cassette(tmp_path).find(request())
+    with pytest.raises(DatasetError, match="cassette"):
+        Cassette(tmp_path).keep(request(), Reply())

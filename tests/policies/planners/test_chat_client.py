@@ -1,16 +1,25 @@
 """The client of chat servers: what goes wrong there costs one request, or says why."""
 
+import json
 import threading
 import time
+from collections.abc import Callable
+from html import escape
 from typing import Any
+from urllib.parse import quote_plus
 
 import pytest
 from chat_server import chat_server
 
 from lemma.core.errors import InvalidConfigError
-from lemma.policies.planners.client import KEY_VARIABLE, ChatServer, Reply
+from lemma.policies.planners.chat import (
+    KEY_VARIABLE,
+    ChatOptions,
+    ChatServer,
+    PlannerUnavailableError,
+    Reply,
+)
 from lemma.policies.planners.grammar import Grammar
-from lemma.policies.planners.options import PlannerUnavailableError
 
 SECRET = "sk-very-secret"
 
@@ -51,28 +60,32 @@ def test_what_passes_is_tried_again(fault: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "kind", "words"),
+    ("fault", "kind", "words", "asked"),
     [
-        ("500", "raised", "HTTP 500"),
-        ("html", "raised", "no chat completion"),
-        ("hang", "timeout", "within 0.3 s"),
-        ("drip", "timeout", "within 0.3 s"),
+        ("500", "raised", "HTTP 500", 2),
+        ("html", "raised", "no chat completion", 2),
+        ("400", "raised", "HTTP 400", 1),
+        ("hang", "timeout", "within 0.3 s", 2),
+        ("drip", "timeout", "within 0.3 s", 2),
     ],
 )
-def test_what_stays_is_a_failure_of_this_request(
-    fault: str, kind: str, words: str
+def test_a_fault_at_one_request_alone_is_a_failure_of_that_request(
+    fault: str, kind: str, words: str, asked: int
 ) -> None:
-    with chat_server(always=fault) as server:
-        reply = ask(server.url, timeout_s=0.3)
-        assert len(server.requests) == 2
+    with chat_server(*[fault] * asked) as server:
+        reply = ask(server.url, timeout_s=0.3 if kind == "timeout" else 30.0)
+        assert (len(server.requests), len(server.probes)) == (asked, kind == "raised")
     assert reply.failure == kind
     assert words in reply.explanation
 
 
-def test_what_is_rejected_is_not_asked_again() -> None:
-    with chat_server(always="400") as server:
-        assert ask(server.url).failure == "raised"
-        assert len(server.requests) == 1
+@pytest.mark.parametrize("fault", ["500", "html", "400", "422"])
+def test_a_fault_at_every_request_ends_the_run(fault: str) -> None:
+    with (
+        chat_server(always=fault) as server,
+        pytest.raises(PlannerUnavailableError, match="--extra-body"),
+    ):
+        ask(server.url)
 
 
 @pytest.mark.parametrize("fault", ["401", "404", "429", "307"])
@@ -95,7 +108,7 @@ def test_nobody_there_ends_the_run() -> None:
 
 def test_the_key_is_sent_and_never_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(KEY_VARIABLE, SECRET)
-    with chat_server("400", always="401") as server:
+    with chat_server("400", "401") as server:
         rejected = ask(server.url)
         with pytest.raises(PlannerUnavailableError) as refused:
             ask(server.url)
@@ -105,6 +118,51 @@ def test_the_key_is_sent_and_never_told(monkeypatch: pytest.MonkeyPatch) -> None
         assert "***" in text
         assert SECRET not in text
     assert SECRET not in str(server.requests)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", " ", "\ufeff"])
+def test_blanks_around_a_key_are_taken_off(
+    end: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(KEY_VARIABLE, f"{SECRET}{end}")
+    with chat_server() as server:
+        assert not ask(server.url).failure
+    assert server.headers[0]["Authorization"] == f"Bearer {SECRET}"
+
+
+@pytest.mark.parametrize("odd", [f"{SECRET}\nsecond", f"“{SECRET}”", f"{SECRET}\x7f"])
+def test_a_key_that_cannot_be_sent_is_refused_by_the_name_of_its_variable(
+    odd: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(KEY_VARIABLE, odd)
+    with pytest.raises(InvalidConfigError, match=KEY_VARIABLE) as caught:
+        ChatServer("http://127.0.0.1:1/v1", 1.0)
+    assert SECRET not in str(caught.value)
+
+
+@pytest.mark.parametrize("spell", [str, repr, json.dumps, quote_plus, escape])
+@pytest.mark.parametrize("as_answer", [False, True])
+def test_a_server_that_repeats_the_key_in_any_spelling(
+    spell: Callable[[str], str], as_answer: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key = "sk/<&'\"+very\\secret"
+    monkeypatch.setenv(KEY_VARIABLE, key)
+    server = ChatServer("http://127.0.0.1:1/v1", 1.0)
+    told = spell(key)
+    if as_answer:
+        choice = {"message": {"content": told}}
+        shown = server._read_reply(json.dumps({"choices": [choice]}).encode()).content
+    else:
+        shown = server._excerpt(f"{'x' * 195} {told}".encode())
+        assert server._excerpt(told.encode())[:5].strip("\"'") == "***"
+    assert "secret" not in shown
+    assert "sk" not in shown
+
+
+def test_words_of_an_answer_are_no_secret(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(KEY_VARIABLE, "none")
+    with chat_server() as server:
+        assert '"none"' in ask(server.url).content
 
 
 def test_without_a_key_none_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,12 +179,15 @@ def test_without_a_key_none_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
         "ftp://host/v1",
         "http://",
         "http://me:word@host/v1",
+        "ftp://me:word@host/v1",
+        "http://me:word@host:port/v1",
         "https://host/v1?key=abc",
     ],
 )
 def test_what_is_no_address_is_refused(url: str) -> None:
-    with pytest.raises(InvalidConfigError, match="chat server"):
+    with pytest.raises(InvalidConfigError, match="chat server") as caught:
         ChatServer(url, 1.0)
+    assert "word@" not in str(caught.value)
 
 
 def test_threads_share_a_client() -> None:
@@ -151,3 +212,56 @@ def test_waits_grow(monkeypatch: pytest.MonkeyPatch) -> None:
     with chat_server("500", "500") as server:
         assert not ask(server.url, waits_s=(1.0, 4.0)).failure
     assert [wait for wait in waited if wait >= 1.0] == [1.0, 4.0]
+
+
+def test_a_slow_server_is_not_blamed_for_a_queue_of_requests() -> None:
+    with chat_server() as server:
+        server.answer_s = 0.1
+        clients = [ChatServer(server.url, 0.2, (), concurrency=3) for _ in range(2)]
+        replies: list[Reply] = []
+        threads = [
+            threading.Thread(target=lambda c=c: replies.append(c.ask(request())))  # type: ignore[misc]
+            for c in clients * 4
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        # One after the other takes 0.8 s, and each of three may wait for two.
+        assert len(server.requests) == 8
+    assert not any(reply.failure for reply in replies)
+
+
+ODD_CHOICES: dict[str, tuple[dict[str, Any], str]] = {
+    "cut off": (
+        {"message": {"content": None}, "finish_reason": "length"},
+        "--max-tokens",
+    ),
+    "refusal": ({"message": {"content": None, "refusal": "I will not."}}, "will not"),
+    "tool": (
+        {"message": {"tool_calls": [{"function": {"arguments": "{}"}}]}},
+        "tool call",
+    ),
+    "thoughts": ({"message": {"content": "", "reasoning_content": "So"}}, "reasoning"),
+}
+
+
+@pytest.mark.parametrize("name", ODD_CHOICES)
+def test_a_reply_says_why_it_is_not_whole(name: str) -> None:
+    choice, words = ODD_CHOICES[name]
+    server = ChatServer("http://127.0.0.1:1/v1", 1.0)
+    reply = server._read_reply(json.dumps({"choices": [choice]}).encode())
+    assert words in reply.remark
+    assert reply.content == ("{}" if name == "tool" else "")
+
+
+def test_parts_of_a_content_are_joined_without_thoughts() -> None:
+    parts = [{"type": "thinking", "thinking": []}, {"type": "text", "text": "{}"}]
+    body = json.dumps({"choices": [{"message": {"content": parts}}]}).encode()
+    assert ChatServer("http://h/v1", 1.0)._read_reply(body).content == "{}"
+
+
+@pytest.mark.parametrize("body", ["[]", "{", "3", '{"model": "x"}', '{"stream": true}'])
+def test_an_extra_body_that_cannot_be_sent_is_refused(body: str) -> None:
+    with pytest.raises(InvalidConfigError, match="extra body"):
+        ChatOptions(extra_body=body)

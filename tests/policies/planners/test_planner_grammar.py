@@ -33,6 +33,18 @@ def text(**changes: Any) -> str:
         f"```json\n{text()}\n```",
         f"```\n{text()}```",
         f"<think>red {{first}}</think>\n{text()}",
+        f"I look.\n</think>\n\n{text()}",
+        f"<thinking>a</thinking>{text()}",
+        f"[THINK]a {{}}[/THINK] {text()}",
+        f"<think>a</think>\n<think>{text()}</think>{text()}<|im_end|>",
+        f"<|channel|>analysis<|message|>a<|end|><|start|>assistant<|channel|>final"
+        f"<|message|>{text()}<|return|>",
+        f"```JSON\n{text()}\n```",
+        f"```json {text()} ```",
+        f"\ufeff{text()}",
+        f"<answer>\n{text()}</answer>",
+        text(reason="</think>"),
+        text(reason="a b").replace("a b", "a\nb"),
     ],
 )
 def test_an_answer_is_read(answer: str) -> None:
@@ -42,6 +54,9 @@ def test_an_answer_is_read(answer: str) -> None:
 
 def test_stop_and_wait_are_answers() -> None:
     assert TABLE.read(json.dumps(_STOP)).subtask == STOP
+    for nothing in (None, ""):
+        empty = dict.fromkeys(("robot", "pick", "place"), nothing)
+        assert TABLE.read(json.dumps({**_STOP, **empty})).subtask == STOP
     own = Grammar(("robot_1",), TABLE.objects, talks=True, may_wait=True)
     wait = json.dumps({**_STOP, "primitive": "wait", "message": "You!"})
     assert (own.read(wait).subtask, own.read(wait).message) == (None, "You!")
@@ -59,7 +74,9 @@ WRONG: dict[str, tuple[str, Mistake]] = {
     "missing": ('{"robot": "robot_0"}', Mistake.NOT_IN_SCHEMA),
     "more": (text(speed=3), Mistake.NOT_IN_SCHEMA),
     "message of nobody": (text(message="hi"), Mistake.NOT_IN_SCHEMA),
-    "null": (text(pick=None), Mistake.NOT_IN_SCHEMA),
+    "null": (text(pick=None), Mistake.IMPOSSIBLE),
+    "thoughts alone": (f"<think>{text()}", Mistake.NO_JSON),
+    "analysis": (f"<|channel|>analysis<|message|>{text()}<|end|>", Mistake.NO_JSON),
     "reason": (text(reason=["a"]), Mistake.NOT_IN_SCHEMA),
     "robot": (text(robot="robot_2"), Mistake.UNKNOWN_NAME),
     "phrase": (text(robot="red robot"), Mistake.UNKNOWN_NAME),

@@ -3,40 +3,32 @@
 import re
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
+import pytest
 from chat_server import chat_server
 
 from lemma.cli.evaluate import LanguageModelOptions
-from lemma.core.kernels import NOTICE
+from lemma.policies.planners.chat import MODES, ChatOptions
 from lemma.policies.planners.grammar import Mistake
-from lemma.policies.planners.options import MODES, ChatOptions
 from lemma.policies.planners.registry import PLANNERS
 
 PAGE = (Path(__file__).parents[3] / "docs/planners.md").read_text(encoding="utf-8")
 CODE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
-def run(code: str, folder: Path, *arguments: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code, *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=folder,
-        timeout=300,
-    )
-    assert (done.returncode, done.stderr.replace(NOTICE, "")) == (0, "")
-    return done.stdout
-
-
-def test_the_example_runs(tmp_path: Path) -> None:
+def test_the_example_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     code = CODE[0].replace("episodes=10", "episodes=1")
     assert "http://127.0.0.1:8000/v1" in code
     assert len(code.splitlines()) <= 15
+    monkeypatch.chdir(tmp_path)
     with chat_server() as server:
-        told = run(code.replace("http://127.0.0.1:8000/v1", server.url), tmp_path)
+        exec(code.replace("http://127.0.0.1:8000/v1", server.url), {})
         assert server.requests[0]["model"] in code
+    told = capsys.readouterr().out
     assert "| pass" in told
     assert "calls=3" in told
     assert (tmp_path / "out/run.jsonl").exists()
@@ -64,8 +56,10 @@ def test_names_on_the_page_are_all_that_there_are() -> None:
     for name in (*shipped, *map(str, Mistake), *MODES):
         assert re.search(rf"^\| `{name}[`:]", PAGE, re.MULTILINE), name
     defaults, options = ChatOptions(), LanguageModelOptions()
-    for name in ("perception", "team", "pictures", "tries", "max_tokens"):
-        assert getattr(options, name) == getattr(defaults, name)
-    assert options.cassette_mode == defaults.mode
+    for field in fields(defaults):
+        name = "cassette_mode" if field.name == "mode" else field.name
+        assert getattr(options, name) == getattr(defaults, field.name)
+        assert f"--{name.replace('_', '-')}" in PAGE
     assert f"; {defaults.tries}. |" in PAGE
     assert f"; {defaults.max_tokens}." in PAGE
+    assert f"; {defaults.concurrency}." in PAGE

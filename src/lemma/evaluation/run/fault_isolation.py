@@ -16,13 +16,8 @@ from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_names
 from lemma.policies.control.interfaces import Actions, ControlInput, ControlPolicy
 from lemma.policies.interfaces import Decision, Effort, Policy, PolicyInput
-from lemma.policies.planners.options import PlannerUnavailableError
 from lemma.scene.objects.entity import SHARED, known_entities
-from lemma.serve.protocol.faults import (
-    FaultKind,
-    PolicyFailedError,
-    PolicyUnreachableError,
-)
+from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, trouble_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 FARTHEST_M = 100.0
@@ -64,9 +59,13 @@ class IsolatedPolicy:
             inputs: One per episode; at least one.
 
         Raises:
-            PolicyUnreachableError: Nobody answers any more: no fault of the policy.
+            PolicyUnreachableError: Nobody answers any more, or this machine has no
+                memory, disk space or files left: no fault of the policy.
             PlannerUnavailableError: So it is with a language model, or a cassette does
                 not know an answer.
+            DatasetError: A file, such as a cassette, cannot be read or written.
+            WeightsError: Weights cannot be read.
+            RenderingError: Pictures cannot be drawn.
         """
         if len(inputs) > 1 and not self._one_by_one:
             answers = self._ask(inputs)
@@ -85,12 +84,13 @@ class IsolatedPolicy:
     def _ask(self, inputs: Sequence[Any]) -> list[object] | Fault:
         try:
             answers: object = self._policy.act(inputs)
-        except (PolicyUnreachableError, PlannerUnavailableError):
-            raise
         except PolicyFailedError as error:
             return Fault(error.kind, _cut(str(error)))
         except Exception as error:
-            # Anybody's code: what it raises says nothing about other episodes.
+            trouble = trouble_of(error)
+            if trouble is not None:
+                raise trouble from error
+            # The policy is anybody's code: one episode may fail and others not.
             text = f"{type(error).__name__}: {error}"
             return Fault(FaultKind.RAISED, _cut(text))
         if not isinstance(answers, list | tuple):

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -20,8 +21,7 @@ import msgspec
 from filelock import FileLock
 
 from lemma.core.errors import DatasetError
-from lemma.policies.planners.client import Reply
-from lemma.policies.planners.options import PlannerUnavailableError
+from lemma.policies.planners.chat import PlannerUnavailableError, Reply
 
 _LOCK = ".lock"
 _SHOWN = 90
@@ -61,7 +61,7 @@ class Cassette:
             DatasetError: The file is damaged.
         """
         key = key_of(request)
-        with self._lock:
+        with self._lock, self._explained("read"):
             if key not in self._replies:
                 self._read_on()
             return self._replies.get(key)
@@ -75,7 +75,7 @@ class Cassette:
         key = key_of(request)
         line = {"key": key, "request": request, "reply": asdict(reply)}
         data = json.dumps(line, sort_keys=True).encode() + b"\n"
-        try:
+        with self._explained("written"):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self._lock, FileLock(f"{self.path}{_LOCK}"):
                 self._read_on()
@@ -83,10 +83,21 @@ class Cassette:
                     self._append(data)
                     self._replies[key] = reply
                 return self._replies[key]
+
+    @contextmanager
+    def _explained(self, what: str) -> Iterator[None]:
+        """Turn the errors of files into one sentence.
+
+        Raises:
+            DatasetError: The file cannot be used.
+        """
+        try:
+            yield
         except OSError as error:
             raise DatasetError(
-                f"{self.path} cannot be written: {error.strerror or error}. Choose a "
-                "file that you may write to; what was written before is not lost."
+                f"The cassette {self.path} cannot be {what}: "
+                f"{error.strerror or error}. Name a file that you may read and write; "
+                "what was written before is not lost."
             ) from error
 
     def _append(self, data: bytes) -> None:
@@ -109,8 +120,9 @@ class Cassette:
             for data in file:
                 if not data.endswith(b"\n"):
                     return
-                line = self._parsed(data, self._lines + 1)
-                self._replies.setdefault(line.key, line.reply)
+                if data.strip():
+                    line = self._parsed(data, self._lines + 1)
+                    self._replies.setdefault(line.key, line.reply)
                 self._end += len(data)
                 self._lines += 1
 
@@ -140,8 +152,8 @@ class Cassette:
         number, other = nearest
         changes = "; ".join(differences(other, request))
         return PlannerUnavailableError(
-            f"{told} What is nearest, in line {number}, differs: {changes}. Undo what "
-            "changed, or ask again with --cassette-mode record."
+            f"{told} The nearest request, in line {number}, differs: {changes}. Undo "
+            "the change, or ask again with --cassette-mode record."
         )
 
     def _nearest(
@@ -156,6 +168,8 @@ class Cassette:
         best: tuple[float, int, Mapping[str, Any]] | None = None
         with self.path.open("rb") as file:
             for number, data in enumerate(file, 1):
+                if not data.strip():
+                    continue
                 if not data.endswith(b"\n"):
                     break
                 other = self._parsed(data, number).request

@@ -17,6 +17,9 @@ WAIT = "wait"
 """What one robot of a team says that has nothing to do."""
 _FIELDS = ("reason", "robot", "primitive", "pick", "place")
 _SHOWN = 80
+_MOST_THOUGHTS = 50
+_BLANKS = "\ufeff \t\r\n"
+_LANGUAGE = re.compile(r"^\w*")
 
 
 class Mistake(StrEnum):
@@ -137,6 +140,10 @@ class Grammar:
         wanted = {*_FIELDS, *(["message"] if self.talks else [])}
         if not isinstance(answer, dict):
             raise _not_in_schema("It is no JSON object.")
+        # Models without a schema write null where nothing is meant.
+        for field in ("robot", "pick", "place"):
+            if field in answer and answer[field] in (None, ""):
+                answer[field] = NONE
         # A server that takes no schema may leave out what nobody needs.
         missing = sorted(wanted - {"reason", "message"} - set(answer))
         if missing:
@@ -195,21 +202,48 @@ class Grammar:
         return ""
 
 
-_THOUGHTS = re.compile(r"^\s*<think>.*?</think>", re.DOTALL)
-_FENCED = re.compile(r"```(?:json)?\s*\n(.*?)```", re.DOTALL)
+_END_OF_THOUGHTS = re.compile(
+    r"</(?:\w+:)?(?:think|thinking|thoughts?|reasoning|analysis)\s*>"
+    r"|\[/THINK(?:ING)?\]|◁/think▷|<channel\|>"
+    r"|<\|(?:/think|end_of_thought|END_THINKING|inner_suffix)\|>"
+    r"|<\|channel\|>\s*final[^{]{0,80}?<\|message\|>|assistantfinal(?:\s*json)?"
+    r"|Here is my response:",
+    re.IGNORECASE,
+)
+"""How language models and the templates of their chats end what they think aloud."""
+_MARK = r"(?:<\|\w+\|>|</?(?:s|answer|response|final|output)>)"
+_MARKS_BEFORE = re.compile(rf"(?:{_MARK}\s*)+", re.IGNORECASE)
+_MARKS_AFTER = re.compile(rf"(?:{_MARK}\s*)+$", re.IGNORECASE)
+_MARKS_LENGTH = 100
 
 
 def _parsed(text: str) -> Any:
-    """Return the JSON of an answer, without thoughts before it and a fence around."""
-    bare = _THOUGHTS.sub("", text).strip()
-    fenced = _FENCED.fullmatch(bare)
-    try:
-        return json.loads(fenced[1] if fenced else bare)
-    except (ValueError, RecursionError):
-        raise MistakeError(
-            Mistake.NO_JSON,
-            "It is empty." if not bare else "It is no JSON, or something is around it.",
-        ) from None
+    """Return the JSON of an answer, without thoughts before it and markup around."""
+    ends = [0, *(match.end() for match in _END_OF_THOUGHTS.finditer(text))]
+    for end in ends[:_MOST_THOUGHTS]:
+        bare = _bare(text[end:])
+        try:
+            # Line breaks within strings are no JSON, but cannot be misunderstood.
+            return json.loads(bare, strict=False)
+        except (ValueError, RecursionError):
+            continue
+    raise MistakeError(
+        Mistake.NO_JSON,
+        "It is empty." if not bare else "It is no JSON, or something is around it.",
+    )
+
+
+def _bare(text: str) -> str:
+    """Return a text without the marks of chat templates and a code fence around it."""
+    text = text.strip(_BLANKS)
+    if before := _MARKS_BEFORE.match(text):
+        text = text[before.end() :]
+    if after := _MARKS_AFTER.search(text[-_MARKS_LENGTH:]):
+        text = text[: len(text) - len(after[0])]
+    text = text.strip(_BLANKS)
+    if text.startswith(("```", "~~~")):
+        text = _LANGUAGE.sub("", text.strip("`~"), count=1)
+    return text.strip(_BLANKS)
 
 
 def _not_in_schema(why: str) -> MistakeError:

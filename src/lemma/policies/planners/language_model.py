@@ -15,9 +15,8 @@ from lemma.policies.interfaces import (
     PolicyInput,
 )
 from lemma.policies.planners.cassette import Cassette
-from lemma.policies.planners.client import ChatServer, Reply
+from lemma.policies.planners.chat import ChatOptions, ChatServer, Reply
 from lemma.policies.planners.grammar import Grammar, MistakeError, Said
-from lemma.policies.planners.options import ChatOptions
 from lemma.policies.planners.prompts import (
     PROMPTS,
     correction,
@@ -32,7 +31,6 @@ from lemma.tasks.subtask import STOP, SubTask
 
 MALFORMED = "malformed"
 """Kind of fault of a model whose answers are no sub-tasks."""
-_AT_ONCE = 8
 _LONGEST_MESSAGE = 500
 
 
@@ -51,9 +49,11 @@ class Asker:
         """
         self.mode = options.mode
         self.cassette = Cassette(options.cassette) if options.cassette else None
-        self.server = (
-            ChatServer(options.base_url, timeout_s) if options.base_url else None
-        )
+        self.server = None
+        if options.base_url:
+            self.server = ChatServer(
+                options.base_url, timeout_s, concurrency=options.concurrency
+            )
         if self.cassette is None and (self.server is None or self.mode != "record"):
             raise InvalidConfigError(
                 "Who shall answer for the language model? Name a server with "
@@ -187,7 +187,7 @@ class LanguageModelPlanner(Composite):
             PlannerUnavailableError: Nobody answers.
         """
         scenes = self.perception.look(inputs)
-        with ThreadPoolExecutor(min(_AT_ONCE, len(inputs))) as pool:
+        with ThreadPoolExecutor(min(self._options.concurrency, len(inputs))) as pool:
             return list(pool.map(self._decide, inputs, scenes))
 
     def _decide(self, given: PolicyInput, scene: SceneText) -> Decision:
@@ -245,11 +245,13 @@ class LanguageModelPlanner(Composite):
                 return grammar.read(reply.content)
             except MistakeError as error:
                 tally.invalid.append(str(error.kind))
-                told = f"{error.kind}: {error}"
+                why = f"{error} {reply.remark}".strip()
+                told = f"{error.kind}: {why}"
                 messages = [
                     *messages,
-                    {"role": "assistant", "content": reply.content},
-                    {"role": "user", "content": correction(error.kind, str(error))},
+                    # Some servers refuse an empty turn.
+                    {"role": "assistant", "content": reply.content or "(nothing)"},
+                    {"role": "user", "content": correction(error.kind, why)},
                 ]
         raise _GaveUpError(
             MALFORMED,
@@ -260,7 +262,7 @@ class LanguageModelPlanner(Composite):
     def _request(
         self, messages: list[dict[str, Any]], grammar: Grammar
     ) -> dict[str, Any]:
-        return {
+        request = {
             "model": self._model,
             "messages": messages,
             "temperature": 0,
@@ -274,7 +276,8 @@ class LanguageModelPlanner(Composite):
                     "schema": grammar.schema(),
                 },
             },
-        }
+        } | self._options.fields
+        return {name: value for name, value in request.items() if value is not None}
 
 
 @dataclass(frozen=True)

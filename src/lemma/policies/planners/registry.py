@@ -7,8 +7,8 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
 from lemma.policies.interfaces import Planner
+from lemma.policies.planners.chat import ChatOptions
 from lemma.policies.planners.language_model import LanguageModelPlanner
-from lemma.policies.planners.options import ChatOptions
 from lemma.policies.planners.rules import (
     GreedyReachPlanner,
     NoisyOraclePlanner,

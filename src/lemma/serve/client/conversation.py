@@ -14,6 +14,7 @@ from typing import Any, Protocol, TypeVar
 from lemma.env.view import View
 from lemma.policies.interfaces import PolicyInput
 from lemma.serve.protocol.faults import (
+    UNAVAILABLE,
     FaultKind,
     PolicyFailedError,
     PolicyUnreachableError,
@@ -230,6 +231,8 @@ class Conversation:
         self._channel.send(encode(request))
         reply = decode_reply(self._channel.receive(max(0.0, end - time.monotonic())))
         if isinstance(reply, Error):
+            if reply.kind == UNAVAILABLE:
+                raise PolicyUnreachableError(f"{self.where}: {reply.message}")
             if reply.kind in set(FaultKind):
                 raise PolicyFailedError(FaultKind(reply.kind), reply.message)
             raise ProtocolError(f"{self.where} refuses: {reply.message}")

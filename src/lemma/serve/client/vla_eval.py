@@ -15,7 +15,11 @@ from numpy.typing import NDArray
 from lemma.core.errors import InvalidConfigError, shown
 from lemma.policies.control.interfaces import MODEL_SERVER, is_model_server
 from lemma.serve.client.conversation import Channel, ProtocolMode
-from lemma.serve.client.websocket import WebSocketChannel, websocket_address
+from lemma.serve.client.websocket import (
+    WebSocketChannel,
+    check_no_secret,
+    websocket_address,
+)
 from lemma.serve.protocol.faults import (
     FaultKind,
     PolicyFailedError,
@@ -44,8 +48,8 @@ def _address(url: str) -> str:
     Raises:
         InvalidConfigError: It is none of a model server.
     """
+    check_no_secret(url)
     try:
-        # As any other scheme it is refused.
         plain = url[len(MODEL_SERVER) :] if is_model_server(url) else url
         return websocket_address(f"ws{plain}")
     except InvalidConfigError as error:

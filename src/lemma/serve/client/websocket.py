@@ -5,14 +5,19 @@ import struct
 from contextlib import ExitStack, suppress
 from urllib.parse import urlsplit
 
+from lemma.core.arguments import secret_of
 from lemma.core.errors import InvalidConfigError
 from lemma.serve.client.conversation import Conversation, ProtocolMode
 from lemma.serve.client.remote import Remote, remote
 from lemma.serve.protocol.extra import websockets
+from lemma.serve.protocol.faults import ProtocolError
 from lemma.serve.protocol.messages import LARGEST_BYTES
 
 SCHEMES = {"http": "ws", "https": "wss", "ws": "ws", "wss": "wss"}
 """What an address may begin with, and what is used for it."""
+AUTHORIZATION = "LEMMA_SERVER_AUTHORIZATION"
+"""Environment variable with the header ``Authorization`` for a server behind a proxy:
+``"Bearer ..."`` or ``"Basic ..."``."""
 _CONNECT_S = 10.0
 _SEND_S = 10
 _CLOSE_S = 0.5
@@ -46,16 +51,30 @@ def websocket_address(url: str) -> str:
     Raises:
         InvalidConfigError: It is no address.
     """
-    parts = urlsplit(url)
+    check_no_secret(url)
     try:
+        parts = urlsplit(url)
         port_is_right = parts.port is None or parts.port > 0
     except ValueError:
         port_is_right = False
-    if parts.scheme not in SCHEMES or not parts.hostname or not port_is_right:
+    if not port_is_right or parts.scheme not in SCHEMES or not parts.hostname:
         raise InvalidConfigError(
             f"{url!r} is no address of a policy. Write it as in http://127.0.0.1:8000."
         )
     return parts._replace(scheme=SCHEMES[parts.scheme]).geturl()
+
+
+def check_no_secret(url: str) -> None:
+    """Check that an address holds no password.
+
+    Raises:
+        InvalidConfigError: It does.
+    """
+    if "@" in url or "?" in url:
+        raise InvalidConfigError(
+            "The address of a policy holds no password and no key, since results name "
+            f"it. Put the value of an Authorization header into {AUTHORIZATION}."
+        )
 
 
 class WebSocketChannel:
@@ -72,6 +91,7 @@ class WebSocketChannel:
             InvalidConfigError: The extra is not installed.
         """
         client = websockets("sync.client")
+        header = secret_of(AUTHORIZATION)
         self._exceptions = websockets("exceptions")
         self._stack = ExitStack()
         try:
@@ -85,6 +105,7 @@ class WebSocketChannel:
                     close_timeout=_CLOSE_S,
                     ping_interval=None,
                     proxy=None,
+                    additional_headers={"Authorization": header} if header else None,
                 )
             )
         except self._exceptions.WebSocketException as error:
@@ -99,7 +120,13 @@ class WebSocketChannel:
 
         Raises:
             OSError: The other side is gone.
+            ProtocolError: It is larger than the other side takes.
         """
+        if len(message) > LARGEST_BYTES:
+            raise ProtocolError(
+                f"A message of {len(message) >> 20} MiB is larger than the "
+                f"{LARGEST_BYTES >> 20} MiB that policies take. Use smaller images."
+            )
         try:
             self._socket.send(message)
         except self._exceptions.ConnectionClosed as error:

@@ -1,8 +1,25 @@
-"""What can be wrong with a policy."""
+"""Faults of policies, and trouble that is no fault of theirs."""
 
+import errno
 from enum import StrEnum
 
-from lemma.core.errors import LemmaError
+from lemma.core.errors import (
+    CapacityError,
+    DatasetError,
+    LemmaError,
+    RenderingError,
+    WeightsError,
+    WorkerError,
+)
+from lemma.policies.planners.chat import PlannerUnavailableError
+
+UNAVAILABLE = "unavailable"
+"""Kind of an error message that says nothing about the policy."""
+_MACHINE = frozenset(
+    getattr(errno, name)
+    for name in ("ENOSPC", "EDQUOT", "EIO", "EROFS", "EMFILE", "ENFILE", "ENOMEM")
+    if hasattr(errno, name)
+)
 
 
 class FaultKind(StrEnum):
@@ -21,7 +38,7 @@ class FaultKind(StrEnum):
     UNKNOWN_NAME = "unknown_name"
     """It named a robot, a primitive or an entity that does not exist."""
     UNSTABLE = "unstable"
-    """What it decided on made the physics unstable."""
+    """Its decision made the physics unstable."""
 
 
 class PolicyFailedError(LemmaError, RuntimeError):
@@ -50,6 +67,39 @@ class PolicyUnreachableError(LemmaError, RuntimeError):
 
     No fault of the policy: nothing is known about what it would have decided.
     """
+
+
+_TROUBLE = (
+    PolicyUnreachableError,
+    PlannerUnavailableError,
+    CapacityError,
+    DatasetError,
+    RenderingError,
+    WeightsError,
+    WorkerError,
+)
+
+
+def trouble_of(error: BaseException) -> LemmaError | None:
+    """Return what ends the run if an error is no fault of the policy; else None.
+
+    So are errors about files, disks, weights, pictures and memory: nothing is known
+    about what the policy would have decided.
+    """
+    if isinstance(error, _TROUBLE):
+        return error
+    # torch raises an error of its own where a GPU has no memory left.
+    memory = isinstance(error, MemoryError) or (
+        type(error).__name__ == "OutOfMemoryError"
+    )
+    if memory or (isinstance(error, OSError) and error.errno in _MACHINE):
+        return PolicyUnreachableError(
+            f"The policy could not decide: {type(error).__name__}: "
+            f"{str(error).rstrip('.')}. That is trouble of the machine, and no fault "
+            "of the policy. Free disk space, memory or files; the same command then "
+            "goes on."
+        )
+    return None
 
 
 class ProtocolError(LemmaError, RuntimeError):

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from lemma.core.errors import shown
 from lemma.env.view import View
 from lemma.policies.interfaces import Decision
 from lemma.scene.cameras import Camera
@@ -22,8 +23,8 @@ PROTOCOL = 2
 """Version of the protocol: the first thing that both sides compare."""
 METHODS = ("act", "plan", "ground")
 """What a policy may be able to do."""
-LARGEST_BYTES = 1 << 30
-"""Largest message."""
+LARGEST_BYTES = 1 << 28
+"""Largest message: ten episodes with all their views need far less."""
 VIEW_ARRAYS = {
     "rgb": ("uint8", 3),
     "height_m": ("float32", 2),
@@ -81,12 +82,15 @@ class Array(msgspec.Struct):
             )
         stored = np.dtype(self.dtype).newbyteorder("<")
         wanted = math.prod(self.shape) * stored.itemsize
-        if min(self.shape) < 0 or wanted != self.data.nbytes:
+        if min(self.shape, default=0) < 0 or wanted != self.data.nbytes:
             raise ProtocolError(
-                f"The array {name!r} of shape {self.shape} has {self.data.nbytes} "
-                f"bytes, not {wanted}."
+                f"The array {name!r} of shape {shown(self.shape)} has "
+                f"{self.data.nbytes} bytes, not {shown(wanted)}."
             )
-        return np.frombuffer(self.data, stored).reshape(self.shape)
+        try:
+            return np.frombuffer(self.data, stored).reshape(self.shape)
+        except (ValueError, OverflowError) as error:
+            raise ProtocolError(f"The array {name!r} cannot be: {error}.") from error
 
 
 class ViewMessage(msgspec.Struct):

@@ -27,6 +27,7 @@ _ARRAY, _IMAGE = "__ndarray__", "__image__"
 _NUMBERS = "biuf"
 _FORMATS = ("png", "jpeg", "raw")
 _DEEPEST = 16
+_LARGEST_IMAGE = 4096 * 4096
 
 
 class Kind(StrEnum):
@@ -246,7 +247,7 @@ def _read_array(sent: dict[Any, Any]) -> NDArray[Any]:
         if wanted != len(sent["data"]):
             raise ValueError(f"{len(sent['data'])} bytes instead of {wanted}")
         return np.frombuffer(sent["data"], dtype).reshape(shape).copy()
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ProtocolError(f"An array cannot be read: {error}.") from error
 
 
@@ -266,7 +267,11 @@ def _read_image(sent: dict[Any, Any]) -> NDArray[Any]:
             "cannot be read. Install it with: pip install pillow"
         ) from error
     try:
-        return np.array(pillow.open(io.BytesIO(sent["data"]), formats=("PNG", "JPEG")))
+        image = pillow.open(io.BytesIO(sent["data"]), formats=("PNG", "JPEG"))
+        # A small file may hold an image that no memory does.
+        if math.prod(image.size) > _LARGEST_IMAGE:
+            raise ValueError(f"{image.width} x {image.height} pixels are too many")
+        return np.array(image)
     except Exception as error:
         # Damaged files raise whatever they do, of many kinds.
         raise ProtocolError(f"An image cannot be read: {error}.") from error

@@ -1,6 +1,9 @@
 """A policy behind a socket, on the side of the policy."""
 
+import logging
+import socket
 import threading
+import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
@@ -20,6 +23,11 @@ PROTOCOLS = ("lemma", "vla-eval")
 """What a server can speak: ours, or that of vla-eval's model servers."""
 _LOOK_S = 0.1
 _HERE = "This is a LEMMA policy server. Speak WebSocket; see docs/serving.md.\n"
+_OPEN_S = 10.0
+_HEAD_BYTES = 65_536
+_log = logging.getLogger("lemma.serve")
+# Connections that end before the handshake are probes of load balancers.
+_log.addFilter(lambda record: "handshake failed" not in str(record.msg))
 
 
 class RequestDispatcher:
@@ -146,6 +154,9 @@ class PolicyServer:
                 max_size=LARGEST_BYTES,
                 ping_interval=None,
                 process_request=_say_what_this_is,
+                create_connection=_connection,
+                open_timeout=_OPEN_S,
+                logger=_log,
             )
         except (OSError, OverflowError) as error:
             raise InvalidConfigError(
@@ -242,6 +253,36 @@ def serve(
 
 def _is_open(connection: Any) -> bool:
     return str(connection.state.name) == "OPEN"
+
+
+def _connection(sock: socket.socket, *args: Any, **options: Any) -> Any:
+    """Return a connection, unless the request is none that websockets reads.
+
+    Raises:
+        ConnectionError: It is answered already.
+    """
+    sock.settimeout(_OPEN_S)
+    end = time.monotonic() + _OPEN_S
+    head = sock.recv(_HEAD_BYTES, socket.MSG_PEEK)
+    while head and b"\n" not in head and time.monotonic() < end:
+        time.sleep(_LOOK_S)
+        head = sock.recv(_HEAD_BYTES, socket.MSG_PEEK)
+    line = head.partition(b"\n")[0].rstrip(b"\r").split(b" ")
+    if line[0] == b"GET" and line[-1] == b"HTTP/1.1":
+        sock.settimeout(None)
+        return websockets("sync.server").ServerConnection(sock, *args, **options)
+    status = "200 OK" if line[0] in (b"GET", b"HEAD") else "405 Method Not Allowed"
+    if len(line) != 3 or not line[-1].startswith(b"HTTP/1."):
+        status = "400 Bad Request"
+    fields = [f"HTTP/1.1 {status}", "Allow: GET, HEAD", "Connection: close"]
+    fields += ["Content-Type: text/plain", f"Content-Length: {len(_HERE)}", "", ""]
+    body = "" if line[0] == b"HEAD" else _HERE
+    if line[0]:
+        # Unread bytes would break the connection before the answer is read.
+        sock.recv(_HEAD_BYTES)
+        sock.sendall(("\r\n".join(fields) + body).encode())
+        sock.shutdown(socket.SHUT_WR)
+    raise ConnectionError("answered")
 
 
 def _say_what_this_is(connection: Any, request: Any) -> Any:

@@ -7,7 +7,13 @@ from lemma.core.version import VERSION as __version__
 from lemma.env.view import View
 from lemma.policies.interfaces import PastStep, PolicyInput, is_oracle
 from lemma.serve.protocol.control import read, sent
-from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
+from lemma.serve.protocol.faults import (
+    UNAVAILABLE,
+    FaultKind,
+    PolicyFailedError,
+    ProtocolError,
+    trouble_of,
+)
 from lemma.serve.protocol.messages import (
     METHODS,
     PROTOCOL,
@@ -86,6 +92,9 @@ class Session:
         except PolicyFailedError as error:
             return encode(Error(kind=error.kind, message=str(error)))
         except Exception as error:
+            trouble = trouble_of(error)
+            if trouble is not None:
+                return encode(Error(kind=UNAVAILABLE, message=str(trouble)))
             # The policy is anybody's code, and the client finds out which episode.
             text = f"{type(error).__name__}: {error}"
             return encode(Error(kind=FaultKind.RAISED, message=text))

@@ -1,0 +1,517 @@
+"""Chat servers that speak OpenAI's format, over plain HTTP, and how they are asked.
+
+The key, if the server asks for one, is in the environment variable
+:data:`KEY_VARIABLE` and nowhere else: not in options, results or messages.
+"""
+
+import http.client
+import json
+import os
+import re
+import shlex
+import tempfile
+import time
+from base64 import b64encode
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from html import escape
+from ipaddress import ip_address
+from pathlib import Path
+from threading import BoundedSemaphore
+from typing import Any
+from urllib.error import HTTPError, URLError
+from urllib.parse import quote, urlsplit
+from urllib.request import HTTPRedirectHandler, ProxyHandler, Request, build_opener
+
+from filelock import FileLock, Timeout
+
+from lemma.core.arguments import known, secret_of, whole
+from lemma.core.errors import InvalidConfigError, LemmaError
+
+KEY_VARIABLE = "LEMMA_API_KEY"
+"""Environment variable with the key of the server."""
+MODES = ("record", "replay", "strict")
+"""What happens to a request that the cassette does not hold: it is asked and kept; it
+is asked and not kept; it is an error."""
+PERCEPTIONS = ("truth", "seen")
+"""Where the text of a scene comes from: the simulation, or ReachNet's perception."""
+TEAMS = ("one", "each")
+"""One planner for the team, or one for each robot, with messages between them."""
+WAITS_S = (1.0, 4.0)
+"""Before each further attempt at a request that was not answered [s]."""
+_LONGEST_WAIT_S = 60.0
+_LARGEST = 4_000_000
+_CHUNK = 65_536
+_SHOWN = 200
+_POLL_S = 0.02
+_SHORTEST_SECRET = 8
+"""Shorter keys are placeholders such as ``none``, which may be words of an answer."""
+
+TIMEOUT = "timeout"
+RAISED = "raised"
+"""Kinds of failure, by the names that results have for them."""
+
+_EMPTY_QUESTION = (
+    'Sentence: "stop"\n\nRobots\n\nObjects\n\nSo far\n- nothing was done yet\n\n'
+    "What is the next sub-task?"
+)
+_GREY_PICTURE = (
+    "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAEAAAABACAAAAACPAi4CAAAALElEQVR4"
+    "nO3MoQEAAAjDMOByTueIGUTqm97KmvAHAAAAAAAAAAAAAAAA8B44QHQBALYvz+QAAAAASUVORK5CYII="
+)
+"""64 x 64 pixels: some models take no smaller ones."""
+
+
+class PlannerUnavailableError(LemmaError, RuntimeError):
+    """Nobody answers, or nobody may be asked.
+
+    No fault of the model: nothing is known about what it would have decided.
+    """
+
+
+@dataclass(frozen=True)
+class ChatOptions:
+    """How a language model is asked; plain data, so that other processes can ask."""
+
+    base_url: str = ""
+    """Of an OpenAI-compatible server: ``"http://127.0.0.1:8000/v1"``; empty where a
+    cassette has every answer."""
+    cassette: Path | None = None
+    """File of requests and answers."""
+    mode: str = MODES[0]
+    """One of :data:`MODES`."""
+    perception: str = PERCEPTIONS[0]
+    """One of :data:`PERCEPTIONS`."""
+    team: str = TEAMS[0]
+    """One of :data:`TEAMS`."""
+    pictures: bool = False
+    """Whether the cameras' images are sent along."""
+    tries: int = 3
+    """Answers to one question, until one is a sub-task."""
+    max_tokens: int = 1024
+    """Of an answer."""
+    concurrency: int = 8
+    """Requests that the processes of this machine have under way at a time."""
+    extra_body: str = ""
+    """JSON object with fields of every request, which replace the usual ones; null
+    leaves a field out."""
+
+    def __post_init__(self) -> None:
+        """Check the names and the numbers."""
+        known("mode of a cassette", self.mode, MODES)
+        known("perception", self.perception, PERCEPTIONS)
+        known("kind of team", self.team, TEAMS)
+        for name in ("tries", "max_tokens", "concurrency"):
+            whole(name, getattr(self, name), 1)
+        reserved = {"model", "messages", "stream"} & self.fields.keys()
+        if reserved:
+            raise InvalidConfigError(
+                f"The extra body sets {', '.join(sorted(reserved))}, which every "
+                "request sets for itself. Leave it out."
+            )
+
+    @cached_property
+    def fields(self) -> dict[str, Any]:
+        """The fields of :attr:`extra_body`."""
+        try:
+            found = json.loads(self.extra_body or "{}")
+        except (ValueError, RecursionError):
+            found = None
+        if not isinstance(found, dict):
+            raise InvalidConfigError(
+                "The extra body of requests is no JSON object. Write it as in "
+                """'{"max_tokens": null, "max_completion_tokens": 1024}'."""
+            )
+        return found
+
+    def settings(self) -> dict[str, object]:
+        """Return the options that decide the answers, not where they come from."""
+        return {
+            "perception": self.perception,
+            "team": self.team,
+            "pictures": self.pictures,
+            "tries": self.tries,
+            "max_tokens": self.max_tokens,
+            **({"extra_body": self.fields} if self.fields else {}),
+        }
+
+    def words(self) -> list[str]:
+        """Return the options of the command line that ask for the same.
+
+        Of a cassette the name alone: it is shared, and may lie anywhere.
+        """
+        words = [f"--perception {self.perception}", f"--team {self.team}"]
+        words += ["--pictures"] if self.pictures else []
+        words += [f"--tries {self.tries}", f"--max-tokens {self.max_tokens}"]
+        if self.concurrency != ChatOptions.concurrency:
+            words.append(f"--concurrency {self.concurrency}")
+        if self.fields:
+            words.append(f"--extra-body {shlex.quote(self.extra_body)}")
+        if self.cassette is not None:
+            return [*words, f"--cassette {shlex.quote(self.cassette.name)}"]
+        return [*words, f"--base-url {shlex.quote(self.base_url)}"]
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The answer to a request, or why there is none."""
+
+    content: str = ""
+    prompt_tokens: int = 0
+    completion_tokens: int = 0
+    failure: str = ""
+    """``"timeout"`` or ``"raised"`` where the server gave no answer to this request."""
+    explanation: str = ""
+    """In one sentence, if it failed."""
+    remark: str = ""
+    """Why the content is empty or not whole, a sentence; empty if nothing is odd."""
+
+
+class _NotAnsweredError(Exception):
+    """An attempt that did not succeed."""
+
+    def __init__(
+        self,
+        failure: str,
+        explanation: str,
+        *,
+        wait_s: float = 0.0,
+        gone: bool = False,
+        again: bool = True,
+    ) -> None:
+        """Keep what happened.
+
+        Args:
+            failure: In one word.
+            explanation: In one sentence.
+            wait_s: How long the server wants to be left alone [s].
+            gone: Whether that says nothing about this request.
+            again: Whether another attempt may succeed.
+        """
+        super().__init__(explanation)
+        self.reply = Reply(failure=failure, explanation=explanation)
+        self.wait_s = wait_s
+        self.gone = gone
+        self.again = again
+
+
+class _NoRedirects(HTTPRedirectHandler):
+    """Follows no redirects: the key belongs to the server that was named."""
+
+    def redirect_request(self, *args: Any, **kwargs: Any) -> None:
+        return None
+
+
+class ChatServer:
+    """Asks one server; may be used by several threads."""
+
+    def __init__(
+        self,
+        base_url: str,
+        timeout_s: float,
+        waits_s: tuple[float, ...] | None = None,
+        concurrency: int = 1,
+    ) -> None:
+        """Keep the address and the key.
+
+        Args:
+            base_url: ``"http://127.0.0.1:8000/v1"``.
+            timeout_s: For an answer [s]. Some servers answer one request after the
+                other, so an attempt may take this times ``concurrency``.
+            waits_s: Before each further attempt [s]; :data:`WAITS_S` if None.
+            concurrency: Requests that the processes of this machine have under way at
+                a time.
+
+        Raises:
+            InvalidConfigError: It is no address of that kind, or the key is no key.
+        """
+        check_address(base_url)
+        self._key = secret_of(KEY_VARIABLE)
+        self._url = f"{base_url.rstrip('/')}/chat/completions"
+        self._timeout_s = timeout_s * concurrency
+        self._waits_s = WAITS_S if waits_s is None else waits_s
+        self._slots = _Slots(base_url, concurrency)
+        host = urlsplit(base_url).hostname or ""
+        proxies = (ProxyHandler({}),) if _is_loopback(host) else ()
+        self._opener = build_opener(_NoRedirects, *proxies)
+
+    def ask(self, request: Mapping[str, Any]) -> Reply:
+        """Return the reply to a request; one that failed, if the request is to blame.
+
+        A server that fails at a request is also asked an empty question in the same
+        form. If it fails at that as well, the request is not to blame.
+
+        Raises:
+            PlannerUnavailableError: Nobody answers there, or refuses everything.
+        """
+        reply = self._ask(request)
+        if reply.failure == RAISED and self._ask(probe_of(request)).failure:
+            raise PlannerUnavailableError(
+                f"{self._url} fails at every request, also at an empty question. "
+                f"{reply.explanation} Mend the server; or, if it does not know a field "
+                "of the request, replace that with --extra-body, where null leaves "
+                'it out: --extra-body \'{"max_tokens": null, "max_completion_tokens": '
+                "1024}'. The same command then goes on."
+            )
+        return reply
+
+    def _ask(self, request: Mapping[str, Any]) -> Reply:
+        """Return the reply to a request after as many attempts as there are."""
+        body = json.dumps(request).encode()
+        for wait_s in (*self._waits_s, None):
+            try:
+                with self._slots.one():
+                    return self._attempt(body)
+            except _NotAnsweredError as error:
+                failed = error
+            if wait_s is not None and failed.again:
+                time.sleep(min(max(wait_s, failed.wait_s), _LONGEST_WAIT_S))
+                continue
+            if failed.gone:
+                raise PlannerUnavailableError(
+                    f"{self._url} does not answer: {failed.reply.explanation} Start "
+                    "the server, or name another with --base-url; the same command "
+                    "then goes on."
+                )
+            return failed.reply
+        raise AssertionError("the last attempt has returned or raised")
+
+    def _attempt(self, body: bytes) -> Reply:
+        headers = {"Content-Type": "application/json"}
+        if self._key:
+            headers["Authorization"] = f"Bearer {self._key}"
+        request = Request(self._url, data=body, headers=headers, method="POST")
+        late = time.monotonic() + self._timeout_s
+        # Errors are raised outside of "except": their causes may show the key.
+        try:
+            with self._opener.open(request, timeout=self._timeout_s) as response:
+                return self._read_reply(_read_all(response, late))
+        except HTTPError as error:
+            with error:
+                failed: Exception = self._refused(error)
+        except TimeoutError:
+            failed = self._too_late()
+        except (URLError, OSError, http.client.HTTPException, ValueError) as error:
+            reason = getattr(error, "reason", error)
+            text = f"{type(reason).__name__}: {reason}.".replace("..", ".")
+            failed = _NotAnsweredError(RAISED, self._hidden(text), gone=True)
+            if isinstance(reason, TimeoutError):
+                failed = self._too_late()
+        raise failed
+
+    def _too_late(self) -> _NotAnsweredError:
+        return _NotAnsweredError(
+            TIMEOUT, f"The server did not answer within {self._timeout_s:g} s."
+        )
+
+    def _refused(self, error: HTTPError) -> Exception:
+        """Return what an answer with an HTTP status of failure means."""
+        try:
+            told = error.read(_CHUNK)
+        except (OSError, http.client.HTTPException):
+            told = b""
+        said = self._excerpt(told or str(error.reason).encode())
+        text = f"The server answered HTTP {error.code}: {said}"
+        if error.code in (408, 429) or error.code >= 500:
+            after = error.headers.get("Retry-After", "")
+            wait_s = float(after) if after.isdecimal() else 0.0
+            # 429 says nothing about the request: there were too many.
+            return _NotAnsweredError(
+                RAISED, text, wait_s=wait_s, gone=error.code == 429
+            )
+        if error.code in (400, 413, 422):
+            return _NotAnsweredError(RAISED, text, again=False)
+        return PlannerUnavailableError(
+            f"{self._url} refuses to answer. {text}. Check the address, the name of "
+            f"the model, and the key in the environment variable {KEY_VARIABLE}."
+        )
+
+    def _read_reply(self, body: bytes) -> Reply:
+        """Return the answer that a chat completion holds.
+
+        Raises:
+            _NotAnsweredError: It is none.
+        """
+        try:
+            told = json.loads(body)
+            choice = told["choices"][0]
+            content, remark = _content_of(choice, choice["message"])
+            usage = told.get("usage") or {}
+            asked, said = (
+                _count(usage, f"{end}_tokens") for end in ("prompt", "completion")
+            )
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+            told = None
+        if told is None:
+            raise _NotAnsweredError(
+                RAISED,
+                f"The server's answer is no chat completion: {self._excerpt(body)}",
+            )
+        if len(self._key) >= _SHORTEST_SECRET:
+            content = self._hidden(content)
+        return Reply(content, asked, said, remark=self._hidden(remark)[:_SHOWN])
+
+    def _excerpt(self, data: bytes) -> str:
+        """Return the beginning of an answer for a message, without the key."""
+        text = " ".join(data.decode(errors="replace").split())
+        return self._hidden(text)[:_SHOWN]
+
+    def _hidden(self, text: str) -> str:
+        """Return a text of others without the key and without passwords in URLs."""
+        text = re.sub(r"\S+@(?=\S)", "***@", text) if "://" in text else text
+        for spelling in _spellings(self._key):
+            text = text.replace(spelling, "***")
+        return text
+
+
+class _Slots:
+    """Counts requests that are under way, of all processes of this machine."""
+
+    def __init__(self, url: str, count: int) -> None:
+        """Keep the number.
+
+        Args:
+            url: Of the server: each has slots of its own.
+            count: How many there are.
+        """
+        self._count = count
+        self._here = BoundedSemaphore(count)
+        user = os.getuid() if hasattr(os, "getuid") else 0
+        digest = sha256(f"{user} {url}".encode()).hexdigest()[:16]
+        self._name = f"lemma-chat-{digest}"
+
+    @contextmanager
+    def one(self) -> Iterator[None]:
+        """Wait for a free slot, and hold it."""
+        with self._here:
+            lock = self._acquire()
+            try:
+                yield
+            finally:
+                if lock is not None:
+                    lock.release()
+
+    def _acquire(self) -> FileLock | None:
+        """Return a lock; None where none can be made: each process counts alone."""
+        try:
+            folder = Path(tempfile.gettempdir()) / self._name
+            folder.mkdir(exist_ok=True)
+            while True:
+                for number in range(self._count):
+                    lock = FileLock(folder / f"{number}.lock")
+                    try:
+                        lock.acquire(timeout=0.0)
+                    except Timeout:
+                        continue
+                    return lock
+                time.sleep(_POLL_S)
+        except (OSError, NotImplementedError):
+            return None
+
+
+def check_address(base_url: str) -> None:
+    """Check the address of a chat server.
+
+    Raises:
+        InvalidConfigError: It is none, or holds a password.
+    """
+    try:
+        parts = urlsplit(base_url)
+        is_url = parts.scheme in ("http", "https") and bool(parts.hostname)
+        is_url = is_url and parts.port != 0
+    except ValueError:
+        is_url = False
+    if "@" in base_url or "?" in base_url:
+        raise InvalidConfigError(
+            "The address of a chat server holds no key and no password. Put the "
+            f"key into the environment variable {KEY_VARIABLE}."
+        )
+    if not is_url:
+        raise InvalidConfigError(
+            f"{base_url!r} is no address of a chat server. Valid: "
+            "http://HOST:PORT/v1, as in http://127.0.0.1:8000/v1."
+        )
+
+
+def probe_of(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a request in the same form whose question is empty."""
+    messages = request["messages"]
+    parts = messages[1]["content"]
+    content: Any = _EMPTY_QUESTION
+    if isinstance(parts, list):
+        grey = {"type": "image_url", "image_url": {"url": _GREY_PICTURE}}
+        pictures = [grey for part in parts if part["type"] == "image_url"]
+        content = [{"type": "text", "text": _EMPTY_QUESTION}, *pictures]
+    question = {"role": "user", "content": content}
+    return {**request, "messages": [messages[0], question]}
+
+
+def _spellings(secret: str) -> list[str]:
+    """Return a secret as messages may spell it, the longest first."""
+    if not secret:
+        return []
+    plain = json.dumps(secret)[1:-1]
+    found = {
+        secret,
+        plain,
+        plain.replace("/", "\\/"),
+        repr(secret)[1:-1],
+        quote(secret),
+        quote(secret, safe=""),
+        escape(secret),
+        b64encode(secret.encode()).decode().rstrip("="),
+    }
+    return sorted(found, key=len, reverse=True)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _read_all(response: http.client.HTTPResponse, late: float) -> bytes:
+    """Return the body; a server that sends a byte now and then is late as well."""
+    content = bytearray()
+    while chunk := response.read1(_CHUNK):
+        content += chunk
+        if time.monotonic() > late:
+            raise TimeoutError
+        if len(content) > _LARGEST:
+            raise _NotAnsweredError(RAISED, "The server's answer has no end.")
+    return bytes(content)
+
+
+def _content_of(
+    choice: Mapping[str, Any], message: Mapping[str, Any]
+) -> tuple[str, str]:
+    """Return the text of an answer, and what is odd about it."""
+    content = message.get("content")
+    if isinstance(content, list):
+        # Some servers send thoughts and text as parts of the content.
+        texts = [part.get("text") for part in content if part.get("type") == "text"]
+        content = "".join(text for text in texts if isinstance(text, str))
+    content = content if isinstance(content, str) else ""
+    if choice.get("finish_reason") in ("length", "max_tokens"):
+        return content, "It was cut off after as many tokens as --max-tokens allows."
+    if content:
+        return content, ""
+    if message.get("refusal"):
+        return "", f"The model refuses: {message['refusal']}"
+    calls = message.get("tool_calls") or []
+    if calls:
+        told = calls[0]["function"]["arguments"]
+        text = told if isinstance(told, str) else json.dumps(told)
+        return text if len(calls) == 1 else "", "It came as a tool call."
+    if message.get("reasoning_content") or message.get("reasoning"):
+        return "", "The server put all of it into reasoning_content."
+    return "", ""
+
+
+def _count(usage: Mapping[str, Any], name: str) -> int:
+    count = usage.get(name)
+    return count if isinstance(count, int) and count >= 0 else 0
