@@ -55,7 +55,7 @@ def done() -> Teleoperation:
         rows.append([*pose[:3, 3], *turn, arm.opening_m])
     row = np.array(rows)
     row[:, 2] += 0.05
-    led = Commanded(STARTS_S, "ee_pose", HZ, [row] * ROWS)
+    led = Commanded("ee_pose", HZ, [row] * ROWS, STARTS_S)
     draft = replace(draft, parts=(begun, led), end_s=END_S)
     episode = Episode(instance)
     perform(draft, episode)

@@ -25,7 +25,6 @@ from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset, write_sha
 from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.lerobot.shortcuts import counting
 from lemma.dataset.lerobot.video_encoder import encode_whole_videos
-from lemma.dataset.recipe.replay import grounded
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.labels import label
 from lemma.dataset.rendered.render import RenderConfig
@@ -302,7 +301,7 @@ def test_what_was_led_by_hand_becomes_a_data_set(tmp_path: Path) -> None:
     instance = Instance.from_dict(known.instance_data())
     row = known.subtasks[0]
     names = row.robot, Primitive(row.primitive), row.pick, row.place
-    begun = Executed(0.0, SubTask(*names), grounded(row), until_s=2.0)
+    begun = Executed(0.0, SubTask(*names), row.grounded, until_s=2.0)
     episode = Episode(instance)
     done = Teleoperation(instance, "Watch me.", (begun,), (), 3.0, "")
     perform(done, episode)

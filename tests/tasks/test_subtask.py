@@ -52,3 +52,6 @@ def test_a_grounded_sub_task_is_plain_data() -> None:
         "pick": [0.1, 0.2, 0.3],
         "place": [0.4, 0.5, 0.6],
     }
+    assert GroundedSubTask.from_dict(json.loads(json.dumps(grounded.to_dict()))) == (
+        grounded
+    )

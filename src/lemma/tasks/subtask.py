@@ -1,5 +1,6 @@
 """Sub-tasks: symbolic ones of a planner, and grounded ones of a grounder."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -162,3 +163,13 @@ class GroundedSubTask:
             "pick": [self.pick.x, self.pick.y, self.pick.yaw],
             "place": [self.place.x, self.place.y, self.place.yaw],
         }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "GroundedSubTask":
+        """Make a grounded sub-task from what :meth:`to_dict` returned."""
+        return cls(
+            data["robot"],
+            Primitive(data["primitive"]),
+            Pose2(*data["pick"]),
+            Pose2(*data["place"]),
+        )

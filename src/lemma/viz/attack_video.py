@@ -1,24 +1,17 @@
 """An attack that succeeded, replayed from what it did, with states for a video."""
 
 import time
-from collections.abc import Iterator
-
-import numpy as np
+from itertools import pairwise
 
 from lemma.audit.attack import ATTACKS
 from lemma.audit.control_trial import control_config
 from lemma.audit.run import Found
 from lemma.core.errors import InvalidConfigError
-from lemma.core.poses import FloatArray
-from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
-from lemma.env.simulation import TICK_S
+from lemma.env.playback import FrameTaker, MotorCommands, Step, play_steps
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import Primitive, SubTask
 from lemma.viz.recording import RecordedStep, Recording, robot_titles
-
-_Step = tuple[str, float, float]
-"""What is done, when it begins and how long it takes [s]."""
 
 
 def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording:
@@ -38,63 +31,38 @@ def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording
             "nothing to replay."
         )
     started = time.perf_counter()
-    player = _Skills(instance) if found.commands is None else _Commands(instance)
-    simulation = player.episode.simulation
-    frames: list[tuple[float, FloatArray]] = []
-
-    def take_frame() -> None:
-        if simulation.time_s >= len(frames) * frame_s - 0.5 * TICK_S:
-            frames.append((simulation.time_s, simulation.scene.snapshot()))
-
-    take_frame()
-    simulation.observers.append(take_frame)
-    steps = tuple(_described(found, instance, *step) for step in player.replayed(found))
+    episode = Episode(instance)
+    simulation = episode.simulation
+    taker = FrameTaker(simulation, frame_s, simulation.scene.snapshot)
+    commands = found.commands
+    times: list[float] = []
+    what = [str(subtask.primitive) for subtask in found.subtasks]
+    steps: list[Step] = [*found.subtasks]
+    if commands is not None:
+        config = control_config(instance.task)
+        what = ["motor commands"]
+        steps = [MotorCommands(config.control, config.control_hz, commands)]
+    play_steps(
+        episode,
+        steps,
+        lambda number: times.append(episode.elapsed_s),
+        lingers=commands is None,
+    )
+    if commands is None and not episode.is_over:
+        episode.stop()
+    success = episode.is_success
     return Recording(
         instance=instance,
-        steps=steps,
-        frames=tuple(frames),
-        success=player.success,
-        failure=None if player.success else "goal_not_reached",
+        steps=tuple(
+            _described(found, instance, name, start_s, end_s - start_s)
+            for name, (start_s, end_s) in zip(what, pairwise(times), strict=True)
+        ),
+        frames=tuple(taker.frames),
+        success=success,
+        failure=None if success else "goal_not_reached",
         elapsed_s=simulation.time_s,
         wall_s=time.perf_counter() - started,
     )
-
-
-class _Skills:
-    """Replays grounded sub-tasks."""
-
-    def __init__(self, instance: Instance) -> None:
-        self.episode = Episode(instance)
-
-    def replayed(self, found: Found) -> Iterator[_Step]:
-        episode = self.episode
-        for subtask in found.subtasks:
-            start_s = episode.elapsed_s
-            episode.execute(subtask)
-            episode.linger(start_s)
-            yield str(subtask.primitive), start_s, episode.elapsed_s - start_s
-        if not episode.is_over:
-            episode.stop()
-
-    @property
-    def success(self) -> bool:
-        return self.episode.is_success
-
-
-class _Commands:
-    """Replays motor commands."""
-
-    def __init__(self, instance: Instance) -> None:
-        self._env = ControlEnv(control_config(instance.task))
-        self._env.set_table(options={"instance": instance})
-        self.episode = self._env.episode
-        self.success = False
-
-    def replayed(self, found: Found) -> Iterator[_Step]:
-        commands = np.zeros((0, 0, 0)) if found.commands is None else found.commands
-        for action in commands:
-            self.success = self._env.advance(action)[0] > 0.0
-        yield "motor commands", 0.0, self.episode.elapsed_s
 
 
 def _described(

@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from lemma.core.errors import DatasetError
-from lemma.core.poses import Pose2
 from lemma.core.workers.pool import Engine
 from lemma.dataset.files import check_files
 from lemma.dataset.recipe.files import open_table, versions
 from lemma.dataset.recipe.reader import Recipe, read_group
-from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord
+from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.env.episode import Episode
+from lemma.env.playback import play_steps
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
-from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 _BINDING = ("format", "benchmark", "mujoco")
 """Versions that must be the same, or states cannot be."""
@@ -58,15 +57,17 @@ def replay(record: EpisodeRecord) -> Replay:
     """Execute a record's sub-tasks again and compare with its states."""
     episode = Episode(Instance.from_dict(record.instance_data()))
     scene = episode.simulation.scene
-    for keyframe, expected in enumerate(record.keyframe_sha256):
-        if keyframe > 0:
-            episode.execute(grounded(record.subtasks[keyframe - 1]))
+    drifts: list[Replay] = []
+
+    def compare(keyframe: int) -> None:
         written = sha256(record.keyframe_state[keyframe]).hexdigest()
-        if not scene.state_hash() == expected == written:
+        if not scene.state_hash() == record.keyframe_sha256[keyframe] == written:
             difference = scene.snapshot() - record.state(keyframe)
             worst = float(np.abs(difference).max(initial=0.0))
-            return Replay(record.key, keyframe, worst)
-    return Replay(record.key, None, 0.0)
+            drifts.append(Replay(record.key, keyframe, worst))
+
+    play_steps(episode, [row.grounded for row in record.subtasks], compare)
+    return drifts[0] if drifts else Replay(record.key, None, 0.0)
 
 
 def replay_all(
@@ -100,13 +101,3 @@ def replay_group(path: Path, group: int, rows: tuple[int, ...]) -> list[Replay]:
     """Replay some episodes of one row group of a file."""
     records = read_group(path, group)
     return [replay(records[row]) for row in rows]
-
-
-def grounded(row: SubTaskRecord) -> GroundedSubTask:
-    """Return what a recorded sub-task executed."""
-    return GroundedSubTask(
-        row.robot,
-        Primitive(row.primitive),
-        Pose2(*row.pick_pose),
-        Pose2(*row.place_pose),
-    )

@@ -16,7 +16,8 @@ import numpy as np
 import pyarrow as pa
 
 from lemma.core.files import parse_json
-from lemma.core.poses import FloatArray
+from lemma.core.poses import FloatArray, Pose2
+from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 FORMAT_VERSION = "1"
 PERTURB_KEYS = ("perturb", "perturb_seed")
@@ -143,6 +144,12 @@ class SubTaskRecord:
     outcome: str
     start_s: float
     duration_s: float
+
+    @property
+    def grounded(self) -> GroundedSubTask:
+        """What was executed."""
+        who = self.robot, Primitive(self.primitive)
+        return GroundedSubTask(*who, Pose2(*self.pick_pose), Pose2(*self.place_pose))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,12 @@ import numpy as np
 
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.poses import FloatArray
-from lemma.dataset.recipe.replay import grounded
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation.perform import perform
 from lemma.dataset.teleoperation.record import TeleoperatedRecord
 from lemma.env.episode import Episode
 from lemma.env.observation import object_poses
+from lemma.env.playback import play_steps
 from lemma.env.simulation import TICK_S
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
@@ -176,21 +176,17 @@ def _execute(
             keep()
 
     keep()
-    _check(scene, record, 0)
     simulation.observers.append(observe)
+
+    def begin(number: int) -> None:
+        nonlocal current
+        current = number
+        _check(scene, record, number)
+
     if isinstance(record, TeleoperatedRecord):
-
-        def begin(number: int) -> None:
-            nonlocal current
-            current = number
-            _check(scene, record, number)
-
         perform(record.done, episode, begin)
-        _check(scene, record, len(record.subtasks))
     else:
-        for current, row in enumerate(record.subtasks):
-            episode.execute(grounded(row))
-            _check(scene, record, current + 1)
+        play_steps(episode, [row.grounded for row in record.subtasks], begin)
     current = NO_SUBTASK
     while len(owners) % stride:
         simulation.tick()

@@ -1,19 +1,14 @@
 """A teleoperated episode done again: the same commands at the same times."""
 
-from collections.abc import Callable
-
 from lemma.dataset.teleoperation.nudge import nudge
 from lemma.dataset.teleoperation.schema import (
-    Commanded,
     Executed,
     Teleoperation,
     joints_sha256,
 )
-from lemma.env.config import EnvConfig
-from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
+from lemma.env.playback import Watcher, carry_out, unwatched
 from lemma.env.simulation import TICK_S, Simulation
-from lemma.tasks.suite import FREE_SPLIT
 
 _EARLY_S = 0.5 * TICK_S
 
@@ -53,14 +48,14 @@ class _Clock:
 def perform(
     done: Teleoperation,
     episode: Episode,
-    before: Callable[[int], None] = lambda number: None,
+    before: Watcher = unwatched,
 ) -> None:
-    """Do a teleoperated episode again, up to the end of what was kept.
+    """Play a teleoperated episode again, up to the end of what was kept.
 
     Args:
         done: What was done.
         episode: Of its instance, just begun; at the end it needs not be over.
-        before: Told of each part, from 0, before it begins.
+        before: Is told of each part.
 
     Raises:
         LemmaError: What was done cannot be: the file was changed.
@@ -70,13 +65,11 @@ def perform(
         _perform(done, episode, clock, before)
     finally:
         clock.stop()
+    before(len(done.parts))
 
 
 def _perform(
-    done: Teleoperation,
-    episode: Episode,
-    clock: _Clock,
-    before: Callable[[int], None],
+    done: Teleoperation, episode: Episode, clock: _Clock, before: Watcher
 ) -> None:
     simulation = episode.simulation
     for number, part in enumerate(done.parts):
@@ -84,38 +77,21 @@ def _perform(
             while simulation.time_s < part.start_s - _EARLY_S:
                 simulation.tick()
             before(number)
-            _do(episode, part, clock)
+            if isinstance(part, Executed):
+                clock.until_s = part.until_s
+                carry_out(episode, part.grounded)
+            else:
+                carry_out(episode, part)
         except _ReachedError:
             if clock.at_end:
                 return
+        finally:
+            clock.until_s = None
     try:
         while not clock.at_end:
             simulation.tick()
     except _ReachedError:
         pass
-
-
-def _do(episode: Episode, part: Executed | Commanded, clock: _Clock) -> None:
-    if isinstance(part, Executed):
-        clock.until_s = part.until_s
-        try:
-            episode.execute(part.grounded)
-        finally:
-            clock.until_s = None
-        return
-    env = ControlEnv(
-        EnvConfig(
-            task=episode.instance.task,
-            split=FREE_SPLIT,
-            control=part.control,
-            control_hz=part.control_hz,
-        )
-    )
-    env.take_over(episode)
-    for row in part.rows:
-        if episode.is_over:
-            break
-        env.advance(row)
 
 
 def is_same(done: Teleoperation, episode: Episode) -> bool:

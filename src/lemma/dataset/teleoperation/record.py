@@ -48,12 +48,11 @@ def read_record(path: Path) -> TeleoperatedRecord:
     episode = Episode(done.instance)
     keeper, times = EpisodeRecorder(episode), []
 
-    def keep(number: int | None = None) -> None:
+    def keep(number: int) -> None:
         keeper.keep()
         times.append(episode.simulation.time_s)
 
     perform(done, episode, keep)
-    keep()
     if not is_same(done, episode):
         raise DatasetError(
             f"{path}: what was done leads to another state here. Read it with the "

@@ -7,7 +7,6 @@ whatever reads an instance reads it too, and
 """
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray, Pose2
 from lemma.env.episode import STILL_S
+from lemma.env.playback import MotorCommands
 from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
@@ -79,17 +79,11 @@ class Executed:
 
 
 @dataclass(frozen=True, slots=True)
-class Commanded:
+class Commanded(MotorCommands):
     """Motor commands that somebody gave by hand."""
 
     start_s: float
     """Simulated time of the first one [s]."""
-    control: str
-    """Their mode, a name in :data:`lemma.env.control.modes.CONTROLS`."""
-    control_hz: float
-    """How many there were a second of simulated time."""
-    rows: Sequence[FloatArray]
-    """Actions, oldest first, each (robots, columns)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +176,7 @@ class Teleoperation:
             if not rows or any(row.shape != rows[0].shape for row in rows):
                 raise InvalidConfigError(f"{path}: motor commands have no one shape.")
             parts.append(
-                Commanded(part["start_s"], part["control"], part["control_hz"], rows)
+                Commanded(part["control"], part["control_hz"], rows, part["start_s"])
             )
         if not parts:
             raise InvalidConfigError(f"{path}: nothing was done.")

@@ -58,7 +58,7 @@ class EpisodeLog:
             teleoperator: Which keeps what it commands.
             start_s: Simulated time [s].
         """
-        led = Commanded(start_s, CONTROL, CONTROL_HZ, teleoperator.rows)
+        led = Commanded(CONTROL, CONTROL_HZ, teleoperator.rows, start_s)
         self._parts = (*self._parts, led)
 
     def move(self, name: str, pose: Pose2, time_s: float) -> None:

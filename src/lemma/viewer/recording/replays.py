@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass, replace
 
-from lemma.dataset.recipe.replay import grounded
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation.perform import is_same, perform
 from lemma.dataset.teleoperation.schema import LED, Commanded, Teleoperation
 from lemma.env.episode import Episode, EpisodeSnapshot
+from lemma.env.playback import play_steps
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation, subtask_words
 from lemma.evaluation.run.replay import differences, play_again
@@ -49,10 +49,11 @@ def replay_record(record: EpisodeRecord) -> Track:
     instance = Instance.from_dict(record.instance_data())
     episode = Episode(instance)
     reel = Reel(episode.simulation)
-    lines = []
-    for step in record.subtasks:
-        result = episode.execute(grounded(step))
-        lines.append(_line(step.instruction, step.start_s, result))
+    play_steps(episode, [step.grounded for step in record.subtasks])
+    lines = [
+        _line(step.instruction, step.start_s, done.result)
+        for step, done in zip(record.subtasks, episode.executed, strict=False)
+    ]
     episode.stop()
     return _track(EXPERT, episode, reel.frames, lines)
 
