@@ -101,10 +101,12 @@ def test_example_runs(name: str, data: Path) -> None:
     assert told in run(name, *(str(data) if w == "DATA" else w for w in short))
 
 
+@pytest.mark.slow
 def test_an_example_runs_by_itself() -> None:
     assert "success" in python("-W", "error", str(EXAMPLES / "02_expert.py"))
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_the_notebook_runs_from_top_to_bottom() -> None:
     notebook = json.loads((EXAMPLES / "first_steps.ipynb").read_text())

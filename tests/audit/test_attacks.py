@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import pytest
 from own_plugins import loaded
 from soft_tables import ARM, SOFT, THIN, reach, soft_table, stack_out_of_reach
+from tiers import slow_but
 
 from lemma.audit.attack import ATTACKS
 from lemma.audit.run import Found, audit_instance, cheap_attacks_succeed, names_at
@@ -22,6 +23,9 @@ def _thin_pads() -> Iterator[None]:
         yield
 
 
+QUICK = ("drag_home", "rake", "throw")
+
+
 def played(name: str, instance: Instance) -> Found:
     (found,) = audit_instance(instance, (name,))
     return found
@@ -32,7 +36,7 @@ def beyond_could() -> float:
     return could_of(ARM).place_m - reach().grasp_m + 0.10
 
 
-@pytest.mark.parametrize("name", SOFT)
+@pytest.mark.parametrize("name", slow_but(SOFT, *QUICK))
 def test_succeeds_where_one_robot_can(name: str) -> None:
     found = played(name, soft_table(name))
     assert (found.succeeded, found.progress, found.robot) == (True, 1.0, "robot_0")

@@ -85,6 +85,7 @@ def test_says_what_it_cannot_do(
     assert told in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.slow
 def test_repeats_whoever_works() -> None:
     keys = [("hook_stack", "test", index) for index in range(2)]
     names = ("drag_home", "tilted_move")

@@ -57,6 +57,7 @@ def names_of_loaded() -> list[str]:
     return list(plugins._loaded)
 
 
+@pytest.mark.slow
 def test_workers_load_them_too(tmp_path: Path) -> None:
     (tmp_path / "lab, room 2").mkdir()
     path = write(tmp_path / "lab, room 2" / "mine.py", "")

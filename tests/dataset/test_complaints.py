@@ -122,6 +122,7 @@ def test_what_is_deleted_is_made_again(
     assert bytes_of(folder) == bytes_of(small_recipe())
 
 
+@pytest.mark.slow
 def test_a_full_disk_loses_nothing_through_the_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -140,6 +141,7 @@ def test_a_full_disk_loses_nothing_through_the_command(
         assert bytes_of(disk / "recipe") == bytes_of(small_recipe())
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_a_full_disk_while_rendering(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

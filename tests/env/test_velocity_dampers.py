@@ -5,6 +5,7 @@ import itertools
 import mujoco
 import numpy as np
 import pytest
+from tiers import slow_but
 
 from lemma.core.errors import CapacityError
 from lemma.core.poses import FloatArray, Pose, Pose2
@@ -182,7 +183,7 @@ class Plain:
         return True
 
 
-@pytest.mark.parametrize("team", TEAMS)
+@pytest.mark.parametrize("team", slow_but(TEAMS, "two"))
 def test_nothing_that_matters_is_left_out(team: str) -> None:
     simulation, rng = simulation_of(team), np.random.default_rng(len(team))
     scene, changes = simulation.scene, 0

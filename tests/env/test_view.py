@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from tiers import slow_but
 
 import lemma
 from lemma.dataset.rendered.keyframes.capture import stored
@@ -31,7 +32,7 @@ def played(task: str, index: int, steps: int) -> PlanEnv:
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", slow_but(SUITE, "stack", "hook_stack"))
 def test_environment_data_and_evaluation_see_the_same_to_the_bit(task: str) -> None:
     rig = CameraRig()
     for index in range(5):

@@ -262,6 +262,7 @@ def test_summaries_need_no_lines(tmp_path: Path) -> None:
         compare(path, path)
 
 
+@pytest.mark.slow
 def test_committed_lines_fit_their_summaries() -> None:
     for packed in sorted(RESULTS.rglob(f"*{PACKED}")):
         path = result_beside(packed)

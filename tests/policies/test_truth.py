@@ -10,6 +10,7 @@ import pytest
 from faulty_policies import given, view
 from numba import njit
 from reachable import HOPELESS, Confidant, Slotted, Spy, find_secrets, secrets_within
+from tiers import slow_but
 
 from lemma.core.errors import InvalidConfigError
 from lemma.env.camera_rig import CameraRig
@@ -27,6 +28,7 @@ from lemma.policies.interfaces import (
     Decision,
     OracleInput,
     PastStep,
+    Planner,
     Policy,
     PolicyInput,
     is_oracle,
@@ -46,6 +48,13 @@ from lemma.tasks.subtask import STOP
 from lemma.tasks.suite import load_instance
 
 LONG_S = 60.0
+BETWEEN: tuple[Callable[[Spy], Planner], ...] = (
+    lambda spy: spy,
+    MultiStep,
+    RetryingPlanner,
+    GroundTruthAllocation,
+)
+"""What may stand between a planner and the oracle that grounds its sub-tasks."""
 
 
 @pytest.fixture(scope="module")
@@ -151,6 +160,7 @@ def test_camera_images_are_kept_for_who_says_that_it_wants_them() -> None:
     assert not wants_cameras(PlannerWithGrounder(OraclePlanner(), OracleGrounder()))
 
 
+@pytest.mark.slow
 def test_nor_in_a_process_of_its_own(episode: Episode) -> None:
     policy: Any = isolate("reachable:Spy", LONG_S)
     once = given("go", PastStep(view(1), HOPELESS, "invalid"))
@@ -160,18 +170,10 @@ def test_nor_in_a_process_of_its_own(episode: Episode) -> None:
     assert (decision.subtask, decision.explanation) == (STOP, "nothing")
 
 
-@pytest.mark.parametrize(
-    "compose",
-    [
-        lambda spy: PlannerWithGrounder(spy, OracleGrounder()),
-        lambda spy: PlannerWithGrounder(MultiStep(spy), OracleGrounder()),
-        lambda spy: PlannerWithGrounder(RetryingPlanner(spy), OracleGrounder()),
-        lambda spy: PlannerWithGrounder(GroundTruthAllocation(spy), OracleGrounder()),
-    ],
-)
-def test_nor_beside_an_oracle(compose: Callable[[Spy], Policy]) -> None:
+@pytest.mark.parametrize("between", slow_but(BETWEEN, GroundTruthAllocation))
+def test_nor_beside_an_oracle(between: Callable[[Spy], Planner]) -> None:
     spy = Spy()
-    policy = compose(spy)
+    policy = PlannerWithGrounder(between(spy), OracleGrounder())
     assert is_oracle(policy)
     play(policy)
     assert len(spy.kept) >= 2

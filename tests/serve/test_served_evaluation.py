@@ -121,6 +121,7 @@ def test_a_server_killed_in_the_middle_gives_the_same_lines(
     assert lines(tmp_path) == here
 
 
+@pytest.mark.slow
 def test_a_server_gone_for_good_ends_the_run_and_keeps_what_was_done(
     tmp_path: Path, here: list[Row], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,6 +39,7 @@ def test_has_every_episode_of_the_order() -> None:
     assert all(record.success for record in recipe)
 
 
+@pytest.mark.slow
 def test_processes_write_the_same_bytes(tmp_path: Path) -> None:
     summary = generate(small_order(tmp_path), ProcessPool(2))
     assert bytes_of(tmp_path) == bytes_of(small_recipe())
@@ -48,6 +49,7 @@ def test_processes_write_the_same_bytes(tmp_path: Path) -> None:
     assert summary.size_mb == pytest.approx(size / 1e6)
 
 
+@pytest.mark.slow
 def test_the_order_of_tasks_and_splits_does_not_matter(tmp_path: Path) -> None:
     for split in ("test", "val"):
         for task in ("stack", "pass"):

@@ -33,6 +33,7 @@ def test_every_state_is_reproduced_to_the_bit() -> None:
     assert sum(counts) == 12
 
 
+@pytest.mark.slow
 def test_processes_replay_as_well() -> None:
     recipe = load(small_recipe()).select(task="stack", split="test")
     assert replay_all(recipe[1:], ProcessPool(2)) == []

@@ -65,6 +65,7 @@ def test_a_run_that_was_killed_is_completed_with_the_same_bytes(
     assert contents(out) == contents(undisturbed)
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_bytes(undisturbed: Path, tmp_path: Path) -> None:
     summary = render(order(tmp_path / "set"), SMALL, ProcessPool(2))
     assert summary.made == 4

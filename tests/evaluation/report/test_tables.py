@@ -253,6 +253,7 @@ def test_tables_are_even() -> None:
         assert len(widths) == 1
 
 
+@pytest.mark.slow
 def test_the_committed_page_is_made_from_the_committed_results() -> None:
     assert results.text() == results.PAGE.read_text(encoding="utf-8"), (
         "docs/results.md is not what the results give: python scripts/results.py"

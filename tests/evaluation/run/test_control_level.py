@@ -123,6 +123,7 @@ def test_nothing_leads_from_there_to_the_truth() -> None:
     assert secrets_within(policy.seen) == []
 
 
+@pytest.mark.slow
 def test_a_class_in_another_process_gives_the_same(tmp_path: Path) -> None:
     spec: dict[str, Any] = {"chunk": 6, "says": "and it knows why"}
     here = evaluate(Stays(**spec)).rows

@@ -94,6 +94,7 @@ def test_interrupted_and_resumed_gives_the_same(
     assert [json.loads(line) for line in lines] == rows
 
 
+@pytest.mark.slow
 def test_processes_give_the_same(tmp_path: Path, whole: list[Row]) -> None:
     rows = evaluate(order(tmp_path), ProcessPool(2))
     assert without_times(rows) == without_times(whole)

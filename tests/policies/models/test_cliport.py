@@ -36,6 +36,7 @@ def tiny(**changes: Any) -> CLIPort:
     return CLIPort(replace(TINY, **changes))
 
 
+@pytest.mark.slow
 def test_it_learns_an_episode_by_heart() -> None:
     batch = drawn_batch(3)
     model = tiny()
@@ -123,6 +124,7 @@ def test_a_second_look_corrects_in_the_grippers_frame() -> None:
     assert found[1, 2] > -3.0 + 0.1
 
 
+@pytest.mark.slow
 def test_a_second_look_learns_to_undo_what_was_done_to_a_place() -> None:
     # Each frame often, so that every step sees many places near the right one.
     batch = part_of(drawn_batch(2, stop_last=False), [0, 1] * 8)

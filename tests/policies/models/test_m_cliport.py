@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import pytest
 import torch
 from batches import (
     TINY_STREAMS,
@@ -28,6 +29,7 @@ def tiny() -> MCLIPort:
     return MCLIPort(TINY)
 
 
+@pytest.mark.slow
 def test_it_learns_an_episode_by_heart() -> None:
     batch = drawn_batch(4)
     decision = labels_of(batch).decision.clone()

@@ -143,6 +143,7 @@ def test_losses_are_determined_by_the_seed() -> None:
     assert first == second
 
 
+@pytest.mark.slow
 def test_demonstrations_alone_tell_who_reached() -> None:
     model = tiny("demonstrations")
     batch = drawn_batch(4)
