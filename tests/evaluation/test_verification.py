@@ -49,7 +49,7 @@ class Forgery:
     """What the refusal says."""
 
     def write(self, honest: Path, folder: Path) -> Path:
-        rows = [deepcopy(row) for row in read_lines(honest / LINES)]
+        rows = [deepcopy(dict(row)) for row in read_lines(honest / LINES)]
         chosen = [row for row in rows if row["index"] == self.of][:1]
         for row in chosen:
             self.line(row)
@@ -275,7 +275,11 @@ def test_what_is_sent_is_read_within_limits(honest: Path, tmp_path: Path) -> Non
     packed.write_bytes(packed.read_bytes()[:-20])
     with pytest.raises(DatasetError, match="cannot be read"):
         read_lines(packed)
-    for more in ({"more": [[]] * 9}, {"idle_s": {str(i): 0.0 for i in range(2000)}}):
+    too_much: list[Data] = [
+        {"more": [[]] * 9},
+        {"idle_s": {str(i): 0.0 for i in range(2000)}},
+    ]
+    for more in too_much:
         write_rows(tmp_path / LINES, [{**rows[0], **more}])
         with pytest.raises(DatasetError, match="cannot be read"):
             read_lines(tmp_path / LINES)

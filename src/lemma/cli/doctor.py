@@ -10,16 +10,24 @@ from lemma.bench.machine import describe_machine
 from lemma.cli.options import Flag, JsonFlag, messages, output, print_json
 
 
-def doctor(states: Flag = False, as_json: JsonFlag = False) -> int:
+def doctor(
+    states: Flag = False, evaluation: Flag = False, as_json: JsonFlag = False
+) -> int:
     """Check versions, rendering, physics and the expert; say what is missing.
 
     Args:
         states: Compare the simulated states of every control mode in every task with
             those of other machines, which takes a minute; a few are always compared.
+        evaluation: Play a fixed sample of each level, and say whether it is equal to
+            the published lines.
         as_json: Print one JSON object instead of a table.
     """
     with messages().status("Checking (the first run compiles, for half a minute) ..."):
         checks = run_checks(all_states=states)
+        if evaluation:
+            from lemma.evaluation.self_check import check_evaluation
+
+            checks += [Check(**asdict(answer)) for answer in check_evaluation()]
         machine = describe_machine()
     healthy = all(check.ok for check in checks if check.essential)
     if as_json:

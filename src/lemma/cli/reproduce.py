@@ -1,16 +1,23 @@
 """`lemma reproduce`: the experiments of the tables, from the weights that ship."""
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from lemma.cli.options import Flag, Folder, Number, messages, output
+from lemma.cli.options import Flag, Folder, Number, complain, messages, output
 from lemma.cli.report import print_written
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.core.errors import DatasetError
 from lemma.core.files import write_text
-from lemma.evaluation.experiments.catalog import selected
+from lemma.evaluation.experiments.catalog import (
+    CONTROL_LEVEL,
+    Experiment,
+    selected,
+)
+from lemma.evaluation.experiments.published import check_experiment
 from lemma.evaluation.experiments.reproduction import (
     MissingWeightsError,
     Reproduction,
@@ -33,6 +40,9 @@ class ReproduceOptions:
     weights: Folder = None
     """Folder with one training run for each name of weights; by default those that
     ship."""
+    check: Flag = False
+    """Write nothing: play the first episode of each task and kind, or --episodes of
+    them, and say whether they are equal to the published lines in --out."""
     split: Annotated[str, tyro.conf.arg(metavar="SPLIT")] = "test"
     """Frozen list of instances."""
     episodes: Number = None
@@ -69,6 +79,8 @@ def reproduce(
             and do nothing.
     """
     experiments = selected(name)
+    if extent.check:
+        return _check(experiments, out, extent, working)
     if print_commands:
         for line in commands(experiments):
             output().print(line, soft_wrap=True)
@@ -91,3 +103,37 @@ def reproduce(
     write_text(out / REPORT, page(entries))
     print_written(out / REPORT, entries)
     return 0
+
+
+def _check(
+    experiments: list[Experiment],
+    results: Path,
+    extent: ReproduceOptions,
+    working: WorkerOptions,
+) -> int:
+    """Say whether policies still decide as published; leave with 1 if one does not."""
+    failed = 0
+    for experiment in experiments:
+        name = experiment.name
+        if experiment.suite == CONTROL_LEVEL and find_spec("lerobot") is None:
+            messages().print(f"Skipped {name}: lerobot is not installed here.")
+            continue
+        try:
+            found = check_experiment(
+                experiment, results, extent.episodes or 1, working.make_engine()
+            )
+        except DatasetError as error:
+            complain(f"{name}: {error}")
+            failed += 1
+            continue
+        failed += not found.ok
+        for told in found.differing:
+            output().print(f"{name} {told}", soft_wrap=True, markup=False)
+        output().print(
+            f"{name}: {found.episodes - len(found.differing)} of {found.episodes} "
+            "episodes are equal to the published lines; poses within "
+            f"{1e3 * found.farthest_m:.4f} mm",
+            soft_wrap=True,
+            markup=False,
+        )
+    return int(failed > 0)

@@ -57,9 +57,9 @@ def play_again(
         watch(rollout.episode, number)
         given = rollout.given(None)
         decision = check(_decision(step), given)
-        if isinstance(decision, Fault):
-            # Not of an evaluation: it would have ended there.
-            rollout.fail(decision)
+        if not isinstance(decision, Decision):
+            # No evaluation wrote this: the policy would have failed there.
+            fault = {"kind": FaultKind.MALFORMED, "explanation": str(decision)}
             break
         before = rollout.episode.snapshot()
         try:

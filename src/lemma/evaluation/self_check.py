@@ -1,0 +1,139 @@
+"""Does this installation evaluate as the published results were evaluated?
+
+A fixed sample of each level is played and compared with published lines.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from gymnasium.wrappers import RescaleAction
+
+from lemma.core.errors import LemmaError
+from lemma.core.seeding import stream
+from lemma.core.workers.serial import Serial
+from lemma.env.config import EnvConfig
+from lemma.env.control.modes import CONTROLS
+from lemma.env.control_env import ControlEnv
+from lemma.env.learning.flat_view import FlatView
+from lemma.evaluation.experiments.published import compared, published_sample
+from lemma.evaluation.records import Row, key_of
+from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate, start_of
+from lemma.evaluation.run.protocol import NAME, departures
+from lemma.evaluation.run.replay import differences, play_again
+from lemma.policies.spec import CONTROL, ORACLE, PolicySpec
+
+NETWORK = "reachnet"
+"""Published weights whose decisions are compared."""
+ROUND_TRIP = 1e-6
+"""Largest error of an action that is normalised and back, as a part of its range."""
+_ACTIONS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The answer to one question."""
+
+    name: str
+    ok: bool
+    found: str
+    """What there is, for people."""
+    advice: str = ""
+    """What to do about it, if it is not well."""
+    essential: bool = True
+    """Whether evaluation is wrong without it."""
+
+
+def check_evaluation() -> Iterator[Answer]:
+    """Yield answers, from the recorded to the learned; none of them raises."""
+    yield _attempt("protocol", _protocol)
+    yield _attempt("actions, normalised and back", _round_trip)
+    yield _attempt("published decisions", _decisions)
+    yield _attempt("skill level: the expert", lambda: _policy(PolicySpec(ORACLE)))
+    controlling = PolicySpec(ORACLE, level=CONTROL)
+    yield _attempt("control level: the expert", lambda: _policy(controlling))
+    name = f"plan and poses: {NETWORK}"
+    yield _attempt(name, lambda: _policy(PolicySpec(NETWORK)), essential=False)
+
+
+def _attempt(
+    name: str, question: Callable[[], tuple[bool, str]], *, essential: bool = True
+) -> Answer:
+    try:
+        ok, found = question()
+    except ImportError as error:
+        advice = "Install the extra 'learn', which brings torch."
+        return Answer(name, False, f"not checked: {error}", advice, essential=False)
+    except LemmaError as error:
+        return Answer(name, False, f"not checked: {error}", essential=essential)
+    advice = "" if ok else "Results of this installation are not comparable."
+    if not ok and not essential:
+        advice = "Another renderer moves a network's poses: docs/determinism.md."
+    return Answer(name, ok, found, advice, essential=essential)
+
+
+def _protocol() -> tuple[bool, str]:
+    found = departures()
+    return not found, "; ".join(found) or f"{NAME}, as it ships"
+
+
+def _round_trip() -> tuple[bool, str]:
+    """Rescale random actions of every control mode to [-1, 1] and back."""
+    worst, where = 0.0, ""
+    for mode in CONTROLS:
+        config = EnvConfig(task="pass", control=mode, observation="state")
+        env = FlatView(ControlEnv(config))
+        box = env.action_space
+        if not np.isfinite([box.low, box.high]).all():
+            continue
+        rescaled = RescaleAction(env, np.float32(-1.0), np.float32(1.0))
+        rng = stream("round trip of actions", mode)
+        drawn = rng.uniform(-1.0, 1.0, (_ACTIONS, *box.shape)).astype(np.float32)
+        actions = np.array([rescaled.action(one) for one in drawn])
+        middle, half = 0.5 * (box.high + box.low), 0.5 * (box.high - box.low)
+        off = float(np.abs((actions - middle) / half - drawn).max())
+        if off > worst:
+            worst, where = off, mode
+        env.close()
+    return worst <= ROUND_TRIP, f"off by {worst:.1e} at most, in {where or 'no mode'}"
+
+
+def _decisions() -> tuple[bool, str]:
+    """Play published decisions again; everything must be equal to the bit."""
+    rows = published_sample()[NETWORK]
+    for row in rows:
+        instance = start_of(row["task"], row["split"], row["index"], moved=False)
+        again = play_again(row, instance, {"horizon_s": 100.0})
+        for told in differences(row, again):
+            return False, f"{'/'.join(map(str, key_of(row)))}: {told}"
+    return True, f"{len(rows)} episodes, equal to the published lines to the bit"
+
+
+def _policy(spec: PolicySpec) -> tuple[bool, str]:
+    """Let a policy play some episodes; compare with the published lines."""
+    lines = published_sample()[spec.level or spec.name]
+    pairs = [(line, _played(spec, line)) for line in lines]
+    agreement = compared(pairs)
+    told = f"{agreement.episodes} episodes, equal to the published lines"
+    if spec.name == ORACLE:
+        # No network, so nothing may differ.
+        found = [one for line, now in pairs for one in differences(line, now)]
+        return not found, found[0] if found else f"{told} to the bit"
+    if agreement.ok:
+        return True, f"{told}; poses within {1e3 * agreement.farthest_m:.4f} mm"
+    return False, "; ".join(agreement.differing)
+
+
+def _played(spec: PolicySpec, line: Row) -> Row:
+    with TemporaryDirectory() as folder:
+        config = EvaluationConfig(
+            out=Path(folder),
+            policy=replace(spec),
+            tasks=(line["task"],),
+            split=line["split"],
+            kinds=(line["instruction_kind"],),
+            episodes=line["index"] + 1,
+        )
+        return evaluate(config, Serial())[line["index"]]
