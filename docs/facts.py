@@ -22,7 +22,7 @@ from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from lemma.audit.attack import ATTACKS, LEVELS
+from lemma.audit.attack import ATTACKS, TRIALS
 from lemma.audit.run import names_at
 from lemma.cli.tasks import describe
 from lemma.expert.expert import Expert
@@ -201,7 +201,7 @@ class Attacks(Generated):
         """Return the table."""
         yield "| attack | level | attempts | cheap | what it does |"
         yield "|---|---|---|---|---|"
-        for level in LEVELS:
+        for level in TRIALS:
             for attack in map(ATTACKS.__getitem__, names_at(level)):
                 cheap = "yes" if attack.cheap else ""
                 yield (

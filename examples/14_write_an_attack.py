@@ -3,40 +3,23 @@
 lemma --plugin examples/14_write_an_attack.py audit --attacks set_down_near
 """
 
-import math
-
-from lemma.audit.attack import ATTACKS, Attack, GiveUp
+from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.run import audit_instance
 from lemma.audit.skill_trial import SkillTrial
-from lemma.core.poses import Pose2
 from lemma.tasks.suite import load_instance
 
 
 def set_down_near(trial: SkillTrial) -> None:
-    """Carry each cube towards its goal, to the edge of reach."""
-    base, reach = trial.placement.base, trial.reach
-    if all(trial.margin(trial.pose(on.top)) <= 0.0 for on in trial.goal.conjuncts):
-        raise GiveUp
-    for on in trial.goal.conjuncts:
-        top, bottom = trial.pose(on.top), trial.pose(on.bottom)
-        bearing = math.atan2(bottom.y - base.y, bottom.x - base.x)
-        radius = min(trial.radius(bottom), reach.travel_m - 0.001)
-        place = Pose2(
-            base.x + radius * math.cos(bearing), base.y + radius * math.sin(bearing)
-        )
-        trial.move(top, place)
+    """Sets every cube down as near to its goal as the arm allows."""
+    goal = trial.goal.conjuncts
+    trial.require(any(trial.margin(trial.pose(on.top)) > 0.0 for on in goal))
+    for on in goal:
+        bottom = trial.pose(on.bottom)
+        radius_m = min(trial.radius(bottom), trial.reach.travel_m - 0.001)
+        trial.move(trial.pose(on.top), trial.at(radius_m, trial.outward(bottom)))
 
 
-ATTACKS.add(
-    "set_down_near",
-    Attack(
-        name="set_down_near",
-        summary="Sets every cube down as near to its goal as the arm allows.",
-        level="skill",
-        play=set_down_near,
-        cheap=True,
-    ),
-)
+ATTACKS.add("set_down_near", Attack(set_down_near, "skill", cheap=True))
 
 if __name__ == "__main__":
     for index in range(3):

@@ -1,4 +1,4 @@
-"""Attacks have teeth: where one robot can do it they do, and nowhere else."""
+"""Attacks succeed on tables that one robot can solve, and on no frozen instance."""
 
 from collections.abc import Iterator
 
@@ -7,11 +7,22 @@ from own_plugins import loaded
 from soft_tables import ARM, SOFT, THIN, reach, soft_table, stack_out_of_reach
 from tiers import slow_but
 
-from lemma.audit.attack import ATTACKS
+from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.run import Found, audit_instance, cheap_attacks_succeed, names_at
+from lemma.audit.skill_trial import SkillTrial
+from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.robots.could import could_of
 from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.tasks.instance import Instance
+from lemma.tasks.suite import SUITE, load_instance
+from lemma.viz.attack_video import replay_attack
+
+QUICK = (
+    *("drag_home", "push_tower", "greedy_skills", "out_of_order"),
+    *("tilted_move", "cube_chain", "topple", "fling"),
+)
+"""One attack of each family; the others are slow tests."""
+TEAM = tuple(name for name in ATTACKS if ATTACKS[name].team)
 
 
 @pytest.fixture(autouse=True)
@@ -21,9 +32,6 @@ def _thin_pads() -> Iterator[None]:
         for kind in THIN:
             OBJECT_KINDS.add(kind.name, kind)
         yield
-
-
-QUICK = ("drag_home", "rake", "throw")
 
 
 def played(name: str, instance: Instance) -> Found:
@@ -37,9 +45,13 @@ def beyond_could() -> float:
 
 
 @pytest.mark.parametrize("name", slow_but(SOFT, *QUICK))
-def test_succeeds_where_one_robot_can(name: str) -> None:
-    found = played(name, soft_table(name))
+def test_succeeds_where_one_robot_can_and_is_replayed(name: str) -> None:
+    soft = soft_table(name)
+    found = played(name, soft)
     assert (found.succeeded, found.progress, found.robot) == (True, 1.0, "robot_0")
+    recording = replay_attack(found, soft, frame_s=0.5)
+    assert recording.success
+    assert len(recording.frames) == pytest.approx(2 * recording.elapsed_s, abs=2)
 
 
 @pytest.mark.slow
@@ -51,17 +63,38 @@ def test_none_succeeds_where_one_robot_cannot() -> None:
     assert max(one.progress for one in found) == 0.0
 
 
+@pytest.mark.parametrize("task", slow_but(SUITE, "pass"))
+def test_out_of_order_or_with_one_skipped_no_plan_succeeds(task: str) -> None:
+    """That one robot alone does not succeed is tested where lists are frozen."""
+    found = list(audit_instance(load_instance(task, "test", 0), TEAM))
+    assert all(one.acted for one in found)
+    assert [one.attack for one in found if one.succeeded] == []
+
+
 def test_cheap_attacks_say_which_of_them_succeeds() -> None:
     assert cheap_attacks_succeed(soft_table("drag_home")) == "drag_home"
     assert cheap_attacks_succeed(stack_out_of_reach(beyond_could())) is None
 
 
-def test_every_attack_has_a_table_that_it_solves() -> None:
-    assert {*ATTACKS} == {*SOFT}
-
-
-def test_every_attack_says_what_it_does() -> None:
+def test_every_attack_has_a_table_that_it_solves_and_says_what_it_does() -> None:
+    assert {*ATTACKS} == {*SOFT} == {*names_at("skill"), *names_at("control")}
     for name in ATTACKS:
         assert ATTACKS[name].name == name
         assert ATTACKS[name].summary.endswith(".")
-    assert {*names_at("skill"), *names_at("control")} == {*ATTACKS}
+        assert "\n" not in ATTACKS[name].summary
+
+
+def silent(trial: SkillTrial) -> None:
+    trial.require(False)
+
+
+def test_an_attack_is_checked_when_it_is_made() -> None:
+    with pytest.raises(InvalidConfigError, match="silent has no docstring"):
+        Attack(silent, "skill")
+    silent.__doc__ = "Gives up."
+    with pytest.raises(UnknownNameError, match="skill, control"):
+        Attack(silent, "motor")
+    with pytest.raises(InvalidConfigError, match="attempts=0"):
+        Attack(silent, "skill", attempts=0)
+    with pytest.raises(InvalidConfigError, match="Use one name"):
+        ATTACKS.add("loud", Attack(silent, "skill"))

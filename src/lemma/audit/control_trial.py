@@ -1,77 +1,82 @@
 """One attempt at an instance with motor commands to one robot.
 
-The hand is led along poses of any orientation: inverse kinematics turns them into the
-joint angles that the environment takes, 50 times a second. The other robots are told to
-stay where they are.
+The attack leads the hand along poses of any orientation. Inverse kinematics turns them
+into joint angles, which the environment takes 50 times a second. The other robots are
+commanded to stay where they are.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import takewhile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.audit.attack import AttemptOver, Lost
-from lemma.audit.hand import turned_near
+from lemma.audit.hand import drawn_back, faces, leaning, moved
+from lemma.audit.trial import AttemptOver, Trial
 from lemma.core.poses import FloatArray, Pose2
 from lemma.env.base_env import EnvSnapshot
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
-from lemma.robots.could import Could, could_of
+from lemma.robots.could import could_of
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.robots.reach import Reach, gripper_ik, reach_of
+from lemma.robots.reach import gripper_ik
 from lemma.robots.ur.build import ARMS
+from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import kind_of
-from lemma.scene.spec import RobotPlacement
+from lemma.tasks.goal import On
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import FREE_SPLIT
 
 STEP_S = 0.02
-"""Between two commands: what lies on a held stick falls if the arm jerks."""
+"""Time between two commands; a longer one would shake off what lies on a held stick."""
 _PATIENCE_S = 2.5
-"""How long an attempt waits at its end for the environment to call it a success."""
+"""Wait at the end of an attempt for the environment to call it a success."""
 _SPEED = 0.6
 """Share of the joints' velocity limits at which the hand is led."""
 _CLOSE_RAD = 0.01
 _STUCK_S = 0.6
+_LIFT_M = 0.12
+_CLOSE_S = 0.6
+_TOUCH_DOWN_M = 0.003
+_MISSED_M = 0.02
+_STAND_BY_M = 0.38
 
 
 def control_config(task: str) -> EnvConfig:
-    """Return the environment in which attacks act, and their replays."""
+    """Return the environment in which attacks act, and are replayed."""
     return EnvConfig(
         task=task, control="joint_position", control_hz=1.0 / STEP_S, split=FREE_SPLIT
     )
 
 
-class ControlTrial:
-    """What an attack at control level sees and may do."""
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A moment of a trial."""
+
+    env: EnvSnapshot
+    row: FloatArray
+    commands: int
+
+
+class ControlTrial(Trial):
+    """The means of an attack at control level. Every hand is a pose, (4, 4)."""
 
     def __init__(
-        self,
-        env: ControlEnv,
-        robot: str,
-        rng: np.random.Generator,
-        attempt: int = 0,
+        self, env: ControlEnv, robot: str, rng: np.random.Generator, attempt: int = 0
     ) -> None:
-        """Begin an attempt.
+        """Begin an attempt in an environment of :meth:`begin`.
 
-        Args:
-            env: At the beginning of an episode: one of :func:`control_config`.
-            robot: Who acts.
-            rng: Where every draw comes from.
-            attempt: Number of the attempt.
+        The other arguments are those of :class:`~lemma.audit.trial.Trial`.
         """
+        super().__init__(env.episode, robot, rng, attempt)
         self._env = env
-        self.instance = env.instance
-        self.goal = env.instance.goal
-        self.scene = env.episode.simulation.scene
-        self.robot = robot
-        self.rng = rng
-        self.attempt = attempt
-        self.best_progress = 0.0
-        """Most of the goal that ever held."""
-        self._number = self.scene.spec.robot_names.index(robot)
+        self.could = could_of(self.placement.arm)
+        """Upper bounds of its reach with any orientation of the hand."""
+        self._limits = np.array(ARMS[self.placement.arm].joint_range)
         self._index = self.scene.robot(robot)
         self._reward = 0.0
         self._over = False
@@ -80,86 +85,80 @@ class ControlTrial:
         self._commands: list[NDArray[np.float32]] = []
         self._box = env.action_layout.box()
 
-    @property
-    def placement(self) -> RobotPlacement:
-        """The robot that acts: arm type and base."""
-        return self.scene.spec.robots[self._number]
-
-    @property
-    def reach(self) -> Reach:
-        """Its reach, pointing down."""
-        return reach_of(self.placement.arm)
-
-    @property
-    def could(self) -> Could:
-        """What it could do at most, however it turns its hand."""
-        return could_of(self.placement.arm)
-
-    @property
-    def acted(self) -> bool:
-        """Whether anything was commanded."""
-        return bool(self._commands)
+    @staticmethod
+    def begin(instance: Instance) -> ControlEnv:
+        """Return an environment in which attempts can be made."""
+        env = ControlEnv(control_config(instance.task))
+        env.set_table(options={"instance": instance})
+        return env
 
     @property
     def joints(self) -> FloatArray:
-        """Angles that were commanded last, (6,) [rad]."""
-        return self._row[self._number, :6]
+        """Joint angles of the last command, (6,) [rad]."""
+        return self._row[self.number, :6]
 
-    def pose(self, name: str) -> Pose2:
-        """Return where an object is now, seen from above."""
-        return self.scene.pose2(name)
+    def hand(self) -> FloatArray:
+        """Return the present pose of the hand, (4, 4)."""
+        return self.episode.simulation.arms[self.robot].tcp_pose()
 
     def height(self, name: str) -> float:
-        """Return how high an object's frame is [m]."""
+        """Return the height of an object's frame [m]."""
         return self.scene.pose(name).position[2]
 
-    def radius(self, pose: Pose2) -> float:
-        """Return the distance of a position from the robot's base [m]."""
-        return self.placement.base.distance(pose)
+    def resting_height(self, on: On) -> float:
+        """Return the height of the middle of a top that lies on its bottom [m]."""
+        return (
+            self.height(on.bottom) + kind_of(on.bottom).top_m + kind_of(on.top).origin_m
+        )
 
-    def outward(self, pose: Pose2) -> float:
-        """Return the direction from the robot's base to a position [rad]."""
-        base = self.placement.base
-        return math.atan2(pose.y - base.y, pose.x - base.x)
+    def is_home(self, name: str, inside_m: float = 0.02) -> bool:
+        """Whether a hand that points down can pick up a cube where it lies."""
+        return self.radius(self.pose(name)) < self.reach.travel_m - inside_m
 
     def postures(self, hand: FloatArray) -> FloatArray:
-        """Return joint angles, (n, 6), that put the hand at a pose, (4, 4)."""
+        """Return all joint angles, (n, 6) [rad], that put the hand at a pose."""
         return gripper_ik(self.placement.arm, self.placement.base.matrix(), hand)
 
     def can(self, *hands: FloatArray) -> bool:
         """Whether the hand can be at each of some poses."""
         return all(len(self.postures(hand)) > 0 for hand in hands)
 
+    def farthest(self, ways: Iterable[Iterable[FloatArray]]) -> list[FloatArray]:
+        """Return the longest beginning of a way that the hand can follow."""
+        return max((list(takewhile(self.can, way)) for way in ways), key=len)
+
     def posture(self, hand: FloatArray) -> FloatArray | None:
         """Return the joint angles for a pose that are nearest to the present ones."""
-        limits = np.array(ARMS[self.placement.arm].joint_range)
-        near = [turned_near(q, self.joints, limits) for q in self.postures(hand)]
-        if not near:
-            return None
-        return min(near, key=lambda q: float(np.abs(q - self.joints).max()))
+        found = self.postures(hand)
+        # Whole turns are added where that brings a joint nearer.
+        turned = found + np.round((self.joints - found) / math.tau) * math.tau
+        near = np.where(np.abs(turned) > self._limits, found, turned)
+        distances = np.abs(near - self.joints).max(axis=1, initial=0.0)
+        return near[int(distances.argmin())] if len(near) else None
 
     def command(self, joints: FloatArray, opening_m: float) -> None:
         """Send one action.
 
+        Args:
+            joints: Joint angles, (6,) [rad].
+            opening_m: Distance between the fingers [m].
+
         Raises:
             AttemptOver: The goal is reached, or the time is up.
-            Lost: It cannot be reached any more.
+            Lost: The goal cannot be reached any more.
         """
-        self._row[self._number, :6] = joints
-        self._row[self._number, 6] = opening_m
-        # As numbers of single precision, which is what a space of actions holds.
+        self.acted = True
+        self._row[self.number, :6] = joints
+        self._row[self.number, 6] = opening_m
+        # An action space holds numbers of single precision.
         action = np.clip(self._row.astype(np.float32), self._box.low, self._box.high)
         self._commands.append(action)
         self._reward, terminated, truncated = self._env.advance(action)
-        self.best_progress = max(self.best_progress, self._env.episode.progress)
         self._over = terminated or truncated
-        if self._over:
-            raise AttemptOver
-        if not set(self._env.episode.fallen).isdisjoint(self.goal.entities):
-            raise Lost
+        self.look(self._over)
 
-    def wait(self, seconds: float, opening_m: float) -> None:
-        """Stay, with the fingers told to open or to close."""
+    def wait(self, seconds: float, opening_m: float = FINGER_OPENING_M) -> None:
+        """Stay, while the fingers open or close."""
         for _ in range(round(seconds / STEP_S)):
             self.command(self.joints.copy(), opening_m)
 
@@ -174,7 +173,7 @@ class ControlTrial:
         self.settle(opening_m)
 
     def settle(self, opening_m: float) -> None:
-        """Wait until the joints are where they were told to be, or are stuck."""
+        """Wait until the joints are at the commanded angles, or are stuck."""
         for _ in range(round(_STUCK_S / STEP_S)):
             actual = self.scene.data.qpos[self._index.qpos]
             if float(np.abs(actual - self.joints).max()) < _CLOSE_RAD:
@@ -182,7 +181,7 @@ class ControlTrial:
             self.command(self.joints.copy(), opening_m)
 
     def go(self, hand: FloatArray, opening_m: float, speed: float = 1.0) -> bool:
-        """Go to a pose of the hand, (4, 4); return whether there is a way."""
+        """Go to a pose, straight in joint space; return whether there is a way."""
         joints = self.posture(hand)
         if joints is None:
             return False
@@ -197,40 +196,116 @@ class ControlTrial:
         Between two poses the position is interpolated, and the orientation is that of
         the second.
         """
-        at = self.hand()
+        start = self.hand()
         for hand in hands:
-            length = float(np.linalg.norm(hand[:3, 3] - at[:3, 3]))
+            length = float(np.linalg.norm(hand[:3, 3] - start[:3, 3]))
             count = max(1, math.ceil(length / (speed_m_s * STEP_S)))
             for i in range(1, count + 1):
                 between = hand.copy()
-                between[:3, 3] = at[:3, 3] + (hand[:3, 3] - at[:3, 3]) * (i / count)
-                joints = self.posture(between)
-                if joints is None:
+                between[:3, 3] = start[:3, 3] + (hand - start)[:3, 3] * (i / count)
+                if not self.follow(between, opening_m):
                     return False
-                self.command(joints, opening_m)
-            at = hand
+            start = hand
         self.settle(opening_m)
         return True
 
-    def hand(self) -> FloatArray:
-        """Return where the hand is, (4, 4)."""
-        return self._env.episode.simulation.arms[self.robot].tcp_pose()
+    def follow(self, hand: FloatArray, opening_m: float) -> bool:
+        """Send one action towards a pose; return whether the hand can be there."""
+        joints = self.posture(hand)
+        if joints is not None:
+            self.command(joints, opening_m)
+        return joints is not None
 
-    def cargo(self) -> list[str]:
-        """Return what can be moved and has not fallen off the table, but the stick."""
-        fallen = self.scene.fallen
-        return [
-            name
-            for name in self.scene.movable_names
-            if kind_of(name).cargo and name not in fallen
-        ]
+    def stand_by(self, hand: FloatArray, opening_m: float) -> bool:
+        """Go to a pose high above the table, on the way to another."""
+        spot = Pose2(*hand[:2, 3])
+        ahead = math.hypot(hand[0, 2], hand[1, 2])
+        axis = hand[:, 2 if ahead > 0.05 else 0]
+        high = self.at(0.6 * self.reach.travel_m, self.outward(spot))
+        lean = 0.5 * math.acos(float(np.clip(-hand[2, 2], -1.0, 1.0)))
+        way = Pose2(high.x, high.y, math.atan2(axis[1], axis[0]))
+        return self.go(leaning(way, _STAND_BY_M, lean), opening_m)
 
-    def snapshot(self) -> "Moment":
-        """Return the moment, to come back to it: an attacker may try things out."""
+    def approach(
+        self,
+        hand: FloatArray,
+        opening_m: float,
+        back_m: float = 0.10,
+        lift_m: float = 0.0,
+    ) -> bool:
+        """Go to a pose along the fingers' direction; return whether there is a way."""
+        if not self.stand_by(hand, opening_m):
+            return False
+        before = drawn_back(hand, back_m)
+        above = moved(before, dz=lift_m)
+        if lift_m and self.can(above):
+            self.go(above, opening_m)
+        return self.go(before, opening_m) and self.lead([hand], opening_m, 0.12)
+
+    def holds(
+        self, name: str, lean: float = 0.0, ahead_m: float = 0.0
+    ) -> Iterator[FloatArray]:
+        """Yield hands that hold a cube where it lies.
+
+        Args:
+            name: The cube.
+            lean: Of the hand, from the vertical [rad].
+            ahead_m: Distance of the cube's middle ahead of the tool centre point.
+        """
+        cube, z = self.pose(name), self.height(name)
+        for way in faces(cube.yaw, self.outward(cube)):
+            hand = drawn_back(leaning(Pose2(cube.x, cube.y, way), z, lean), ahead_m)
+            if self.can(hand, drawn_back(hand, 0.08), moved(hand, dz=_LIFT_M)):
+                yield hand
+
+    def pick_up(self, hand: FloatArray) -> bool:
+        """Grasp what is there and lift it; return whether there is a way."""
+        if not self.approach(hand, FINGER_OPENING_M):
+            return False
+        self.wait(_CLOSE_S, 0.0)
+        self.lead([moved(hand, dz=_LIFT_M)], 0.0, 0.3)
+        return True
+
+    def take(self, name: str, lean: float = 0.0, ahead_m: float = 0.0) -> bool:
+        """Pick up a cube; see :meth:`holds`. Return whether there is a way."""
+        hand = next(self.holds(name, lean, ahead_m), None)
+        return hand is not None and self.pick_up(hand)
+
+    def put(self, hand: FloatArray, back_m: float = 0.10, lift_m: float = 0.0) -> bool:
+        """Let go at a pose, and draw back; return whether there is a way."""
+        there = self.approach(hand, 0.0, back_m, lift_m)
+        if there:
+            self.let_go(hand)
+        return there
+
+    def let_go(self, hand: FloatArray) -> None:
+        """Open the fingers, draw back and get out of the way."""
+        self.wait(_CLOSE_S)
+        self.lead([drawn_back(hand, 0.10)], FINGER_OPENING_M, 0.2)
+        self.stand_by(hand, FINGER_OPENING_M)
+
+    def set_down(self, name: str, spot: Pose2, bottom_m: float = 0.0) -> bool:
+        """Pick up a cube and set it down.
+
+        Args:
+            name: The cube.
+            spot: Pose of its middle; the fingers close across its yaw.
+            bottom_m: Height of what it is set down on [m].
+
+        Returns:
+            Whether it now stands there.
+        """
+        put = leaning(spot, bottom_m + CUBE_EDGE_M / 2 + _TOUCH_DOWN_M)
+        if not self.can(put) or not self.take(name) or not self.put(put):
+            return False
+        return self.pose(name).distance(spot) < _MISSED_M
+
+    def snapshot(self) -> Moment:
+        """Return the present moment, for :meth:`restore`."""
         return Moment(self._env.snapshot(), self._row.copy(), len(self._commands))
 
-    def restore(self, moment: "Moment") -> None:
-        """Go back; what was done since was never done."""
+    def restore(self, moment: Moment) -> None:
+        """Go back to a moment; everything done since then is undone."""
         self._env.restore(moment.env)
         self._row = moment.row.copy()
         del self._commands[moment.commands :]
@@ -238,37 +313,11 @@ class ControlTrial:
 
     def finish(self) -> bool:
         """Wait for the environment to end the episode; return whether it succeeded."""
-        try:
+        with suppress(AttemptOver):
             if not self._over and self.best_progress > 0.0:
-                self.wait(_PATIENCE_S, FINGER_OPENING_M)
-        except AttemptOver:
-            pass
+                self.wait(_PATIENCE_S)
         return self._over and self._reward > 0.0
 
-    def what_was_done(self) -> dict[str, object]:
-        """Return it, for a replay."""
+    def record(self) -> dict[str, Any]:
+        """Return the commands, (steps, robots, numbers)."""
         return {"commands": np.stack(self._commands)}
-
-
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """A moment of a trial."""
-
-    env: EnvSnapshot
-    row: FloatArray
-    commands: int
-
-
-class ControlTable:
-    """A compiled instance, from whose start attempts begin."""
-
-    def __init__(self, instance: Instance) -> None:
-        """Compile it."""
-        self._env = ControlEnv(control_config(instance.task))
-        self._env.set_table(options={"instance": instance})
-        self._start: EnvSnapshot = self._env.snapshot()
-
-    def begin(self, robot: str, rng: np.random.Generator, attempt: int) -> ControlTrial:
-        """Set the table anew; see :class:`ControlTrial`."""
-        self._env.restore(self._start)
-        return ControlTrial(self._env, robot, rng, attempt)

@@ -1,16 +1,15 @@
-"""Attacks on instances: who tries what, how far it gets, and whether that repeats."""
+"""The audit: attacks on instances, their outcomes, and the sums of those."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.audit.attack import ATTACKS, LEVELS, Attack, AttemptOver, GiveUp
-from lemma.audit.control_trial import ControlTable
-from lemma.audit.skill_trial import SkillTable
+from lemma.audit.attack import ATTACKS, TRIALS, Attack
+from lemma.audit.trial import AttemptOver, GiveUp, Trial
 from lemma.core.arguments import known
 from lemma.core.errors import PhysicsError
 from lemma.core.seeding import stream
@@ -19,20 +18,18 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask
 from lemma.tasks.suite import load_instance
 
+# A module registers its attacks when it is imported.
 for _name in (
-    *("skill.drag_home", "skill.push_onto_pad", "skill.carry_on_stick"),
-    *("skill.push_tower", "skill.shove", "skill.search", "skill.plan_order"),
-    *("control.tilted_move", "control.rake", "control.hand_push"),
-    *("control.tilted_stick", "control.tip_off_stick", "control.tower_push"),
-    *("control.topple", "control.strike", "control.fling", "control.throw"),
-    *("chain.stick_relay", "chain.cube_chain"),
+    *("skill.drag", "skill.push", "skill.tray", "skill.search", "skill.plan_order"),
+    *("control.lean", "control.push", "control.climb", "control.flight"),
+    *("control.tray", "control.relay"),
 ):
     import_module(f"lemma.audit.{_name}")
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What one attack did to one instance."""
+    """The outcome of one attack on one instance."""
 
     attack: str
     level: str
@@ -45,22 +42,30 @@ class Found:
     progress: float
     """Most of the goal that ever held, in [0, 1]."""
     robot: str = ""
-    """Who succeeded."""
+    """The robot that succeeded."""
     attempt: int = 0
-    """In which attempt."""
+    """The attempt that succeeded."""
     subtasks: tuple[GroundedSubTask, ...] = ()
-    """What it did, at skill level."""
+    """The successful sub-tasks, at skill level."""
     commands: NDArray[np.float32] | None = None
-    """What it commanded, at control level, (steps, robots, numbers)."""
+    """The successful commands, at control level, (steps, robots, numbers)."""
     unstable: int = 0
     """Attempts that ended because the physics became unstable."""
 
 
-_Table = SkillTable | ControlTable
-_TABLES: dict[str, Callable[[Instance], _Table]] = {
-    "skill": SkillTable,
-    "control": ControlTable,
-}
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """The outcomes of one attack on the instances of one task."""
+
+    level: str
+    tried: int
+    """Instances, each with every robot."""
+    executed: int
+    """Those in which something was executed; in the others geometry gave it up."""
+    succeeded: int
+    """Instances that were solved."""
+    best_progress: float
+    """Most of a goal that ever held, in [0, 1]."""
 
 
 def names_at(level: str) -> tuple[str, ...]:
@@ -69,7 +74,7 @@ def names_at(level: str) -> tuple[str, ...]:
     Raises:
         UnknownNameError: No such level.
     """
-    known("level", level, (*LEVELS, "both"))
+    known("level", level, (*TRIALS, "both"))
     return tuple(n for n in ATTACKS if level in ("both", ATTACKS[n].level))
 
 
@@ -81,26 +86,25 @@ def audit_instance(instance: Instance, names: Iterable[str]) -> Iterator[Found]:
         names: Of attacks.
 
     Yields:
-        What each did; it ends with the first success of a robot.
+        The outcome of each attack, which ends with the first success of a robot.
     """
-    tables: dict[str, _Table] = {}
+    begun: dict[str, tuple[Any, Any]] = {}
     for name in names:
-        record = ATTACKS[name]
-        if record.level not in tables:
-            tables[record.level] = _TABLES[record.level](instance)
-        yield _play(record, instance, tables[record.level])
+        level = ATTACKS[name].level
+        if level not in begun:
+            world = TRIALS[level].begin(instance)
+            begun[level] = world, world.snapshot()
+        yield _play(ATTACKS[name], instance, *begun[level])
 
 
 def cheap_attacks_succeed(instance: Instance) -> str | None:
     """Return the name of a cheap attack that succeeds; None if none does.
 
-    For the sampling of lists: an instance that one robot solves is none.
+    For the sampling of lists, which refuses an instance that one robot solves.
     """
     cheap = (name for name in ATTACKS if ATTACKS[name].cheap)
-    for found in audit_instance(instance, cheap):
-        if found.succeeded:
-            return found.attack
-    return None
+    found = audit_instance(instance, cheap)
+    return next((one.attack for one in found if one.succeeded), None)
 
 
 def audit(
@@ -115,11 +119,10 @@ def audit(
         keys: Task, split and index of each instance.
         names: Of attacks.
         engine: Where to work.
-        advance: Told of each instance that is done with.
+        advance: Called with the number of instances that are newly finished.
 
     Returns:
-        What each attack did to each instance, in the order of the keys, whoever worked
-        on which.
+        The outcomes in the order of the keys and names, for any number of workers.
     """
     found: list[Found] = []
     for some in run_in_order(engine, _audit_key, [(*key, names) for key in keys]):
@@ -134,38 +137,64 @@ def _audit_key(
     return list(audit_instance(load_instance(task, split, index), names))
 
 
-def _play(record: Attack, instance: Instance, table: _Table) -> Found:
+def _play(attack: Attack, instance: Instance, world: Any, start: Any) -> Found:
     """Make all attempts of an attack, until one succeeds."""
-    key = (record.name, record.level, instance.task, instance.split, instance.index)
+    key = (attack.name, attack.level, instance.task, instance.split, instance.index)
     acted, progress, unstable = False, 0.0, 0
     robots = instance.scene.robot_names
-    for robot in robots[:1] if record.team else robots:
-        for attempt in range(record.attempts):
-            rng = stream("audit", record.name, instance.key, robot, attempt)
-            trial: Any = table.begin(robot, rng, attempt)
+    for robot in robots[:1] if attack.team else robots:
+        for attempt in range(attack.attempts):
+            rng = stream("audit", attack.name, instance.key, robot, attempt)
+            world.restore(start)
+            trial: Trial = TRIALS[attack.level](world, robot, rng, attempt)
             try:
-                won = _attempt(record, trial)
+                won = _attempt(attack.play, trial)
             except PhysicsError:
-                # What is simulated means nothing any more, so nothing is won by it.
+                # Nothing is won by a simulation that has become meaningless.
                 won, unstable = False, unstable + 1
             if won is None:
                 break
             acted = acted or trial.acted
             progress = max(progress, trial.best_progress)
             if won:
-                return Found(
-                    *key, True, True, 1.0, robot, attempt, **trial.what_was_done()
-                )
+                done = trial.record()
+                return Found(*key, True, True, 1.0, robot, attempt, **done)
     return Found(*key, acted, False, progress, unstable=unstable)
 
 
-def _attempt(record: Attack, trial: Any) -> bool | None:
+def _attempt(play: Any, trial: Trial) -> bool | None:
     """Make one attempt; return whether it succeeded, None if geometry gave it up."""
     try:
-        record.play(trial)
+        play(trial)
     except AttemptOver:
         pass
     except GiveUp:
         if not trial.acted:
             return None
-    return bool(trial.acted and trial.finish())
+    return trial.acted and trial.finish()
+
+
+def tally(found: Iterable[Found]) -> dict[str, dict[str, Tally]]:
+    """Return sums by attack and task, in the order in which they come."""
+    tallies: dict[str, dict[str, Tally]] = {}
+    for one in found:
+        of_tasks = tallies.setdefault(one.attack, {})
+        so_far = of_tasks.get(one.task, Tally(one.level, 0, 0, 0, 0.0))
+        of_tasks[one.task] = Tally(
+            one.level,
+            so_far.tried + 1,
+            so_far.executed + one.acted,
+            so_far.succeeded + one.succeeded,
+            max(so_far.best_progress, one.progress),
+        )
+    return tallies
+
+
+def to_dict(tallies: dict[str, dict[str, Tally]]) -> dict[str, Any]:
+    """Return sums as plain data, ready for JSON."""
+    return {
+        "attacks": {
+            attack: {task: asdict(sums) for task, sums in of_tasks.items()}
+            for attack, of_tasks in tallies.items()
+        }
+    }

@@ -1,122 +1,72 @@
 """One attempt at an instance with grounded sub-tasks of one robot."""
 
-import math
+from typing import Any
 
 import numpy as np
 
-from lemma.audit.attack import AttemptOver, Lost
+from lemma.audit.trial import AttemptOver, Trial
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.planner import Plan, find_plan
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import SkillResult
-from lemma.robots.reach import Reach, reach_of
-from lemma.scene.spec import RobotPlacement
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 _UNLIMITED_S = 1000.0
 
 
-class SkillTrial:
-    """What an attack at skill level sees and may do."""
+class SkillTrial(Trial):
+    """The means of an attack at skill level."""
 
     def __init__(
         self, episode: Episode, robot: str, rng: np.random.Generator, attempt: int = 0
     ) -> None:
-        """Begin an attempt.
-
-        Args:
-            episode: At its beginning.
-            robot: Who acts.
-            rng: Where every draw comes from.
-            attempt: Number of the attempt.
-        """
-        self.episode = episode
-        self.instance = episode.instance
-        self.goal = episode.instance.goal
-        self.scene = episode.simulation.scene
-        self.robot = robot
-        self.rng = rng
-        self.attempt = attempt
+        """Begin an attempt; see :class:`~lemma.audit.trial.Trial`."""
+        super().__init__(episode, robot, rng, attempt)
         self.grounder = GeometricGrounder(self.scene.spec)
-        self.best_progress = 0.0
-        """Most of the goal that ever held between two sub-tasks."""
-        self.acted = False
-        """Whether anything was executed, taken back or not."""
 
-    @property
-    def placement(self) -> RobotPlacement:
-        """The robot that acts: arm type and base."""
-        return self.grounder.robots[self.robot]
-
-    @property
-    def reach(self) -> Reach:
-        """Its reach, pointing down."""
-        return reach_of(self.placement.arm)
+    @staticmethod
+    def begin(instance: Instance) -> Episode:
+        """Return an episode in which attempts can be made."""
+        return Episode(instance)
 
     def state(self) -> SymbolicState:
-        """Return where things are now."""
+        """Return the present symbolic state."""
         return SymbolicState.observe(self.scene)
-
-    def pose(self, name: str) -> Pose2:
-        """Return where an object is now."""
-        return self.scene.pose2(name)
-
-    def radius(self, pose: Pose2) -> float:
-        """Return the distance of a position from the robot's base [m]."""
-        return self.placement.base.distance(pose)
-
-    def margin(self, pose: Pose2) -> float:
-        """Return how far inside the robot's reach a position is [m]."""
-        return self.reach.margin(self.placement.base, pose.x, pose.y)
-
-    def outward(self, pose: Pose2) -> float:
-        """Return the direction from the robot's base to a position [rad]."""
-        base = self.placement.base
-        return math.atan2(pose.y - base.y, pose.x - base.x)
-
-    def at(self, radius_m: float, bearing: float) -> tuple[float, float]:
-        """Return a position by distance and direction from the robot's base [m]."""
-        base = self.placement.base
-        x = base.x + radius_m * math.cos(bearing)
-        return x, base.y + radius_m * math.sin(bearing)
 
     def move(self, pick: Pose2, place: Pose2) -> SkillResult:
         """Pick up what lies at a pose and put it down at another."""
-        return self.do(GroundedSubTask(self.robot, Primitive.MOVE, pick, place))
+        return self.do(Primitive.MOVE, pick, place)
 
-    def do(self, subtask: GroundedSubTask) -> SkillResult:
+    def carry(self, name: str, place: Pose2) -> bool:
+        """Pick up an object and put it down at a pose; return whether that went."""
+        pick = self.grounder.grasp(self.robot, name, self.state())
+        return pick is not None and self.move(pick, place).ok
+
+    def do(self, primitive: Primitive, pick: Pose2, place: Pose2) -> SkillResult:
         """Execute a grounded sub-task, as a step of the environment does.
 
         Raises:
             AttemptOver: The goal is reached, or the time is up.
+            Lost: The goal cannot be reached any more.
         """
+        return self.execute(GroundedSubTask(self.robot, primitive, pick, place))
+
+    def execute(self, subtask: GroundedSubTask) -> SkillResult:
+        """Execute a grounded sub-task of any robot; see :meth:`do`."""
         self.acted = True
         start_s = self.episode.elapsed_s
         result = self.episode.execute(subtask)
         self.episode.linger(start_s)
-        self.look()
-        return result
-
-    def look(self) -> None:
-        """Take note of how the goal stands.
-
-        Raises:
-            AttemptOver: It is reached, or the time is up.
-            Lost: It cannot be reached any more.
-        """
-        self.best_progress = max(self.best_progress, self.episode.progress)
-        if self.episode.is_over:
-            raise AttemptOver
-        if self.episode.progress == 1.0:
+        if self.episode.progress == 1.0 and not self.episode.is_over:
             before = self.episode.snapshot()
             if self.finish():
                 raise AttemptOver
             self.episode.restore(before)
-        if not set(self.episode.fallen).isdisjoint(self.goal.entities):
-            raise Lost
+        self.look(self.episode.is_over)
+        return result
 
     def plan_alone(self) -> Plan | None:
         """Return the expert's plan for this robot alone, None where there is none."""
@@ -129,11 +79,11 @@ class SkillTrial:
         )
 
     def snapshot(self) -> EpisodeSnapshot:
-        """Return the moment, to come back to it: an attacker may try things out."""
+        """Return the present moment, for :meth:`restore`."""
         return self.episode.snapshot()
 
     def restore(self, moment: EpisodeSnapshot) -> None:
-        """Go back; what was done since was never done."""
+        """Go back to a moment; everything done since then is undone."""
         self.episode.restore(moment)
 
     def finish(self) -> bool:
@@ -143,21 +93,6 @@ class SkillTrial:
         self.best_progress = max(self.best_progress, self.episode.progress)
         return self.episode.is_success
 
-    def what_was_done(self) -> dict[str, object]:
-        """Return it, for a replay."""
-        done = tuple(executed.grounded for executed in self.episode.executed)
-        return {"subtasks": done}
-
-
-class SkillTable:
-    """A compiled instance, from whose start attempts begin."""
-
-    def __init__(self, instance: Instance) -> None:
-        """Compile it."""
-        self._episode = Episode(instance)
-        self._start = self._episode.snapshot()
-
-    def begin(self, robot: str, rng: np.random.Generator, attempt: int) -> SkillTrial:
-        """Set the table anew; see :class:`SkillTrial`."""
-        self._episode.restore(self._start)
-        return SkillTrial(self._episode, robot, rng, attempt)
+    def record(self) -> dict[str, Any]:
+        """Return the sub-tasks that were executed."""
+        return {"subtasks": tuple(one.grounded for one in self.episode.executed)}

@@ -1,4 +1,4 @@
-"""`lemma audit`: what one robot alone can do to the instances, tried in physics."""
+"""`lemma audit`: one robot alone attacks instances, in physics."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,12 +8,19 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from lemma.cli.options import Folder, JsonFlag, Number, messages, output, print_json
+from lemma.cli.options import (
+    Folder,
+    JsonFlag,
+    Number,
+    messages,
+    output,
+    print_json,
+    words,
+)
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 
 if TYPE_CHECKING:
-    from lemma.audit.run import Found
-    from lemma.audit.table import Tally
+    from lemma.audit.run import Found, Tally
     from lemma.viz.video import VideoStyle
 
 _ALL = "all"
@@ -34,7 +41,7 @@ class AuditOptions:
     start: int = 0
     """Number of the first one."""
     level: Literal["skill", "control", "both"] = "both"
-    """What the attacks act by: grounded sub-tasks, motor commands, or both in turn."""
+    """Attacks with grounded sub-tasks, with motor commands, or both."""
     attacks: Annotated[str, tyro.conf.arg(metavar="ATTACK,...")] = _ALL
     """Names of attacks, separated by commas."""
 
@@ -60,7 +67,7 @@ def audit(
     """
     # Imported here, so that help does not wait for it.
     from lemma.audit.run import audit as run
-    from lemma.audit.table import tally, to_dict
+    from lemma.audit.run import tally, to_dict
 
     names = _attacks(wanted)
     keys = _keys(wanted)
@@ -95,7 +102,7 @@ def _attacks(wanted: AuditOptions) -> tuple[str, ...]:
     at_level = names_at(wanted.level)
     if wanted.attacks == _ALL:
         return at_level
-    names = tuple(wanted.attacks.split(","))
+    names = words(wanted.attacks)
     for name in names:
         if ATTACKS[name].name not in at_level:
             raise InvalidConfigError(
@@ -106,7 +113,7 @@ def _attacks(wanted: AuditOptions) -> tuple[str, ...]:
 
 
 def _keys(wanted: AuditOptions) -> list[tuple[str, str, int]]:
-    """Return the instances that are asked for.
+    """Return task, split and index of the wanted instances.
 
     Raises:
         UnknownNameError: No such task or split.
@@ -116,7 +123,7 @@ def _keys(wanted: AuditOptions) -> list[tuple[str, str, int]]:
     from lemma.tasks.instance import SPLITS
     from lemma.tasks.suite import SUITE, check_split
 
-    tasks = SUITE if wanted.tasks == _ALL else tuple(wanted.tasks.split(","))
+    tasks = SUITE if wanted.tasks == _ALL else words(wanted.tasks)
     for task in tasks:
         check_split(task, wanted.split)
     size, first = SPLITS.get(wanted.split), wanted.start

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 from rich.table import Table
 
-from lemma.cli.options import JsonFlag, Number, Word, output, print_json
+from lemma.cli.options import JsonFlag, Number, Word, output, print_json, words
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.digests import differing
@@ -120,20 +120,6 @@ def generate(
     else:
         _print_comparison(differing(out))
     return 0
-
-
-def words(listed: str) -> tuple[str, ...]:
-    """Return the words of a list separated by commas, each once.
-
-    Raises:
-        InvalidConfigError: There is none.
-    """
-    found = tuple(dict.fromkeys(w.strip() for w in listed.split(",") if w.strip()))
-    if not found:
-        raise InvalidConfigError(
-            f"{listed!r} names nothing. Separate names by commas: train,val."
-        )
-    return found
 
 
 def figures(summary: GenerateSummary, workers: int) -> dict[str, float]:

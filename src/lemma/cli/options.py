@@ -79,6 +79,20 @@ def replace_what_cannot_be_printed() -> None:
             stream.reconfigure(errors="replace")
 
 
+def words(listed: str) -> tuple[str, ...]:
+    """Return the words of a list separated by commas, each once.
+
+    Raises:
+        InvalidConfigError: There is none.
+    """
+    found = tuple(dict.fromkeys(w.strip() for w in listed.split(",") if w.strip()))
+    if not found:
+        raise InvalidConfigError(
+            f"{listed!r} names nothing. Separate names by commas: train,val."
+        )
+    return found
+
+
 def arguments(text: str) -> tuple[tuple[str, Any], ...]:
     """Return names and values.
 

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from lemma.cli.generate import words
-from lemma.cli.options import Word, messages, output
+from lemma.cli.options import Word, messages, output, words
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.hub import pull as fetch
 

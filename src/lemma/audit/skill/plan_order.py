@@ -1,12 +1,12 @@
-"""The expert's own plan with its whole team, out of order or with a step left out.
+"""The expert's plan with its whole team, out of order or with one step left out.
 
-These do not ask whether one robot is enough, but whether every sub-task is needed, and
-where it stands.
+These attacks do not ask whether one robot is enough, but whether every sub-task and the
+order of the sub-tasks are needed.
 """
 
 from collections.abc import Sequence
 
-from lemma.audit.attack import ATTACKS, Attack, GiveUp
+from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.skill_trial import SkillTrial
 from lemma.expert.grounding import GroundedOption
 from lemma.expert.planner import find_plan
@@ -18,7 +18,7 @@ _DRAWS = 50
 
 
 def out_of_order(trial: SkillTrial) -> None:
-    """Execute the plan backwards; in later attempts, in another wrong order."""
+    """The team's plan, backwards or in another wrong order."""
     steps = _planned(trial)
     order = list(range(len(steps)))[::-1]
     if trial.attempt > 0:
@@ -28,18 +28,17 @@ def out_of_order(trial: SkillTrial) -> None:
 
 
 def one_skipped(trial: SkillTrial) -> None:
-    """Execute the plan without one of its steps."""
+    """The team's plan without one of its sub-tasks."""
     steps = _planned(trial)
-    if trial.attempt >= len(steps):
-        raise GiveUp
+    trial.require(trial.attempt < len(steps))
     _execute(trial, [*steps[: trial.attempt], *steps[trial.attempt + 1 :]])
 
 
 def _planned(trial: SkillTrial) -> Sequence[GroundedOption]:
     plan = find_plan(trial.state(), trial.goal, trial.grounder)
-    if plan is None or not plan.steps:
-        raise GiveUp
-    return plan.steps
+    steps = plan.steps if plan is not None else ()
+    trial.require(steps)
+    return steps
 
 
 def _is_wrong(steps: Sequence[GroundedOption], order: Sequence[int]) -> bool:
@@ -61,31 +60,11 @@ def _is_wrong(steps: Sequence[GroundedOption], order: Sequence[int]) -> bool:
 
 
 def _execute(trial: SkillTrial, steps: Sequence[GroundedOption]) -> None:
-    """Execute steps where things are now, or else where they were expected."""
+    """Execute steps grounded in the present state, or else as they were planned."""
     for step in steps:
         now = trial.grounder.ground(step.subtask, trial.state())
-        trial.do((now or step).grounded)
+        trial.execute((now or step).grounded)
 
 
-ATTACKS.add(
-    "out_of_order",
-    Attack(
-        name="out_of_order",
-        summary="The team's plan, backwards or in another wrong order.",
-        level="skill",
-        play=out_of_order,
-        attempts=3,
-        team=True,
-    ),
-)
-ATTACKS.add(
-    "one_skipped",
-    Attack(
-        name="one_skipped",
-        summary="The team's plan without one of its sub-tasks.",
-        level="skill",
-        play=one_skipped,
-        attempts=_LONGEST,
-        team=True,
-    ),
-)
+ATTACKS.add("out_of_order", Attack(out_of_order, "skill", attempts=3, team=True))
+ATTACKS.add("one_skipped", Attack(one_skipped, "skill", attempts=_LONGEST, team=True))

@@ -1,13 +1,14 @@
-"""Search over sub-tasks, without a thought of what they are good for."""
+"""Attacks that search over sub-tasks, without an idea of their use."""
 
 import math
 from collections.abc import Iterator
+from itertools import product
 
-from lemma.audit.attack import ATTACKS, Attack, Lost
+from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.pushes import CONTACTS, GRASPS, push
 from lemma.audit.skill_trial import SkillTrial
 from lemma.core.poses import Pose2
-from lemma.scene.objects.entity import STICK, kind_of
+from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _STEPS = 12
@@ -17,71 +18,68 @@ _WIDTH = 3
 
 
 def random_skills(trial: SkillTrial) -> None:
-    """Do what the expert could do next, or something with random poses."""
+    """Sub-tasks that the expert's grounder proposes, and random ones."""
     for _ in range(_STEPS):
-        known = list(expert_proposals(trial))
-        if known and trial.rng.random() < 0.5:
-            trial.do(known[int(trial.rng.integers(len(known)))])
+        proposed = list(_expert_proposals(trial))
+        if proposed and trial.rng.random() < 0.5:
+            trial.execute(proposed[int(trial.rng.integers(len(proposed)))])
             continue
-        drawn = next(random_proposals(trial), None)
+        drawn = next(_random_proposals(trial), None)
         if drawn is not None:
-            trial.do(drawn)
+            trial.execute(drawn)
 
 
 def greedy_skills(trial: SkillTrial) -> None:
-    """Try some sub-tasks, take back all but the one that helps most, and go on."""
+    """Tries sub-tasks out, and keeps the one that brings the goal nearest."""
     left = _ROLLOUTS
     while left > 0:
-        choices = list(expert_proposals(trial))
+        choices = list(_expert_proposals(trial))
         order = trial.rng.permutation(len(choices)).tolist()
         tries = [choices[i] for i in order[: _WIDTH - 1]]
-        tries += list(random_proposals(trial))[: _WIDTH - len(tries)]
-        if not tries:
-            return
-        start, best, least = trial.snapshot(), None, distance_left(trial)
-        for subtask in tries:
-            trial.restore(start)
-            left -= 1
-            try:
-                trial.do(subtask)
-            except Lost:
-                continue
-            if distance_left(trial) < least - 0.005:
-                best, least = trial.snapshot(), distance_left(trial)
-        if best is None:
-            trial.restore(start)
-            return
+        tries += list(_random_proposals(trial))[: _WIDTH - len(tries)]
+        left -= len(tries)
+        start = trial.snapshot()
+        best, least = start, _distance_left(trial)
+
+        def attempt(subtask: GroundedSubTask) -> None:
+            nonlocal best, least
+            trial.execute(subtask)
+            if _distance_left(trial) < least - 0.005:
+                best, least = trial.snapshot(), _distance_left(trial)
+
+        trial.try_each(tries, attempt)
         trial.restore(best)
+        if best is start:
+            return
 
 
-def distance_left(trial: SkillTrial) -> float:
+def _distance_left(trial: SkillTrial) -> float:
     """Return how far the goal's tops are from their bottoms [m], summed up."""
-    return sum(
-        trial.pose(on.top).distance(trial.pose(on.bottom))
-        for on in trial.goal.conjuncts
-        if not on.holds(trial.scene)
-    )
+    left_m = 0.0
+    for on in trial.goal.conjuncts:
+        if not on.holds(trial.scene):
+            left_m += trial.pose(on.top).distance(trial.pose(on.bottom))
+    return left_m
 
 
-def expert_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
+def _expert_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
     """Yield every sub-task that the expert's grounder finds poses for."""
     now = trial.state()
-    for primitive in Primitive:
-        for pick in now.poses:
-            for place in (*now.poses, *now.spec.regions):
-                subtask = SubTask(trial.robot, primitive, pick, place)
-                option = trial.grounder.ground(subtask, now)
-                if option is not None:
-                    yield option.grounded
+    for primitive, pick in product(Primitive, now.poses):
+        for place in (*now.poses, *now.spec.regions):
+            subtask = SubTask(trial.robot, primitive, pick, place)
+            option = trial.grounder.ground(subtask, now)
+            if option is not None:
+                yield option.grounded
 
 
-def random_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
-    """Yield sub-tasks with poses that are drawn, as long as the draws are in reach."""
-    rng, there = trial.rng, trial.state().poses
-    cargo = [name for name in there if kind_of(name).cargo]
-    within = [name for name in cargo if trial.margin(there[name]) > 0.0]
+def _random_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
+    """Yield sub-tasks with random poses, as far as these are in reach."""
+    rng, cargo = trial.rng, trial.cargo()
+    within = [name for name in cargo if trial.margin(trial.pose(name)) > 0.0]
+    has_stick = STICK in trial.state().poses
     for _ in range(_DRAWS):
-        if STICK in there and rng.random() < 0.7:
+        if has_stick and rng.random() < 0.7:
             grasp = GRASPS[int(rng.integers(len(GRASPS)))]
             pick = trial.pose(STICK) @ grasp
             contact = CONTACTS[int(rng.integers(len(CONTACTS)))]
@@ -98,28 +96,10 @@ def random_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
             pose = trial.grounder.grasp(trial.robot, name, trial.state())
             assert pose is not None
             near = Pose2(*rng.uniform(-0.02, 0.02, 2).tolist())
-            x, y, yaw = (rng.uniform(-1.0, 1.0, 3) * (1.5, 1.5, math.pi)).tolist()
-            place = Pose2(x, y, yaw)
+            place = Pose2(*(rng.uniform(-1.0, 1.0, 3) * (1.5, 1.5, math.pi)).tolist())
             if trial.margin(place) > 0.0:
                 yield GroundedSubTask(trial.robot, Primitive.MOVE, pose @ near, place)
 
 
-ATTACKS.add(
-    "random_skills",
-    Attack(
-        name="random_skills",
-        summary="Sub-tasks that the expert's grounder proposes, and random ones.",
-        level="skill",
-        play=random_skills,
-        attempts=3,
-    ),
-)
-ATTACKS.add(
-    "greedy_skills",
-    Attack(
-        name="greedy_skills",
-        summary="Tries sub-tasks out, and keeps what brings the goal nearer.",
-        level="skill",
-        play=greedy_skills,
-    ),
-)
+ATTACKS.add("random_skills", Attack(random_skills, "skill", attempts=3))
+ATTACKS.add("greedy_skills", Attack(greedy_skills, "skill"))

@@ -1,1 +1,0 @@
-"""Attacks that push one thing with another, at control level: rows and relays."""

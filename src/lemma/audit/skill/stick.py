@@ -1,0 +1,185 @@
+"""The stick at skill level: to fetch it, to choose a push, to carry it out."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+from lemma.audit.pushes import (
+    BAR_GRASPS,
+    CONTACTS,
+    END_GRASP,
+    GRASPS,
+    HANDLE_GRASPS,
+    HOOK,
+    Contact,
+    Push,
+    overlap_m,
+    push,
+)
+from lemma.audit.skill_trial import SkillTrial
+from lemma.core.poses import Pose2, wrap
+from lemma.scene.objects.cube import CUBE_EDGE_M
+from lemma.scene.objects.entity import STICK, kind_of
+from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M
+from lemma.tasks.drags import stick_gap
+from lemma.tasks.subtask import Primitive
+
+SURE_M = 0.004
+_HOME_M = 0.075
+"""Farther than this inside its reach a robot has no use for a thing."""
+_FAR_M = 0.03
+_OVERLAP_COST = 3.0
+_LENGTH_COST = 0.1
+_LEAST_GAIN_M = 0.01
+_LOOKS = 200
+"""Pushes, the most useful ones, that are checked for what is in their way."""
+
+
+@dataclass(frozen=True)
+class Ways:
+    """Pushes that an attack considers."""
+
+    contacts: tuple[Contact, ...] = (HOOK,)
+    grasps: tuple[Pose2, ...] = (END_GRASP,)
+    headings: int = 36
+    lengths_m: tuple[float, ...] = tuple(round(0.06 + 0.02 * i, 2) for i in range(25))
+
+    def pushes(self, thing: Pose2) -> Iterator[Push]:
+        """Yield all combinations for a thing at a pose."""
+        turn = math.tau / self.headings
+        headings = [i * turn for i in range(self.headings)]
+        for contact, grasp, heading, length_m in product(
+            self.contacts, self.grasps, headings, self.lengths_m
+        ):
+            yield push(contact, grasp, thing, heading, length_m)
+
+
+HOOKING = Ways()
+"""As the expert does it, but of any length and direction."""
+ANY_WAY = Ways(
+    CONTACTS,
+    (*HANDLE_GRASPS[:6:2], HANDLE_GRASPS[-1], BAR_GRASPS[1]),
+    headings=24,
+    lengths_m=tuple(round(0.08 + 0.06 * i, 2) for i in range(9)),
+)
+"""With every side of the stick, and other grasps."""
+
+
+def require_stick(trial: SkillTrial, grasps: Sequence[Pose2] = GRASPS) -> None:
+    """Give up where there is no stick, or none of the grasps is in reach."""
+    trial.require(STICK in trial.scene.spec.object_names and grasp_now(trial, grasps))
+
+
+def touches_by_stick(trial: SkillTrial, name: str) -> bool:
+    """Whether the stick could touch a thing while it is held, pointing down."""
+    longest_m = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M) + CUBE_EDGE_M
+    return trial.radius(trial.pose(name)) <= trial.reach.grasp_m + longest_m
+
+
+def grasp_now(trial: SkillTrial, grasps: Sequence[Pose2]) -> Pose2 | None:
+    """Return the first grasp, in the stick's frame, that is in reach as it lies."""
+    stick = trial.pose(STICK)
+    return next((g for g in grasps if trial.margin(stick @ g) > SURE_M), None)
+
+
+def fetch_stick(trial: SkillTrial) -> None:
+    """Take the stick by any part, and lay it down so that its end can be grasped."""
+    yaw, travel_m = trial.placement.base.yaw, trial.reach.travel_m
+    for _ in range(3):
+        grasp = grasp_now(trial, GRASPS)
+        if grasp is None or grasp_now(trial, (END_GRASP,)) is not None:
+            return
+        discs = trial.grounder.discs(trial.state(), but=STICK)
+        best, least = None, math.inf
+        for i, share, turn in product(
+            range(-6, 7), (0.45, 0.6, 0.75, 0.9), (0.0, 0.6, -0.6, 1.2, -1.2)
+        ):
+            bearing = yaw + math.radians(10.0 * i)
+            at = trial.at(share * travel_m, bearing)
+            grip = Pose2(at.x, at.y, wrap(bearing + turn))
+            stick = grip @ END_GRASP.inverse()
+            if trial.margin(stick @ grasp) < SURE_M:
+                continue
+            gaps = (r + 0.035 - stick_gap(stick, x, y) for x, y, r in discs)
+            cost = sum(max(0.0, gap_m) for gap_m in gaps) + 0.01 * abs(turn)
+            if cost < least:
+                best, least = stick @ grasp, cost
+        if best is None:
+            return
+        trial.move(trial.pose(STICK) @ grasp, best)
+
+
+def best_pushes(trial: SkillTrial, thing: str, ways: Ways) -> list[Push]:
+    """Return pushes that the hand can follow and that bring a thing home, best first.
+
+    A push is the better the farther inside its reach the robot then has the thing.
+    """
+
+    def worth(pose: Pose2) -> float:
+        return min(trial.margin(pose), _HOME_M)
+
+    now, reach, found = trial.pose(thing), trial.reach, []
+    discs = trial.grounder.discs(trial.state(), but=thing)
+    least = worth(now) + _LEAST_GAIN_M
+    for way in ways.pushes(now):
+        if trial.margin(way.start) < SURE_M:
+            continue
+        # The hand need not rise where the push ends.
+        if not reach.inner_m + SURE_M < trial.radius(way.end) < reach.grasp_m - 0.003:
+            continue
+        gain = worth(way.moved)
+        if gain >= least:
+            found.append((gain - _LENGTH_COST * way.length_m, way))
+    found.sort(key=lambda pair: -pair[0])
+    looked = [(w - _OVERLAP_COST * overlap_m(p, discs), p) for w, p in found[:_LOOKS]]
+    return [way for _, way in sorted(looked, key=lambda pair: -pair[0])]
+
+
+def carry_out(
+    trial: SkillTrial, way: Push, primitive: Primitive = Primitive.POKE
+) -> None:
+    """Put the stick down beside a thing, and push it: ``HOOK`` or ``POKE``."""
+    hooks = primitive is Primitive.HOOK
+    stick, before = trial.pose(STICK), Primitive.PREHOOK if hooks else Primitive.PREPOKE
+
+    def free_m(grasp: Pose2) -> float:
+        return min(trial.margin(stick @ grasp), trial.margin(way.stick @ grasp))
+
+    options = (way.grasp, *GRASPS)
+    grasp = next((g for g in options if free_m(g) > 0.0), way.grasp)
+    if trial.do(before, stick @ grasp, way.stick @ grasp).ok:
+        # Along the stick as it lies, which differs by some millimetres.
+        pick = trial.pose(STICK) @ way.grasp
+        trial.do(primitive, pick, pick @ (way.start.inverse() @ way.end))
+
+
+def drag_closer(trial: SkillTrial, thing: str, ways: Ways, number: int = 0) -> bool:
+    """Push a thing homewards; return whether it came closer.
+
+    Args:
+        trial: The attempt.
+        thing: What shall come.
+        ways: Pushes to choose from.
+        number: Failures so far; another push is chosen after each.
+    """
+    options = best_pushes(trial, thing, ways)
+    if not options:
+        return False
+    before = trial.margin(trial.pose(thing))
+    way = options[min(3 * number, len(options) - 1)]
+    carry_out(trial, way, Primitive.HOOK)
+    return trial.margin(trial.pose(thing)) > before + _LEAST_GAIN_M
+
+
+def bring_within(trial: SkillTrial, thing: str, inside_m: float) -> None:
+    """Hook a thing at most three times, until it is in reach by a margin [m]."""
+    for number in range(3):
+        if trial.margin(trial.pose(thing)) > inside_m:
+            break
+        drag_closer(trial, thing, HOOKING, number)
+
+
+def fixed_bottoms(trial: SkillTrial) -> list[str]:
+    """Return the bottoms of the goal that nobody can move."""
+    return [on.bottom for on in trial.goal.conjuncts if kind_of(on.bottom).fixed]
