@@ -327,6 +327,19 @@ def test_the_revision_is_never_that_of_somebody_elses_repository(
     assert versions(BENCHMARK_VERSION)["revision"] == "release"
 
 
+def test_where_git_does_not_say_the_revision_it_is_no_release(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(REVISION_VARIABLE)
+    package = tmp_path / "src" / "lemma" / "dataset" / "recipe"
+    package.mkdir(parents=True)
+    monkeypatch.setattr(files, "__file__", str(package / "files.py"))
+    assert versions(BENCHMARK_VERSION)["revision"] == "unknown"
+    # As a checkout of another owner, which git does not trust.
+    (tmp_path / ".git").write_text("gitdir: nowhere")
+    assert versions(BENCHMARK_VERSION)["revision"] == "unknown"
+
+
 def test_columns_can_be_read_alone(tmp_path: Path) -> None:
     write_table(tmp_path / "a.parquet", to_table([made_up()]), ABOUT)
     assert read_table(tmp_path / "a.parquet", ["task"]).column_names == ["task"]

@@ -19,7 +19,7 @@ from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.viewer.recording.pages import PAGE, VISER
 from lemma.viewer.recording.replays import Replayed, expert_instead, replay_line
 from lemma.viewer.recording.sources import cases_in, replays_in, write_cases
-from lemma.viewer.recording.track import FRAME_S, SOLVED, Reel
+from lemma.viewer.recording.track import FRAME_S, SOLVED, keep_frames
 from lemma.viz.pages.replays import PLAYER
 
 
@@ -43,7 +43,7 @@ def test_line_gives_the_very_episode(
 ) -> None:
     case, found = cases[index], again[index]
     played = Rollout(case.instance)
-    reel = Reel(played.episode.simulation)
+    taker = keep_frames(played.episode.simulation)
     for _ in roll_out([played], Player(Clumsy()), lenient=False):
         pass
     assert found.differs == ""
@@ -51,7 +51,7 @@ def test_line_gives_the_very_episode(
         assert found.state_hash == played.episode.simulation.scene.state_hash()
     # What was played goes on after a protective stop, for the lenient verdict.
     for (time_s, qpos), (was_s, was) in zip(
-        found.track.frames, reel.frames, strict=False
+        found.track.frames, taker.frames, strict=False
     ):
         assert time_s == was_s
         assert qpos.tobytes() == was.tobytes()
@@ -63,7 +63,7 @@ def test_line_gives_the_very_episode(
 
 def test_line_that_lies_is_found_out(cases: dict[int, Case]) -> None:
     row = {**cases[0].row, "elapsed_s": 1.0}
-    assert "elapsed s" in replay_line(replace(cases[0], row=row)).differs
+    assert "elapsed_s" in replay_line(replace(cases[0], row=row)).differs
 
 
 def test_motor_commands_are_in_no_line(cases: dict[int, Case]) -> None:

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from lemma.core.poses import FloatArray
-from lemma.env.simulation import HORIZON_S, TICK_S
+from lemma.env.playback import FrameTaker
+from lemma.env.simulation import HORIZON_S
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.instance import Instance
@@ -107,14 +108,9 @@ def record(
     started = time.perf_counter()
     play = Rollout(instance, horizon_s=horizon_s)
     episode, simulation = play.episode, play.episode.simulation
-    frames: list[tuple[float, FloatArray]] = []
-
-    def take_frame() -> None:
-        if frame_s and simulation.time_s >= len(frames) * frame_s - 0.5 * TICK_S:
-            frames.append((simulation.time_s, simulation.scene.snapshot()))
-
-    take_frame()
-    simulation.observers.append(take_frame)
+    taker = None
+    if frame_s is not None:
+        taker = FrameTaker(simulation, frame_s, simulation.scene.snapshot)
     steps = []
 
     def take_step(_: Rollout, step: TakenStep) -> None:
@@ -128,7 +124,7 @@ def record(
     return Recording(
         instance=instance,
         steps=tuple(steps),
-        frames=tuple(frames),
+        frames=tuple(taker.frames) if taker else (),
         success=play.success,
         failure=play.failure,
         elapsed_s=episode.elapsed_s,

@@ -23,6 +23,7 @@ from rendered_sets import (
 )
 
 from lemma.core.errors import DatasetError, UnknownNameError
+from lemma.core.files import read_json, write_json
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.instructions import Language
 from lemma.dataset.rendered.keyframes import dataset as keyframe_dataset
@@ -232,6 +233,27 @@ def test_processes_share_maps_in_a_file(tmp_path: Path) -> None:
     # What one of them writes, nobody else sees.
     second.rgb[0] = 0
     assert np.array_equal(MapsInMemory.load(folder, SPLIT, shared=True).rgb, alone.rgb)
+
+
+def test_shared_maps_are_those_of_the_files_that_are_there_now(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(keyframes_folder(), folder)
+    pictures = MapsInMemory.load(folder, SPLIT, shared=True)
+    # Other pictures of as many keyframes, where nobody has deleted the maps.
+    manifest = read_json(folder / MANIFEST)
+    for entry in manifest["files"].values():
+        entry["sha256"] = "0" * 64
+    write_json(folder / MANIFEST, manifest)
+    for path in (folder / SHARED).glob("*.npy"):
+        np.save(path, np.zeros_like(np.load(path)))
+    again = MapsInMemory.load(folder, SPLIT, shared=True)
+    assert np.array_equal(again.rgb, MapsInMemory.load(folder, SPLIT).rgb)
+    assert sum(path.suffix == ".npy" for path in (folder / SHARED).iterdir()) == 2
+    assert len(pictures) == len(again)
+    shutil.rmtree(folder / SHARED)
+    (folder / SHARED).write_text("in the way")
+    with pytest.raises(DatasetError, match="Leave out --shared-images"):
+        MapsInMemory.load(folder, SPLIT, shared=True)
 
 
 def open_files(folder: Path) -> int:

@@ -45,17 +45,21 @@ def versions(benchmark: str) -> dict[str, str]:
 
 
 def _revision() -> str:
-    """Return the git revision of the package's checkout, or ``"release"``.
+    """Return the git revision of the package's checkout.
 
-    Another project's repository, around an environment in which this package is
-    installed, is not asked.
+    Returns:
+        ``"release"`` if the package is installed, and ``"unknown"`` if it runs from
+        sources whose revision git does not say. Another project's repository, around
+        an environment in which this package is installed, is not asked.
     """
-    told = os.environ.get(REVISION_VARIABLE)
-    if told:
-        return told
+    named = os.environ.get(REVISION_VARIABLE)
+    if named:
+        return named
     root = Path(__file__).parents[4]
-    if not (root / "src/lemma").is_dir() or not (root / ".git").exists():
+    if not (root / "src/lemma").is_dir():
         return "release"
+    if not (root / ".git").exists():
+        return "unknown"
     try:
         return check_output(
             ["git", "describe", "--always", "--dirty", "--abbrev=40", "--match="],
@@ -64,7 +68,7 @@ def _revision() -> str:
             text=True,
         ).strip()
     except (OSError, SubprocessError):
-        return "release"
+        return "unknown"
 
 
 def write_table(path: Path, table: pa.Table, about: dict[str, str]) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from lemma.core.errors import PhysicsError
-from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
 from lemma.evaluation.records import STATE, WALL_CLOCK, Row
 from lemma.evaluation.run.evaluate import line_of
@@ -14,7 +13,7 @@ from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.interfaces import Decision
 from lemma.serve.protocol.faults import FaultKind
 from lemma.tasks.instance import Instance
-from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 Watcher = Callable[[Episode, int], None]
 """Told of an episode before each sub-task, from 0, and once more at the end."""
@@ -81,23 +80,11 @@ def _is_over(rollout: Rollout, *, strictly: bool) -> bool:
     return stopped or rollout.episode.is_over
 
 
-def _decision(step: Mapping[str, Any]) -> Decision:
-    subtask = SubTask(
-        step["robot"], Primitive(step["primitive"]), step["pick"], step["place"]
-    )
+def _decision(step: dict[str, Any]) -> Decision:
+    subtask = SubTask.from_dict(step)
     poses = step["grounded"]
-    found = None if poses is None else grounded_of(poses)
+    found = None if poses is None else GroundedSubTask.from_dict(poses)
     return Decision(subtask, found, step["explanation"])
-
-
-def grounded_of(data: Mapping[str, Any]) -> GroundedSubTask:
-    """Return a grounded sub-task from what its ``to_dict`` returned."""
-    return GroundedSubTask(
-        data["robot"],
-        Primitive(data["primitive"]),
-        Pose2(*data["pick"]),
-        Pose2(*data["place"]),
-    )
 
 
 def differences(row: Row, again: Row, *, strictly: bool = False) -> Iterator[str]:

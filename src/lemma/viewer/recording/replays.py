@@ -6,7 +6,7 @@ from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation.perform import is_same, perform
 from lemma.dataset.teleoperation.schema import LED, Commanded, Teleoperation
 from lemma.env.episode import Episode, EpisodeSnapshot
-from lemma.env.playback import play_steps
+from lemma.env.playback import FrameTaker, play_steps
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation, subtask_words
 from lemma.evaluation.run.replay import differences, play_again
@@ -20,8 +20,8 @@ from lemma.viewer.recording.track import (
     EXPERT,
     SOLVED,
     Frames,
-    Reel,
     Track,
+    keep_frames,
     unsolved,
 )
 from lemma.viz.recording import describe_subtask
@@ -48,14 +48,14 @@ def replay_record(record: EpisodeRecord) -> Track:
     """Execute what an episode of a recipe executed."""
     instance = Instance.from_dict(record.instance_data())
     episode = Episode(instance)
-    reel = Reel(episode.simulation)
+    taker = keep_frames(episode.simulation)
     play_steps(episode, [step.grounded for step in record.subtasks])
     lines = [
         _line(step.instruction, step.start_s, done.result)
         for step, done in zip(record.subtasks, episode.executed, strict=False)
     ]
     episode.stop()
-    return _track(EXPERT, episode, reel.frames, lines)
+    return _track(EXPERT, episode, taker.frames, lines)
 
 
 def replay_teleoperation(done: Teleoperation) -> tuple[Track, bool]:
@@ -68,7 +68,7 @@ def replay_teleoperation(done: Teleoperation) -> tuple[Track, bool]:
         LemmaError: It cannot be done.
     """
     episode = Episode(done.instance)
-    reel = Reel(episode.simulation)
+    taker = keep_frames(episode.simulation)
     perform(done, episode)
     starts = [part.start_s for part in done.parts]
     lines = []
@@ -86,7 +86,7 @@ def replay_teleoperation(done: Teleoperation) -> tuple[Track, bool]:
     lines.sort(key=lambda line: line.start_s)
     solved = episode.is_success
     verdict = SOLVED if solved else unsolved(episode.failure)
-    track = Track(BY_HAND, done.instance, reel.frames, tuple(lines), verdict, solved)
+    track = Track(BY_HAND, done.instance, taker.frames, tuple(lines), verdict, solved)
     return track, is_same(done, episode)
 
 
@@ -110,13 +110,13 @@ def replay_line(case: Case) -> Replayed:
     """
     row, turn = case.row, turn_of(case)
     episodes: list[Episode] = []
-    reels: list[Reel] = []
+    takers: list[FrameTaker] = []
     turns: list[tuple[EpisodeSnapshot, float]] = []
 
     def watch(episode: Episode, number: int) -> None:
         if not episodes:
             episodes.append(episode)
-            reels.append(Reel(episode.simulation))
+            takers.append(keep_frames(episode.simulation))
         if number == turn:
             # Where the policy stopped, the expert does not.
             now = replace(episode.snapshot(), stopped=False, ended_s=None, verdict=None)
@@ -137,7 +137,7 @@ def replay_line(case: Case) -> Replayed:
     )
     verdict = explanation(case) or SOLVED
     track = Track(
-        case.policy, case.instance, reels[0].frames, lines, verdict, row["success"]
+        case.policy, case.instance, takers[0].frames, lines, verdict, row["success"]
     )
     state_hash = episodes[0].simulation.scene.state_hash()
     return Replayed(track, differs, state_hash, *turns[0], turn)
@@ -153,13 +153,13 @@ def expert_instead(case: Case, again: Replayed) -> Track:
     episode = Episode(case.instance, horizon_s=case.about["horizon_s"])
     episode.restore(again.turn)
     kept = [frame for frame in again.track.frames if frame[0] <= again.turn_s]
-    reel = Reel(episode.simulation, kept)
+    taker = keep_frames(episode.simulation, kept)
     expert = Expert(episode.simulation.scene, case.instance.goal)
     lines = [*again.track.lines[: again.kept]]
     for step in solve(episode, expert):
         lines.append(_expert_line(step, case.instance))
     title = f"{EXPERT}, from sub-task {again.kept + 1} on" if again.kept else EXPERT
-    track = _track(title, episode, reel.frames, lines)
+    track = _track(title, episode, taker.frames, lines)
     if len(lines) == again.kept and not track.solved:
         return replace(track, verdict="The expert knows no way from there.")
     return track

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from lemma.core.poses import FloatArray
-from lemma.env.simulation import TICK_S, Simulation
+from lemma.env.playback import FrameTaker
+from lemma.env.simulation import Simulation
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.viewer.episode.status import Line
@@ -51,25 +52,15 @@ class Track:
         return self.frames[max(0, bisect_right(self.times, time_s + 1e-6) - 1)][1]
 
 
-class Reel:
-    """States of a simulation that goes on."""
+def keep_frames(simulation: Simulation, before: Frames = ()) -> FrameTaker:
+    """Keep the joints' positions of a simulation from now on.
 
-    def __init__(self, simulation: Simulation, before: Frames = ()) -> None:
-        """Watch it from now on; it is not changed.
-
-        Args:
-            simulation: What goes on.
-            before: States that came before.
-        """
-        self._simulation = simulation
-        self.frames: list[tuple[float, FloatArray]] = [*before]
-        self._take()
-        simulation.observers.append(self._take)
-
-    def _take(self) -> None:
-        time_s = self._simulation.time_s
-        if time_s >= len(self.frames) * FRAME_S - 0.5 * TICK_S:
-            self.frames.append((time_s, self._simulation.scene.data.qpos.copy()))
+    Args:
+        simulation: It is not changed.
+        before: Frames of an earlier part of the episode.
+    """
+    data = simulation.scene.data
+    return FrameTaker(simulation, FRAME_S, lambda: data.qpos.copy(), before)
 
 
 def track_of(recording: Recording, title: str) -> Track:

@@ -10,9 +10,9 @@ from PIL import Image
 from lemma.core.poses import FloatArray
 from lemma.core.workers.pool import ProcessPool
 from lemma.env.episode import Episode
-from lemma.env.simulation import TICK_S
+from lemma.env.playback import FrameTaker
 from lemma.evaluation.report.episodes import Case, subtask_words
-from lemma.evaluation.run.replay import differences, grounded_of, play_again
+from lemma.evaluation.run.replay import differences, play_again
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import SymbolicState
@@ -103,14 +103,16 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
     style = VideoStyle()
     states: dict[int, FloatArray] = {}
     choices: list[GroundedSubTask | None] = [None]
-    frames: list[tuple[float, FloatArray]] = []
+    takers: list[FrameTaker] = []
 
     def before(episode: Episode, number: int) -> None:
         states[number] = episode.simulation.scene.snapshot()
         if number == moment:
             choices[0] = _expert_choice(episode)
         if number == 0 and video is not None:
-            _film(episode, style.frame_s, frames)
+            simulation = episode.simulation
+            look = simulation.scene.snapshot
+            takers.append(FrameTaker(simulation, style.frame_s, look))
 
     again = play_again(case.row, case.instance, case.about, before, strictly=True)
     differs = next(differences(case.row, again, strictly=True), "")
@@ -120,11 +122,13 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
     views = _views(scene, [states[at], states[last]])
     scene.restore(states[at])
     own = steps[moment] if moment < len(steps) else None
-    chosen = grounded_of(own["grounded"]) if own and own["grounded"] else None
+    chosen = (
+        GroundedSubTask.from_dict(own["grounded"]) if own and own["grounded"] else None
+    )
     top = _map(case, scene, chosen, choices[0])
     if video is not None:
         video.parent.mkdir(parents=True, exist_ok=True)
-        write_video(_recording(case, frames), video, style)
+        write_video(_recording(case, takers[0].frames), video, style)
     name = f"{video.parent.name}/{video.name}" if video else ""
     first, end = map(jpeg, views)
     return Pictures(jpeg(top), first, end, differs, name)
@@ -135,19 +139,6 @@ def _expert_choice(episode: Episode) -> GroundedSubTask | None:
     now = SymbolicState.observe(episode.simulation.scene)
     plan = find_plan(now, episode.instance.goal, GeometricGrounder(now.spec))
     return plan.steps[0].grounded if plan and plan.steps else None
-
-
-def _film(
-    episode: Episode, frame_s: float, frames: list[tuple[float, FloatArray]]
-) -> None:
-    simulation = episode.simulation
-
-    def take_frame() -> None:
-        if simulation.time_s >= len(frames) * frame_s - 0.5 * TICK_S:
-            frames.append((simulation.time_s, simulation.scene.snapshot()))
-
-    take_frame()
-    simulation.observers.append(take_frame)
 
 
 def _views(scene: Scene, states: Sequence[FloatArray]) -> list[Image.Image]:

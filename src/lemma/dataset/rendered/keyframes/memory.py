@@ -1,10 +1,12 @@
 """The maps of a split in memory, for the fastest training loop."""
 
+import glob
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,9 @@ import numpy as np
 from filelock import FileLock
 from numpy.typing import NDArray
 
+from lemma.core.errors import DatasetError
+from lemma.core.files import write_whole
+from lemma.dataset.files import listed_files
 from lemma.dataset.instructions import RECORDED, Language
 from lemma.dataset.rendered.keyframes.dataset import (
     MAP_COLUMNS,
@@ -19,6 +24,7 @@ from lemma.dataset.rendered.keyframes.dataset import (
     KeyframeDataset,
     Sample,
 )
+from lemma.dataset.rendered.shards import Shard
 from lemma.scene.raster import Raster
 
 SHARED = ".maps"
@@ -77,7 +83,10 @@ class MapsInMemory:
             language: Which sentences.
             shared: Whether processes of this machine share the maps: the first writes
                 them uncompressed into the folder ``.maps`` of the data set, and all map
-                that file into their memory.
+                that file into their memory. Maps of earlier content are deleted.
+
+        Raises:
+            DatasetError: Files are missing or damaged, or the maps cannot be written.
         """
         if shared:
             return cls._load_shared(Path(folder), split, tasks, columns, language)
@@ -113,25 +122,48 @@ class MapsInMemory:
     ) -> "MapsInMemory":
         labels = KeyframeDataset(folder, split, tasks, columns, language)
         place = folder / SHARED
-        place.mkdir(exist_ok=True)
-        stem = "-".join((split, *tasks, str(len(labels))))
-        paths = [place / f"{stem}.{name}.npy" for name in ("rgb", "height")]
-        with FileLock(place / f"{stem}.lock"):
-            if not all(path.exists() for path in paths):
-                maps = cls.load(folder, split, tasks, ())
-                arrays: tuple[NDArray[Any], ...] = (maps.rgb, maps.height)
-                for path, array in zip(paths, arrays, strict=True):
-                    draft = path.with_suffix(".draft")
-                    with draft.open("wb") as file:
-                        np.save(file, array)
-                    draft.rename(path)
-        # Copied when written to, which nobody does: torch wants it writable.
-        rgb, height = (np.load(path, mmap_mode="c") for path in paths)
+        stem = "-".join((split, *tasks))
+        # The maps belong to the content, not to the names: other files may lie in the
+        # folder by now.
+        content = _content(folder, labels.shards)
+        paths = [place / f"{stem}.{content}.{name}.npy" for name in ("rgb", "height")]
+        try:
+            place.mkdir(exist_ok=True)
+            with FileLock(place / f"{stem}.lock"):
+                if not all(path.exists() for path in paths):
+                    for old in place.glob(f"{glob.escape(stem)}.*.npy"):
+                        old.unlink()
+                    maps = cls.load(folder, split, tasks, ())
+                    _save(paths[0], maps.rgb)
+                    _save(paths[1], maps.height)
+                # Copied when written to, which nobody does: torch wants it writable.
+                rgb, height = (np.load(path, mmap_mode="c") for path in paths)
+        except (OSError, ValueError) as error:
+            raise DatasetError(
+                f"The maps cannot be shared through {place}: {error}. Leave out "
+                "--shared-images, or delete that folder."
+            ) from error
         rest: dict[str, list[Any]] = {}
         for index in range(len(labels)):
             for name, value in labels[index].items():
                 rest.setdefault(name, []).append(value)
         return cls(rgb, height, _arrays(rest), labels.raster)
+
+
+def _content(folder: Path, shards: Sequence[Shard]) -> str:
+    """Return a digest of the files that the maps come from."""
+    files = listed_files(folder)
+    paths = (shard.paths["maps"].relative_to(folder).as_posix() for shard in shards)
+    sums = "".join(files[path]["sha256"] for path in paths)
+    return sha256(sums.encode()).hexdigest()[:16]
+
+
+def _save(path: Path, array: NDArray[Any]) -> None:
+    def write(draft: Path) -> None:
+        with draft.open("wb") as file:
+            np.save(file, array)
+
+    write_whole(path, write)
 
 
 def _arrays(columns: dict[str, list[Any]]) -> dict[str, NDArray[Any]]:
