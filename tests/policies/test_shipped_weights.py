@@ -8,6 +8,7 @@ from safetensors.torch import load_file
 
 from lemma.cli.main import main
 from lemma.core.files import read_json
+from lemma.core.poses import Pose2
 from lemma.evaluation.analysis.result import read_result
 from lemma.evaluation.experiments.catalog import (
     CONTROL_LEVEL,
@@ -79,6 +80,55 @@ def test_weights_are_small_and_what_is_said_of_them(
     assert model.selection in entry["scores"]
     assert f"{entry['model']} " in entry["command"]
     assert entry["data"]["digest"]
+
+
+ALL = (
+    "reachnet",
+    *(
+        pytest.param(name, marks=pytest.mark.slow)
+        for name in ("reachnet-demonstrations", "episodic-transformer+cliport")
+    ),
+    pytest.param("m-cliport", marks=pytest.mark.slow),
+)
+INSTANCES = (("pass", 0), ("stack", 3), ("hook", 5))
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("name", ALL)
+def test_neither_order_nor_company_changes_a_decision(name: str) -> None:
+    player = Player.load(PolicySpec(name))
+    plays = [Rollout(load_instance(task, "val", i), "human") for task, i in INSTANCES]
+    inputs = [player.given(play) for play in plays]
+    together = player.policy.act(inputs)
+    last, *others = player.policy.act(inputs[2:]) + player.policy.act(inputs[1::-1])
+    for one, other in zip(together, [*others[::-1], last], strict=True):
+        assert one.subtask == other.subtask
+        for end in ("pick", "place"):
+            # Sums of floats depend on the size of a batch, in their last digits.
+            poses = [getattr(each.grounded, end) for each in (one, other)]
+            assert as_numbers(poses[0]) == pytest.approx(as_numbers(poses[1]), abs=1e-5)
+
+
+def as_numbers(pose: Pose2) -> tuple[float, float, float]:
+    return pose.x, pose.y, pose.yaw
+
+
+@pytest.mark.slow
+@pytest.mark.render
+@pytest.mark.parametrize("name", ["reachnet", "m-cliport"])
+def test_the_order_of_episodes_changes_no_episode(name: str) -> None:
+    player = Player.load(PolicySpec(name))
+    found = []
+    for order, at_once in ((INSTANCES, 3), (INSTANCES[::-1], 1)):
+        plays = [Rollout(load_instance(task, "val", i), "human") for task, i in order]
+        over = {play.instance.task: play for play in roll_out(plays, player, at_once)}
+        found.append(
+            {
+                task: [(s.subtask, s.result.outcome) for s in play.steps]
+                for task, play in over.items()
+            }
+        )
+    assert found[0] == found[1]
 
 
 @pytest.mark.slow

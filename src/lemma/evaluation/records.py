@@ -205,6 +205,8 @@ class _Line(_Strict):
     state_sha256: str | None = None
     """Of the last state, which follows from everything before; None in lines of earlier
     releases."""
+    keeps_state: bool = False
+    """Whether the policy says that it remembers other episodes."""
 
 
 class _Policy(msgspec.Struct):
@@ -216,8 +218,8 @@ class _Policy(msgspec.Struct):
 
 class _Weights(msgspec.Struct):
     sha256: str
-    seed: int
-    data: dict[str, Any]
+    seed: int = 0
+    data: dict[str, Any] = {}
 
 
 class _About(msgspec.Struct):

@@ -2,7 +2,9 @@
 
 A decision is a pure function of a :class:`PolicyInput`, which holds all that was seen
 and done since the episode began. Policies keep no state, so that many episodes can be
-decided at once, in any order, and again from the middle.
+decided at once, in any order, and again from the middle. Evaluation makes a policy anew
+for each kind of sentence, because all kinds are played on the same tables, unless the
+policy says ``keeps_state = True``.
 
 The truth is not among it: what a policy is given is plain frozen data, copied out of
 the simulation, and no attribute of it leads back. Who needs the truth is an
@@ -113,6 +115,17 @@ def wants_cameras(part: object) -> bool:
     if isinstance(part, Composite):
         return any(map(wants_cameras, part.parts))
     return getattr(part, "cameras", False) is True
+
+
+def keeps_state(part: object) -> bool:
+    """Whether a policy remembers something of the episodes that it has played.
+
+    It says so by an attribute: ``keeps_state = True``. It is then not made anew for
+    each kind of sentence, and the lines of its result say so.
+    """
+    if isinstance(part, Composite):
+        return any(map(keeps_state, part.parts))
+    return getattr(part, "keeps_state", False) is True
 
 
 def told(part: object, inputs: Sequence[PolicyInput]) -> list[PolicyInput]:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,7 @@ from lemma.policies.interfaces import (
     Policy,
     Proposer,
     is_oracle,
+    keeps_state,
 )
 from lemma.policies.oracle import (
     GroundTruthAllocation,
@@ -60,6 +62,7 @@ def parts_of(name: str) -> tuple[str, ...]:
     """
     if "+" not in name or checkpoint_of(name) is not None or Path(name).exists():
         return (name,)
+    parted: list[tuple[str, ...]]
     places = [place for place, letter in enumerate(name) if letter == "+"]
     parted = [(name[:place], name[place + 1 :]) for place in reversed(places)]
     known = [(_is_known(first), _is_known(second)) for first, second in parted]
@@ -314,6 +317,7 @@ class GivenPolicy(PolicySpec):
     """A policy that is an object of this process, not a name: no other one has it."""
 
     _held: object
+    _as_it_was: object = None
 
     @classmethod
     def of(
@@ -364,6 +368,30 @@ class GivenPolicy(PolicySpec):
     def load(self, load: Callable[[str], Any] | None = None) -> Any:
         """Return the policy, ready to act; names are not looked up."""
         return super().load(lambda name: self._held)
+
+    def renew(self) -> None:
+        """Hold a policy that remembers nothing: the first time itself, then copies.
+
+        The copies are of what it was the first time. A policy that says that it keeps
+        its state is left as it is.
+
+        Raises:
+            InvalidConfigError: It cannot be copied.
+        """
+        if keeps_state(self._held):
+            return
+        try:
+            if self._as_it_was is None:
+                object.__setattr__(self, "_as_it_was", deepcopy(self._held))
+            else:
+                object.__setattr__(self, "_held", deepcopy(self._as_it_was))
+        except Exception as error:
+            raise InvalidConfigError(
+                f"A policy is made anew for each kind of instruction, and {self.name} "
+                f"cannot be copied: {type(error).__name__}: {error}. Evaluate one kind "
+                "at a time, name its class instead (package.module:Class), or, if it "
+                "shall remember the episodes before, give it keeps_state = True."
+            ) from error
 
     def _is_planner(self, part: str) -> bool:
         """No: a module may have the name of a planner."""

@@ -10,7 +10,6 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from math import inf
 from multiprocessing import parent_process
 from pathlib import Path
@@ -39,10 +38,11 @@ from lemma.evaluation.run.control.rollout import load_player
 from lemma.evaluation.run.expert_feedback import count_steps
 from lemma.evaluation.run.expert_times import TIMED_SPLITS, expert_s, perturbed_start
 from lemma.evaluation.run.language_controls import FULL, LANGUAGES, control_of
-from lemma.evaluation.run.loading import served_parts, weights_of
+from lemma.evaluation.run.loading import hang_up, served_parts, weights_of
 from lemma.evaluation.run.protocol import GROUP, check_protocol, quote
 from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
-from lemma.policies.spec import PLANNINGS, PolicySpec
+from lemma.policies.interfaces import keeps_state
+from lemma.policies.spec import PLANNINGS, GivenPolicy, PolicySpec
 from lemma.tasks.instance import BENCHMARK_VERSION, OWN_SPLIT, SPLITS, Instance
 from lemma.tasks.language.blind import check_blind
 from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
@@ -282,7 +282,8 @@ def play_group(
     config: EvaluationConfig, kind: str, task: str, indices: range, path: Path
 ) -> None:
     """Play some episodes, report each as it ends, and write them all."""
-    player = _player(config.policy)
+    player = _player(config, kind)
+    kept = {"keeps_state": True} if keeps_state(player.policy) else {}
     rollouts = []
     for index in indices:
         instance = config.instance or start_of(
@@ -296,20 +297,42 @@ def play_group(
     for rollout in roll_out(rollouts, player, len(rollouts), lenient=lenient):
         wall_s = (perf_counter() - start) / (len(rows) + 1)
         line = line_of(rollout, moved=config.perturb_start, lenient=lenient)
-        rows.append({**line, "wall_s": round(wall_s, 3)})
+        rows.append({**line, **kept, "wall_s": round(wall_s, 3)})
         report(rows[-1])
     # They were played together, so each took its part.
     even = [{**row, "wall_s": rows[-1]["wall_s"]} for row in rows]
     write_rows(path, sorted(even, key=place_of))
 
 
-@lru_cache(maxsize=1)
-def _player(spec: PolicySpec) -> Player:
-    """Return the policy of this process: loading one takes long."""
+_playing: list[tuple[PolicySpec, str, Player]] = []
+"""The policy of this process, if there is one yet, and a kind of sentence."""
+
+
+def _player(config: EvaluationConfig, kind: str) -> Player:
+    """Return the policy of this process: a new one for each kind of sentence.
+
+    All kinds are played on the same tables, so what a policy remembers of one kind
+    would help it with the next. A policy that says that it keeps its state stays.
+
+    Args:
+        config: Names the policy. Loading it takes long, so it plays all of a kind.
+        kind: Which of an instance's sentences it is given.
+    """
+    spec = config.policy
+    if _playing:
+        last, its_kind, player = _playing[0]
+        if last == spec and (kind == its_kind or keeps_state(player.policy)):
+            return player
+        del _playing[:]
+        if not isinstance(last, GivenPolicy):
+            hang_up(player.policy)
+    if isinstance(spec, GivenPolicy) and len(config.kinds) > 1:
+        spec.renew()
     player = load_player(spec)
     if parent_process() is not None and "torch" in sys.modules:
         # There is a process per core; more threads would fight for them.
         sys.modules["torch"].set_num_threads(1)
+    _playing.append((spec, kind, player))
     return player
 
 

@@ -13,11 +13,13 @@ from lemma.core.files import read_json, sha256_of
 from lemma.evaluation.run.control.model_server import ask_model_server
 from lemma.policies.class_path import LEROBOT, checkpoint_of, privileged
 from lemma.policies.control.interfaces import is_model_server
-from lemma.policies.interfaces import is_oracle
+from lemma.policies.interfaces import Composite, is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
 from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part, parts_of
 from lemma.policies.weights import find_weights, published_weights
 from lemma.serve.client.conversation import ProtocolMode
+from lemma.serve.client.model_server import ModelServerPolicy
+from lemma.serve.client.remote import Remote
 from lemma.serve.client.websocket import connect, is_address
 from lemma.serve.isolation import isolate
 
@@ -52,6 +54,15 @@ def load_policy(spec: PolicySpec) -> Any:
             "class that is derived from lemma.policies.interfaces.Oracle."
         )
     return found
+
+
+def hang_up(policy: Any) -> None:
+    """End the processes and the connections of a policy that was loaded."""
+    if isinstance(policy, Composite):
+        for part in policy.parts:
+            hang_up(part)
+    elif isinstance(policy, Remote | ModelServerPolicy):
+        policy.close()
 
 
 def served_parts(spec: PolicySpec) -> dict[str, Any]:

@@ -33,6 +33,11 @@ class Remote:
         """What the policy says of itself."""
         return dict(self.conversation.welcome.policy)
 
+    @property
+    def keeps_state(self) -> bool:
+        """Whether it says that it remembers other episodes."""
+        return self.about.get("keeps_state") is True
+
     def close(self) -> None:
         """Hang up."""
         self.conversation.close()

@@ -5,7 +5,7 @@ from typing import Any
 
 from lemma.core.version import VERSION as __version__
 from lemma.env.view import View
-from lemma.policies.interfaces import PastStep, PolicyInput, is_oracle
+from lemma.policies.interfaces import PastStep, PolicyInput, is_oracle, keeps_state
 from lemma.serve.protocol.control import read, sent
 from lemma.serve.protocol.faults import (
     UNAVAILABLE,
@@ -79,6 +79,8 @@ class Session:
         self._about = {"name": type(policy).__name__, **(about or {})}
         if hasattr(policy, "control_options"):
             self._about["control_options"] = dict(policy.control_options)
+        if keeps_state(policy):
+            self._about["keeps_state"] = True
         self._call = call
         self._views: dict[int, View] = {}
         self._memories: dict[int, Any] = {}
