@@ -15,7 +15,7 @@ from vla_eval.types import Action, EpisodeResult, Observation, Task
 
 import lemma
 from lemma.env.learning.flat_view import FlatView
-from lemma.serve.protocol.vla_eval import format_of, observation, read_action
+from lemma.serve.vla_eval import format_of, observation, read_action
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.suite import SUITE

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import lemma
 from lemma.core import errors
 from lemma.core.errors import LemmaError, UnknownNameError
-from lemma.serve.protocol.faults import FaultKind, PolicyFailedError
+from lemma.serve.faults import FaultKind, PolicyFailedError
 
 KINDS = [
     record

@@ -41,9 +41,9 @@ from lemma.policies.oracle import (
     OraclePlanner,
 )
 from lemma.policies.spec import PolicySpec
+from lemma.serve.faults import ProtocolError
 from lemma.serve.isolation import isolate
-from lemma.serve.protocol.faults import ProtocolError
-from lemma.serve.server.session import Session
+from lemma.serve.session import Session
 from lemma.tasks.subtask import STOP
 from lemma.tasks.suite import load_instance
 

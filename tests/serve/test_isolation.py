@@ -16,10 +16,9 @@ from lemma.evaluation.run.loading import load_policy
 from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import Grounder, PastStep, Planner, Policy
 from lemma.policies.spec import PolicySpec
-from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.client.remote import Remote
+from lemma.serve.conversation import ProtocolMode, Remote
+from lemma.serve.faults import FaultKind, PolicyFailedError
 from lemma.serve.isolation import isolate
-from lemma.serve.protocol.faults import FaultKind, PolicyFailedError
 
 LONG_S = 60.0
 LONG_PATIENCE = ProtocolMode(LONG_S)

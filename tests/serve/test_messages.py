@@ -15,8 +15,8 @@ from hypothesis.extra import numpy as arrays
 
 from lemma.core.poses import Pose2
 from lemma.policies.interfaces import Decision
-from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
-from lemma.serve.protocol.messages import (
+from lemma.serve.faults import FaultKind, PolicyFailedError, ProtocolError
+from lemma.serve.messages import (
     VIEW_ARRAYS,
     Act,
     Array,

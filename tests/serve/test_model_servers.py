@@ -14,17 +14,17 @@ from PIL import Image
 
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.control.interfaces import is_model_server
-from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.client.vla_eval import ModelServer
-from lemma.serve.protocol import vla_eval as protocol
-from lemma.serve.protocol.faults import (
+from lemma.serve import vla_eval as protocol
+from lemma.serve.conversation import ProtocolMode
+from lemma.serve.faults import (
     FaultKind,
     PolicyFailedError,
     PolicyUnreachableError,
     ProtocolError,
 )
-from lemma.serve.protocol.vla_eval import Kind, Message, observation
-from lemma.serve.server.server import PolicyServer
+from lemma.serve.model_server import ModelServer
+from lemma.serve.server import PolicyServer
+from lemma.serve.vla_eval import Kind, Message, observation
 
 SOON = ProtocolMode(5.0, patience_s=0.0, first_patience_s=0.0)
 NAMES = ("robot_0.x", "robot_0.opening", "robot_1.x", "robot_1.opening")
@@ -120,7 +120,7 @@ def test_episodes_have_connections_of_their_own_and_fail_alone() -> None:
             "robot_0.opening is nan",
         ),
         ({"action": [0, 0, np.inf, 0]}, FaultKind.NOT_FINITE, "robot_1.x is inf"),
-        (b"nonsense", FaultKind.MALFORMED, "no msgpack"),
+        (b"nonsense", FaultKind.MALFORMED, "does not fit"),
         (
             {"actions": {**array(RIGHT), "shape": [5]}},
             FaultKind.MALFORMED,
@@ -205,7 +205,7 @@ def test_a_server_that_is_gone_ends_the_run() -> None:
         episode = server.begin(TASK, NAMES)
     with pytest.raises(PolicyUnreachableError, match="Nobody answers"):
         server.act([episode], [seen()])
-    with pytest.raises(PolicyUnreachableError, match="Start the model server"):
+    with pytest.raises(PolicyUnreachableError, match="its model server"):
         server.begin(TASK, NAMES)
     with pytest.raises(PolicyUnreachableError):
         ModelServer(url, SOON)
@@ -299,9 +299,9 @@ def test_hostile_frames_are_typed_errors(frame: Any) -> None:
 
 def test_what_cannot_be_sent_is_an_error() -> None:
     with pytest.raises(ProtocolError, match="cannot be sent"):
-        protocol.pack(Message(Kind.ACTION, {"a": object()}))
+        protocol.pack(Message.of(Kind.ACTION, {"a": object()}))
     with pytest.raises(ProtocolError, match="cannot be sent"):
-        protocol.pack(Message(Kind.ACTION, {"a": np.array(["text"])}))
+        protocol.pack(Message.of(Kind.ACTION, {"a": np.array(["text"])}))
 
 
 def test_names_of_servers_are_told_from_others() -> None:

@@ -11,8 +11,8 @@ from model_server import pack, unpack
 import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.policies.control.interfaces import Actions, ControlInput
-from lemma.serve.server.model_session import ModelSession
-from lemma.serve.server.server import PolicyServer
+from lemma.serve.server import PolicyServer
+from lemma.serve.session import ModelSession
 
 
 class Counts:

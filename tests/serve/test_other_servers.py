@@ -14,17 +14,16 @@ from serving_processes import end, start
 from websockets.exceptions import ConnectionClosed
 from websockets.sync import server as raw
 
-from lemma.serve.client import websocket
-from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.client.websocket import WebSocketChannel, connect, websocket_address
-from lemma.serve.protocol.faults import (
+from lemma.serve import server, websocket
+from lemma.serve.conversation import ProtocolMode
+from lemma.serve.faults import (
     PolicyFailedError,
     PolicyUnreachableError,
     ProtocolError,
 )
-from lemma.serve.protocol.messages import LARGEST_BYTES
-from lemma.serve.server import server
-from lemma.serve.server.server import PolicyServer
+from lemma.serve.messages import LARGEST_BYTES
+from lemma.serve.server import PolicyServer
+from lemma.serve.websocket import WebSocketChannel, connect, websocket_address
 
 SOON_S = 10.0
 PATIENT = ProtocolMode(60.0, 60.0, 10.0)
@@ -70,7 +69,7 @@ HELLO = {"type": "hello", "protocol": 2, "methods": ["act"], "policy": {}}
         (
             b"\x83\xa4type\xa5hello\xa8protocol\x02\xa6policy"
             + b"\x81\xa1a" * 1_000_000,
-            "no msgpack",
+            "bytes",
         ),
         ({"type": "error", "kind": "request", "message": "Go away."}, "Go away"),
         ({**HELLO, "methods": ["dance"]}, "none of act, plan, ground"),

@@ -23,9 +23,9 @@ from lemma.evaluation.records import ABOUT, EPISODES, Row
 from lemma.evaluation.run import loading
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.spec import PolicySpec
-from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.protocol.faults import PolicyUnreachableError
-from lemma.serve.server.server import PolicyServer
+from lemma.serve.conversation import ProtocolMode
+from lemma.serve.faults import PolicyUnreachableError
+from lemma.serve.server import PolicyServer
 
 pytestmark = pytest.mark.render
 

@@ -24,11 +24,9 @@ from lemma.expert.symbolic_state import SymbolicState
 from lemma.policies.interfaces import TIMEOUT_S, Decision, PastStep, PolicyInput
 from lemma.policies.spec import PolicySpec
 from lemma.scene.raster import RASTER
-from lemma.serve.client.conversation import Conversation, ProtocolMode
-from lemma.serve.client.remote import remote
-from lemma.serve.client.websocket import connect
-from lemma.serve.protocol.faults import FaultKind
-from lemma.serve.protocol.messages import (
+from lemma.serve.conversation import Conversation, ProtocolMode, remote
+from lemma.serve.faults import FaultKind
+from lemma.serve.messages import (
     PROTOCOL,
     VIEW_ARRAYS,
     Decisions,
@@ -40,7 +38,8 @@ from lemma.serve.protocol.messages import (
     decode_request,
     encode,
 )
-from lemma.serve.server.session import Session
+from lemma.serve.session import Session
+from lemma.serve.websocket import connect
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 from lemma.tasks.suite import load_instance
 
@@ -67,7 +66,7 @@ def fields(message: str) -> set[str]:
 
 
 def test_the_kinds_of_faults_are_listed() -> None:
-    cells = first_cells(section("What goes wrong, and what it costs"))
+    cells = first_cells(section("Faults"))
     assert cells[-len(FaultKind) :] == [str(kind) for kind in FaultKind]
     assert f"more than {FARTHEST_M:g} m away" in PAGE
     assert f"({TIMEOUT_S:g} s per decision" in PAGE

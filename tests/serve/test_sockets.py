@@ -23,18 +23,17 @@ from lemma.core.errors import InvalidConfigError
 from lemma.env.view import View
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.policies.interfaces import Decision, OracleInput, PastStep, PolicyInput
-from lemma.serve.client.conversation import Conversation, ProtocolMode
-from lemma.serve.client.remote import remote
-from lemma.serve.client.vla_eval import ModelServer
-from lemma.serve.client.websocket import WebSocketChannel, connect, websocket_address
-from lemma.serve.protocol.faults import (
+from lemma.serve.conversation import Conversation, ProtocolMode, remote
+from lemma.serve.faults import (
     FaultKind,
     PolicyFailedError,
     PolicyUnreachableError,
     ProtocolError,
 )
-from lemma.serve.protocol.messages import Act, Hello, decode_request
-from lemma.serve.server.server import PolicyServer
+from lemma.serve.messages import Act, Hello, decode_request
+from lemma.serve.model_server import ModelServer
+from lemma.serve.server import PolicyServer
+from lemma.serve.websocket import WebSocketChannel, connect, websocket_address
 
 PATIENT = ProtocolMode(60.0, 60.0, 10.0)
 HERE = Path(__file__).parent
@@ -324,7 +323,7 @@ def test_a_server_gone_for_good_is_no_fault_of_the_policy() -> None:
     with PolicyServer(Scripted(), port=0) as server:
         policy: Any = connect(server.url, ProtocolMode(1.0, 0.3, 0.3))
         assert len(policy.act([given()])) == 1
-    with pytest.raises(PolicyUnreachableError, match="what was finished is kept"):
+    with pytest.raises(PolicyUnreachableError, match="finished episodes are kept"):
         IsolatedPolicy(policy).decide([given(), given()])
 
 

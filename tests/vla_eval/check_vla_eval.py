@@ -18,11 +18,11 @@ from vla_eval.specs import IMAGE_RGB, LANGUAGE, RAW
 
 import lemma
 from lemma.policies.control.interfaces import ControlInput
-from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.client.vla_eval import ModelServer
-from lemma.serve.protocol.faults import PolicyFailedError
-from lemma.serve.protocol.vla_eval import observation
-from lemma.serve.server.server import PolicyServer
+from lemma.serve.conversation import ProtocolMode
+from lemma.serve.faults import PolicyFailedError
+from lemma.serve.model_server import ModelServer
+from lemma.serve.server import PolicyServer
+from lemma.serve.vla_eval import observation
 from lemma.tasks.suite import load_instance
 
 CONFIG = Path(__file__).parents[2] / "integrations/vla_eval/eval.yaml"

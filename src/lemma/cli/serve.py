@@ -1,6 +1,6 @@
 """`lemma serve`: a policy behind a socket; or one question whose answer is known."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -38,7 +38,7 @@ def serve(  # noqa: PLR0913 - by name, all have a default
         host: Address to listen at. There is no password: keep it at this machine.
         port: Port to listen at; 0 for any that is free.
         planning: Look before every sub-task, or plan from the first image alone.
-        policy_args: What a class is called with; or, with --check, the environment of
+        policy_args: Arguments of a class; or, with --check, the environment of
             a model server.
         protocol: Ours, or that of vla-eval, for motor commands alone.
         check: Ask this server for one decision whose right answer is known.
@@ -50,7 +50,7 @@ def serve(  # noqa: PLR0913 - by name, all have a default
     # Imported here, so that help does not wait for it.
     from lemma.evaluation.run.loading import weights_of
     from lemma.policies.spec import ORACLE, PolicySpec
-    from lemma.serve.server.server import serve as run
+    from lemma.serve.server import serve as run
 
     if (policy is None) == (check is None):
         raise InvalidConfigError(
@@ -62,8 +62,9 @@ def serve(  # noqa: PLR0913 - by name, all have a default
     spec = PolicySpec(str(policy), planning, arguments=arguments(policy_args))
     if ORACLE in spec.parts:
         raise InvalidConfigError(
-            "The oracle cannot be served: it needs the truth, which never travels. "
-            "Serve the other part, and evaluate --policy http://HOST:PORT+oracle."
+            "The oracle cannot be served: it needs the simulation's state, which is "
+            "sent to no other process. Serve the other part, and evaluate --policy "
+            "http://HOST:PORT+oracle."
         )
     scheme = "http" if protocol == "lemma" else protocol
     weights = weights_of(spec)
@@ -84,38 +85,30 @@ def _announce(url: str) -> None:
 
 
 def _check(url: str, policy_args: str, as_json: Flag) -> int:
-    from lemma.evaluation.run.control.check import check_control
     from lemma.evaluation.run.loading import connected
-    from lemma.evaluation.run.server_check import check_server
+    from lemma.evaluation.run.server_check import check_control, check_server
     from lemma.policies.spec import PolicySpec
 
-    answer: dict[str, Any]
     part = connected(PolicySpec(url, arguments=arguments(policy_args)), url)
-    controls = bool(getattr(part, "control_options", None))
     try:
-        command = check_control(part) if controls else None
+        controls = bool(getattr(part, "control_options", None))
+        found = check_control(part) if controls else None
     finally:
         part.close()
-    if command is not None:
-        ok, asked, mistakes = command.ok, command.instruction, command.mistakes
-        answer = {"action": {n: round(v, 4) for n, v in command.action.items()}}
-        shown = answer
-    else:
-        found = check_server(url)
-        ok, asked, mistakes = found.ok, found.instruction, found.mistakes
-        grounded = None if found.grounded is None else found.grounded.to_dict()
-        answer = {"subtask": found.subtask.to_dict(), "grounded": grounded}
-        shown = {"answered": found.subtask, "poses": grounded or "none"}
+    found = found or check_server(url)
     if as_json:
-        print_json({"ok": ok, "instruction": asked, **answer, "mistakes": mistakes})
-        return 0 if ok else 1
+        told = {"ok": found.ok, "instruction": found.instruction, **found.answer}
+        if "subtask" in told:
+            told["subtask"] = told["subtask"].to_dict()
+        print_json({**told, "mistakes": found.mistakes})
+        return 0 if found.ok else 1
     console = output()
     lines = [
-        f"asked: {asked}",
-        *(f"{name}: {told}" for name, told in shown.items()),
-        *(f"WRONG {name}: {text}" for name, text in mistakes.items()),
+        f"asked: {found.instruction}",
+        *(f"{name}: {value or 'none'}" for name, value in found.answer.items()),
+        *(f"WRONG {name}: {text}" for name, text in found.mistakes.items()),
     ]
-    console.print("\n".join(lines), soft_wrap=True)
-    if ok:
+    console.print("\n".join(lines), markup=False, soft_wrap=True)
+    if found.ok:
         console.print("Nothing is wrong with it.", style="green")
-    return 0 if ok else 1
+    return 0 if found.ok else 1

@@ -4,6 +4,6 @@ Whoever serves a policy needs NumPy, msgspec and websockets, and what the policy
 needs: neither MuJoCo nor torch are imported here.
 """
 
-from lemma.serve.server.server import PolicyServer, serve
+from lemma.serve.server import PolicyServer, serve
 
 __all__ = ["PolicyServer", "serve"]

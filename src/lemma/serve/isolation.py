@@ -21,11 +21,10 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.plugins import load_plugins
 from lemma.policies.class_path import instance_of
-from lemma.serve.client.conversation import Conversation, ProtocolMode
-from lemma.serve.client.remote import Remote, remote
-from lemma.serve.protocol.faults import PolicyUnreachableError
-from lemma.serve.protocol.messages import PROTOCOL, Error, Hello, decode_reply, encode
-from lemma.serve.server.session import Session
+from lemma.serve.conversation import Conversation, ProtocolMode, Remote, remote
+from lemma.serve.faults import PolicyUnreachableError
+from lemma.serve.messages import PROTOCOL, Error, Hello, decode_reply, encode
+from lemma.serve.session import Session
 
 _START_S = 300.0
 _END_S = 1.0

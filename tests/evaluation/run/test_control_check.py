@@ -10,9 +10,9 @@ from model_server import HELLO, model_server
 
 from lemma.cli.main import main
 from lemma.env.learning.motor_state import WAYPOINT, motor_state
-from lemma.evaluation.run.control.check import ControlCheck, check_control
+from lemma.evaluation.run.server_check import ServerCheck, check_control
 from lemma.policies.control.interfaces import ControlInput
-from lemma.serve.protocol.faults import PolicyFailedError
+from lemma.serve.faults import PolicyFailedError
 
 Change = Callable[[Any], Any]
 
@@ -62,7 +62,7 @@ def times(factor: float, columns: slice) -> Change:
     return change
 
 
-def asked(control: str, change: Change = lambda x: x) -> ControlCheck:
+def asked(control: str, change: Change = lambda x: x) -> ServerCheck:
     return check_control(Goes(control, change))
 
 
@@ -72,7 +72,7 @@ def asked(control: str, change: Change = lambda x: x) -> ControlCheck:
 def test_nothing_is_wrong_with_what_goes_on(control: str) -> None:
     found = asked(control)
     assert found.ok, found.mistakes
-    assert next(iter(found.action)).startswith("robot_0.")
+    assert next(iter(found.answer["action"])).startswith("robot_0.")
     assert "red cube" in found.instruction
 
 

@@ -34,14 +34,13 @@ from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
 from lemma.policies.spec import PolicySpec
-from lemma.serve.client.conversation import Conversation, ProtocolMode
-from lemma.serve.client.remote import remote
-from lemma.serve.protocol.faults import (
+from lemma.serve.conversation import Conversation, ProtocolMode, remote
+from lemma.serve.faults import (
     FaultKind,
     PolicyFailedError,
     PolicyUnreachableError,
 )
-from lemma.serve.server.session import Session
+from lemma.serve.session import Session
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 from lemma.tasks.suite import load_instance
 

@@ -16,7 +16,7 @@ from lemma.evaluation.run.control.model_server import DEFAULTS, ask_model_server
 from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.spec import PolicySpec
-from lemma.serve.client.conversation import ProtocolMode
+from lemma.serve.conversation import ProtocolMode
 
 SOON = ProtocolMode(5.0, patience_s=0.0, first_patience_s=0.0)
 BLIND = {"observation": "state", "control_hz": HZ}

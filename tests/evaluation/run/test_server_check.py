@@ -19,7 +19,7 @@ from lemma.evaluation.run.server_check import (
 )
 from lemma.expert.expert import Expert
 from lemma.policies.interfaces import Decision, PolicyInput
-from lemma.serve.server.server import PolicyServer
+from lemma.serve.server import PolicyServer
 from lemma.tasks.subtask import STOP, GroundedSubTask, SubTask
 from lemma.tasks.suite import load_instance
 

@@ -17,7 +17,7 @@ from lemma.core.robot_names import robot_names
 from lemma.policies.control.interfaces import Actions, ControlInput, ControlPolicy
 from lemma.policies.interfaces import Decision, Effort, Policy, PolicyInput
 from lemma.scene.objects.entity import SHARED, known_entities
-from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, trouble_of
+from lemma.serve.faults import FaultKind, PolicyFailedError, trouble_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 FARTHEST_M = 100.0

@@ -17,11 +17,10 @@ from lemma.policies.interfaces import Composite, is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
 from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part, parts_of
 from lemma.policies.weights import find_weights, published_weights
-from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.client.model_server import ModelServerPolicy
-from lemma.serve.client.remote import Remote
-from lemma.serve.client.websocket import connect, is_address
+from lemma.serve.conversation import ProtocolMode, Remote
 from lemma.serve.isolation import isolate
+from lemma.serve.model_server import ModelServerPolicy
+from lemma.serve.websocket import connect, is_address
 
 
 def load_policy(spec: PolicySpec) -> Any:

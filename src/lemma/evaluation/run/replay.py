@@ -11,7 +11,7 @@ from lemma.evaluation.run.fault_isolation import Fault, check
 from lemma.evaluation.run.language_controls import FULL, control_of
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.interfaces import Decision
-from lemma.serve.protocol.faults import FaultKind
+from lemma.serve.faults import FaultKind
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 

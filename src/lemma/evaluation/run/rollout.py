@@ -38,7 +38,7 @@ from lemma.policies.interfaces import (
     wants_cameras,
 )
 from lemma.policies.spec import PolicySpec
-from lemma.serve.protocol.faults import FaultKind
+from lemma.serve.faults import FaultKind
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases

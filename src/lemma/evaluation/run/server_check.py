@@ -1,23 +1,44 @@
-"""One known scene, asked of a served policy: does it speak of the world as we do?
+"""One known question, asked of a policy: does it use our conventions?
 
-A policy that mirrors yaw, counts in millimetres or mistakes one robot for the other
-runs without an error and fails every episode. Its first decision in a scene whose
-answer is known shows it; docs/serving.md prints the scene and the answer.
+A policy that mirrors yaw, counts in millimetres, orders a quaternion otherwise or takes
+one robot for the other runs without an error and fails every episode. Its first
+decision in a scene whose answer is known shows the mistake; docs/serving.md prints the
+scene and the answer. Motor commands are asked for a second after the expert began: one
+arm is on its way to a cube with open fingers, and the other stands still, so no
+sensible command leads far from there.
 """
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from lemma.core.poses import FloatArray
+from lemma.core.robot_names import robot_number
+from lemma.env.base_env import EnvSnapshot
 from lemma.env.camera_rig import CameraRig
+from lemma.env.control.modes import CONTROLS
+from lemma.env.control.pose_controllers import (
+    DeltaPoseController,
+    PoseController,
+    WaypointController,
+)
+from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
+from lemma.evaluation.run.control.rollout import ControlPlayer, ControlRollout
+from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.evaluation.run.rollout import Rollout
 from lemma.expert.expert import Expert
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.symbolic_state import SymbolicState
+from lemma.policies.control.interfaces import chunk_of
 from lemma.policies.interfaces import TIMEOUT_S
-from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.client.websocket import connect
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.serve.conversation import ProtocolMode
+from lemma.serve.faults import FaultKind, PolicyFailedError
+from lemma.serve.websocket import connect
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 from lemma.tasks.suite import load_instance
 
@@ -28,25 +49,35 @@ NEAR_M = 0.03
 NEAR_RAD = 0.2
 
 
+AFTER_S = 1.0
+"""When the question is asked [s]."""
+FAR_RAD, FAR_M, FAR_TURN_RAD = 0.5, 0.3, 1.0
+"""How far no command leads at once: a joint, a hand, and by how much that turns."""
+_LEAST_STEP = 1e-3
+_AWAY = -0.3
+"""Cosine of the angle to the cube at which a step leads away from it."""
+
+
 @dataclass(frozen=True)
 class ServerCheck:
-    """What a served policy answers in the known scene."""
+    """The answer of a policy to a known question."""
 
     instruction: str
-    subtask: SubTask
-    grounded: GroundedSubTask | None
-    """None where it has no poses, or only plans."""
+    answer: dict[str, Any]
+    """Sub-task and poses as plain data; at control level, the first action by name of
+    the number."""
     mistakes: dict[str, str]
-    """What is wrong, under ``pick``, ``robot`` and ``heading``."""
+    """Mistakes under ``pick``, ``robot`` and ``heading``; at control level under
+    ``layout``, ``gripper`` and ``direction``."""
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is."""
+        """Whether there are no mistakes."""
         return not self.mistakes
 
 
 def first_subtask() -> SubTask:
-    """Return what the expert does first in the known scene."""
+    """Return the first sub-task of the expert in the known scene."""
     instance = load_instance(*SCENE)
     subtask, _ = Expert(Episode(instance).simulation.scene, instance.goal).act()
     return subtask
@@ -62,7 +93,7 @@ def check_server(url: str, timeout_s: float = TIMEOUT_S) -> ServerCheck:
     Raises:
         InvalidConfigError: It is no address.
         PolicyUnreachableError: Nobody answers there.
-        ProtocolError: Somebody answers who speaks something else.
+        ProtocolError: The other side speaks another protocol.
         PolicyFailedError: It has no decision, or one that cannot be read.
         RenderingError: OpenGL does not work here.
     """
@@ -81,14 +112,16 @@ def check_server(url: str, timeout_s: float = TIMEOUT_S) -> ServerCheck:
                 [grounded] = part.ground([given], [subtask])
     finally:
         part.close()
-    mistakes = _mistakes(play, subtask, grounded)
-    return ServerCheck(given.instruction, subtask, grounded, mistakes)
+    mistakes = _decision_mistakes(play, subtask, grounded)
+    poses = None if grounded is None else grounded.to_dict()
+    answer = {"subtask": subtask, "grounded": poses}
+    return ServerCheck(given.instruction, answer, mistakes)
 
 
-def _mistakes(
+def _decision_mistakes(
     play: Rollout, subtask: SubTask, grounded: GroundedSubTask | None
 ) -> dict[str, str]:
-    """Return what cannot be right of a first decision."""
+    """Return the mistakes of a first decision."""
     now = SymbolicState.observe(play.episode.simulation.scene)
     geometry = GeometricGrounder(now.spec)
     [pair] = play.instance.goal.pairs
@@ -116,3 +149,168 @@ def _mistakes(
                 f"{picked}, whose yaw is {cubes[picked].yaw:.3f} rad."
             )
     return found
+
+
+def check_control(policy: Any) -> ServerCheck:
+    """Ask a policy at control level for an action at the known moment.
+
+    Args:
+        policy: See :class:`lemma.policies.control.interfaces.ControlPolicy`.
+
+    Raises:
+        PolicyFailedError: It has no action, or one that cannot be read.
+        PolicyUnreachableError: Nobody answers there.
+        RenderingError: OpenGL does not work here.
+    """
+    player = ControlPlayer(policy)
+    rollout = player.begin(load_instance(*SCENE), "high_level")
+    assert isinstance(rollout, ControlRollout)
+    robot, cube = _set_out(rollout.env)
+    given = player.given(rollout)
+    [answer] = IsolatedPolicy(policy).decide([given])
+    if isinstance(answer, Fault):
+        raise PolicyFailedError(answer.kind, answer.explanation)
+    layout = rollout.env.action_layout
+    try:
+        rows = np.asarray(chunk_of(answer.rows, layout.shape)[0], np.float64)
+    except ValueError as error:
+        raise PolicyFailedError(FaultKind.MALFORMED, f"{error}.") from error
+    names = [f"{row}.{column}" for row in layout.rows for column in layout.columns]
+    action = {
+        name: round(value, 4)
+        for name, value in zip(names, rows.ravel().tolist(), strict=True)
+    }
+    found = mistakes(rollout.env, rows, robot, cube)
+    return ServerCheck(given.instruction, {"action": action}, found)
+
+
+def _set_out(env: ControlEnv) -> tuple[int, str]:
+    """Let the expert begin; return the number of the robot that moves, and its cube."""
+    episode = Episode(env.instance)
+    scene = episode.simulation.scene
+    subtask, grounded = Expert(scene, env.instance.goal).act()
+    assert grounded is not None
+    episode.simulation.execute(grounded, until_s=AFTER_S)
+    env.restore(EnvSnapshot(episode.snapshot(), {"settled_s": 0.0}))
+    return robot_number(subtask.robot), subtask.pick
+
+
+def mistakes(
+    env: ControlEnv, rows: FloatArray, robot: int, cube: str
+) -> dict[str, str]:
+    """Return the mistakes of an action at the known moment.
+
+    Args:
+        env: At that moment.
+        rows: The action, (robots, numbers).
+        robot: The robot that is on its way, by number.
+        cube: Where it goes.
+    """
+    found = {}
+    jump = _jump(env, rows)
+    if jump >= 1.0:
+        found["layout"] = _layout(env, rows)
+    name, told = env.robot_names[robot], rows[robot, -1]
+    delta = issubclass(CONTROLS[env.config.control].controller, DeltaPoseController)
+    if (told + 1.0) / 2.0 < 0.5 if delta else told < 0.5 * FINGER_OPENING_M:
+        found["gripper"] = (
+            f"It closes the fingers of {name} ({told:g}) on the way to {cube}. Here "
+            + ("-1 is closed and 1 open." if delta else "it is an opening in metres.")
+        )
+    elif not delta and told > FINGER_OPENING_M + 1e-6:
+        found["gripper"] = (
+            f"It opens the fingers of {name} to {told:g} m, and {FINGER_OPENING_M:g} m "
+            "is all there is. Is it a fraction, or millimetres?"
+        )
+    if delta:
+        found.update(_direction(env, rows, robot, cube))
+    return found
+
+
+def _direction(
+    env: ControlEnv, rows: FloatArray, robot: int, cube: str
+) -> Mapping[str, str]:
+    scene = env.episode.simulation.scene
+    at = _poses(env)[robot, :2]
+    wanted = scene.pose_row(cube)[:2] - at
+    cosines = [_cosine(row[:2], wanted) for row in rows]
+    others = [n for n, cosine in enumerate(cosines) if n != robot and cosine > -_AWAY]
+    stands = math.hypot(*rows[robot, :2]) < _LEAST_STEP
+    if cosines[robot] > _AWAY and not (stands and others):
+        return {}
+    hint = "Are the robots in the other order?" if others else "Are signs the same?"
+    return {
+        "direction": f"It moves {env.robot_names[robot]} by "
+        f"({rows[robot, 0]:.2g}, {rows[robot, 1]:.2g}), but {cube} lies "
+        f"({wanted[0]:.2f}, {wanted[1]:.2f}) m from its hand in the world frame. {hint}"
+    }
+
+
+def _cosine(one: FloatArray, other: FloatArray) -> float:
+    length = math.hypot(*one) * math.hypot(*other)
+    return float(one @ other) / length if length > 0.0 else 0.0
+
+
+def _jump(env: ControlEnv, rows: FloatArray) -> float:
+    """Return how far an action leads at once; 1 is too far, steps never are.
+
+    Nor are waypoints: they are the ends of motions.
+    """
+    mode = CONTROLS[env.config.control]
+    if env.config.control == "joint_position":
+        joints = env.observe()["agent_pos"].reshape(len(rows), 7)
+        return float(np.abs(rows[:, :6] - joints[:, :6]).max()) / FAR_RAD
+    driver = mode.controller
+    anywhere = (DeltaPoseController, WaypointController)
+    if issubclass(driver, anywhere) or not issubclass(driver, PoseController):
+        return 0.0
+    worst = 0.0
+    for row, pose in zip(rows, _poses(env), strict=True):
+        turned = driver.rotation.quaternion(row[3:-1].tolist())
+        cosine = 0.0 if turned is None else abs(float(np.dot(turned, pose[3:])))
+        angle = 2.0 * math.acos(min(1.0, cosine))
+        far = math.dist(row[:3], pose[:3]) / FAR_M
+        worst = max(worst, far, angle / FAR_TURN_RAD)
+    return worst
+
+
+def _layout(env: ControlEnv, rows: FloatArray) -> str:
+    """Return how else an action can be read that leads too far."""
+    for reading, other in _readings(env, rows):
+        if _jump(env, other) < 1.0:
+            return f"It leads far from where the arms are, but not if {reading}."
+    return (
+        "It leads far from where the arms are at once. Are units, frame and order "
+        "those of docs/vla_eval.md?"
+    )
+
+
+def _readings(env: ControlEnv, rows: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    columns = env.action_layout.columns
+    yield "the robots are in the other order", rows[::-1]
+    flat, arms = rows.ravel(), len(columns) - 1
+    split = flat[: len(rows) * arms].reshape(len(rows), arms)
+    grippers = flat[len(rows) * arms :, None]
+    yield "both arms come first and both grippers last", np.hstack([split, grippers])
+    if "qw" in columns:
+        order = [0, 1, 2, 6, 3, 4, 5, 7]
+        yield "quaternions are xyzw, and here they are wxyz", rows[:, order]
+    if "x" not in columns:
+        yield (
+            "angles are degrees, and here they are radians",
+            np.hstack([np.deg2rad(rows[:, :6]), rows[:, 6:]]),
+        )
+        return
+    yield "positions are millimetres", np.hstack([rows[:, :3] / 1000.0, rows[:, 3:]])
+    based = rows.copy()
+    for row, robot in zip(based, env.instance.scene.robots, strict=True):
+        base, (x, y) = robot.base, row[:2].copy()
+        row[0] = base.x + math.cos(base.yaw) * x - math.sin(base.yaw) * y
+        row[1] = base.y + math.sin(base.yaw) * x + math.cos(base.yaw) * y
+    yield "positions are in the frame of each robot's base", based
+
+
+def _poses(env: ControlEnv) -> FloatArray:
+    """Return where the hands are: position [m] and quaternion wxyz, (robots, 7)."""
+    rows = env.observe()["tcp_pose"].reshape(-1, 7)
+    return np.asarray(rows, np.float64)

@@ -11,7 +11,7 @@ from lemma.evaluation.run.control.rollout import load_player as load_any
 from lemma.evaluation.run.rollout import Player
 from lemma.policies.control.interfaces import is_model_server
 from lemma.policies.spec import PolicySpec
-from lemma.serve.client.websocket import is_address
+from lemma.serve.websocket import is_address
 from lemma.tasks.instance import Instance
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.request import EpisodeRequest

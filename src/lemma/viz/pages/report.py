@@ -32,7 +32,7 @@ from lemma.evaluation.report.success_tables import at_a_glance
 from lemma.evaluation.report.tables import ResultTable, markdown, words
 from lemma.evaluation.run.language_controls import FULL
 from lemma.policies.spec import PLANNINGS
-from lemma.serve.client.websocket import is_address
+from lemma.serve.websocket import is_address
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.viz.pages.report_figures import figures_of
 from lemma.viz.pages.report_pictures import Pictures

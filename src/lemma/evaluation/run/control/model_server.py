@@ -8,9 +8,8 @@ from lemma.core.robot_names import robot_names
 from lemma.env.control.modes import CONTROLS
 from lemma.env.learning.flat_view import STATES
 from lemma.policies.control.interfaces import CONTROL_OPTIONS
-from lemma.serve.client.conversation import ProtocolMode
-from lemma.serve.client.model_server import ModelServerPolicy
-from lemma.serve.client.vla_eval import ModelServer
+from lemma.serve.conversation import ProtocolMode
+from lemma.serve.model_server import ModelServer, ModelServerPolicy
 
 DEFAULTS: dict[str, Any] = {
     "control": "joint_position",

@@ -33,7 +33,7 @@ from lemma.policies.control.interfaces import (
 from lemma.policies.control.oracle import OracleControlInput
 from lemma.policies.interfaces import is_oracle
 from lemma.policies.spec import PolicySpec
-from lemma.serve.protocol.faults import FaultKind
+from lemma.serve.faults import FaultKind
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import FREE_SPLIT
 

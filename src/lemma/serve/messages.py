@@ -1,28 +1,32 @@
 """Messages of the policy protocol; docs/serving.md lists them all.
 
 Each is a struct, and becomes a msgpack map with a ``type``. Sub-tasks and decisions
-travel as the very records that policies use: the names of their fields are part of the
+travel as the records that policies use, so the names of their fields are part of the
 protocol.
 """
 
 import math
+from collections.abc import Mapping
+from importlib import import_module
+from types import ModuleType
 from typing import Any, Self, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.core.errors import shown
+from lemma.core.errors import InvalidConfigError, shown
 from lemma.env.view import View
+from lemma.policies.control.interfaces import ControlInput
 from lemma.policies.interfaces import Decision
 from lemma.scene.cameras import Camera
-from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
+from lemma.serve.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 PROTOCOL = 2
 """Version of the protocol: the first thing that both sides compare."""
 METHODS = ("act", "plan", "ground")
-"""What a policy may be able to do."""
+"""Methods that a policy may have."""
 LARGEST_BYTES = 1 << 28
 """Largest message: ten episodes with all their views need far less."""
 VIEW_ARRAYS = {
@@ -32,11 +36,9 @@ VIEW_ARRAYS = {
     "joints": ("float64", 2),
     "opening_m": ("float64", 1),
 }
-"""Type and number of dimensions of every array of a view that travels."""
-
-
+"""Type and number of dimensions of every array of a view."""
 ARRAY_TYPES = ("bool", "int8", "uint8", "int64", "float32", "float64")
-"""Types of numbers that travel."""
+"""Valid types of numbers."""
 
 
 class Array(msgspec.Struct):
@@ -48,32 +50,18 @@ class Array(msgspec.Struct):
 
     @classmethod
     def of(cls, array: NDArray[Any], dtype: str) -> Self:
-        """Return an array as a message, as a type."""
+        """Return an array as a message."""
         plain = np.ascontiguousarray(array, np.dtype(dtype).newbyteorder("<"))
         return cls(dtype, list(plain.shape), memoryview(plain.tobytes()))
 
     def read(self, name: str) -> NDArray[Any]:
-        """Return an array of a view, read-only.
+        """Return the array, read-only.
 
         Args:
-            name: Which array of a view it is.
+            name: For messages to people.
 
         Raises:
-            ProtocolError: It is of another type or shape, or damaged.
-        """
-        dtype, dimensions = VIEW_ARRAYS[name]
-        if (self.dtype, len(self.shape)) != (dtype, dimensions):
-            raise ProtocolError(
-                f"The array {name!r} of a view is {self.dtype!r:.40} with "
-                f"{len(self.shape)} dimensions, not {dtype} with {dimensions}."
-            )
-        return self.read_any(name)
-
-    def read_any(self, name: str) -> NDArray[Any]:
-        """Return an array of numbers of any type and shape, read-only.
-
-        Raises:
-            ProtocolError: It is none, or damaged.
+            ProtocolError: It is damaged.
         """
         if self.dtype not in ARRAY_TYPES:
             raise ProtocolError(
@@ -118,7 +106,16 @@ class ViewMessage(msgspec.Struct):
         Raises:
             ProtocolError: An array is of another type or shape, or damaged.
         """
-        return View(**{name: getattr(self, name).read(name) for name in VIEW_ARRAYS})
+        arrays = {}
+        for name, (dtype, dimensions) in VIEW_ARRAYS.items():
+            array = getattr(self, name)
+            if (array.dtype, len(array.shape)) != (dtype, dimensions):
+                raise ProtocolError(
+                    f"The array {name!r} of a view is {array.dtype!r:.40} with "
+                    f"{len(array.shape)} dimensions, not {dtype} with {dimensions}."
+                )
+            arrays[name] = array.read(name)
+        return View(**arrays)
 
 
 class StepMessage(msgspec.Struct):
@@ -131,7 +128,7 @@ class StepMessage(msgspec.Struct):
 
 
 class InputMessage(msgspec.Struct):
-    """What a policy is given of an episode."""
+    """The input of a policy for an episode."""
 
     instruction: str
     robots: list[str]
@@ -140,18 +137,73 @@ class InputMessage(msgspec.Struct):
 
 
 class ControlMessage(msgspec.Struct):
-    """What a policy at control level is given of an episode."""
+    """The input of a policy at control level for an episode."""
 
     episode: int
-    """Number of the episode on this connection; what the policy remembers of it stays
-    on its side."""
+    """Number of the episode on this connection; the memory of it stays on the policy's
+    side."""
     step: int
     time_s: float
     instruction: str
     robots: list[str]
     arrays: dict[str, Array]
-    """What is observed: ``agent_pos``, ``pixels/robot_0``."""
+    """The observation: ``agent_pos``, ``pixels/robot_0``."""
     cameras: dict[str, Camera] = {}
+
+    @classmethod
+    def of(cls, given: ControlInput, episode: int) -> Self:
+        """Return an input as a message; its memory stays where the policy is.
+
+        Args:
+            given: The input.
+            episode: Number of the episode on this connection.
+        """
+        return cls(
+            episode=episode,
+            step=given.step,
+            time_s=given.time_s,
+            instruction=given.instruction,
+            robots=list(given.robots),
+            arrays=_flat(given.observation),
+            cameras=dict(given.cameras),
+        )
+
+    def read(self, memory: Any) -> ControlInput:
+        """Return the input.
+
+        Args:
+            memory: What the policy remembers of the episode.
+
+        Raises:
+            ProtocolError: An array is damaged.
+        """
+        observation: dict[str, Any] = {}
+        for path, array in self.arrays.items():
+            *groups, name = path.split("/")
+            place = observation
+            for group in groups:
+                place = place.setdefault(group, {})
+            place[name] = array.read(path)
+        return ControlInput(
+            instruction=self.instruction,
+            robots=tuple(self.robots),
+            observation=observation,
+            cameras=self.cameras,
+            step=self.step,
+            time_s=self.time_s,
+            memory=memory,
+        )
+
+
+def _flat(observation: Mapping[str, Any], prefix: str = "") -> dict[str, Array]:
+    found: dict[str, Array] = {}
+    for name, value in observation.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{name}/")
+        else:
+            array = np.asarray(value)
+            found[prefix + name] = Array.of(array, array.dtype.name)
+    return found
 
 
 class _Tagged(msgspec.Struct, tag_field="type", kw_only=True):
@@ -169,7 +221,7 @@ class Act(_Tagged, tag="act"):
 
     inputs: list[InputMessage]
     views: list[ViewMessage]
-    """Those that the last request on this connection did not refer to."""
+    """The views that the last request on this connection did not refer to."""
 
 
 class Plan(Act, tag="plan"):
@@ -222,7 +274,7 @@ class Poses(_Tagged, tag="poses"):
 
 
 class Error(_Tagged, tag="error"):
-    """Answers what could not be answered."""
+    """Answers a request that cannot be answered otherwise."""
 
     kind: str
     message: str
@@ -249,7 +301,7 @@ def encode(message: Request | Reply) -> bytes:
     """Return a message as bytes.
 
     Raises:
-        PolicyFailedError: It holds what is no plain data: a policy's answer does.
+        PolicyFailedError: A policy's answer holds something else than plain data.
     """
     try:
         return _encoder.encode(message)
@@ -258,10 +310,10 @@ def encode(message: Request | Reply) -> bytes:
 
 
 def decode_request(data: bytes | str) -> Request:
-    """Return the request that bytes mean; arrays refer to the bytes.
+    """Return a request from bytes; arrays refer to the bytes.
 
     Raises:
-        ProtocolError: They are none.
+        ProtocolError: They are no request.
     """
     try:
         return _decode(_requests, data)
@@ -270,10 +322,10 @@ def decode_request(data: bytes | str) -> Request:
 
 
 def decode_reply(data: bytes | str) -> Reply:
-    """Return the answer that bytes mean.
+    """Return an answer from bytes.
 
     Raises:
-        PolicyFailedError: It does not fit: a pose of text, a primitive that is none.
+        PolicyFailedError: It has another form, or names a primitive that is not there.
         ProtocolError: They are no message at all.
     """
     try:
@@ -298,7 +350,25 @@ def _decode(decoder: msgspec.msgpack.Decoder[M], data: bytes | str) -> M:
 
 
 def malformed(what: str) -> PolicyFailedError:
-    """Return the error that says so of an answer."""
+    """Return the error of a malformed answer."""
     return PolicyFailedError(
         FaultKind.MALFORMED, f"The policy's answer cannot be used: {what}."
     )
+
+
+def websockets(module: str) -> ModuleType:
+    """Import a module of the package websockets, an extra.
+
+    Args:
+        module: Such as ``"sync.client"``.
+
+    Raises:
+        InvalidConfigError: The package is not installed.
+    """
+    try:
+        return import_module(f"websockets.{module}")
+    except ImportError as error:
+        raise InvalidConfigError(
+            "The package websockets is not installed, without which policies cannot be "
+            "reached over a socket. Install it with: pip install 'lemma-bench[serve]'"
+        ) from error

@@ -1,45 +1,55 @@
-"""Asking a model server of vla-eval for motor commands.
+"""A model server of vla-eval behind the interface of policies at control level.
 
-Its servers remember: chunks of actions, histories, what else a model keeps. So each
-episode has a connection of its own, and nothing can be asked twice.
+Its servers keep chunks of actions and histories. So each episode has a connection of
+its own, and no question can be asked twice.
 """
 
 import time
+import weakref
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from lemma.core.errors import InvalidConfigError, shown
-from lemma.policies.control.interfaces import MODEL_SERVER, is_model_server
-from lemma.serve.client.conversation import Channel, ProtocolMode
-from lemma.serve.client.websocket import (
-    WebSocketChannel,
-    check_no_secret,
-    websocket_address,
+from lemma.core.robot_names import robot_names
+from lemma.policies.control.interfaces import (
+    MODEL_SERVER,
+    Actions,
+    ControlInput,
+    is_model_server,
 )
-from lemma.serve.protocol.faults import (
+from lemma.serve.conversation import Channel, ProtocolMode, keep_trying
+from lemma.serve.faults import (
     FaultKind,
     PolicyFailedError,
-    PolicyUnreachableError,
     ProtocolError,
 )
-from lemma.serve.protocol.vla_eval import (
+from lemma.serve.vla_eval import (
     Kind,
     Message,
     check_version,
     format_of,
     hello,
+    observation,
     pack,
     read_action,
     unpack,
 )
+from lemma.serve.websocket import (
+    WebSocketChannel,
+    check_no_secret,
+    websocket_address,
+)
 
-_PAUSE_S = 0.5
 _HELLO_S = 30.0
 _BENCHMARK = "lemma_vla_eval:LemmaBenchmark"
+_TASK = {"name": "lemma", "suite": "lemma"}
+"""Task of every episode: policies are not told which one it is."""
 
 
 def _address(url: str) -> str:
@@ -72,7 +82,7 @@ class ModelServer:
         Raises:
             InvalidConfigError: The address is none, or the extra is not installed.
             PolicyUnreachableError: Nobody answers there.
-            ProtocolError: Somebody answers who speaks something else.
+            ProtocolError: The other side speaks another protocol.
         """
         self.url, self.mode = url, mode
         self._address = _address(url)
@@ -83,7 +93,7 @@ class ModelServer:
 
     @property
     def about(self) -> dict[str, Any]:
-        """What the server says of itself, ready for JSON."""
+        """Description that the server gives of itself, ready for JSON."""
         said = ("model_server", "harness_version", "action_spec", "observation_spec")
         return {name: self.welcome[name] for name in said if name in self.welcome}
 
@@ -92,7 +102,7 @@ class ModelServer:
 
         Args:
             control: Control mode.
-            names: What each number of an action means.
+            names: Meaning of each number of an action.
 
         Raises:
             InvalidConfigError: It declares others.
@@ -120,12 +130,12 @@ class ModelServer:
         """Return an episode, which begins there.
 
         Args:
-            task: What the server is told of it; not the goal.
-            names: What each number of an action means.
+            task: Description for the server, without the goal.
+            names: Meaning of each number of an action.
 
         Raises:
             PolicyUnreachableError: Nobody answers any more.
-            ProtocolError: Somebody answers who speaks something else.
+            ProtocolError: The other side speaks another protocol.
         """
         episode = ServedEpisode(self, dict(task), tuple(names))
         while self._idle:
@@ -148,7 +158,7 @@ class ModelServer:
         Args:
             episodes: At least one.
             observations: One per episode; see
-                :func:`lemma.serve.protocol.vla_eval.observation`.
+                :func:`lemma.serve.vla_eval.observation`.
 
         Raises:
             PolicyUnreachableError: Nobody answers any more.
@@ -171,7 +181,7 @@ class ModelServer:
             if isinstance(one, PolicyFailedError) and one.kind is FaultKind.DIED
         ]
         if died:
-            # Whoever is gone for good has not failed: nobody knows what it would do.
+            # A server that is gone for good ends the run and has not failed.
             self._idle.append(self._open(self.mode.patience_s)[0])
         return found
 
@@ -190,31 +200,21 @@ class ModelServer:
 
     def _open(self, patience_s: float) -> tuple[Channel, dict[str, Any]]:
         """Return a new connection, and the answer to its hello."""
-        end = time.monotonic() + patience_s
-        while True:
-            try:
-                channel = WebSocketChannel(self._address)
-            except OSError as error:
-                if time.monotonic() + _PAUSE_S > end:
-                    raise PolicyUnreachableError(
-                        f"Nobody answers at {self.url}: {error}. Tried for "
-                        f"{patience_s:g} s. Start the model server there and run the "
-                        "same command again: what was finished is kept."
-                    ) from error
-                time.sleep(_PAUSE_S)
-                continue
-            try:
-                return channel, self._greet(channel)
-            except (OSError, ProtocolError) as error:
-                channel.close()
-                raise ProtocolError(
-                    f"{self.url} does not answer 'hello' as a model server of vla-eval "
-                    f"does: {error or 'it says nothing'} The address of a policy of "
-                    "'lemma serve' begins with http://."
-                ) from error
+        channel = keep_trying(
+            lambda: WebSocketChannel(self._address), self.url, patience_s
+        )
+        try:
+            return channel, self._greet(channel)
+        except (OSError, ProtocolError) as error:
+            channel.close()
+            raise ProtocolError(
+                f"{self.url} does not answer 'hello' as a model server of vla-eval "
+                f"does: {error or 'it says nothing'} The address of a policy of "
+                "'lemma serve' begins with http://."
+            ) from error
 
     def _greet(self, channel: Channel) -> dict[str, Any]:
-        channel.send(pack(Message(Kind.HELLO, hello(benchmark=_BENCHMARK))))
+        channel.send(pack(Message.of(Kind.HELLO, hello(benchmark=_BENCHMARK))))
         reply = unpack(channel.receive(_HELLO_S))
         if reply.kind is not Kind.HELLO:
             raise ProtocolError(f"it says {reply.kind}: {shown(dict(reply.payload))}.")
@@ -244,7 +244,7 @@ class ServedEpisode:
         return True
 
     def ask(self, observation: Mapping[str, Any]) -> None:
-        """Send what is seen now.
+        """Send an observation.
 
         Raises:
             PolicyFailedError: The connection has ended.
@@ -259,7 +259,7 @@ class ServedEpisode:
             raise self._dead(error) from error
 
     def answer(self, end: float, allowed_s: float) -> NDArray[Any]:
-        """Return the action for what was sent last, (n,).
+        """Return the action for the last observation, (n,).
 
         Args:
             end: Until when to wait, of the monotonic clock [s].
@@ -288,7 +288,7 @@ class ServedEpisode:
         return read_action(reply.payload, self._names)
 
     def end(self, result: Mapping[str, Any]) -> None:
-        """Tell the server what became of it, and give the connection back."""
+        """Send the result of the episode, and keep the connection for another one."""
         if self._channel is None:
             return
         channel, self._channel = self._channel, None
@@ -302,7 +302,7 @@ class ServedEpisode:
     def _next(self, end: float) -> Message:
         """Return the answer to the last message, or the error of an earlier one.
 
-        What is late answers a question that nobody asks any more.
+        Late answers to earlier messages are passed over.
         """
         assert self._channel is not None
         while True:
@@ -318,7 +318,7 @@ class ServedEpisode:
 
     def _message(self, kind: Kind, payload: Mapping[str, Any]) -> bytes:
         self._seq = self._server.number()
-        return pack(Message(kind, payload, self._seq))
+        return pack(Message.of(kind, payload, self._seq))
 
     def _dead(self, error: OSError) -> PolicyFailedError:
         self._hang_up()
@@ -330,6 +330,84 @@ class ServedEpisode:
         if self._channel is not None:
             self._channel.close()
         self._channel = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Memory:
+    """Ends its episode when it is no longer referred to."""
+
+    episode: ServedEpisode
+
+    def __post_init__(self) -> None:
+        weakref.finalize(self, self.episode.end, {}).atexit = False
+
+
+class ModelServerPolicy:
+    """Motor commands from a model server of vla-eval."""
+
+    def __init__(
+        self,
+        server: ModelServer,
+        options: Mapping[str, Any],
+        columns: Sequence[str],
+        state: Sequence[str] = ("agent_pos",),
+    ) -> None:
+        """Keep the connection.
+
+        Args:
+            server: The server.
+            options: In which environment it acts.
+            columns: Meaning of each number of a robot's row.
+            state: Parts of the state that is sent, in order.
+        """
+        self.server = server
+        self.control_options = dict(options)
+        self._columns, self._state = tuple(columns), tuple(state)
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Description that the server gives of itself, and the chosen options."""
+        return {
+            **self.server.about,
+            "control_options": self.control_options,
+            "state": list(self._state),
+        }
+
+    def act(self, inputs: Sequence[ControlInput]) -> list[Actions | PolicyFailedError]:
+        """Return the next action of each episode, or why it has none.
+
+        Raises:
+            PolicyUnreachableError: Nobody answers any more.
+        """
+        memories = [given.memory or self._begin(given) for given in inputs]
+        answers = self.server.act(
+            [memory.episode for memory in memories], [*map(self._seen, inputs)]
+        )
+        return [
+            answer
+            if isinstance(answer, PolicyFailedError)
+            else Actions(answer.reshape(len(given.robots), -1), memory)
+            for answer, given, memory in zip(answers, inputs, memories, strict=True)
+        ]
+
+    def close(self) -> None:
+        """Hang up."""
+        self.server.close()
+
+    def _begin(self, given: ControlInput) -> _Memory:
+        names = [
+            f"{robot}.{column}"
+            for robot in robot_names(len(given.robots))
+            for column in self._columns
+        ]
+        return _Memory(self.server.begin(_TASK, names))
+
+    def _seen(self, given: ControlInput) -> dict[str, Any]:
+        state = np.concatenate(
+            [np.ravel(given.observation[part]) for part in self._state]
+        )
+        pixels = given.observation.get("pixels", {})
+        return observation(pixels, given.instruction, state, given.robots)
 
 
 def _attempt(call: Callable[[], Any]) -> Any:

@@ -13,10 +13,8 @@ from typing import Any, Self
 
 from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError
-from lemma.serve.protocol.extra import websockets
-from lemma.serve.protocol.messages import LARGEST_BYTES
-from lemma.serve.server.model_session import ModelSession
-from lemma.serve.server.session import Session
+from lemma.serve.messages import LARGEST_BYTES, websockets
+from lemma.serve.session import ModelSession, Session
 
 DEFAULT_PORT = 8000
 PROTOCOLS = ("lemma", "vla-eval")

@@ -9,17 +9,16 @@ import io
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib import import_module
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from lemma.core.errors import InvalidConfigError, shown
-from lemma.serve.protocol.faults import FaultKind, PolicyFailedError, ProtocolError
+from lemma.serve.faults import FaultKind, PolicyFailedError, ProtocolError
 
 VERSION = 1
 """Version of the protocol: both sides say it, and ours compare it."""
@@ -45,14 +44,21 @@ class Kind(StrEnum):
     ERROR = "error"
 
 
-@dataclass(frozen=True)
-class Message:
+class Message(msgspec.Struct, frozen=True):
     """One message."""
 
-    kind: Kind
-    payload: Mapping[str, Any]
-    seq: int = 0
-    timestamp: float = field(default_factory=time.time)
+    kind: Kind = msgspec.field(name="type")
+    payload: dict[str, Any]
+    seq: int
+    timestamp: float
+
+    @classmethod
+    def of(cls, kind: Kind, payload: Mapping[str, Any], seq: int = 0) -> Self:
+        """Return a message of this moment."""
+        return cls(kind, dict(payload), seq, time.time())
+
+
+_decoder = msgspec.msgpack.Decoder(Message)
 
 
 def pack(message: Message) -> bytes:
@@ -61,51 +67,30 @@ def pack(message: Message) -> bytes:
     Raises:
         ProtocolError: It holds what cannot be sent.
     """
-    raw = {
-        "type": message.kind.value,
-        "payload": message.payload,
-        "seq": message.seq,
-        "timestamp": message.timestamp,
-    }
     try:
-        return msgspec.msgpack.encode(raw, enc_hook=_plain)
+        return msgspec.msgpack.encode(message, enc_hook=_plain)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ProtocolError(f"A message cannot be sent: {error}.") from error
 
 
 def unpack(data: bytes | str) -> Message:
-    """Return the message that bytes mean, with arrays and images as arrays.
+    """Return a message from bytes, with arrays and images as arrays.
 
     Raises:
-        ProtocolError: They are none.
+        ProtocolError: They are no message.
     """
     if isinstance(data, str):
         raise ProtocolError("Messages are binary frames of msgpack, not text.")
     try:
-        raw = msgspec.msgpack.decode(data)
+        found = _decoder.decode(data)
+    except msgspec.ValidationError as error:
+        raise ProtocolError(
+            f"A message does not fit: {error}. One of vla-eval is a map of type, "
+            f"payload, seq and timestamp; types are {', '.join(Kind)}."
+        ) from error
     except (msgspec.DecodeError, RecursionError, ValueError) as error:
         raise ProtocolError(f"A message is no msgpack: {error}.") from error
-    fields = ("type", "payload", "seq", "timestamp")
-    if not isinstance(raw, dict) or not raw.keys() >= set(fields):
-        raise ProtocolError(
-            f"A message is {shown(raw)}; one of vla-eval is a map of "
-            f"{', '.join(fields)}."
-        )
-    if raw["type"] not in set(Kind):
-        raise ProtocolError(
-            f"A message has the type {shown(raw['type'])}. Valid: {', '.join(Kind)}."
-        )
-    payload, seq, stamp = raw["payload"], raw["seq"], raw["timestamp"]
-    if not (
-        isinstance(payload, dict)
-        and type(seq) is int
-        and isinstance(stamp, int | float)
-    ):
-        raise ProtocolError(
-            f"The {raw['type']} has a payload, seq and timestamp of other types than "
-            "a map and two numbers."
-        )
-    return Message(Kind(raw["type"]), _read(payload), seq, float(stamp))
+    return msgspec.structs.replace(found, payload=_read(found.payload))
 
 
 def hello(**fields: Any) -> dict[str, Any]:
@@ -122,7 +107,7 @@ def check_version(payload: Mapping[str, Any], who: str) -> None:
 
     Args:
         payload: Of its hello.
-        who: What it is, for messages to people.
+        who: Its address, for messages to people.
 
     Raises:
         ProtocolError: It speaks another version, or does not say which.
@@ -141,13 +126,13 @@ def observation(
     state: NDArray[Any] | None,
     robots: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return what is observed as vla-eval's model servers take it.
+    """Return an observation as vla-eval's model servers take it.
 
     Args:
         images: By name of the camera, (height, width, 3).
-        sentence: What shall be done.
-        state: Joints and whatever else robots feel, (n,); None to leave it out.
-        robots: How people name the robots, in the order of state and action.
+        sentence: The instruction.
+        state: Joints and other numbers of the robots, (n,); None to leave it out.
+        robots: Phrases for the robots, in the order of state and action.
     """
     found: dict[str, Any] = {"images": dict(images), "task_description": sentence}
     if robots:
@@ -162,7 +147,7 @@ def read_action(payload: Mapping[str, Any], names: tuple[str, ...]) -> NDArray[A
 
     Args:
         payload: Of the answer.
-        names: What each number means: ``"robot_0.shoulder_pan"``.
+        names: Meaning of each number: ``"robot_0.shoulder_pan"``.
 
     Raises:
         PolicyFailedError: There is none, it has another shape, or it is not finite.
@@ -196,7 +181,7 @@ def read_action(payload: Mapping[str, Any], names: tuple[str, ...]) -> NDArray[A
 
 
 def format_of(control: str) -> str:
-    """Return what specs of vla-eval call the actions of a control mode."""
+    """Return the format of a control mode's actions in specs of vla-eval."""
     return f"lemma_{control}"
 
 

@@ -7,11 +7,9 @@ from urllib.parse import urlsplit
 
 from lemma.core.arguments import secret_of
 from lemma.core.errors import InvalidConfigError
-from lemma.serve.client.conversation import Conversation, ProtocolMode
-from lemma.serve.client.remote import Remote, remote
-from lemma.serve.protocol.extra import websockets
-from lemma.serve.protocol.faults import ProtocolError
-from lemma.serve.protocol.messages import LARGEST_BYTES
+from lemma.serve.conversation import Conversation, ProtocolMode, Remote, remote
+from lemma.serve.faults import ProtocolError
+from lemma.serve.messages import LARGEST_BYTES, websockets
 
 SCHEMES = {"http": "ws", "https": "wss", "ws": "ws", "wss": "wss"}
 """What an address may begin with, and what is used for it."""

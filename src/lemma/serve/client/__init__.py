@@ -1,1 +1,0 @@
-"""Asking a policy behind a socket or in another process."""

@@ -1,1 +1,0 @@
-"""The messages, and the faults that they name."""

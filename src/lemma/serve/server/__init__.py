@@ -1,1 +1,0 @@
-"""Answering for a policy."""
