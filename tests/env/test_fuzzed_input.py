@@ -51,9 +51,7 @@ arrays = hnp.arrays(
     ),
 )
 junk = st.one_of(nested, arrays)
-FUZZ = settings(
-    max_examples=150, deadline=None, suppress_health_check=list(HealthCheck)
-)
+FUZZ = settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 
 
 def assert_bounded(call: Any) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
+from tiers import slow_but
 
 import lemma
 from lemma.core.errors import (
@@ -54,8 +55,11 @@ def play(env: LemmaEnv, steps: int, seed: int = 0) -> list[str]:
     return hashes
 
 
-@pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("task", SUITE)
+EVERY = [(task, level) for task in SUITE for level in LEVELS]
+QUICK = [*((task, "control") for task in SUITE), ("hook", "skill"), ("hook", "plan")]
+
+
+@pytest.mark.parametrize(("task", "level"), slow_but(EVERY, *QUICK))
 def test_gymnasium_finds_no_fault(task: str, level: str) -> None:
     env = gymnasium.make(gym_id(task), level=level, split="test")
     check_env(env.unwrapped, skip_render_check=True)

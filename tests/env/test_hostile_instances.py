@@ -213,7 +213,7 @@ anything = st.one_of(
 
 
 @settings(
-    max_examples=60,
+    max_examples=30,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
@@ -241,7 +241,7 @@ def test_any_table_is_set_or_refused(
     assert time.perf_counter() - start < 30.0
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     st.sampled_from(list(DATA)),
     st.recursive(
