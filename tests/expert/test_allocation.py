@@ -5,12 +5,12 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
+from allocation import allocate
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray
-from lemma.expert.allocation import allocate
 
 Problem = tuple[FloatArray, FloatArray, float]
 
@@ -42,6 +42,7 @@ def by_trying(utilities: FloatArray, durations: FloatArray, limit: float) -> flo
     return best
 
 
+@settings(max_examples=30)
 @given(problems())
 def test_allocation_is_the_best_of_all(problem: Problem) -> None:
     utilities, durations, limit = problem

@@ -6,11 +6,11 @@ from dataclasses import replace
 from itertools import permutations, product
 
 import pytest
+from allocation import allocate, pose_problem
 from recorded_episodes import first_instance
 from small_tables import cube, facing, pad
 
 from lemma.core.poses import Pose, Pose2
-from lemma.expert.allocation import allocate, pose_problem
 from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.planner import Plan, find_plan, utility
 from lemma.expert.symbolic_state import SymbolicState

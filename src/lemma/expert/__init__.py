@@ -1,1 +1,1 @@
-"""The oracle: symbolic planning, exact allocation, geometric grounding."""
+"""The oracle: symbolic planning and geometric grounding."""
