@@ -12,6 +12,7 @@ import pytest
 from chat_server import chat_server
 
 from lemma.core.errors import InvalidConfigError
+from lemma.policies.planners.answers import AnswerFormat
 from lemma.policies.planners.chat import (
     KEY_VARIABLE,
     ChatOptions,
@@ -19,13 +20,12 @@ from lemma.policies.planners.chat import (
     PlannerUnavailableError,
     Reply,
 )
-from lemma.policies.planners.grammar import Grammar
 
 SECRET = "sk-very-secret"
 
 
 def request() -> dict[str, Any]:
-    schema = Grammar(("robot_0",), ("red_cube", "blue_pad")).schema()
+    schema = AnswerFormat(("robot_0",), ("red_cube", "blue_pad")).schema()
     return {
         "model": "rules",
         "messages": [

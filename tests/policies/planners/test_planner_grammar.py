@@ -5,12 +5,16 @@ from typing import Any
 
 import pytest
 
-from lemma.policies.planners.grammar import Grammar, Mistake, MistakeError
+from lemma.policies.planners.answers import (
+    AnswerFormat,
+    InvalidAnswer,
+    InvalidAnswerError,
+)
 from lemma.policies.planners.prompts import quoted
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 TEAM = ("robot_0", "robot_1")
-TABLE = Grammar(TEAM, ("red_cube", "blue_cube", "blue_pad", "stick"))
+TABLE = AnswerFormat(TEAM, ("red_cube", "blue_cube", "blue_pad", "stick"))
 MOVE = {
     "reason": "so",
     "robot": "robot_1",
@@ -57,54 +61,57 @@ def test_stop_and_wait_are_answers() -> None:
     for nothing in (None, ""):
         empty = dict.fromkeys(("robot", "pick", "place"), nothing)
         assert TABLE.read(json.dumps({**_STOP, **empty})).subtask == STOP
-    own = Grammar(("robot_1",), TABLE.objects, talks=True, may_wait=True)
+    own = AnswerFormat(("robot_1",), TABLE.objects, talks=True, may_wait=True)
     wait = json.dumps({**_STOP, "primitive": "wait", "message": "You!"})
     assert (own.read(wait).subtask, own.read(wait).message) == (None, "You!")
-    with pytest.raises(MistakeError, match="wait"):
+    with pytest.raises(InvalidAnswerError, match="wait"):
         TABLE.read(json.dumps({**_STOP, "primitive": "wait"}))
 
 
-WRONG: dict[str, tuple[str, Mistake]] = {
-    "nothing": ("", Mistake.NO_JSON),
-    "prose": (f"I say {text()}", Mistake.NO_JSON),
-    "half": (text()[:-3], Mistake.NO_JSON),
-    "deep": ("[" * 100_000, Mistake.NO_JSON),
-    "list": (f"[{text()}]", Mistake.NOT_IN_SCHEMA),
-    "number": ("3", Mistake.NOT_IN_SCHEMA),
-    "missing": ('{"robot": "robot_0"}', Mistake.NOT_IN_SCHEMA),
-    "more": (text(speed=3), Mistake.NOT_IN_SCHEMA),
-    "message of nobody": (text(message="hi"), Mistake.NOT_IN_SCHEMA),
-    "null": (text(pick=None), Mistake.IMPOSSIBLE),
-    "thoughts alone": (f"<think>{text()}", Mistake.NO_JSON),
-    "analysis": (f"<|channel|>analysis<|message|>{text()}<|end|>", Mistake.NO_JSON),
-    "reason": (text(reason=["a"]), Mistake.NOT_IN_SCHEMA),
-    "robot": (text(robot="robot_2"), Mistake.UNKNOWN_NAME),
-    "phrase": (text(robot="red robot"), Mistake.UNKNOWN_NAME),
-    "primitive": (text(primitive="throw"), Mistake.UNKNOWN_NAME),
-    "elsewhere": (text(pick="pink_cube"), Mistake.UNKNOWN_NAME),
-    "fixed": (text(pick="blue_pad"), Mistake.UNKNOWN_NAME),
-    "pick a place": (text(pick="shared"), Mistake.UNKNOWN_NAME),
-    "nobody": (text(robot="none"), Mistake.IMPOSSIBLE),
-    "no pick": (text(pick="none"), Mistake.IMPOSSIBLE),
-    "itself": (text(place="red_cube"), Mistake.IMPOSSIBLE),
-    "on the stick": (text(place="stick"), Mistake.IMPOSSIBLE),
-    "stick on a pad": (text(pick="stick"), Mistake.IMPOSSIBLE),
-    "hook with a cube": (text(primitive="hook"), Mistake.IMPOSSIBLE),
-    "hook a pad": (text(primitive="hook", pick="stick"), Mistake.IMPOSSIBLE),
+WRONG: dict[str, tuple[str, InvalidAnswer]] = {
+    "nothing": ("", InvalidAnswer.NO_JSON),
+    "prose": (f"I say {text()}", InvalidAnswer.NO_JSON),
+    "half": (text()[:-3], InvalidAnswer.NO_JSON),
+    "deep": ("[" * 100_000, InvalidAnswer.NO_JSON),
+    "list": (f"[{text()}]", InvalidAnswer.NOT_IN_SCHEMA),
+    "number": ("3", InvalidAnswer.NOT_IN_SCHEMA),
+    "missing": ('{"robot": "robot_0"}', InvalidAnswer.NOT_IN_SCHEMA),
+    "more": (text(speed=3), InvalidAnswer.NOT_IN_SCHEMA),
+    "message of nobody": (text(message="hi"), InvalidAnswer.NOT_IN_SCHEMA),
+    "null": (text(pick=None), InvalidAnswer.IMPOSSIBLE),
+    "thoughts alone": (f"<think>{text()}", InvalidAnswer.NO_JSON),
+    "analysis": (
+        f"<|channel|>analysis<|message|>{text()}<|end|>",
+        InvalidAnswer.NO_JSON,
+    ),
+    "reason": (text(reason=["a"]), InvalidAnswer.NOT_IN_SCHEMA),
+    "robot": (text(robot="robot_2"), InvalidAnswer.UNKNOWN_NAME),
+    "phrase": (text(robot="red robot"), InvalidAnswer.UNKNOWN_NAME),
+    "primitive": (text(primitive="throw"), InvalidAnswer.UNKNOWN_NAME),
+    "elsewhere": (text(pick="pink_cube"), InvalidAnswer.UNKNOWN_NAME),
+    "fixed": (text(pick="blue_pad"), InvalidAnswer.UNKNOWN_NAME),
+    "pick a place": (text(pick="shared"), InvalidAnswer.UNKNOWN_NAME),
+    "nobody": (text(robot="none"), InvalidAnswer.IMPOSSIBLE),
+    "no pick": (text(pick="none"), InvalidAnswer.IMPOSSIBLE),
+    "itself": (text(place="red_cube"), InvalidAnswer.IMPOSSIBLE),
+    "on the stick": (text(place="stick"), InvalidAnswer.IMPOSSIBLE),
+    "stick on a pad": (text(pick="stick"), InvalidAnswer.IMPOSSIBLE),
+    "hook with a cube": (text(primitive="hook"), InvalidAnswer.IMPOSSIBLE),
+    "hook a pad": (text(primitive="hook", pick="stick"), InvalidAnswer.IMPOSSIBLE),
 }
 
 
 @pytest.mark.parametrize("what", WRONG)
 def test_what_is_no_answer_has_a_kind_and_a_reason(what: str) -> None:
     answer, kind = WRONG[what]
-    with pytest.raises(MistakeError) as caught:
+    with pytest.raises(InvalidAnswerError) as caught:
         TABLE.read(answer)
     assert caught.value.kind is kind
     assert 5 < len(str(caught.value)) < 400
 
 
 def test_without_a_stick_there_is_nothing_to_hook_with() -> None:
-    assert Grammar(TEAM, ("red_cube", "blue_pad")).primitives == ("move", "stop")
+    assert AnswerFormat(TEAM, ("red_cube", "blue_pad")).primitives == ("move", "stop")
 
 
 def test_every_subtask_is_sayable_and_within_the_schema() -> None:

@@ -29,13 +29,13 @@ from lemma.policies.interfaces import (
 from lemma.policies.oracle import GroundTruthAllocation, OracleGrounder, OraclePlanner
 from lemma.policies.planners.chat import ChatOptions, PlannerUnavailableError
 from lemma.policies.planners.language_model import LanguageModelPlanner
+from lemma.policies.planners.perception import ObjectText, RobotText, SceneText
 from lemma.policies.planners.registry import PLANNERS, PlannerRecord
 from lemma.policies.planners.rules import (
     GreedyReachPlanner,
     NoisyOraclePlanner,
     RandomValidPlanner,
 )
-from lemma.policies.planners.scene_text import ObjectText, RobotText, SceneText
 from lemma.policies.spec import PolicySpec
 from lemma.scene.cameras import Camera, CameraImage, CameraIntrinsics
 from lemma.tasks.subtask import STOP, SubTask
@@ -368,7 +368,7 @@ def test_a_planner_that_was_added_is_a_policy() -> None:
 
 @pytest.mark.render
 def test_what_is_seen_is_told_in_centimetres() -> None:
-    seen = pytest.importorskip("lemma.policies.planners.seen")
+    seen = pytest.importorskip("lemma.policies.planners.perception")
     reachnet = pytest.importorskip("lemma.policies.models.reachnet.model")
     model = reachnet.ReachNet()
     perception = seen.SeenPerception(model)

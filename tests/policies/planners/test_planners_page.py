@@ -10,8 +10,8 @@ import pytest
 from chat_server import chat_server
 
 from lemma.cli.evaluate import LanguageModelOptions
+from lemma.policies.planners.answers import InvalidAnswer
 from lemma.policies.planners.chat import MODES, ChatOptions
-from lemma.policies.planners.grammar import Mistake
 from lemma.policies.planners.registry import PLANNERS
 
 PAGE = (Path(__file__).parents[3] / "docs/planners.md").read_text(encoding="utf-8")
@@ -54,7 +54,7 @@ def test_a_planner_of_ones_own_is_found_by_name(tmp_path: Path) -> None:
 def test_names_on_the_page_are_all_that_there_are() -> None:
     shipped = {"llm", "random-valid", "greedy-reach", "noisy-oracle"}
     assert shipped <= set(PLANNERS)
-    for name in (*shipped, *map(str, Mistake), *MODES):
+    for name in (*shipped, *map(str, InvalidAnswer), *MODES):
         assert re.search(rf"^\| `{name}[`:]", PAGE, re.MULTILINE), name
     defaults, options = ChatOptions(), LanguageModelOptions()
     for field in fields(defaults):

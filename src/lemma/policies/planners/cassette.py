@@ -1,7 +1,7 @@
 """Cassettes: requests to language models and the answers, one JSON line each.
 
-A line is found by the SHA-256 of the request as canonical JSON, so replay asks nobody,
-gives the same to the bit, in any order, in as many processes as there are. Where two
+A line is found by the SHA-256 of the request as canonical JSON, so replay needs no
+server and gives equal answers in any order and in any number of processes. If two
 processes get different answers to one request, the first that was written counts for
 both.
 """
@@ -34,7 +34,7 @@ class _Line(msgspec.Struct):
 
 
 def key_of(request: Mapping[str, Any]) -> str:
-    """Return what a request is found by: the SHA-256 of its canonical JSON."""
+    """Return the key of a request: the SHA-256 of its canonical JSON."""
     text = json.dumps(request, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -43,7 +43,7 @@ class Cassette:
     """A file of answers; may be used by several threads, and the file by processes."""
 
     def __init__(self, path: Path) -> None:
-        """Keep the path; the file is read when something is asked for.
+        """Keep the path; the file is read at the first request.
 
         Args:
             path: The file, which need not exist yet.
@@ -67,7 +67,7 @@ class Cassette:
             return self._replies.get(key)
 
     def keep(self, request: Mapping[str, Any], reply: Reply) -> Reply:
-        """Write a reply, and return it; or what somebody else wrote meanwhile.
+        """Write a reply and return it, or the one that another process wrote before.
 
         Raises:
             DatasetError: The file is damaged, or cannot be written.
@@ -101,7 +101,7 @@ class Cassette:
             ) from error
 
     def _append(self, data: bytes) -> None:
-        """Write a line, over what a killed writer began and did not end."""
+        """Write a line, over an unfinished line of a writer that was killed."""
         with self.path.open("r+b" if self.path.exists() else "xb") as file:
             file.truncate(self._end)
             file.seek(self._end)
@@ -139,20 +139,20 @@ class Cassette:
         return line
 
     def missing(self, request: Mapping[str, Any], why: str) -> PlannerUnavailableError:
-        """Return the error of a request that nobody may be asked.
+        """Return the error of a request that is not on the cassette.
 
         Args:
-            request: What is not there.
-            why: Why nobody may be asked, a sentence.
+            request: The request.
+            why: Why it is not sent to a server, a sentence.
         """
-        told = f"{self.path} has no answer to a request ({key_of(request)[:12]}). {why}"
+        text = f"{self.path} has no answer to a request ({key_of(request)[:12]}). {why}"
         nearest = self._nearest(request)
         if nearest is None:
-            return PlannerUnavailableError(f"{told} The cassette is empty.")
+            return PlannerUnavailableError(f"{text} The cassette is empty.")
         number, other = nearest
         changes = "; ".join(differences(other, request))
         return PlannerUnavailableError(
-            f"{told} The nearest request, in line {number}, differs: {changes}. Undo "
+            f"{text} The nearest request, in line {number}, differs: {changes}. Undo "
             "the change, or ask again with --cassette-mode record."
         )
 
@@ -181,7 +181,7 @@ class Cassette:
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return in what two requests differ: what is named, was and is.
+    """Return the differences between two requests, each as "was ... and is ...".
 
     Args:
         before: The one that was recorded.
@@ -217,13 +217,13 @@ def _said(messages: Any) -> Iterator[str]:
 
 
 def _flat(request: Mapping[str, Any]) -> list[str]:
-    """Return a request as what is compared: its lines, and its other parts."""
+    """Return a request as lines that can be compared."""
     rest = [f"{k}={json.dumps(v)}" for k, v in request.items() if k != "messages"]
     return [*rest, *_said(request.get("messages"))]
 
 
 def _apart(before: str, now: str) -> tuple[str, str]:
-    """Return two texts from a little before where they part."""
+    """Return two texts from a little before their first difference."""
     pairs = enumerate(zip(before, now, strict=False))
     parting = next((i for i, (a, b) in pairs if a != b), min(len(before), len(now)))
     start = max(0, parting - _SHOWN // 3)

@@ -127,32 +127,32 @@ class ChatOptions:
             )
         return found
 
-    def settings(self) -> dict[str, object]:
+    def settings(self) -> dict[str, Any]:
         """Return the options that decide the answers, not where they come from."""
-        return {
-            "perception": self.perception,
-            "team": self.team,
-            "pictures": self.pictures,
-            "tries": self.tries,
-            "max_tokens": self.max_tokens,
-            **({"extra_body": self.fields} if self.fields else {}),
-        }
+        names = ("perception", "team", "pictures", "tries", "max_tokens")
+        extra = {"extra_body": self.fields} if self.fields else {}
+        return {name: getattr(self, name) for name in names} | extra
 
     def words(self) -> list[str]:
         """Return the options of the command line that ask for the same.
 
         Of a cassette the name alone: it is shared, and may lie anywhere.
         """
-        words = [f"--perception {self.perception}", f"--team {self.team}"]
-        words += ["--pictures"] if self.pictures else []
-        words += [f"--tries {self.tries}", f"--max-tokens {self.max_tokens}"]
-        if self.concurrency != ChatOptions.concurrency:
-            words.append(f"--concurrency {self.concurrency}")
+        options = self.settings()
         if self.fields:
-            words.append(f"--extra-body {shlex.quote(self.extra_body)}")
+            options["extra_body"] = self.extra_body
+        if self.concurrency != ChatOptions.concurrency:
+            options["concurrency"] = self.concurrency
         if self.cassette is not None:
-            return [*words, f"--cassette {shlex.quote(self.cassette.name)}"]
-        return [*words, f"--base-url {shlex.quote(self.base_url)}"]
+            options["cassette"] = self.cassette.name
+        else:
+            options["base_url"] = self.base_url
+        return [
+            f"--{name.replace('_', '-')}"
+            + ("" if value is True else f" {shlex.quote(str(value))}")
+            for name, value in options.items()
+            if value is not False
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,32 +170,20 @@ class Reply:
     """Why the content is empty or not whole, a sentence; empty if nothing is odd."""
 
 
+@dataclass
 class _NotAnsweredError(Exception):
     """An attempt that did not succeed."""
 
-    def __init__(
-        self,
-        failure: str,
-        explanation: str,
-        *,
-        wait_s: float = 0.0,
-        gone: bool = False,
-        again: bool = True,
-    ) -> None:
-        """Keep what happened.
-
-        Args:
-            failure: In one word.
-            explanation: In one sentence.
-            wait_s: How long the server wants to be left alone [s].
-            gone: Whether that says nothing about this request.
-            again: Whether another attempt may succeed.
-        """
-        super().__init__(explanation)
-        self.reply = Reply(failure=failure, explanation=explanation)
-        self.wait_s = wait_s
-        self.gone = gone
-        self.again = again
+    failure: str
+    """In one word."""
+    explanation: str
+    """In one sentence."""
+    wait_s: float = 0.0
+    """How long the server wants to be left alone [s]."""
+    gone: bool = False
+    """Whether that says nothing about this request."""
+    again: bool = True
+    """Whether another attempt may succeed."""
 
 
 class _NoRedirects(HTTPRedirectHandler):
@@ -272,11 +260,11 @@ class ChatServer:
                 continue
             if failed.gone:
                 raise PlannerUnavailableError(
-                    f"{self._url} does not answer: {failed.reply.explanation} Start "
+                    f"{self._url} does not answer: {failed.explanation} Start "
                     "the server, or name another with --base-url; the same command "
                     "then goes on."
                 )
-            return failed.reply
+            return Reply(failure=failed.failure, explanation=failed.explanation)
         raise AssertionError("the last attempt has returned or raised")
 
     def _attempt(self, body: bytes) -> Reply:
@@ -319,9 +307,7 @@ class ChatServer:
             after = error.headers.get("Retry-After", "")
             wait_s = float(after) if after.isdecimal() else 0.0
             # 429 says nothing about the request: there were too many.
-            return _NotAnsweredError(
-                RAISED, text, wait_s=wait_s, gone=error.code == 429
-            )
+            return _NotAnsweredError(RAISED, text, wait_s, gone=error.code == 429)
         if error.code in (400, 413, 422):
             return _NotAnsweredError(RAISED, text, again=False)
         return PlannerUnavailableError(

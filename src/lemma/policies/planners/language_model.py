@@ -14,9 +14,15 @@ from lemma.policies.interfaces import (
     Effort,
     PolicyInput,
 )
+from lemma.policies.planners.answers import Answer, AnswerFormat, InvalidAnswerError
 from lemma.policies.planners.cassette import Cassette
 from lemma.policies.planners.chat import ChatOptions, ChatServer, Reply
-from lemma.policies.planners.grammar import Grammar, MistakeError, Said
+from lemma.policies.planners.perception import (
+    Perception,
+    SceneText,
+    SeenPerception,
+    TruthPerception,
+)
 from lemma.policies.planners.prompts import (
     PROMPTS,
     correction,
@@ -25,8 +31,6 @@ from lemma.policies.planners.prompts import (
     question,
     system_prompt,
 )
-from lemma.policies.planners.scene_text import Perception, SceneText, TruthPerception
-from lemma.policies.planners.seen import SeenPerception
 from lemma.tasks.subtask import STOP, SubTask
 
 MALFORMED = "malformed"
@@ -56,7 +60,7 @@ class Asker:
             )
         if self.cassette is None and (self.server is None or self.mode != "record"):
             raise InvalidConfigError(
-                "Who shall answer for the language model? Name a server with "
+                "Nobody answers for the language model. Name a server with "
                 "--base-url http://HOST:PORT/v1, or a --cassette that has the answers."
             )
 
@@ -89,7 +93,7 @@ class Asker:
 
 @dataclass
 class _Tally:
-    """What a decision has taken so far."""
+    """The effort of a decision so far."""
 
     calls: int = 0
     prompt_tokens: int = 0
@@ -103,7 +107,7 @@ class _Tally:
 
 
 class _GaveUpError(Exception):
-    """No sub-task came of it: a kind of fault, and a sentence."""
+    """There is no decision: a kind of fault, and a sentence."""
 
     def __init__(self, kind: str, explanation: str) -> None:
         super().__init__(explanation)
@@ -113,7 +117,7 @@ class _GaveUpError(Exception):
 class LanguageModelPlanner(Composite):
     """Asks a language model.
 
-    Each decision is a conversation of its own, a pure function of what is given: the
+    Each decision is a conversation of its own, which depends on its input alone: the
     rules, and the sentence, the table and the past as text. An answer that is no
     sub-task is answered with the reason, and the model tries again.
     """
@@ -133,7 +137,7 @@ class LanguageModelPlanner(Composite):
             model: Its name at the server.
             options: How it is asked.
             timeout_s: For one attempt at a request [s].
-            perception: What says what is on the table; by the options if None.
+            perception: Describes the table; by the options if None.
 
         Raises:
             InvalidConfigError: It has no name, or nobody can be asked.
@@ -154,7 +158,7 @@ class LanguageModelPlanner(Composite):
 
     @property
     def parts(self) -> tuple[object, ...]:
-        """What sees for it, and whether that are camera images too."""
+        """Its perception, and whether it looks at camera images."""
         return (self.perception, _Eyes(self.cameras))
 
     @property
@@ -181,7 +185,7 @@ class LanguageModelPlanner(Composite):
         return [decision.subtask for decision in decided]
 
     def propose(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        """Return the next decision of each episode, without poses, and what it took.
+        """Return the next decision of each episode, without poses, with its effort.
 
         Raises:
             PlannerUnavailableError: Nobody answers.
@@ -202,8 +206,8 @@ class LanguageModelPlanner(Composite):
 
     def _one(self, given: PolicyInput, scene: SceneText, tally: _Tally) -> SubTask:
         team = robot_names(len(given.robots))
-        grammar = Grammar(team, _names(scene))
-        said = self._converse(given, grammar, question(given, scene), tally)
+        answers = AnswerFormat(team, _names(scene))
+        said = self._converse(given, answers, question(given, scene), tally)
         assert said.subtask is not None
         return said.subtask
 
@@ -215,35 +219,37 @@ class LanguageModelPlanner(Composite):
         messages: tuple[tuple[str, str], ...] = ()
         for robot in order:
             last = robot == order[-1]
-            grammar = Grammar((robot,), _names(scene), talks=True, may_wait=not last)
+            answers = AnswerFormat(
+                (robot,), _names(scene), talks=True, may_wait=not last
+            )
             text = question(given, scene, robot, messages)
-            said = self._converse(given, grammar, text, tally)
+            said = self._converse(given, answers, text, tally)
             if said.subtask is not None:
                 return said.subtask
             messages += ((robot, said.message[:_LONGEST_MESSAGE]),)
         raise AssertionError("the last one cannot wait")
 
     def _converse(
-        self, given: PolicyInput, grammar: Grammar, text: str, tally: _Tally
-    ) -> Said:
+        self, given: PolicyInput, answers: AnswerFormat, text: str, tally: _Tally
+    ) -> Answer:
         """Ask until an answer is valid.
 
         Raises:
             _GaveUpError: None was, or the server gave none.
         """
         shown = pictures(given) if self.cameras else []
-        messages = messages_of(system_prompt(given, grammar), text, shown)
+        messages = messages_of(system_prompt(given, answers), text, shown)
         told = ""
         for _ in range(self._options.tries):
-            reply = self._asker.ask(self._request(messages, grammar))
+            reply = self._asker.ask(self._request(messages, answers))
             tally.calls += 1
             tally.prompt_tokens += reply.prompt_tokens
             tally.completion_tokens += reply.completion_tokens
             if reply.failure:
                 raise _GaveUpError(reply.failure, reply.explanation)
             try:
-                return grammar.read(reply.content)
-            except MistakeError as error:
+                return answers.read(reply.content)
+            except InvalidAnswerError as error:
                 tally.invalid.append(str(error.kind))
                 why = f"{error} {reply.remark}".strip()
                 told = f"{error.kind}: {why}"
@@ -260,7 +266,7 @@ class LanguageModelPlanner(Composite):
         )
 
     def _request(
-        self, messages: list[dict[str, Any]], grammar: Grammar
+        self, messages: list[dict[str, Any]], answers: AnswerFormat
     ) -> dict[str, Any]:
         request = {
             "model": self._model,
@@ -273,7 +279,7 @@ class LanguageModelPlanner(Composite):
                 "json_schema": {
                     "name": "sub_task",
                     "strict": True,
-                    "schema": grammar.schema(),
+                    "schema": answers.schema(),
                 },
             },
         } | self._options.fields
@@ -282,7 +288,7 @@ class LanguageModelPlanner(Composite):
 
 @dataclass(frozen=True)
 class _Eyes:
-    """Says whether camera images are looked at."""
+    """Whether camera images are looked at."""
 
     cameras: bool
 

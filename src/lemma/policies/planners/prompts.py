@@ -1,4 +1,4 @@
-"""What a language model is told, word by word."""
+"""Prompts of language models, word by word."""
 
 import base64
 import json
@@ -10,8 +10,8 @@ from PIL import Image
 
 from lemma.core.robot_names import robot_number
 from lemma.policies.interfaces import PastStep, PolicyInput
-from lemma.policies.planners.grammar import NONE, WAIT, Grammar
-from lemma.policies.planners.scene_text import ObjectText, SceneText
+from lemma.policies.planners.answers import NONE, WAIT, AnswerFormat
+from lemma.policies.planners.perception import ObjectText, SceneText
 from lemma.scene.objects.entity import SHARED
 from lemma.tasks.subtask import Primitive
 
@@ -54,22 +54,22 @@ know what they reach; they are asked after you if you wait, and read your messag
 """
 
 
-def system_prompt(given: PolicyInput, grammar: Grammar) -> str:
+def system_prompt(given: PolicyInput, answers: AnswerFormat) -> str:
     """Return the rules, and the form of an answer."""
-    text = _TASK + (_TOOLS if grammar.has_stick else "")
+    text = _TASK + (_TOOLS if answers.has_stick else "")
     names = {
         field: " or ".join(json.dumps(name) for name in valid)
-        for field, valid in grammar.names.items()
+        for field, valid in answers.names.items()
     }
     text = text.format(shared=SHARED)
     text += _ANSWER.format(
-        message=', "message": to the other robots' if grammar.talks else "",
-        wait=f" and {WAIT}" if grammar.may_wait else "",
+        message=', "message": to the other robots' if answers.talks else "",
+        wait=f" and {WAIT}" if answers.may_wait else "",
         none=NONE,
         **names,
     )
-    if grammar.talks:
-        name = grammar.robots[0]
+    if answers.talks:
+        name = answers.robots[0]
         text += _EACH.format(name=name, phrase=given.robots[robot_number(name)])
     return text
 
@@ -85,8 +85,8 @@ def question(
     Args:
         given: Sentence and past.
         scene: The table.
-        speaker: The robot that is asked; the whole team if empty.
-        messages: What other robots have said of this decision: who, and what.
+        speaker: The robot that is asked; all robots if empty.
+        messages: Messages of other robots about this decision: name and text.
     """
     lines = [f"Sentence: {quoted(given.instruction)}", "", "Robots"]
     for robot in scene.robots:
@@ -130,12 +130,12 @@ def _past(step: PastStep) -> str:
 
 
 def correction(kind: str, explanation: str) -> str:
-    """Return what a model is told whose answer was no sub-task."""
+    """Return the reply to an answer that is no sub-task."""
     return f"That is no valid answer ({kind}). {explanation} Answer again."
 
 
 def quoted(text: str) -> str:
-    """Return text of others as a JSON string that cannot be taken for anything else.
+    """Return text of users as a JSON string that cannot be mistaken for a prompt.
 
     Line breaks, control and invisible characters and the brackets of markup and of
     chat templates are escaped: nothing in it begins a turn, a line or a picture.
@@ -169,7 +169,7 @@ def messages_of(system: str, text: str, images: list[str]) -> list[dict[str, Any
 
 
 def pictures(given: PolicyInput) -> list[str]:
-    """Return what the robots' cameras see, as PNG data URLs in the order of robots."""
+    """Return the images of the robots' cameras, as PNG data URLs in order of robots."""
     found = []
     for _, image in sorted(given.view.cameras.items()):
         with BytesIO() as file:

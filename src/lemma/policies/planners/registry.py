@@ -1,4 +1,4 @@
-"""Planners by name: what ships, and what users add."""
+"""Planners by name: those that ship, and those of plugins."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,23 +23,22 @@ NO_CHAT = ChatOptions()
 class PlannerRecord:
     """How a planner of a name is made.
 
-    The planner says by its type whether it needs the truth
-    (:class:`lemma.policies.interfaces.Oracle`), and by attributes whether it reads
-    outcomes (``reads_outcomes``), needs no images (``blind``), looks at those of the
-    cameras (``cameras``), or has something to say of itself in ``about.json``
-    (``about``).
+    A planner that needs the simulation's state is derived from
+    :class:`lemma.policies.interfaces.Oracle`. Attributes say whether it reads outcomes
+    (``reads_outcomes``), needs no images (``blind``) or the images of the cameras
+    (``cameras``); ``about`` is written into ``about.json``.
     """
 
     make: Callable[[str, ChatOptions, float], Planner]
-    """Makes it of what follows the colon of its name, if anything does; of how language
-    models are asked; and of the time that a request may take [s]. It is called often:
-    what takes long should wait until the planner is asked."""
+    """Makes it from the text after the colon of its name, the options of language
+    models, and the time for a request [s]. It is called often, so slow work, such as
+    loading weights, should wait until the planner is asked."""
     asks: bool = False
-    """Whether it makes use of how language models are asked."""
+    """Whether it uses the options of language models."""
 
 
 PLANNERS: Registry[PlannerRecord] = Registry("planner", PlannerRecord)
-"""Every planner that is no model of ours, by the name before the colon."""
+"""Every planner without weights of ours, by the name before the colon."""
 
 
 def is_planner(part: str) -> bool:
@@ -69,37 +68,40 @@ def make_planner(
     return PLANNERS[name].make(argument, options or NO_CHAT, timeout_s)
 
 
-def _random_valid(argument: str, options: ChatOptions, timeout_s: float) -> Planner:
-    if argument and not argument.isdecimal():
-        raise InvalidConfigError(
-            f"random-valid:{argument} has no seed. Valid: a whole number from 0, as in "
-            "random-valid:1."
-        )
-    return RandomValidPlanner(int(argument or 0))
+def _rule(
+    name: str, make: Callable[..., Planner], number: Callable[[str], float], valid: str
+) -> PlannerRecord:
+    """Return a rule whose name may end with a number."""
+
+    def made(argument: str, options: ChatOptions, timeout_s: float) -> Planner:
+        try:
+            numbers = [number(argument)] if argument else []
+        except ValueError:
+            raise InvalidConfigError(
+                f"{name}:{argument} is no planner. Valid after the colon: {valid}."
+            ) from None
+        return make(*numbers)
+
+    return PlannerRecord(made)
 
 
-def _greedy_reach(argument: str, options: ChatOptions, timeout_s: float) -> Planner:
-    if argument:
-        raise InvalidConfigError(f"greedy-reach takes nothing, and not {argument!r}.")
-    return GreedyReachPlanner()
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise ValueError
+    return int(text)
 
 
-def _noisy_oracle(argument: str, options: ChatOptions, timeout_s: float) -> Planner:
-    try:
-        rate = float(argument) if argument else NoisyOraclePlanner.error_rate
-    except ValueError:
-        raise InvalidConfigError(
-            f"noisy-oracle:{argument} has no probability. Valid: a number from 0 to 1, "
-            "as in noisy-oracle:0.1."
-        ) from None
-    return NoisyOraclePlanner(rate)
+def _none(text: str) -> int:
+    raise ValueError
 
 
-def _language_model(argument: str, options: ChatOptions, timeout_s: float) -> Planner:
-    return LanguageModelPlanner(argument, options, timeout_s)
-
-
-PLANNERS.add("random-valid", PlannerRecord(_random_valid))
-PLANNERS.add("greedy-reach", PlannerRecord(_greedy_reach))
-PLANNERS.add("noisy-oracle", PlannerRecord(_noisy_oracle))
-PLANNERS.add("llm", PlannerRecord(_language_model, asks=True))
+for _name, _make, _number, _valid in (
+    ("random-valid", RandomValidPlanner, _seed, "a whole number from 0"),
+    ("noisy-oracle", NoisyOraclePlanner, float, "a probability, such as 0.1"),
+    ("greedy-reach", GreedyReachPlanner, _none, "nothing"),
+):
+    PLANNERS.add(_name, _rule(_name, _make, _number, _valid))
+PLANNERS.add(
+    "llm",
+    PlannerRecord(lambda name, *asked: LanguageModelPlanner(name, *asked), asks=True),
+)

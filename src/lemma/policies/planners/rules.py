@@ -1,7 +1,7 @@
-"""Planners without a model: the rows that a language model is compared with.
+"""Planners without a model, to compare language models with.
 
-All of them know the truth. Chance comes from hashes of the instance and the number of
-the decision, so that it is the same on every machine and in every order.
+All of them get the simulation's state. Chance comes from hashes of the instance and the
+number of the decision, so that it is the same on every machine and in every order.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome
 from lemma.policies.interfaces import Oracle, PolicyInput
 from lemma.policies.oracle import OraclePlanner, truth_of
-from lemma.policies.planners.grammar import Grammar
+from lemma.policies.planners.answers import AnswerFormat
 from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import STOP, SubTask
 
@@ -39,16 +39,16 @@ class _Draws:
         return int.from_bytes(digest[:6]) / 2**48
 
 
-def _sayable(episode: Episode) -> list[SubTask]:
-    """Return every valid answer at the table as it is."""
+def _valid_answers(episode: Episode) -> list[SubTask]:
+    """Return every valid answer at the present table."""
     spec = episode.simulation.scene.spec
     on_table = (name for name in spec.object_names if name not in episode.fallen)
-    return Grammar(spec.robot_names, tuple(on_table)).every_subtask()
+    return AnswerFormat(spec.robot_names, tuple(on_table)).every_subtask()
 
 
 @dataclass(frozen=True)
 class RandomValidPlanner(Oracle):
-    """Says any sub-task that the grammar of the table allows, ``stop`` among them."""
+    """Answers any possible sub-task, ``stop`` among them."""
 
     seed: int = 0
 
@@ -59,7 +59,7 @@ class RandomValidPlanner(Oracle):
         """Return a sub-task of each episode."""
         found = []
         for given in inputs:
-            valid = _sayable(truth_of(given))
+            valid = _valid_answers(truth_of(given))
             draws = _Draws("random-valid", self.seed, given)
             found.append(valid[draws.below(len(valid))])
         return found
@@ -67,9 +67,9 @@ class RandomValidPlanner(Oracle):
 
 @dataclass(frozen=True)
 class NoisyOraclePlanner(Oracle):
-    """Says what the expert would, but errs now and then: a floor under allocation.
+    """Answers as the expert does, but errs with a probability.
 
-    A wrong answer is any other one that the grammar of the table allows.
+    A wrong answer is any other possible sub-task.
     """
 
     error_rate: float = 0.1
@@ -97,7 +97,7 @@ class NoisyOraclePlanner(Oracle):
         draws = _Draws("noisy-oracle", 0, given)
         if draws.share() >= self.error_rate:
             return right
-        others = [each for each in _sayable(truth_of(given)) if each != right]
+        others = [each for each in _valid_answers(truth_of(given)) if each != right]
         return others[draws.below(len(others))]
 
 
@@ -105,9 +105,9 @@ class NoisyOraclePlanner(Oracle):
 class GreedyReachPlanner(Oracle):
     """Looks one sub-task ahead, and goes by reach.
 
-    Of what a robot can do now about the pairs that do not hold, it takes what makes one
-    hold; else what is farthest inside of reach. It does nothing a second time that has
-    succeeded, and stops where nothing is left.
+    Among the sub-tasks that a robot can do now about the pairs that do not hold, it
+    takes one that makes a pair hold; else the one farthest inside of reach. It repeats
+    no sub-task that has succeeded, and stops where none is left.
     """
 
     blind = True

@@ -1,4 +1,4 @@
-"""What a language model may answer: a JSON schema of this table, and its check."""
+"""Answers of language models: a JSON schema of the table, and its check."""
 
 import json
 import re
@@ -12,9 +12,9 @@ from lemma.scene.objects.entity import SHARED, STICK, kind_of
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 NONE = "none"
-"""What stands where nothing is meant."""
+"""Stands for no robot and no object."""
 WAIT = "wait"
-"""What one robot of a team says that has nothing to do."""
+"""Primitive of a robot that leaves the decision to another one."""
 _FIELDS = ("reason", "robot", "primitive", "pick", "place")
 _SHOWN = 80
 _MOST_THOUGHTS = 50
@@ -22,7 +22,7 @@ _BLANKS = "\ufeff \t\r\n"
 _LANGUAGE = re.compile(r"^\w*")
 
 
-class Mistake(StrEnum):
+class InvalidAnswer(StrEnum):
     """The ways in which an answer is no sub-task."""
 
     NO_JSON = "no_json"
@@ -32,11 +32,11 @@ class Mistake(StrEnum):
     UNKNOWN_NAME = "unknown_name"
     """It names a robot, a primitive or an object that is not there."""
     IMPOSSIBLE = "impossible"
-    """Nobody could ever do that: it hooks with a cube, or moves a pad."""
+    """It can never be done: it hooks with a cube, or moves a pad."""
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class Answer:
     """A valid answer."""
 
     subtask: SubTask | None
@@ -45,28 +45,28 @@ class Said:
     """To the other robots."""
 
 
-class MistakeError(Exception):
+class InvalidAnswerError(Exception):
     """An answer that is no sub-task."""
 
-    def __init__(self, kind: Mistake, explanation: str) -> None:
-        """Keep what is wrong.
+    def __init__(self, kind: InvalidAnswer, explanation: str) -> None:
+        """Keep the mistake.
 
         Args:
-            kind: In one word.
-            explanation: In one sentence, for the model.
+            kind: Its kind.
+            explanation: One sentence for the model.
         """
         super().__init__(explanation)
         self.kind = kind
 
 
 @dataclass(frozen=True)
-class Grammar:
-    """The sub-tasks that can be said at a table."""
+class AnswerFormat:
+    """The valid answers at a table."""
 
     robots: tuple[str, ...]
-    """Who may be told to do something."""
+    """Robots that the answer may name."""
     objects: tuple[str, ...]
-    """What is on the table, by the names of entities."""
+    """Names of the entities on the table."""
     talks: bool = False
     """Whether a robot speaks for itself: answers hold a message to the others."""
     may_wait: bool = False
@@ -74,7 +74,7 @@ class Grammar:
 
     @property
     def cargo(self) -> tuple[str, ...]:
-        """What can be moved, the stick apart."""
+        """Objects that can be moved, without the stick."""
         return tuple(name for name in self.objects if kind_of(name).cargo)
 
     @property
@@ -84,13 +84,13 @@ class Grammar:
 
     @cached_property
     def primitives(self) -> tuple[str, ...]:
-        """What can be done: nothing with a stick where there is none."""
+        """Valid primitives; without a stick, none that need it."""
         usable = (n for n in PRIMITIVES if self.has_stick or not PRIMITIVES[n].tool)
         return (*usable, *([WAIT] if self.may_wait else []))
 
     @property
     def names(self) -> dict[str, tuple[str, ...]]:
-        """What each field of an answer may hold."""
+        """Valid values of each field."""
         movable = (name for name in self.objects if not kind_of(name).fixed)
         return {
             "robot": (*self.robots, NONE),
@@ -116,7 +116,7 @@ class Grammar:
         }
 
     def every_subtask(self) -> list[SubTask]:
-        """Return ``stop`` and every sub-task that can be said and is possible."""
+        """Return ``stop`` and every possible sub-task."""
         found = [STOP]
         names = self.names
         for robot in self.robots:
@@ -130,17 +130,17 @@ class Grammar:
                             found.append(subtask)
         return found
 
-    def read(self, text: str) -> Said:
-        """Return what an answer says.
+    def read(self, text: str) -> Answer:
+        """Return the answer in a text.
 
         Raises:
-            MistakeError: It is no sub-task of this table.
+            InvalidAnswerError: It is no sub-task of this table.
         """
         answer = _parsed(text)
         wanted = {*_FIELDS, *(["message"] if self.talks else [])}
         if not isinstance(answer, dict):
             raise _not_in_schema("It is no JSON object.")
-        # Models without a schema write null where nothing is meant.
+        # Models without a schema write null in place of "none".
         for field in ("robot", "pick", "place"):
             if field in answer and answer[field] in (None, ""):
                 answer[field] = NONE
@@ -156,12 +156,12 @@ class Grammar:
                 raise _not_in_schema(f"{field} is no string.")
         for field, names in self.names.items():
             if answer[field] not in names:
-                raise MistakeError(
-                    Mistake.UNKNOWN_NAME,
+                raise InvalidAnswerError(
+                    InvalidAnswer.UNKNOWN_NAME,
                     f"{field} is {json.dumps(answer[field][:_SHOWN])}. "
                     f"Valid: {', '.join(names)}.",
                 )
-        return Said(self._subtask(answer), answer.get("message", ""))
+        return Answer(self._subtask(answer), answer.get("message", ""))
 
     def _subtask(self, answer: dict[str, str]) -> SubTask | None:
         if answer["primitive"] == WAIT:
@@ -171,17 +171,18 @@ class Grammar:
             return STOP
         for field in ("robot", "pick", "place"):
             if answer[field] == NONE:
-                raise MistakeError(
-                    Mistake.IMPOSSIBLE, f"{primitive} needs a {field}, not {NONE}."
+                raise InvalidAnswerError(
+                    InvalidAnswer.IMPOSSIBLE,
+                    f"{primitive} needs a {field}, not {NONE}.",
                 )
         subtask = SubTask(answer["robot"], primitive, answer["pick"], answer["place"])
         why = self.why_not(subtask)
         if why:
-            raise MistakeError(Mistake.IMPOSSIBLE, why)
+            raise InvalidAnswerError(InvalidAnswer.IMPOSSIBLE, why)
         return subtask
 
     def why_not(self, subtask: SubTask) -> str:
-        """Return why nobody could ever do a sub-task; empty if somebody might."""
+        """Return why a sub-task can never be done; empty if it might."""
         primitive, pick, place = subtask.primitive, subtask.pick, subtask.place
         if PRIMITIVES[primitive].tool:
             if pick != STICK:
@@ -210,7 +211,7 @@ _END_OF_THOUGHTS = re.compile(
     r"|Here is my response:",
     re.IGNORECASE,
 )
-"""How language models and the templates of their chats end what they think aloud."""
+"""Marks at the end of thoughts, of many language models."""
 _MARK = r"(?:<\|\w+\|>|</?(?:s|answer|response|final|output)>)"
 _MARKS_BEFORE = re.compile(rf"(?:{_MARK}\s*)+", re.IGNORECASE)
 _MARKS_AFTER = re.compile(rf"(?:{_MARK}\s*)+$", re.IGNORECASE)
@@ -227,8 +228,8 @@ def _parsed(text: str) -> Any:
             return json.loads(bare, strict=False)
         except (ValueError, RecursionError):
             continue
-    raise MistakeError(
-        Mistake.NO_JSON,
+    raise InvalidAnswerError(
+        InvalidAnswer.NO_JSON,
         "It is empty." if not bare else "It is no JSON, or something is around it.",
     )
 
@@ -246,5 +247,5 @@ def _bare(text: str) -> str:
     return text.strip(_BLANKS)
 
 
-def _not_in_schema(why: str) -> MistakeError:
-    return MistakeError(Mistake.NOT_IN_SCHEMA, why)
+def _not_in_schema(why: str) -> InvalidAnswerError:
+    return InvalidAnswerError(InvalidAnswer.NOT_IN_SCHEMA, why)

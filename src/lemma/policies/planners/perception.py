@@ -1,0 +1,224 @@
+"""The table as plain data, for planners that read: from the simulation or seen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Protocol
+
+from lemma.core.robot_names import robot_names
+from lemma.expert.grounding import GeometricGrounder
+from lemma.expert.symbolic_state import SymbolicState
+from lemma.policies.interfaces import Oracle, PolicyInput
+from lemma.policies.oracle import truth_of
+from lemma.robots.reach import reach_of
+from lemma.scene.objects.entity import SHARED, STICK
+from lemma.tasks.drags import grasp_on_stick
+from lemma.tasks.subtask import Primitive
+
+if TYPE_CHECKING:
+    from lemma.policies.models.reachnet.model import ReachNet
+    from lemma.policies.models.reachnet.scene_table import SceneTable
+
+WEIGHTS = "reachnet"
+"""The model that sees, and estimates what each robot reaches."""
+_RAISED_M = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class RobotText:
+    """A robot of the team."""
+
+    name: str
+    """``"robot_0"``."""
+    phrase: str
+    """Its phrase in sentences: ``"red robot"``."""
+    x: float
+    """Of its base [m]."""
+    y: float
+    reach_m: tuple[float, float]
+    """Radii around its base between which it grasps and carries [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectText:
+    """An object of the table."""
+
+    name: str
+    x: float
+    """Of its middle; of the stick, where it is grasped [m]."""
+    y: float
+    within: tuple[str, ...]
+    """Robots that reach it."""
+    state: str = ""
+    """Its support and other facts: ``"on blue_pad"``."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneText:
+    """A table as a planner reads it."""
+
+    robots: tuple[RobotText, ...]
+    objects: tuple[ObjectText, ...]
+    lost: tuple[str, ...] = ()
+    """Names of objects that have fallen off."""
+
+
+class Perception(Protocol):
+    """Describes the table."""
+
+    def look(self, inputs: Sequence[PolicyInput]) -> list[SceneText]:
+        """Return the table of each episode.
+
+        Args:
+            inputs: One per episode; at least one.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class TruthPerception(Oracle):
+    """Oracle perception: positions are those of the simulation."""
+
+    def look(self, inputs: Sequence[PolicyInput]) -> list[SceneText]:
+        """Return the table of each episode.
+
+        Raises:
+            InvalidConfigError: The inputs come without the truth.
+        """
+        return [self._look(given) for given in inputs]
+
+    def _look(self, given: PolicyInput) -> SceneText:
+        scene = truth_of(given).simulation.scene
+        now, spec = SymbolicState.observe(scene), scene.spec
+        geometry = GeometricGrounder(spec)
+        robots = []
+        for name, phrase, placed in zip(
+            spec.robot_names, given.robots, spec.robots, strict=True
+        ):
+            reach = reach_of(placed.arm)
+            radii = reach.inner_m, reach.travel_m
+            robots.append(RobotText(name, phrase, placed.base.x, placed.base.y, radii))
+        objects = []
+        for name, pose in now.poses.items():
+            at = grasp_on_stick(pose) if name == STICK else pose
+            within = tuple(r for r in spec.robot_names if geometry.reaches(r, at))
+            objects.append(ObjectText(name, at.x, at.y, within, _state(name, now)))
+        return SceneText(tuple(robots), tuple(objects), now.fallen)
+
+
+def _state(name: str, now: SymbolicState) -> str:
+    """Return what is true of an object besides its place."""
+    if name not in now.supports:
+        return ""
+    facts = [f"on the {now.supports[name]}"]
+    above = now.on_top_of(name)
+    if above is not None:
+        facts.append(f"under the {above}")
+    for use in (Primitive.HOOK, Primitive.POKE):
+        if STICK in now.poses and now.is_prepared(use, name):
+            facts.append(f"the stick lies ready to {use} it")
+    return ", ".join(facts)
+
+
+class SeenPerception:
+    """Sees visible objects; hidden ones are listed where they were seen at first."""
+
+    weights = (WEIGHTS,)
+    """Published weights that it uses."""
+
+    def __init__(self, model: "ReachNet | None" = None) -> None:
+        """Keep the model; weights are loaded when it is needed.
+
+        Args:
+            model: The model that sees; the published one if None.
+        """
+        self._given = model
+
+    @cached_property
+    def model(self) -> "ReachNet":
+        """The model that sees."""
+        if self._given is not None:
+            return self._given
+        # torch is an extra, which other planners do without.
+        from lemma.policies.models.reachnet.model import ReachNet  # noqa: PLC0415
+        from lemma.policies.weights import load_model  # noqa: PLC0415
+
+        model = load_model(WEIGHTS)
+        assert isinstance(model, ReachNet)
+        return model
+
+    def look(self, inputs: Sequence[PolicyInput]) -> list[SceneText]:
+        """Return the table of each episode."""
+        return [self._look(given) for given in inputs]
+
+    def _look(self, given: PolicyInput) -> SceneText:
+        now = self._table(given)
+        names = robot_names(len(given.robots))
+        robots = []
+        for number, (name, phrase) in enumerate(zip(names, given.robots, strict=True)):
+            x, y = map(_metres, now.bases[0, number].tolist())
+            inner, outer, _ = map(_metres, now.rings[0, number].tolist())
+            robots.append(RobotText(name, phrase, x, y, (inner, outer)))
+        objects = _objects(now, names, given)
+        if given.past:
+            seen = {thing.name for thing in objects}
+            first = replace(given, view=given.past[0].view, past=())
+            objects += [
+                replace(thing, state="hidden now; it was there at first")
+                for thing in _objects(self._table(first), names, first)
+                if thing.name not in seen
+            ]
+        return SceneText(tuple(robots), tuple(objects))
+
+    def _table(self, given: PolicyInput) -> "SceneTable":
+        """Return what is seen in one view.
+
+        Views are not batched: that would change last bits, and with them prompts.
+        """
+        from lemma.policies.batch import batch_of  # noqa: PLC0415
+
+        model = self.model
+        raster = model.config.raster(given)
+        with model.deciding():
+            batch = batch_of([given], raster, (), model.device, model.entities)
+            marks, coarse = model.eye(batch)
+            return model.eye.table(marks, coarse, batch)
+
+
+def _objects(
+    table: "SceneTable", names: tuple[str, ...], given: PolicyInput
+) -> list[ObjectText]:
+    """Return what is seen on one table."""
+    traits = table.traits
+    margins = table.margins(table.xy)[0]
+    grasp = table.margins(table.grasp[:, None])[0, :, 0]
+    found = []
+    for number, name in enumerate(table.entities.names):
+        if not table.present[0, number]:
+            continue
+        at = table.xy[0, number]
+        margin = margins[:, number]
+        if name == STICK:
+            at, margin = table.grasp[0], grasp
+        within = tuple(r for r, m in zip(names, margin.tolist(), strict=True) if m > 0)
+        x, y = map(_metres, at.tolist())
+        raised = table.top[0, number] - traits.height_m[number] > _RAISED_M
+        state = _put_on(name, given) if raised else ""
+        found.append(ObjectText(name, x, y, within, state))
+    return found
+
+
+def _put_on(name: str, given: PolicyInput) -> str:
+    """Return the support of an object that is too high to lie on the table."""
+    for step in reversed(given.past):
+        subtask = step.subtask
+        if step.outcome == "success" and subtask.pick == name:
+            if subtask.primitive is Primitive.MOVE and subtask.place != SHARED:
+                return f"on the {subtask.place}"
+            break
+    return "on something"
+
+
+def _metres(value: float) -> float:
+    """Return a length in whole centimetres [m]."""
+    return round(value, 2)
