@@ -62,9 +62,6 @@ def test_it_has_the_methods_that_the_class_has(sound: Policy) -> None:
         ("Raises", FaultKind.RAISED, "KeyError: 'no such thing'"),
         ("Crashes", FaultKind.DIED, "signal 11"),
         ("Leaves", FaultKind.DIED, "exit code 3"),
-        ("AnswersNumbers", FaultKind.MALFORMED, "Expected `object`, got `float`"),
-        ("AnswersNothing", FaultKind.MALFORMED, "Expected `array`, got `None`"),
-        ("ForgetsOne", FaultKind.MALFORMED, "0 decisions to 1"),
     ],
 )
 def test_faults_are_named(name: str, kind: FaultKind, words: str) -> None:
@@ -72,9 +69,8 @@ def test_faults_are_named(name: str, kind: FaultKind, words: str) -> None:
     with pytest.raises(PolicyFailedError, match=words) as failed:
         policy.act([given(BAD)])
     assert failed.value.kind is kind
-    if name != "AnswersNothing":
-        # In a new process, if the old one is gone.
-        assert policy.act([given()]) == [moved()]
+    # In a new process, if the old one is gone.
+    assert policy.act([given()]) == [moved()]
     policy.close()
 
 

@@ -192,62 +192,38 @@ def test_damaged_arrays_are_refused(name: str, change: dict[str, Any]) -> None:
         request.views[0].read()
 
 
+POSE = {"x": 0.0, "y": 0.0, "yaw": 0.0}
+
+
 @pytest.mark.parametrize(
-    ("change", "kind", "words"),
+    ("change", "words"),
     [
-        ({"subtask": None}, FaultKind.MALFORMED, "subtask"),
-        ({"subtask": {"robot": 0, "primitive": "move"}}, FaultKind.MALFORMED, "robot"),
-        ({"subtask": {"robot": "robot_0"}}, FaultKind.MALFORMED, "primitive"),
-        (
-            {"subtask": {"robot": "robot_0", "primitive": "swim"}},
-            FaultKind.UNKNOWN_NAME,
-            "swim",
+        ({"subtask": None}, "subtask"),
+        ({"subtask": {"robot": 0, "primitive": "move"}}, "robot"),
+        ({"subtask": {"robot": "robot_0"}}, "primitive"),
+        ({"subtask": {"robot": "robot_0", "primitive": "swim"}}, "swim"),
+        ({"grounded": [0, 0, 0]}, "grounded"),
+        ({"grounded": {"robot": None}}, "grounded"),
+        *(
+            ({"grounded": {**moved().grounded.to_dict(), "pick": pose}}, "pick")  # type: ignore[union-attr]
+            for pose in (None, "0 0 0", [0.0], {"x": 0.0}, {**POSE, "y": "0"})
         ),
-        ({"grounded": [0, 0, 0]}, FaultKind.MALFORMED, "grounded"),
-        ({"grounded": {"robot": None}}, FaultKind.MALFORMED, "grounded"),
     ],
+    ids=repr,
 )
-def test_decisions_are_checked(
-    change: dict[str, Any], kind: FaultKind, words: str
-) -> None:
+def test_decisions_are_checked(change: dict[str, Any], words: str) -> None:
     reply = plain(Decisions(decisions=[moved()]))
     reply["decisions"][0].update(change)
     with pytest.raises(PolicyFailedError, match=words) as failed:
         decode_reply(msgpack.packb(reply))
-    assert failed.value.kind is kind
+    unknown = words == "swim"
+    assert failed.value.kind is (
+        FaultKind.UNKNOWN_NAME if unknown else FaultKind.MALFORMED
+    )
 
 
-@pytest.mark.parametrize(
-    "pose",
-    [
-        None,
-        "0 0 0",
-        [0.0, 0.0, 0.0],
-        {"x": 0.0},
-        {"x": 0.0, "y": "0", "yaw": 0.0},
-        {"x": 0.0, "y": 0.0, "yaw": True},
-    ],
-)
-def test_what_is_no_pose_is_named(pose: object) -> None:
-    reply = plain(Decisions(decisions=[moved()]))
-    reply["decisions"][0]["grounded"]["pick"] = pose
-    with pytest.raises(PolicyFailedError, match="pick") as failed:
-        decode_reply(msgpack.packb(reply))
-    assert failed.value.kind is FaultKind.MALFORMED
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [
-        *(5, None, {5}, np.zeros(3), [5], ["move"], [{5}]),
-        [Decision("move", None)],  # type: ignore[arg-type]
-        [Decision(MOVE, (0, 0, 0))],  # type: ignore[arg-type]
-        [Decision(MOVE, MOVE)],  # type: ignore[arg-type]
-        [Decision(MOVE, None, 3)],  # type: ignore[arg-type]
-    ],
-    ids=repr,
-)
-def test_what_a_policy_returns_is_a_decision_or_malformed(answer: Any) -> None:
+@pytest.mark.parametrize("answer", [5, None, {5}, np.zeros(3), ["move"], [{5}]])
+def test_answers_of_policies_that_cannot_be_sent_are_malformed(answer: Any) -> None:
     with pytest.raises(PolicyFailedError) as failed:
         decode_reply(encode(Decisions(decisions=answer)))
     assert failed.value.kind is FaultKind.MALFORMED

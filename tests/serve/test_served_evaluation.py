@@ -148,7 +148,7 @@ def test_a_server_gone_for_good_ends_the_run_and_keeps_what_was_done(
 
 def test_the_verb_says_what_it_cannot_serve() -> None:
     for policy in ("oracle", "reachnet+oracle"):
-        with pytest.raises(InvalidConfigError, match="truth"):
+        with pytest.raises(InvalidConfigError, match="simulation's state"):
             serve_verb(policy)
     both: tuple[Any, Any] = ("reachnet", "http://127.0.0.1:1")
     for words in (both, (None, None)):

@@ -227,6 +227,7 @@ def test_a_server_of_ones_own_decides(tmp_path: Path) -> None:
         policy.close()
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_a_server_of_ones_own_plays_an_episode(tmp_path: Path) -> None:
     with own_server(tmp_path) as url:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faulty_policies import BAD, MOVE, Hangs, Raises, Scripted, given, moved, view
+from faulty_policies import BAD, MOVE, Hangs, Scripted, given, moved, view
 from serving_processes import end, start
 
 from lemma.core.errors import InvalidConfigError
@@ -26,7 +26,6 @@ from lemma.policies.interfaces import Decision, OracleInput, PastStep, PolicyInp
 from lemma.serve.conversation import Conversation, ProtocolMode, remote
 from lemma.serve.faults import (
     FaultKind,
-    PolicyFailedError,
     PolicyUnreachableError,
     ProtocolError,
 )
@@ -265,15 +264,6 @@ def test_a_slow_policy_is_waited_for() -> None:
         # Three decisions may take three times as long as one.
         policy: Any = connect(server.url, ProtocolMode(0.5))
         assert len(policy.act([given("a"), given("b"), given("c")])) == 3
-        policy.close()
-
-
-def test_a_raising_policy_says_what_it_raised() -> None:
-    with PolicyServer(Raises(), port=0) as server:
-        policy: Any = connect(server.url, PATIENT)
-        with pytest.raises(PolicyFailedError, match="KeyError: 'no such thing'"):
-            policy.act([given(), given(BAD)])
-        assert policy.act([given()]) == [moved()]
         policy.close()
 
 

@@ -83,6 +83,7 @@ def test_replay_gives_the_same_bytes_without_a_server(
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_processes_record_what_one_does(tmp_path: Path) -> None:
     keys = []
     for workers in (1, 2):

@@ -220,7 +220,7 @@ def test_a_slow_server_is_not_blamed_for_a_queue_of_requests() -> None:
         clients = [ChatServer(server.url, 0.2, (), concurrency=3) for _ in range(2)]
         replies: list[Reply] = []
         threads = [
-            threading.Thread(target=lambda c=c: replies.append(c.ask(request())))  # type: ignore[misc]
+            threading.Thread(target=lambda c=c: replies.append(c.ask(request())))
             for c in clients * 4
         ]
         for thread in threads:

@@ -35,6 +35,7 @@ def test_the_example_runs(
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_a_planner_of_ones_own_is_found_by_name(tmp_path: Path) -> None:
     (tmp_path / "idle.py").write_text(CODE[1])
     line = "evaluate --plugin idle.py --policy idle --split val --tasks pass"
