@@ -14,6 +14,7 @@ from lemma.viewer.episode.request import EpisodeRequest
 from lemma.viewer.episode.session import Session
 from lemma.viewer.episode.status import ENDS
 from lemma.viewer.page import Page
+from lemma.viewer.server import open_server
 
 port = int(sys.argv[1]) if len(sys.argv) > 1 else 8080
 once = "--once" in sys.argv
@@ -21,7 +22,7 @@ once = "--once" in sys.argv
 # Policies have the names of ``lemma evaluate``: a class of yours, weights, a server.
 request = EpisodeRequest("stack", "test", 0, policy="oracle")
 session = Session(request, ("oracle",))
-page = Page(session, "127.0.0.1", port)
+page = Page(session, open_server("127.0.0.1", port))
 print(page.address)
 
 # The page has a thread of its own; commands come from here, or from who looks at it.

@@ -199,7 +199,7 @@ def shoot_failures(browser: Browser, path: Path) -> None:
     with running(page):
         browser.resize(1240, 640)
         browser.open(page.address)
-        until(lambda: page.viewing.sight is not None and not page.viewing.busy)
+        until(lambda: page.replayer.comparison is not None and not page.replayer.busy)
         browser.wait_for("document.body.innerText.includes('Pause')")
         # The expert goes on, and the policy does not.
         browser.run(_PRESS.format("Play"))

@@ -19,7 +19,7 @@ from lemma.scene.scene import Scene
 from lemma.tasks.suite import load_instance
 from lemma.viz.camera_fit import outline, overview
 from lemma.viz.caption import caption
-from lemma.viz.recording import record
+from lemma.viz.recording import pose, record
 
 
 @dataclass(frozen=True)
@@ -96,8 +96,8 @@ def film(loop: Loop, path: Path) -> None:
     scene = Scene(recording.instance.scene)
     width, height = loop.size
     points = []
-    for _, state in recording.frames[::4]:
-        scene.restore(state)
+    for _, qpos in recording.frames[::4]:
+        pose(scene, qpos)
         points.append(outline(scene))
     camera = overview(
         np.concatenate(points),
@@ -107,8 +107,8 @@ def film(loop: Loop, path: Path) -> None:
     )
     renderer = Renderer(width, height, "presentation")
     pictures = []
-    for number, (time_s, state) in enumerate(recording.frames):
-        scene.restore(state)
+    for number, (time_s, qpos) in enumerate(recording.frames):
+        pose(scene, qpos)
         rgb = renderer.rgb(scene.model, scene.data, camera)
         strip = caption(
             recording,
@@ -137,11 +137,11 @@ def draw(moment: Moment) -> Image.Image:
     recording = record(
         load_instance(moment.task, "test", moment.index), frame_s=FRAME_S
     )
-    step = recording.steps[moment.step]
+    step = recording.lines[moment.step]
     wanted = step.start_s + moment.share * step.duration_s
-    time_s, state = min(recording.frames, key=lambda frame: abs(frame[0] - wanted))
+    time_s, qpos = min(recording.frames, key=lambda frame: abs(frame[0] - wanted))
     scene = Scene(recording.instance.scene)
-    scene.restore(state)
+    pose(scene, qpos)
     width, height = moment.size
     camera = overview(
         outline(scene),

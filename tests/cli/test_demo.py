@@ -32,12 +32,11 @@ def recording() -> Recording:
 def test_recording_says_what_was_done(recording: Recording) -> None:
     assert recording.success
     assert recording.failure is None
-    assert [step.subtask.primitive for step in recording.steps] == ["move", "move"]
-    first, second = recording.steps
+    assert [line.to_dict()["primitive"] for line in recording.lines] == ["move", "move"]
+    first, second = recording.lines
     assert second.start_s == pytest.approx(first.start_s + first.duration_s)
     assert recording.elapsed_s == pytest.approx(second.start_s + second.duration_s)
     assert first.words.endswith("to the shared space")
-    assert re.fullmatch(r"(left |right )?(red|white) UR(5|10)", first.robot)
 
 
 def test_recording_has_frames_at_equal_times(recording: Recording) -> None:
@@ -61,7 +60,7 @@ def test_caption_follows_the_episode(recording: Recording) -> None:
     size = (704, 72)
     first, second = (
         np.asarray(caption(recording, step.start_s + 0.1, size))
-        for step in recording.steps
+        for step in recording.lines
     )
     end = np.asarray(caption(recording, recording.elapsed_s, size, ended=True))
     assert first.shape == (72, 704, 3)
@@ -74,7 +73,7 @@ def test_caption_follows_the_episode(recording: Recording) -> None:
 
 
 def test_caption_of_an_episode_in_which_nothing_was_done(recording: Recording) -> None:
-    idle = replace(recording, steps=(), elapsed_s=0.0, success=False)
+    idle = replace(recording, lines=(), elapsed_s=0.0, success=False)
     assert caption(idle, 0.0, (704, 72), ended=True).size == (704, 72)
 
 

@@ -250,7 +250,7 @@ def test_failures_of_several_results_are_played(
     count, replays = replays_in(tmp_path, None, None, 1)
     assert count == 1
     # What failed, beside the expert.
-    assert [side.solved for side in next(replays).sides] == [False, True]
+    assert [side.success for side in next(replays).sides] == [False, True]
 
 
 def test_summaries_need_no_lines(tmp_path: Path) -> None:

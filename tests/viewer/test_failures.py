@@ -13,11 +13,11 @@ from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.report.episodes import Case
 from lemma.viewer.failures.catalog import ALL, Catalog, Filter, words
+from lemma.viewer.failures.comparison import NOT_SAID, Cursor
 from lemma.viewer.failures.page import FailurePage
 from lemma.viewer.failures.panel import MISTAKE, ON, PLAY, START
-from lemma.viewer.failures.viewing import NOT_SAID, Cursor
+from lemma.viewer.recording.replays import EXPERT
 from lemma.viewer.recording.sources import cases_in
-from lemma.viewer.recording.track import EXPERT
 from lemma.viewer.server import open_server
 
 OTHER = "another"
@@ -41,7 +41,7 @@ def page(catalog: Catalog) -> Iterator[FailurePage]:
 
 
 def seen(page: FailurePage) -> None:
-    until(lambda: not page.viewing.busy)
+    until(lambda: not page.replayer.busy)
     page.tick(0.0)
 
 
@@ -76,14 +76,14 @@ def test_failure_opens_where_it_went_wrong(page: FailurePage) -> None:
         page.panel.cause.value = wanted
         page.panel.list()
         seen(page)
-        sight = page.viewing.sight
+        sight = page.replayer.comparison
         assert sight is not None
         assert sight.case.cause is not None
         assert words(sight.case.cause) == wanted
-        policy, expert = sight.tracks
+        policy, expert = sight.sides
         assert policy.title == OTHER
-        assert not policy.solved
-        assert expert.solved
+        assert not policy.success
+        assert expert.success
         at_s = sight.case.row["subtasks"][sight.case.mistake or 0]["start_s"]
         assert page.cursor.at_s >= at_s - 0.01
         assert not page.cursor.playing
@@ -111,9 +111,9 @@ def test_two_policies_stand_side_by_side(page: FailurePage) -> None:
     page.panel.beside.value = page.panel.beside.options[1]
     page.panel.look()
     seen(page)
-    sight = page.viewing.sight
+    sight = page.replayer.comparison
     assert sight is not None
-    one, other = sight.tracks
+    one, other = sight.sides
     assert one.title == OTHER
     assert other.title == page.panel.beside.value != EXPERT
     assert one.times == other.times
@@ -123,11 +123,11 @@ def test_motor_commands_cannot_be_done_again(
     page: FailurePage, cases: list[Case]
 ) -> None:
     case = replace(cases[0], row={**cases[0].row, "control": {}})
-    page.viewing.ask(case)
+    page.replayer.ask(case)
     seen(page)
-    assert page.viewing.sight is not None
-    assert page.viewing.sight.note == NOT_SAID
-    assert not page.viewing.sight.tracks
+    assert page.replayer.comparison is not None
+    assert page.replayer.comparison.note == NOT_SAID
+    assert not page.replayer.comparison.sides
 
 
 def test_broken_line_leaves_the_page_alive(
@@ -135,13 +135,13 @@ def test_broken_line_leaves_the_page_alive(
 ) -> None:
     # Of somebody of its own: what was seen before is not done again.
     row = {**cases[0].row, "subtasks": [{}]}
-    page.viewing.ask(replace(cases[0], policy="broken", row=row))
+    page.replayer.ask(replace(cases[0], policy="broken", row=row))
     seen(page)
-    assert page.viewing.sight is not None
-    assert page.viewing.sight.note
-    page.viewing.ask(cases[0])
+    assert page.replayer.comparison is not None
+    assert page.replayer.comparison.note
+    page.replayer.ask(cases[0])
     seen(page)
-    assert page.viewing.sight.tracks
+    assert page.replayer.comparison.sides
 
 
 def test_cursor_stops_at_the_end() -> None:

@@ -19,7 +19,7 @@ from lemma.tasks.subtask import STOP
 from lemma.tasks.suite import SUITE, load_instance
 from lemma.viewer.episode.explanation import Explanation
 from lemma.viewer.episode.request import OWN_WORDS
-from lemma.viewer.episode.status import Line, Phase, Reading, Status
+from lemma.viewer.episode.status import Phase, Reading, Status
 from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 from lemma.viewer.origins import Guard
 from lemma.viewer.page import Page
@@ -33,6 +33,7 @@ from lemma.viewer.panel.words import (
 )
 from lemma.viewer.scene.pictures import MAP
 from lemma.viewer.server import address_of, open_server
+from lemma.viz.recording import Line
 
 VISITOR = SimpleNamespace(client_id=1)
 EVIL = "<img src=x onerror=alert(1)>{1+1}"

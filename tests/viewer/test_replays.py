@@ -13,14 +13,15 @@ from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
+from lemma.env.playback import FrameTaker
 from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.report.episodes import Case
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.viewer.recording.pages import PAGE, VISER
 from lemma.viewer.recording.replays import Replayed, expert_instead, replay_line
 from lemma.viewer.recording.sources import cases_in, replays_in, write_cases
-from lemma.viewer.recording.track import FRAME_S, SOLVED, keep_frames
 from lemma.viz.pages.replays import PLAYER
+from lemma.viz.recording import FRAME_S, SOLVED
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +44,7 @@ def test_line_gives_the_very_episode(
 ) -> None:
     case, found = cases[index], again[index]
     played = Rollout(case.instance)
-    taker = keep_frames(played.episode.simulation)
+    taker = FrameTaker(played.episode.simulation, FRAME_S)
     for _ in roll_out([played], Player(Clumsy()), lenient=False):
         pass
     assert found.differs == ""
@@ -51,19 +52,19 @@ def test_line_gives_the_very_episode(
         assert found.state_hash == played.episode.simulation.scene.state_hash()
     # What was played goes on after a protective stop, for the lenient verdict.
     for (time_s, qpos), (was_s, was) in zip(
-        found.track.frames, taker.frames, strict=False
+        found.recording.frames, taker.frames, strict=False
     ):
         assert time_s == was_s
         assert qpos.tobytes() == was.tobytes()
-    assert found.track.solved is played.success
-    assert [line.outcome for line in found.track.lines] == [
+    assert found.recording.success is played.success
+    assert [line.outcome for line in found.recording.lines] == [
         str(step.result.outcome) for step in played.steps
     ]
 
 
 def test_line_that_lies_is_found_out(cases: dict[int, Case]) -> None:
     row = {**cases[0].row, "elapsed_s": 1.0}
-    assert "elapsed_s" in replay_line(replace(cases[0], row=row)).differs
+    assert "elapsed s" in replay_line(replace(cases[0], row=row)).differs
 
 
 def test_motor_commands_are_in_no_line(cases: dict[int, Case]) -> None:
@@ -78,14 +79,18 @@ def test_expert_goes_on_from_the_mistake(
 ) -> None:
     case, found = cases[index], again[index]
     instead = expert_instead(case, found)
-    assert instead.solved
+    assert instead.success
     assert instead.verdict == SOLVED
-    assert not found.track.solved
+    assert not found.recording.success
     assert found.kept == {1: 1, 2: 0, 3: 0}[index]
-    assert instead.lines[: found.kept] == found.track.lines[: found.kept]
+    assert instead.lines[: found.kept] == found.recording.lines[: found.kept]
     kept = round(found.turn_s / FRAME_S)
-    assert instead.times[:kept] == found.track.times[:kept]
-    assert found.turn_s <= found.track.end_s + FRAME_S
+    times, before = (
+        [time_s for time_s, _ in done.frames[:kept]]
+        for done in (instead, found.recording)
+    )
+    assert times == before
+    assert found.turn_s <= found.recording.end_s + FRAME_S
     assert instead.lines[found.kept].start_s >= found.turn_s
 
 
@@ -172,9 +177,9 @@ def test_recipe_is_looked_at_too(tmp_path: Path) -> None:
     (found,) = replays
     assert found.name == "pass-val-0"
     (side,) = found.sides
-    assert side.solved
-    assert [step.ok for step in side.steps] == [True, True]
-    assert len(found.recording) > 50_000
+    assert side.success
+    assert [line.ok for line in side.lines] == [True, True]
+    assert len(found.content) > 50_000
 
 
 def test_results_are_named_by_their_files_too(cases: dict[int, Case]) -> None:

@@ -1,5 +1,6 @@
 """`lemma demo`: the expert or another policy at work, one instance per task."""
 
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -22,10 +23,11 @@ from lemma.viewer.episode.status import say_goal
 from lemma.viz.illustrate import illustrate_all
 from lemma.viz.pages.demo import write_page
 from lemma.viz.recording import (
-    RecordedStep,
+    Line,
     Recording,
     main_sentence,
     record,
+    robot_titles,
     warm_up,
 )
 from lemma.viz.video import VideoStyle
@@ -144,7 +146,7 @@ def _replay_all(
     for done in recordings:
         task = done.instance.task
         replays[task] = f"{_REPLAYS}/{task}.html"
-        write_recording(folder / replays[task], done, _WHO)
+        write_recording(folder / replays[task], done)
         console.print(f"  {replays[task]}", markup=False)
     return replays
 
@@ -158,22 +160,27 @@ def _solve(
         (f"\n{instance.task}", "bold"), "  ", (f"“{instruction}”", "italic")
     )
     console.print(line)
-    return record(
-        instance, player, frame_s=frame_s, on_step=lambda step: _report(console, step)
-    )
+    titles = robot_titles(instance)
+    robots = dict(zip(instance.scene.robot_names, titles, strict=True))
+
+    def report(line: Line) -> None:
+        _report(console, line, robots)
+
+    return record(instance, player, title=_WHO, frame_s=frame_s, on_step=report)
 
 
-def _report(console: Console, step: RecordedStep) -> None:
-    subtask = step.subtask
+def _report(console: Console, line: Line, robots: Mapping[str, str]) -> None:
+    subtask = line.subtask
+    assert subtask is not None
     what = f"{subtask.pick} → {subtask.place}"
-    line = Text("  ")
-    line.append(f"{step.robot:<17}", style="cyan")
-    line.append(f"{subtask.primitive:<8}{what:<25}")
-    line.append(f" {step.outcome:<10}", style="green" if step.ok else "bold red")
-    line.append(f"{step.duration_s:6.1f} s")
-    if not step.ok:
-        line.append(f"  {step.explanation}", style="red")
-    console.print(line, soft_wrap=True)
+    text = Text("  ")
+    text.append(f"{robots[subtask.robot]:<17}", style="cyan")
+    text.append(f"{subtask.primitive:<8}{what:<25}")
+    text.append(f" {line.outcome:<10}", style="green" if line.ok else "bold red")
+    text.append(f"{line.duration_s:6.1f} s")
+    if not line.ok:
+        text.append(f"  {line.explanation}", style="red")
+    console.print(text, soft_wrap=True)
 
 
 def summary(recordings: list[Recording]) -> Table:
@@ -191,7 +198,7 @@ def summary(recordings: list[Recording]) -> Table:
             done.instance.task,
             main_sentence(done.instance),
             done.instance.team,
-            str(len(done.steps)),
+            str(len(done.lines)),
             f"{done.elapsed_s:.1f}",
             f"{done.wall_s:.2f}",
             f"{done.realtime_factor:.0f}",

@@ -94,13 +94,12 @@ def carry_out(episode: Episode, step: Step) -> None:
 
 
 class FrameTaker:
-    """Keeps states of a simulation at a rate, while it goes on."""
+    """Keeps positions of all joints at a rate, while a simulation goes on."""
 
     def __init__(
         self,
         simulation: Simulation,
         frame_s: float,
-        look: Callable[[], FloatArray],
         frames: Iterable[tuple[float, FloatArray]] = (),
     ) -> None:
         """Watch a simulation from now on.
@@ -108,16 +107,15 @@ class FrameTaker:
         Args:
             simulation: It is not changed.
             frame_s: Simulated time from one state to the next [s].
-            look: Returns what is kept, such as ``simulation.scene.snapshot``.
             frames: What was kept of an earlier part of the episode.
         """
-        self._simulation, self._frame_s, self._look = simulation, frame_s, look
+        self._simulation, self._frame_s = simulation, frame_s
         self.frames = [*frames]
-        """Simulated time [s], and what was kept."""
+        """Simulated time [s] and positions of all joints, (nq,)."""
         self._take()
         simulation.observers.append(self._take)
 
     def _take(self) -> None:
         time_s = self._simulation.time_s
         if time_s >= len(self.frames) * self._frame_s - 0.5 * TICK_S:
-            self.frames.append((time_s, self._look()))
+            self.frames.append((time_s, self._simulation.scene.data.qpos.copy()))

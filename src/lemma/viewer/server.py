@@ -19,10 +19,13 @@ UPDATES_HZ = 25.0
 
 PHONE_PANEL = 0.52
 """Share of the height that the panel covers at most in a narrow window."""
-_STYLE = f"""<style>
-#webgl-software-rendering {{ animation: leave 1s 5s forwards; }}
-#webgl-software-rendering .mantine-Notification-description {{ display: none; }}
-@keyframes leave {{ to {{ opacity: 0; visibility: hidden; }} }}
+NOTICE_STYLE = """<style>
+#webgl-software-rendering { animation: leave 1s 5s forwards; }
+#webgl-software-rendering .mantine-Notification-description { display: none; }
+@keyframes leave { to { opacity: 0; visibility: hidden; } }
+</style>"""
+"""The library's notice of software WebGL is one line, and leaves by itself."""
+_PHONE_STYLE = f"""<style>
 @media (max-width: 36em) {{
   .mantine-Paper-root:has(#lemma-style) {{
     width: 100% !important; max-height: {PHONE_PANEL:.0%} !important;
@@ -32,8 +35,6 @@ _STYLE = f"""<style>
   }}
 }}
 </style>"""
-"""The library's notice of software WebGL is one line and leaves by itself, and the
-panel is as wide as a phone."""
 
 
 class _Server(viser.ViserServer):
@@ -79,7 +80,7 @@ def prepare_panel(server: viser.ViserServer) -> None:
     """Lay the panel at the right, or below the scene in a narrow window."""
     set_theme(server.gui, dark=False)
     server.gui.main_panel.dock_right()
-    server.gui.add_html(f'<div id="lemma-style">{_STYLE}</div>')
+    server.gui.add_html(f'<div id="lemma-style">{NOTICE_STYLE}{_PHONE_STYLE}</div>')
 
 
 def set_theme(gui: Any, *, dark: bool) -> None:

@@ -10,8 +10,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.env.episode import Episode
 from lemma.env.playback import FrameTaker, MotorCommands, Step, play_steps
 from lemma.tasks.instance import Instance
-from lemma.tasks.subtask import Primitive, SubTask
-from lemma.viz.recording import RecordedStep, Recording, robot_titles
+from lemma.viz.recording import Line, Recording, robot_titles
 
 
 def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording:
@@ -33,7 +32,7 @@ def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording
     started = time.perf_counter()
     episode = Episode(instance)
     simulation = episode.simulation
-    taker = FrameTaker(simulation, frame_s, simulation.scene.snapshot)
+    taker = FrameTaker(simulation, frame_s)
     commands = found.commands
     times: list[float] = []
     what = [str(subtask.primitive) for subtask in found.subtasks]
@@ -52,9 +51,10 @@ def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording
         episode.stop()
     success = episode.is_success
     return Recording(
+        title=found.attack,
         instance=instance,
-        steps=tuple(
-            _described(found, instance, name, start_s, end_s - start_s)
+        lines=tuple(
+            _line(found, instance, name, start_s, end_s)
             for name, (start_s, end_s) in zip(what, pairwise(times), strict=True)
         ),
         frames=tuple(taker.frames),
@@ -65,19 +65,10 @@ def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording
     )
 
 
-def _described(
-    found: Found, instance: Instance, what: str, start_s: float, duration_s: float
-) -> RecordedStep:
+def _line(
+    found: Found, instance: Instance, what: str, start_s: float, end_s: float
+) -> Line:
     number = instance.scene.robot_names.index(found.robot)
     title = robot_titles(instance)[number]
-    summary = ATTACKS[found.attack].summary
-    return RecordedStep(
-        robot=title,
-        subtask=SubTask(found.robot, Primitive.MOVE),
-        words=f"{title} alone, {what}. {summary}",
-        outcome="success",
-        explanation="",
-        ok=True,
-        start_s=start_s,
-        duration_s=duration_s,
-    )
+    words = f"{title} alone, {what}. {ATTACKS[found.attack].summary}"
+    return Line(words, start_s, end_s, "success")

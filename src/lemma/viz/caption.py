@@ -3,7 +3,7 @@
 from PIL import Image, ImageDraw
 
 from lemma.viz.annotate import BAD, GOOD, Color, fitting_size, font
-from lemma.viz.recording import RecordedStep, Recording, main_sentence
+from lemma.viz.recording import Line, Recording, main_sentence
 
 _INK: Color = (246, 247, 249)
 _FAINT: Color = (160, 170, 182)
@@ -55,16 +55,16 @@ def _status(recording: Recording, time_s: float, ended: bool) -> tuple[str, Colo
         return "Solved.", GOOD
     if ended:
         return f"Not solved: {recording.failure}.", BAD
-    if not recording.steps:
+    if not recording.lines:
         return "", _FAINT
     number, step = _running(recording, time_s)
-    return f"{number}/{len(recording.steps)}   {step.words}", _FAINT
+    return f"{number}/{len(recording.lines)}   {step.words}", _FAINT
 
 
-def _running(recording: Recording, time_s: float) -> tuple[int, RecordedStep]:
+def _running(recording: Recording, time_s: float) -> tuple[int, Line]:
     """Return the sub-task that runs at a time, and its number from 1."""
     found = 0
-    for i, step in enumerate(recording.steps):
+    for i, step in enumerate(recording.lines):
         if step.start_s <= time_s:
             found = i
-    return found + 1, recording.steps[found]
+    return found + 1, recording.lines[found]

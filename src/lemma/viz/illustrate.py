@@ -9,7 +9,7 @@ from lemma.scene.scene import Scene
 from lemma.viz.map_overlay import annotated_map
 from lemma.viz.pages.demo import Illustration
 from lemma.viz.pages.templates import jpeg
-from lemma.viz.recording import Recording
+from lemma.viz.recording import Recording, pose
 from lemma.viz.video import VideoStyle, write_video
 
 _MAP_PX = 728
@@ -57,7 +57,7 @@ def illustrate(recording: Recording, folder: Path, style: VideoStyle) -> Illustr
     video = folder / f"{recording.instance.task}.mp4"
     last = write_video(recording, video, style)
     scene = Scene(recording.instance.scene)
-    scene.restore(recording.frames[0][1])
+    pose(scene, recording.frames[0][1])
     renderer = Renderer()
     images = [
         renderer.rgbd(scene.model, scene.data, f"{name}/camera")

@@ -1,67 +1,103 @@
-"""An episode of a policy, with a state for every frame of its video."""
+"""Recordings of episodes: states at equal times, and the sub-tasks in words."""
 
 import time
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from lemma.core.poses import FloatArray
 from lemma.env.playback import FrameTaker
 from lemma.env.simulation import HORIZON_S
+from lemma.evaluation.report.episodes import Case, subtask_words
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
+from lemma.motion.outcome import Outcome, SkillResult
 from lemma.policies.spec import PolicySpec
+from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases, sub_instruction
 from lemma.tasks.subtask import SubTask
 
+FRAME_S = 0.05
+"""Simulated time from one state to the next where nothing else is asked for [s]."""
+SOLVED = "Solved."
+
+Frames = Sequence[tuple[float, FloatArray]]
+"""Simulated time [s] and positions of all joints, (nq,), in order."""
+
 
 @dataclass(frozen=True, slots=True)
-class RecordedStep:
-    """One sub-task of a recording, in words and numbers."""
+class Line:
+    """One sub-task, or another thing that happened, in words."""
 
-    robot: str
-    """The robot in words: ``"red UR5"``."""
-    subtask: SubTask
     words: str
-    """The sub-task in words: ``"red robot: hook the blue cube ..."``."""
-    outcome: str
-    explanation: str
-    ok: bool
+    """Such as ``"red robot: hook the blue cube ..."``."""
     start_s: float
     """Simulated time at which it began [s]."""
-    duration_s: float
-    """Simulated time that it took [s]."""
+    end_s: float | None = None
+    """Simulated time at which it ended [s]; None while it runs."""
+    outcome: str = ""
+    explanation: str = ""
+    ok: bool = True
+    subtask: SubTask | None = None
+    """None where it is no sub-task."""
+
+    @property
+    def duration_s(self) -> float:
+        """Simulated time that it took [s]; 0 while it runs."""
+        return 0.0 if self.end_s is None else self.end_s - self.start_s
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""
         return {
-            **self.subtask.to_dict(),
+            **(self.subtask.to_dict() if self.subtask else {}),
             "outcome": self.outcome,
             "start_s": round(self.start_s, 3),
             "duration_s": round(self.duration_s, 3),
         }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Recording:
-    """What a policy did with an instance."""
+    """What one policy, or somebody by hand, did with an instance."""
 
+    title: str
+    """Who did it, in words."""
     instance: Instance
-    steps: tuple[RecordedStep, ...]
-    frames: tuple[tuple[float, FloatArray], ...]
-    """Simulated time [s] and full state of every frame of the video, if one is made."""
+    lines: tuple[Line, ...]
+    """Its sub-tasks, in order."""
+    frames: Frames
+    """States, the first one at 0 s; empty where none were kept."""
     success: bool
     failure: str | None
-    """Why it failed."""
+    """Why it failed; None if it did not."""
     elapsed_s: float
     """Simulated time [s]."""
-    wall_s: float
-    """Real time that simulating and planning took [s]."""
+    wall_s: float = 0.0
+    """Real time that simulating and planning took [s]; 0 where nobody measured it."""
+    because: str = ""
+    """Why it failed, in a sentence, where more is known than :attr:`failure`."""
+
+    @property
+    def verdict(self) -> str:
+        """How it ended, in a sentence."""
+        why = (self.failure or "goal_not_reached").replace("_", " ")
+        return SOLVED if self.success else self.because or f"Not solved: {why}."
 
     @property
     def realtime_factor(self) -> float:
         """Simulated seconds per second of real time."""
         return self.elapsed_s / self.wall_s
+
+    @property
+    def end_s(self) -> float:
+        """Simulated time of the last state [s]."""
+        return self.frames[-1][0]
+
+    def at(self, time_s: float) -> FloatArray:
+        """Return positions of all joints at a time, the first or last outside."""
+        found = bisect_right(self.frames, time_s + 1e-6, key=lambda frame: frame[0])
+        return self.frames[max(0, found - 1)][1]
 
     def thinned(self, every: int) -> "Recording":
         """Return the same with one frame of so many, and the last."""
@@ -84,7 +120,7 @@ class Recording:
             "failure": self.failure,
             "simulated_s": round(self.elapsed_s, 3),
             "wall_s": round(self.wall_s, 3),
-            "subtasks": [step.to_dict() for step in self.steps],
+            "subtasks": [line.to_dict() for line in self.lines],
         }
 
 
@@ -92,8 +128,9 @@ def record(
     instance: Instance,
     player: Player | None = None,
     *,
+    title: str = "The expert",
     frame_s: float | None = None,
-    on_step: Callable[[RecordedStep], None] | None = None,
+    on_step: Callable[[Line], None] | None = None,
     horizon_s: float = HORIZON_S,
 ) -> Recording:
     """Let a policy work on an instance.
@@ -101,35 +138,40 @@ def record(
     Args:
         instance: The problem.
         player: The policy; the expert if None.
+        title: The policy in words.
         frame_s: Simulated time from one frame to the next [s]; no frames if None.
-        on_step: Told of every sub-task as soon as it has ended.
+        on_step: Called with every sub-task as soon as it has ended.
         horizon_s: Simulated time after which the episode ends [s].
     """
     started = time.perf_counter()
     play = Rollout(instance, horizon_s=horizon_s)
-    episode, simulation = play.episode, play.episode.simulation
-    taker = None
-    if frame_s is not None:
-        taker = FrameTaker(simulation, frame_s, simulation.scene.snapshot)
-    steps = []
+    taker = FrameTaker(play.episode.simulation, frame_s) if frame_s else None
+    lines = []
 
     def take_step(_: Rollout, step: TakenStep) -> None:
-        steps.append(describe_step(step, instance))
+        lines.append(describe_step(step, instance))
         if on_step:
-            on_step(steps[-1])
+            on_step(lines[-1])
 
     player = player or Player.load(PolicySpec())
     for _ in roll_out([play], player, on_step=take_step):
         pass
     return Recording(
+        title=title,
         instance=instance,
-        steps=tuple(steps),
+        lines=tuple(lines),
         frames=tuple(taker.frames) if taker else (),
         success=play.success,
         failure=play.failure,
-        elapsed_s=episode.elapsed_s,
+        elapsed_s=play.episode.elapsed_s,
         wall_s=time.perf_counter() - started,
     )
+
+
+def pose(scene: Scene, qpos: FloatArray) -> None:
+    """Put the bodies of a scene where joint positions, (nq,), have them."""
+    scene.data.qpos[:] = qpos
+    scene.refresh()
 
 
 def main_sentence(instance: Instance) -> str:
@@ -138,18 +180,47 @@ def main_sentence(instance: Instance) -> str:
     return sentences.get("high_level") or next(iter(sentences.values()), "")
 
 
-def describe_step(step: TakenStep, instance: Instance) -> RecordedStep:
+def describe_step(step: TakenStep, instance: Instance) -> Line:
     """Put an executed sub-task into words."""
-    number = instance.scene.robot_names.index(step.subtask.robot)
-    return RecordedStep(
-        robot=robot_titles(instance)[number],
-        subtask=step.subtask,
-        words=describe_subtask(step.subtask, instance),
-        outcome=str(step.result.outcome),
-        explanation=step.result.explanation,
-        ok=step.result.ok,
-        start_s=step.start_s,
-        duration_s=step.result.duration_s,
+    words = describe_subtask(step.subtask, instance)
+    return line_of(words, step.start_s, step.result, step.subtask)
+
+
+def line_of(
+    words: str, start_s: float, result: SkillResult, subtask: SubTask | None = None
+) -> Line:
+    """Return a line of what was executed.
+
+    Args:
+        words: The sub-task in words.
+        start_s: Simulated time at which it began [s].
+        result: How it ended.
+        subtask: The sub-task.
+    """
+    return Line(
+        words,
+        start_s,
+        start_s + result.duration_s,
+        str(result.outcome),
+        result.explanation,
+        result.ok,
+        subtask,
+    )
+
+
+def lines_of_case(case: Case) -> tuple[Line, ...]:
+    """Return the sub-tasks of an episode of a result."""
+    return tuple(
+        Line(
+            subtask_words(case, step),
+            float(step["start_s"]),
+            float(step["start_s"] + step["duration_s"]),
+            step["outcome"],
+            step["explanation"],
+            step["outcome"] == Outcome.SUCCESS,
+            SubTask.from_dict(dict(step)),
+        )
+        for step in case.row["subtasks"]
     )
 
 

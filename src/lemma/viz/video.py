@@ -11,7 +11,7 @@ from lemma.scene.rendering.renderer import QUALITIES, Quality, Renderer
 from lemma.scene.scene import Scene
 from lemma.viz.camera_fit import outline, overview
 from lemma.viz.caption import caption
-from lemma.viz.recording import Recording
+from lemma.viz.recording import Recording, pose
 
 _VIEWED_FRAMES = 40
 """Frames that the viewpoint is fitted to; the arms move little in between."""
@@ -72,10 +72,9 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
 
     scene = Scene(recording.instance.scene)
     renderer = Renderer(style.width_px, style.height_px, style.quality)
-    states = [state for _, state in recording.frames]
-    points = []
-    for state in states[:: max(1, len(states) // _VIEWED_FRAMES)]:
-        scene.restore(state)
+    frames, points = recording.frames, []
+    for _, qpos in frames[:: max(1, len(frames) // _VIEWED_FRAMES)]:
+        pose(scene, qpos)
         points.append(outline(scene))
     aspect = style.width_px / style.height_px
     camera = overview(np.concatenate(points), aspect)
@@ -86,10 +85,10 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
         stream.pix_fmt = "yuv420p"
         stream.options = {"preset": "veryfast", "crf": "22"}
         stream.codec_context.thread_count = 1
-        for number, (time_s, state) in enumerate(recording.frames):
-            scene.restore(state)
+        for number, (time_s, qpos) in enumerate(frames):
+            pose(scene, qpos)
             picture = renderer.rgb(scene.model, scene.data, camera)
-            ended = number == len(recording.frames) - 1
+            ended = number == len(frames) - 1
             # Below, players' controls would cover the words.
             frame.paste(Image.fromarray(picture), (0, style.caption_px))
             note = f"{style.speed}x speed"

@@ -31,7 +31,7 @@ from lemma.viewer.episode.explanation import (
 from lemma.viewer.episode.log import EpisodeLog
 from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan, parse_goal
 from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
-from lemma.viewer.episode.status import Line, Phase, Reading, Status, StatusBoard
+from lemma.viewer.episode.status import Phase, Reading, Status, StatusBoard
 from lemma.viewer.episode.teleoperator import Teleoperator
 from lemma.viewer.episode.transport import (
     FRAME_S,
@@ -39,7 +39,7 @@ from lemma.viewer.episode.transport import (
     InterruptedEpisodeError,
     Transport,
 )
-from lemma.viz.recording import describe_step, describe_subtask
+from lemma.viz.recording import Line, describe_step, describe_subtask
 
 Load = Callable[[str], Player]
 """Returns a player by the name of its policy."""
@@ -373,11 +373,5 @@ class Play:
 
     def _stepped(self, rollout: Rollout, step: TakenStep) -> None:
         self._log.end()
-        told = describe_step(step, rollout.instance)
-        end_s = told.start_s + told.duration_s
-        self._board.replace_running(
-            Line(
-                told.words, told.start_s, end_s, told.outcome, told.explanation, told.ok
-            )
-        )
+        self._board.replace_running(describe_step(step, rollout.instance))
         self.transport.mark(rollout.episode.elapsed_s)

@@ -7,6 +7,7 @@ from typing import Any
 from lemma.evaluation.run.rollout import Rollout
 from lemma.tasks.language.bank import phrase
 from lemma.tasks.language.template import GoalPairs
+from lemma.viz.recording import Line
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,20 +42,6 @@ class Phase(StrEnum):
 
 ENDS = (Phase.SOLVED, Phase.FOLLOWED, Phase.FAILED, Phase.ENDED, Phase.BROKEN)
 """Phases that do not end by themselves."""
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One sub-task of the timeline."""
-
-    words: str
-    start_s: float
-    """Simulated time at which it began [s]."""
-    end_s: float | None = None
-    """Simulated time at which it ended [s]; None while it runs."""
-    outcome: str = ""
-    explanation: str = ""
-    ok: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,1 +1,1 @@
-"""What went wrong: episodes of results, each at the moment that decided it."""
+"""The page of failures: episodes of results, each at the moment of its mistake."""

@@ -1,4 +1,4 @@
-"""Which episodes there are, and which of them somebody wants to see."""
+"""Failed episodes of results, and filters for them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ def words(name: str) -> str:
 
 @dataclass(frozen=True)
 class Filter:
-    """What is looked for."""
+    """Conditions on an episode."""
 
     policy: str = ALL
     task: str = ALL
@@ -26,7 +26,7 @@ class Filter:
     """In words."""
 
     def takes(self, case: Case) -> bool:
-        """Whether an episode is one of those."""
+        """Whether an episode failed and meets the conditions."""
         return (
             case.cause is not None
             and self.policy in (ALL, case.policy)
@@ -36,7 +36,7 @@ class Filter:
 
 
 class Catalog:
-    """Episodes of results: those that failed, and their like."""
+    """Episodes of results, and what can be chosen among those that failed."""
 
     def __init__(self, cases: Sequence[Case]) -> None:
         """Keep them.
@@ -62,11 +62,11 @@ class Catalog:
         self.causes = (ALL, *causes)
 
     def find(self, wanted: Filter) -> list[Case]:
-        """Return the failures that somebody looks for, in order."""
+        """Return the failures that pass a filter, in order."""
         return [case for case in self.cases if wanted.takes(case)]
 
     def others(self, case: Case) -> dict[str, Case]:
-        """Return what other policies made of the same instance, by policy."""
+        """Return other policies' episodes of the same instance, by policy."""
         same = _start(case)
         return {
             other.policy: other
@@ -76,7 +76,7 @@ class Catalog:
 
 
 def title(case: Case) -> str:
-    """Return what lists call an episode: ``"stack 12, unseen, reachnet"``."""
+    """Return the name of an episode in lists: ``"stack 12, unseen, reachnet"``."""
     row = case.row
     return (
         f"{row['task']} {row['index']}, {words(row['instruction_kind'])}, {case.policy}"

@@ -1,4 +1,4 @@
-"""What is chosen and read beside two tables."""
+"""The panel beside two tables: which failure is shown, and its sub-tasks."""
 
 from collections.abc import Sequence
 from html import escape
@@ -9,15 +9,13 @@ import viser
 from lemma.evaluation.report.episodes import Case
 from lemma.viewer.episode.transport import SPEEDS
 from lemma.viewer.failures.catalog import Catalog, Filter, title, words
-from lemma.viewer.failures.viewing import Cursor, Sight, Viewing
-from lemma.viewer.panel.words import timeline_html
-from lemma.viewer.recording.track import EXPERT, Track
+from lemma.viewer.failures.comparison import Comparison, Cursor, Replayer
+from lemma.viewer.panel.words import BAD, FRAME, GOOD, timeline_html
+from lemma.viewer.recording.replays import EXPERT
+from lemma.viz.recording import Recording
 
 PLAY, PAUSE, MISTAKE, START = MOVES = ("Play", "Pause", "Mistake", "Start")
-"""What can be pressed while an episode is looked at."""
 BACK, ON = TURNS = ("Previous", "Next")
-"""To other failures."""
-_FRAME = '<div style="padding:0 1em 0.5em;font-size:0.9em;line-height:1.45">{}</div>'
 _SLIDER_S = 0.1
 
 
@@ -28,7 +26,7 @@ class FailurePanel:
         self,
         server: viser.ViserServer,
         catalog: Catalog,
-        viewing: Viewing,
+        replayer: Replayer,
         cursor: Cursor,
         wanted: Filter,
     ) -> None:
@@ -36,16 +34,16 @@ class FailurePanel:
 
         Args:
             server: The page.
-            catalog: What there is to look at.
-            viewing: Does it again.
-            cursor: The moment that is looked at.
-            wanted: What is looked for at first.
+            catalog: The failures.
+            replayer: Plays episodes again.
+            cursor: The moment that is shown.
+            wanted: Filter to begin with.
         """
-        self._catalog, self._viewing, self._cursor = catalog, viewing, cursor
-        # Its handles have types by which nothing could be written to them.
+        self._catalog, self._replayer, self._cursor = catalog, replayer, cursor
+        # The library types values of its handles as read-only.
         gui: Any = server.gui
         self._found: list[Case] = []
-        self._shown: Sight | None = None
+        self._shown: Comparison | None = None
         self._content: dict[int, str] = {}
         self.status = gui.add_html("")
         self.turns = gui.add_button_group("", TURNS)
@@ -87,7 +85,7 @@ class FailurePanel:
         return options.index(self.episode.value) if self._found else 0
 
     def list(self) -> None:
-        """List what is looked for, and look at the first of it."""
+        """List the failures that pass the filter, and show the first."""
         wanted = Filter(self.policy.value, self.task.value, self.cause.value)
         self._found = self._catalog.find(wanted)
         names = [f"{i}. {title(case)}" for i, case in enumerate(self._found, 1)]
@@ -105,15 +103,15 @@ class FailurePanel:
 
     def move(self, what: str) -> None:
         """Play, pause, or go to the mistake or the start."""
-        cursor, sight = self._cursor, self._shown
+        cursor, comparison = self._cursor, self._shown
         if what == PLAY:
             cursor.play()
         elif what == PAUSE:
             cursor.playing = False
         elif what == START:
             cursor.seek(0.0)
-        elif sight is not None:
-            cursor.seek(sight.opens_s)
+        elif comparison is not None:
+            cursor.seek(comparison.opens_s)
 
     def _choose(self) -> None:
         if self.case is not None:
@@ -122,10 +120,10 @@ class FailurePanel:
         self.look()
 
     def look(self) -> None:
-        """Look at what is chosen."""
+        """Show what is chosen."""
         if self.case is not None:
             others = self._catalog.others(self.case)
-            self._viewing.ask(self.case, others.get(self.beside.value))
+            self._replayer.ask(self.case, others.get(self.beside.value))
 
     def _by_visitor(self, event: Any, then: Any) -> None:
         if event.client_id is not None:
@@ -137,20 +135,20 @@ class FailurePanel:
     def _set_speed(self) -> None:
         self._cursor.speed = float(self.speed.value.removesuffix(" ×"))
 
-    def refresh(self, sight: Sight | None) -> None:
-        """Say what is seen; what has not changed is not sent again."""
+    def refresh(self, comparison: Comparison | None) -> None:
+        """Say what is shown; what has not changed is not sent again."""
         cursor = self._cursor
-        if sight is not self._shown:
-            self._shown = sight
+        if comparison is not self._shown:
+            self._shown = comparison
             self.time.max = max(1.0, cursor.end_s)
-        busy = self._viewing.busy
-        self._write(self.status, _status(self.case, sight, len(self._found), busy))
+        busy = self._replayer.busy
+        self._write(self.status, _status(self.case, comparison, len(self._found), busy))
         still = not cursor.playing
         if abs(cursor.at_s - self.time.value) >= _SLIDER_S * (0.6 if still else 1.0):
             self.time.value = round(cursor.at_s, 2)
-        tracks: Sequence[Track] = sight.tracks if sight else ()
+        sides: Sequence[Recording] = comparison.sides if comparison else ()
         for number, widget in enumerate(self.timelines):
-            found = tracks[number : number + 1]
+            found = sides[number : number + 1]
             self._write(widget, "".join(_timeline(t, cursor.at_s) for t in found))
 
     def _write(self, widget: Any, content: str) -> None:
@@ -158,10 +156,10 @@ class FailurePanel:
             self._content[id(widget)] = widget.content = content
 
 
-def _status(case: Case | None, sight: Sight | None, count: int, busy: bool) -> str:
-    """Return what is looked at, and why it failed."""
+def _status(case: Case | None, shown: Comparison | None, count: int, busy: bool) -> str:
+    """Return which episode is shown, and why it failed."""
     if case is None or case.cause is None:
-        return _FRAME.format("Nothing failed that way.")
+        return FRAME.format("Nothing failed that way.")
     row = case.row
     parts = [
         f'<div style="opacity:0.7">{count} failures</div>',
@@ -170,14 +168,14 @@ def _status(case: Case | None, sight: Sight | None, count: int, busy: bool) -> s
         f"<div><i>“{escape(row['instruction'])}”</i></div>",
     ]
     if busy:
-        parts.append("<div>Doing it again …</div>")
-    elif sight is not None:
-        parts.append(f'<div data-done="{len(sight.tracks)}">{escape(sight.note)}</div>')
-    return _FRAME.format("".join(parts))
+        parts.append("<div>Playing it again …</div>")
+    elif shown is not None:
+        parts.append(f'<div data-done="{len(shown.sides)}">{escape(shown.note)}</div>')
+    return FRAME.format("".join(parts))
 
 
-def _timeline(track: Track, at_s: float) -> str:
-    color = "#1f9d55" if track.solved else "#d64545"
-    head = f'<div style="font-weight:600">{escape(track.title)}</div>'
-    end = f'<div style="color:{color}">{escape(track.verdict)}</div>'
-    return _FRAME.format(head) + timeline_html(track.lines, at_s) + _FRAME.format(end)
+def _timeline(side: Recording, at_s: float) -> str:
+    color = GOOD if side.success else BAD
+    head = f'<div style="font-weight:600">{escape(side.title)}</div>'
+    end = f'<div style="color:{color}">{escape(side.verdict)}</div>'
+    return FRAME.format(head) + timeline_html(side.lines, at_s) + FRAME.format(end)

@@ -8,16 +8,16 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.subtask import Primitive
 from lemma.viewer.episode.explanation import Explanation
-from lemma.viewer.episode.status import ENDS, Line, Phase, Status, say_goal
-from lemma.viz.recording import describe_subtask
+from lemma.viewer.episode.status import ENDS, Phase, Status, say_goal
+from lemma.viz.recording import Line, describe_subtask
 
-_FRAME = '<div style="padding:0 1em 0.5em;font-size:0.9em;line-height:1.45">{}</div>'
-_GOOD, _BAD, _FAINT = "#1f9d55", "#d64545", "#8a8f98"
+FRAME = '<div style="padding:0 1em 0.5em;font-size:0.9em;line-height:1.45">{}</div>'
+GOOD, BAD, _FAINT = "#1f9d55", "#d64545", "#8a8f98"
 _LEAST_SHARE = 0.01
 _COLOR = {
-    Phase.SOLVED: _GOOD,
-    Phase.FAILED: _BAD,
-    Phase.BROKEN: _BAD,
+    Phase.SOLVED: GOOD,
+    Phase.FAILED: BAD,
+    Phase.BROKEN: BAD,
 }
 
 
@@ -42,12 +42,12 @@ def status_html(status: Status) -> str:
         told = ", ".join(part for part in (goal, status.reading.note) if part)
         label = "Understood: " if goal else ""
         parts.append(f'<div class="understood">{label}{escape(told)}</div>')
-    return _FRAME.format("".join(parts))
+    return FRAME.format("".join(parts))
 
 
 def complaint_html(text: str) -> str:
     """Return why what was asked for cannot be done."""
-    return _FRAME.format(f'<div style="color:{_BAD}">{escape(text)}</div>')
+    return FRAME.format(f'<div style="color:{BAD}">{escape(text)}</div>')
 
 
 def table_html(own: bool, problems: Sequence[str]) -> str:
@@ -58,13 +58,13 @@ def table_html(own: bool, problems: Sequence[str]) -> str:
         problems: Of it, in sentences.
     """
     if not own:
-        return _FRAME.format(f'<div style="color:{_FAINT}">Of the task\'s list.</div>')
+        return FRAME.format(f'<div style="color:{_FAINT}">Of the task\'s list.</div>')
     parts = ["<div>Your own table.</div>"]
     parts += [
-        f'<div class="problem" style="color:{_BAD}">{escape(told)}</div>'
+        f'<div class="problem" style="color:{BAD}">{escape(told)}</div>'
         for told in problems
     ]
-    return _FRAME.format("".join(parts))
+    return FRAME.format("".join(parts))
 
 
 def why_html(explanation: Explanation, instance: Instance) -> str:
@@ -111,14 +111,14 @@ def why_html(explanation: Explanation, instance: Instance) -> str:
     if unseen:
         words = " and no ".join(entity_named(name).phrase for name in unseen)
         parts.append(f"<div>It sees no {escape(words)}.</div>")
-    return _FRAME.format("".join(parts))
+    return FRAME.format("".join(parts))
 
 
 def _margin(margin_m: float) -> str:
     """Return how far something is inside of a reach, in words."""
     if margin_m < 0.0:
-        return f'<span style="color:{_BAD}">{-100 * margin_m:.0f} cm too far</span>'
-    return f'<span style="color:{_GOOD}">{100 * margin_m:.0f} cm inside</span>'
+        return f'<span style="color:{BAD}">{-100 * margin_m:.0f} cm too far</span>'
+    return f'<span style="color:{GOOD}">{100 * margin_m:.0f} cm inside</span>'
 
 
 def timeline_html(lines: Sequence[Line], cursor_s: float) -> str:
@@ -130,8 +130,8 @@ def timeline_html(lines: Sequence[Line], cursor_s: float) -> str:
     """
     if not lines:
         text = f'<div style="color:{_FAINT}">No sub-task yet.</div>'
-        return _FRAME.format(text)
-    return _FRAME.format(
+        return FRAME.format(text)
+    return FRAME.format(
         "".join(_row(i, line, cursor_s) for i, line in enumerate(lines))
     )
 
@@ -144,12 +144,12 @@ def _row(number: int, line: Line, cursor_s: float) -> str:
     if line.end_s is None or not over:
         mark = f'<span style="color:{_FAINT}">{line.start_s:.1f} s</span>'
     else:
-        color = _GOOD if line.ok else _BAD
+        color = GOOD if line.ok else BAD
         outcome = escape(line.outcome.replace("_", " "))
         took = line.end_s - line.start_s
         mark = f'<span style="color:{color}">{outcome}</span>, {took:.1f} s'
         if not line.ok and line.explanation:
-            mark += f'<div style="color:{_BAD}">{escape(line.explanation)}</div>'
+            mark += f'<div style="color:{BAD}">{escape(line.explanation)}</div>'
     return (
         f'<div class="subtask" style="{shade}margin-bottom:0.3em">'
         f'<span style="font-weight:{weight}">{number + 1}. {escape(line.words)}</span> '

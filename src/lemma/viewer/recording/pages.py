@@ -1,45 +1,53 @@
-"""Tracks as a page that plays them, and as files of its player."""
+"""Recordings as files of the page's own player, and as pages that play them."""
 
-from collections.abc import Sequence
+import contextlib
+import socket
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
+import viser
+
 from lemma.core.files import write_whole
-from lemma.viewer.episode.status import Line
-from lemma.viewer.recording.serializer import client_page, serialize
-from lemma.viewer.recording.track import EXPERT, Track, track_of
-from lemma.viz.pages.replays import Replay, Side, Told, write_replays
-from lemma.viz.recording import Recording, main_sentence
+from lemma.viewer.scene.side_by_side import SideBySide
+from lemma.viewer.scene.viewpoint import Viewpoint
+from lemma.viewer.server import NOTICE_STYLE, close_server, open_server
+from lemma.viz.pages.replays import Replay, write_replays
+from lemma.viz.recording import FRAME_S, Recording, main_sentence
 
 VISER = ".viser"
 """End of the names of files of the player."""
 PAGE = "index.html"
+LAST_S = 1.5
+"""Time that the end stays before the player begins again [s]."""
+_ASPECTS = 1.6, 2.1
+"""Of windows with one table and with two."""
+_HOST = "127.0.0.1"
+_CLIENT = "client/build/index.html"
 
 
 def replay_of(
     name: str,
     title: str,
-    tracks: Sequence[Track],
+    sides: Sequence[Recording],
     *,
     sentence: str | None = None,
     opens_s: float = 0.0,
     note: str = "",
 ) -> Replay:
-    """Return what a page needs of an episode, or of two side by side.
+    """Return an episode, or two side by side, for a page.
 
     Args:
         name: Its address within the page.
-        title: What it is called.
-        tracks: From left to right.
-        sentence: What was said; that of the instance if None.
-        opens_s: Simulated time that is looked at first [s].
-        note: What else there is to say.
+        title: Its heading.
+        sides: The episodes, from left to right.
+        sentence: The instruction; that of the instance if None.
+        opens_s: Simulated time that is shown first [s].
+        note: A remark below the sentence.
     """
     if sentence is None:
-        sentence = main_sentence(tracks[0].instance)
-    return Replay(
-        name, title, sentence, serialize(tracks), [*map(_side, tracks)], opens_s, note
-    )
+        sentence = main_sentence(sides[0].instance)
+    return Replay(name, title, sentence, serialize(sides), sides, opens_s, note)
 
 
 def write_folder(folder: Path, replays: Sequence[Replay]) -> Path:
@@ -47,7 +55,7 @@ def write_folder(folder: Path, replays: Sequence[Replay]) -> Path:
 
     Args:
         folder: Where; made if it is missing.
-        replays: What can be looked at.
+        replays: The episodes.
 
     Returns:
         The page.
@@ -56,25 +64,24 @@ def write_folder(folder: Path, replays: Sequence[Replay]) -> Path:
         DatasetError: It cannot be written there.
     """
     for replay in replays:
-        write = partial(_write, replay.recording)
+        write = partial(_write, replay.content)
         write_whole(folder / f"{replay.name}{VISER}", write)
     write_replays(folder / PAGE, replays, client_page())
     return folder / PAGE
 
 
-def write_recording(path: Path, recording: Recording, who: str = EXPERT) -> None:
+def write_recording(path: Path, recording: Recording) -> None:
     """Write a page that plays a recording; its player lies beside it, for others too.
 
     Args:
         path: The HTML file.
         recording: With frames.
-        who: Who acts, in words.
 
     Raises:
         DatasetError: It cannot be written there.
     """
     instance = recording.instance
-    found = replay_of(instance.task, instance.key, [track_of(recording, who)])
+    found = replay_of(instance.task, instance.key, [recording])
     write_replays(path, [found], client_page(), shared=True)
 
 
@@ -82,13 +89,42 @@ def _write(content: bytes, path: Path) -> None:
     path.write_bytes(content)
 
 
-def _side(track: Track) -> Side:
-    steps = [_told(line, track.end_s) for line in track.lines]
-    return Side(track.title, steps, track.verdict, track.solved)
+def serialize(sides: Sequence[Recording]) -> bytes:
+    """Return recordings side by side, as the content of a ``.viser`` file.
+
+    Args:
+        sides: The episode on each table, from left to right.
+    """
+    with _server() as server:
+        tables = SideBySide(server, sides)
+        Viewpoint(server, tables.half_width_m, _ASPECTS[len(sides) > 1])
+        serializer = server.get_scene_serializer()
+        times = sorted({time_s for side in sides for time_s, _ in side.frames})
+        before_s = 0.0
+        for time_s in times:
+            # Clocks of two episodes may differ by less than anybody sees.
+            if time_s - before_s > 0.5 * FRAME_S:
+                serializer.insert_sleep(time_s - before_s)
+                before_s = time_s
+                tables.show(time_s)
+        serializer.insert_sleep(LAST_S)
+        return serializer.serialize()
 
 
-def _told(line: Line, end_s: float) -> Told:
-    ends_s = end_s if line.end_s is None else line.end_s
-    took = f"{ends_s - line.start_s:.1f} s"
-    why = line.explanation or line.outcome.replace("_", " ")
-    return Told(line.words, line.start_s, ends_s, took if line.ok else why, line.ok)
+def client_page() -> str:
+    """Return the player, one HTML file that needs nothing else."""
+    page = (Path(viser.__file__).parent / _CLIENT).read_text("utf-8")
+    return page.replace("</head>", f"{NOTICE_STYLE}</head>", 1)
+
+
+@contextlib.contextmanager
+def _server() -> Iterator[viser.ViserServer]:
+    """Hold a page that nobody opens: a scene can be serialized only from a server."""
+    with socket.socket() as probe:
+        probe.bind((_HOST, 0))
+        port = probe.getsockname()[1]
+    server = open_server(_HOST, port)
+    try:
+        yield server
+    finally:
+        close_server(server)

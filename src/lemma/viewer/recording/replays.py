@@ -1,5 +1,6 @@
-"""Episodes done again to the bit, and what the expert would have done in them."""
+"""Episodes played again to the bit, and what the expert would have done in them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from lemma.dataset.recipe.schema import EpisodeRecord
@@ -8,67 +9,65 @@ from lemma.dataset.teleoperation.schema import LED, Commanded, Teleoperation
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.env.playback import FrameTaker, play_steps
 from lemma.evaluation.analysis.failure_causes import Cause
-from lemma.evaluation.report.episodes import Case, explanation, subtask_words
+from lemma.evaluation.report.episodes import Case, explanation
 from lemma.evaluation.run.replay import differences, play_again
-from lemma.expert.expert import Expert, ExpertStep, solve
-from lemma.motion.outcome import Outcome, SkillResult
+from lemma.expert.expert import Expert, solve
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.status import Line
-from lemma.viewer.recording.track import (
-    BY_HAND,
-    EXPERT,
-    SOLVED,
-    Frames,
-    Track,
-    keep_frames,
-    unsolved,
+from lemma.viz.recording import (
+    FRAME_S,
+    Line,
+    Recording,
+    describe_subtask,
+    line_of,
+    lines_of_case,
 )
-from lemma.viz.recording import describe_subtask
+
+EXPERT = "The expert"
+BY_HAND = "By hand"
 
 
 @dataclass(frozen=True)
 class Replayed:
-    """An episode of a result, done again from its line."""
+    """An episode of a result, played again from its line."""
 
-    track: Track
+    recording: Recording
     differs: str
-    """Where it first differs from the line, in a sentence; ``""`` if nowhere."""
+    """Its first difference from the line, in a sentence; ``""`` if there is none."""
     state_hash: str
     """Of its last state."""
     turn: EpisodeSnapshot
     """The episode before the sub-task that decided it, see :func:`turn_of`."""
     turn_s: float
-    """When that was [s]."""
+    """Simulated time of that [s]."""
     kept: int
-    """How many sub-tasks came before."""
+    """Number of sub-tasks before."""
 
 
-def replay_record(record: EpisodeRecord) -> Track:
-    """Execute what an episode of a recipe executed."""
-    instance = Instance.from_dict(record.instance_data())
-    episode = Episode(instance)
-    taker = keep_frames(episode.simulation)
+def replay_record(record: EpisodeRecord) -> Recording:
+    """Execute the sub-tasks of an episode of a recipe."""
+    episode = Episode(Instance.from_dict(record.instance_data()))
+    taker = FrameTaker(episode.simulation, FRAME_S)
     play_steps(episode, [step.grounded for step in record.subtasks])
     lines = [
-        _line(step.instruction, step.start_s, done.result)
+        line_of(step.instruction, step.start_s, done.result)
         for step, done in zip(record.subtasks, episode.executed, strict=False)
     ]
     episode.stop()
-    return _track(EXPERT, episode, taker.frames, lines)
+    return _recording(EXPERT, episode, taker, lines)
 
 
-def replay_teleoperation(done: Teleoperation) -> tuple[Track, bool]:
-    """Do what a policy and somebody's hand did.
+def replay_teleoperation(done: Teleoperation) -> tuple[Recording, bool]:
+    """Repeat an episode that a policy and somebody's hand played.
 
     Returns:
-        It, and whether it came to the same, to the bit.
+        The episode, and whether it came to the same state, to the bit.
 
     Raises:
-        LemmaError: It cannot be done.
+        LemmaError: It cannot be repeated.
     """
     episode = Episode(done.instance)
-    taker = keep_frames(episode.simulation)
+    taker = FrameTaker(episode.simulation, FRAME_S)
     perform(done, episode)
     starts = [part.start_s for part in done.parts]
     lines = []
@@ -84,10 +83,7 @@ def replay_teleoperation(done: Teleoperation) -> tuple[Track, bool]:
         words = f"The {entity_named(nudged.name).phrase} was moved"
         lines.append(Line(words, nudged.time_s, nudged.time_s, "by hand"))
     lines.sort(key=lambda line: line.start_s)
-    solved = episode.is_success
-    verdict = SOLVED if solved else unsolved(episode.failure)
-    track = Track(BY_HAND, done.instance, taker.frames, tuple(lines), verdict, solved)
-    return track, is_same(done, episode)
+    return _recording(BY_HAND, episode, taker, lines), is_same(done, episode)
 
 
 def turn_of(case: Case) -> int:
@@ -103,84 +99,72 @@ def turn_of(case: Case) -> int:
 
 
 def replay_line(case: Case) -> Replayed:
-    """Execute what a line of a result says was executed.
+    """Execute the sub-tasks of a line of a result.
 
     Args:
         case: An episode that can be repeated.
     """
     row, turn = case.row, turn_of(case)
-    episodes: list[Episode] = []
-    takers: list[FrameTaker] = []
+    watched: list[tuple[Episode, FrameTaker]] = []
     turns: list[tuple[EpisodeSnapshot, float]] = []
 
     def watch(episode: Episode, number: int) -> None:
-        if not episodes:
-            episodes.append(episode)
-            takers.append(keep_frames(episode.simulation))
+        if not watched:
+            watched.append((episode, FrameTaker(episode.simulation, FRAME_S)))
         if number == turn:
-            # Where the policy stopped, the expert does not.
+            # The expert goes on even where the policy stopped.
             now = replace(episode.snapshot(), stopped=False, ended_s=None, verdict=None)
             turns.append((now, episode.simulation.time_s))
 
     again = play_again(row, case.instance, case.about, watch, strictly=True)
     differs = next(differences(row, again, strictly=True), "")
-    lines = tuple(
-        Line(
-            subtask_words(case, step),
-            step["start_s"],
-            step["start_s"] + step["duration_s"],
-            step["outcome"],
-            step["explanation"],
-            step["outcome"] == Outcome.SUCCESS,
-        )
-        for step in row["subtasks"]
+    ((episode, taker),) = watched
+    recording = Recording(
+        case.policy,
+        case.instance,
+        lines_of_case(case),
+        taker.frames,
+        row["success"],
+        row["failure"],
+        row["elapsed_s"],
+        because=explanation(case),
     )
-    verdict = explanation(case) or SOLVED
-    track = Track(
-        case.policy, case.instance, takers[0].frames, lines, verdict, row["success"]
-    )
-    state_hash = episodes[0].simulation.scene.state_hash()
-    return Replayed(track, differs, state_hash, *turns[0], turn)
+    state_hash = episode.simulation.scene.state_hash()
+    return Replayed(recording, differs, state_hash, *turns[0], turn)
 
 
-def expert_instead(case: Case, again: Replayed) -> Track:
+def expert_instead(case: Case, again: Replayed) -> Recording:
     """Let the expert go on from where an episode went wrong.
 
     Args:
         case: The episode.
-        again: The same, done again.
+        again: The same, played again.
     """
     episode = Episode(case.instance, horizon_s=case.about["horizon_s"])
     episode.restore(again.turn)
-    kept = [frame for frame in again.track.frames if frame[0] <= again.turn_s]
-    taker = keep_frames(episode.simulation, kept)
+    kept = [frame for frame in again.recording.frames if frame[0] <= again.turn_s]
+    taker = FrameTaker(episode.simulation, FRAME_S, kept)
     expert = Expert(episode.simulation.scene, case.instance.goal)
-    lines = [*again.track.lines[: again.kept]]
+    lines = [*again.recording.lines[: again.kept]]
     for step in solve(episode, expert):
-        lines.append(_expert_line(step, case.instance))
+        words = describe_subtask(step.subtask, case.instance)
+        lines.append(line_of(words, step.start_s, step.result, step.subtask))
     title = f"{EXPERT}, from sub-task {again.kept + 1} on" if again.kept else EXPERT
-    track = _track(title, episode, taker.frames, lines)
-    if len(lines) == again.kept and not track.solved:
-        return replace(track, verdict="The expert knows no way from there.")
-    return track
+    found = _recording(title, episode, taker, lines)
+    if len(lines) == again.kept and not found.success:
+        return replace(found, because="The expert knows no way from there.")
+    return found
 
 
-def _expert_line(step: ExpertStep, instance: Instance) -> Line:
-    return _line(describe_subtask(step.subtask, instance), step.start_s, step.result)
-
-
-def _line(words: str, start_s: float, result: SkillResult) -> Line:
-    return Line(
-        words,
-        start_s,
-        start_s + result.duration_s,
-        str(result.outcome),
-        result.explanation,
-        result.ok,
+def _recording(
+    title: str, episode: Episode, taker: FrameTaker, lines: Sequence[Line]
+) -> Recording:
+    return Recording(
+        title,
+        episode.instance,
+        tuple(lines),
+        taker.frames,
+        episode.is_success,
+        episode.failure,
+        episode.elapsed_s,
     )
-
-
-def _track(title: str, episode: Episode, frames: Frames, lines: list[Line]) -> Track:
-    done = episode.is_success
-    verdict = SOLVED if done else unsolved(episode.failure)
-    return Track(title, episode.instance, frames, tuple(lines), verdict, done)

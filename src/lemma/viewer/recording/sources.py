@@ -10,14 +10,13 @@ from lemma.dataset.recipe.reader import Recipe, load
 from lemma.dataset.teleoperation.schema import Teleoperation, is_teleoperated
 from lemma.evaluation.report.episodes import Case, cases_of
 from lemma.evaluation.report.policy_results import entries_of, read_results
-from lemma.viewer.recording.pages import replay_of
+from lemma.viewer.recording.pages import client_page, replay_of
 from lemma.viewer.recording.replays import (
     expert_instead,
     replay_line,
     replay_record,
     replay_teleoperation,
 )
-from lemma.viewer.recording.serializer import client_page
 from lemma.viz.pages.replays import Replay, write_replays
 
 
@@ -111,14 +110,14 @@ def _numbered(number: int, case: Case) -> tuple[int, Replay]:
 def replay_of_case(case: Case) -> Replay:
     """Return an episode of a result; one that failed, beside the expert."""
     again = replay_line(case)
-    tracks = [again.track]
+    sides = [again.recording]
     if case.cause is not None:
-        tracks.append(expert_instead(case, again))
+        sides.append(expert_instead(case, again))
     row = case.row
     return replay_of(
         f"{row['instruction_kind']}-{row['task']}-{row['index']}",
         f"{row['task']} {row['index']}, {case.policy}",
-        tracks,
+        sides,
         sentence=row["instruction"],
         opens_s=0.0 if case.cause is None else again.turn_s,
         note=again.differs and f"It went differently here. {again.differs}",
@@ -126,10 +125,10 @@ def replay_of_case(case: Case) -> Replay:
 
 
 def _of_teleoperation(done: Teleoperation, name: str) -> Replay:
-    track, same = replay_teleoperation(done)
+    recording, same = replay_teleoperation(done)
     note = "" if same else "It went differently here."
     title = f"{done.instance.task} {done.instance.index}, by hand"
-    return replay_of(name, title, [track], sentence=done.instruction, note=note)
+    return replay_of(name, title, [recording], sentence=done.instruction, note=note)
 
 
 def _of_record(recipe: Recipe, number: int) -> Replay:

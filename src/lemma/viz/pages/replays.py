@@ -13,31 +13,10 @@ from typing import Any
 from lemma.core.files import write_text
 from lemma.core.version import VERSION as __version__
 from lemma.viz.pages.templates import fill, script_text
+from lemma.viz.recording import Line, Recording
 
 PLAYER = "player.js"
 """Name of the script that pages of one folder share."""
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """A sub-task below the player."""
-
-    words: str
-    start_s: float
-    end_s: float
-    outcome: str
-    """Why it failed, or how long it took."""
-    ok: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Side:
-    """What is told of one table."""
-
-    title: str
-    steps: Sequence[Told]
-    verdict: str
-    solved: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +27,15 @@ class Replay:
     """Of letters, digits, dashes and underscores; follows ``#`` in the address."""
     title: str
     sentence: str
-    recording: bytes
+    """The instruction."""
+    content: bytes
     """Content of a ``.viser`` file."""
-    sides: Sequence[Side]
-    """What happened on each table, from left to right."""
+    sides: Sequence[Recording]
+    """The episodes, from left to right."""
     opens_s: float = 0.0
-    """Simulated time that is looked at first [s]."""
+    """Simulated time that is shown first [s]."""
     note: str = ""
-    """What else there is to say."""
+    """A remark below the sentence; empty for none."""
 
 
 def write_replays(
@@ -65,7 +45,7 @@ def write_replays(
 
     Args:
         path: The HTML file.
-        replays: What can be looked at.
+        replays: The episodes.
         player: HTML of the player.
         shared: Whether the player goes into a script beside the page, for others of
             its folder.
@@ -82,7 +62,7 @@ def write_replays(
         "replays.html",
         title=replays[0].title if len(replays) == 1 else "LEMMA Bench: replays",
         replays=replays,
-        told=[_told(replay) for replay in replays],
+        told=[_data(replay) for replay in replays],
         player="" if shared else script_text(player),
         beside=PLAYER,
         encode=lambda content: base64.b64encode(content).decode(),
@@ -91,8 +71,8 @@ def write_replays(
     write_text(path, page)
 
 
-def _told(replay: Replay) -> dict[str, Any]:
-    """Return what the page's script needs to know, ready for JSON."""
+def _data(replay: Replay) -> dict[str, Any]:
+    """Return the data of the page's script, ready for JSON."""
     return {
         "name": replay.name,
         "title": replay.title,
@@ -103,18 +83,22 @@ def _told(replay: Replay) -> dict[str, Any]:
             {
                 "title": side.title,
                 "verdict": side.verdict,
-                "solved": side.solved,
-                "steps": [
-                    {
-                        "words": step.words,
-                        "start": round(step.start_s, 3),
-                        "end": round(step.end_s, 3),
-                        "outcome": step.outcome,
-                        "ok": step.ok,
-                    }
-                    for step in side.steps
-                ],
+                "solved": side.success,
+                "steps": [_step(line, side.end_s) for line in side.lines],
             }
             for side in replay.sides
         ],
+    }
+
+
+def _step(line: Line, end_s: float) -> dict[str, Any]:
+    ends_s = end_s if line.end_s is None else line.end_s
+    took = f"{ends_s - line.start_s:.1f} s"
+    why = line.explanation or line.outcome.replace("_", " ")
+    return {
+        "words": line.words,
+        "start": round(line.start_s, 3),
+        "end": round(ends_s, 3),
+        "outcome": took if line.ok else why,
+        "ok": line.ok,
     }

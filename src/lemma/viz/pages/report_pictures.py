@@ -1,6 +1,6 @@
 """Pictures and videos of failed episodes, done again from their lines."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,22 +11,21 @@ from lemma.core.poses import FloatArray
 from lemma.core.workers.pool import ProcessPool
 from lemma.env.episode import Episode
 from lemma.env.playback import FrameTaker
-from lemma.evaluation.report.episodes import Case, subtask_words
+from lemma.evaluation.report.episodes import Case
 from lemma.evaluation.run.replay import differences, play_again
 from lemma.expert.grounding import GeometricGrounder
 from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import SymbolicState
-from lemma.motion.outcome import Outcome
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.raster import RASTER
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
-from lemma.tasks.subtask import GroundedSubTask, SubTask
+from lemma.tasks.subtask import GroundedSubTask
 from lemma.viz.annotate import LIGHT, Canvas, Color, Point, label_plate
 from lemma.viz.camera_fit import outline, overview
 from lemma.viz.map_overlay import annotated_map
 from lemma.viz.pages.templates import jpeg
-from lemma.viz.recording import RecordedStep, Recording, robot_titles
+from lemma.viz.recording import Frames, Recording, lines_of_case, robot_titles
 from lemma.viz.video import VideoStyle, write_video
 
 MAP_PX = 640
@@ -110,9 +109,7 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
         if number == moment:
             choices[0] = _expert_choice(episode)
         if number == 0 and video is not None:
-            simulation = episode.simulation
-            look = simulation.scene.snapshot
-            takers.append(FrameTaker(simulation, style.frame_s, look))
+            takers.append(FrameTaker(episode.simulation, style.frame_s))
 
     again = play_again(case.row, case.instance, case.about, before, strictly=True)
     differs = next(differences(case.row, again, strictly=True), "")
@@ -122,9 +119,7 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
     views = _views(scene, [states[at], states[last]])
     scene.restore(states[at])
     own = steps[moment] if moment < len(steps) else None
-    chosen = (
-        GroundedSubTask.from_dict(own["grounded"]) if own and own["grounded"] else None
-    )
+    chosen = GroundedSubTask.from_dict(own["grounded"]) if own and own["grounded"] else None
     top = _map(case, scene, chosen, choices[0])
     if video is not None:
         video.parent.mkdir(parents=True, exist_ok=True)
@@ -217,35 +212,16 @@ def _pixel(x: float, y: float, size: tuple[int, int]) -> Point:
     return min(max(across, 8.0), size[0] - 8.0), min(max(down, 8.0), size[1] - 8.0)
 
 
-def _recording(case: Case, frames: Sequence[tuple[float, FloatArray]]) -> Recording:
-    """Return what a video is made of; its caption says what the policy was told."""
+def _recording(case: Case, frames: Frames) -> Recording:
+    """Return the episode of a video, whose caption says what the policy was told."""
     row, instance = case.row, case.instance
-    titles = dict(zip(instance.scene.robot_names, robot_titles(instance), strict=True))
+    said = {**instance.instructions, "high_level": row["instruction"]}
     return Recording(
-        instance=replace(
-            instance,
-            instructions={**instance.instructions, "high_level": row["instruction"]},
-        ),
-        steps=tuple(_step(case, step, titles) for step in row["subtasks"]),
-        frames=tuple(frames),
-        success=row["success"],
-        failure=row["failure"],
-        elapsed_s=row["elapsed_s"],
-        # Packed lines do not say how long it took.
-        wall_s=max(row.get("wall_s", row["elapsed_s"]), 1e-3),
-    )
-
-
-def _step(
-    case: Case, step: Mapping[str, str], titles: Mapping[str, str]
-) -> RecordedStep:
-    return RecordedStep(
-        robot=titles[step["robot"]],
-        subtask=SubTask.from_dict(dict(step)),
-        words=subtask_words(case, step),
-        outcome=step["outcome"],
-        explanation=step["explanation"],
-        ok=step["outcome"] == Outcome.SUCCESS,
-        start_s=float(step["start_s"]),
-        duration_s=float(step["duration_s"]),
+        case.policy,
+        replace(instance, instructions=said),
+        lines_of_case(case),
+        frames,
+        row["success"],
+        row["failure"],
+        row["elapsed_s"],
     )

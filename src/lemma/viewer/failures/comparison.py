@@ -1,4 +1,4 @@
-"""What is looked at: one episode and another, done again in a thread of its own."""
+"""An episode beside another, both played again in a thread of its own."""
 
 import threading
 from collections import OrderedDict
@@ -8,7 +8,7 @@ from pathlib import Path
 from lemma.core.errors import LemmaError
 from lemma.evaluation.report.episodes import Case
 from lemma.viewer.recording.replays import Replayed, expert_instead, replay_line
-from lemma.viewer.recording.track import Track
+from lemma.viz.recording import Recording
 
 _KEPT = 16
 NOT_SAID = (
@@ -18,54 +18,54 @@ NOT_SAID = (
 
 
 @dataclass(frozen=True)
-class Sight:
+class Comparison:
     """One episode beside another."""
 
     case: Case
-    tracks: tuple[Track, ...]
+    sides: tuple[Recording, ...]
     """From left to right; none where nothing can be shown."""
     opens_s: float = 0.0
     """The moment at which it went wrong [s]."""
     note: str = ""
-    """What else there is to say."""
+    """A remark, such as why nothing can be shown."""
 
 
-class Viewing:
-    """Does episodes again, the last that was asked for; safe to use from any thread."""
+class Replayer:
+    """Plays episodes again, the last one that was asked for; thread-safe."""
 
     def __init__(self) -> None:
-        """Begin with nothing to see."""
+        """Start the thread."""
         self._changed = threading.Condition()
         self._asked: tuple[Case, Case | None] | None = None
-        self._sight: Sight | None = None
+        self._comparison: Comparison | None = None
         self._busy = self._closed = False
         self._done: OrderedDict[tuple[str, Path, str], Replayed] = OrderedDict()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     @property
-    def sight(self) -> Sight | None:
-        """What is there to see; a new object whenever that changes."""
-        return self._sight
+    def comparison(self) -> Comparison | None:
+        """The newest comparison; a new object whenever it changes."""
+        return self._comparison
 
     @property
     def busy(self) -> bool:
-        """Whether something else comes soon."""
+        """Whether another one is being made."""
         return self._busy
 
     def ask(self, case: Case, other: Case | None = None) -> None:
-        """Look at an episode.
+        """Compare an episode.
 
         Args:
-            case: Which.
-            other: What somebody else did; what the expert would have done if None.
+            case: The episode.
+            other: Another policy's; the expert goes on from the mistake if None.
         """
         with self._changed:
             self._asked, self._busy = (case, other), True
             self._changed.notify_all()
 
     def close(self) -> None:
-        """End the thread, after what it does now."""
+        """End the thread after its present work."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -79,17 +79,17 @@ class Viewing:
                     return
                 (case, other), self._asked = self._asked, None
             try:
-                sight = self._look(case, other)
+                comparison = self._look(case, other)
             except Exception as error:
-                # Whatever it is, the page is there to say it.
+                # The page reports any error, and stays alive.
                 what = str(error) if isinstance(error, LemmaError) else repr(error)
-                sight = Sight(case, (), note=what)
+                comparison = Comparison(case, (), note=what)
             with self._changed:
-                self._sight, self._busy = sight, self._asked is not None
+                self._comparison, self._busy = comparison, self._asked is not None
 
-    def _look(self, case: Case, other: Case | None) -> Sight:
+    def _look(self, case: Case, other: Case | None) -> Comparison:
         if not case.is_repeatable or (other and not other.is_repeatable):
-            return Sight(case, (), note=NOT_SAID)
+            return Comparison(case, (), note=NOT_SAID)
         again = self._again(case)
         notes = [again.differs]
         if other is None:
@@ -97,9 +97,9 @@ class Viewing:
         else:
             found = self._again(other)
             notes.append(found.differs)
-            beside = found.track
+            beside = found.recording
         note = " ".join(f"It went differently here. {text}" for text in notes if text)
-        return Sight(case, (again.track, beside), again.turn_s, note)
+        return Comparison(case, (again.recording, beside), again.turn_s, note)
 
     def _again(self, case: Case) -> Replayed:
         key = case.policy, case.lines, case.name
@@ -111,20 +111,20 @@ class Viewing:
 
 
 class Cursor:
-    """A moment that moves."""
+    """The moment that is shown."""
 
     def __init__(self) -> None:
-        """Stand at the beginning of nothing."""
+        """Stand still at 0 s."""
         self.at_s = self.end_s = 0.0
         self.speed = 1.0
         self.playing = False
 
     def open(self, at_s: float, end_s: float) -> None:
-        """Stand at a moment of something else [s]."""
+        """Stand at a moment of another comparison [s]."""
         self.at_s, self.end_s, self.playing = at_s, end_s, False
 
     def play(self) -> None:
-        """Move on; from the beginning if it stands at the end."""
+        """Move on, from the beginning if it stands at the end."""
         if self.at_s >= self.end_s:
             self.at_s = 0.0
         self.playing = True
@@ -134,7 +134,7 @@ class Cursor:
         self.at_s, self.playing = min(max(at_s, 0.0), self.end_s), False
 
     def advance(self, real_s: float) -> None:
-        """Move, if it moves, by some real time [s]."""
+        """Move by some real time [s], unless it stands still."""
         if self.playing:
             self.at_s = min(self.at_s + real_s * self.speed, self.end_s)
             self.playing = self.at_s < self.end_s
