@@ -106,20 +106,9 @@ def change_table(page: Page, browser: Browser) -> None:
     browser.drag(at, at)
 
 
-def show_picture(name: str, time_s: float = 0.0) -> Callable[[Page, Browser], None]:
-    """Return what shows a picture beside the scene."""
-
-    def show(page: Page, browser: Browser) -> None:
-        page.panel.picture.value = name
-        if time_s:
-            pause_at(time_s)(page, browser)
-
-    return show
-
-
-def darken(page: Page, browser: Browser) -> None:
-    """Choose the dark theme."""
-    page.panel.dark.value = True
+def show_map(page: Page, browser: Browser) -> None:
+    """Show the map in the panel."""
+    page.panel.picture.value = MAP
 
 
 STACK = EpisodeRequest("stack", "test", 0)
@@ -129,23 +118,13 @@ SHOTS = {
     "play": Shot(POKES, pause_at(13.6), (1280, 760), overlays=("names", "reach")),
     "play_table": Shot(STACK, change_table, scroll_to="Table"),
     "play_by_hand": Shot(STACK, take_over, scroll_to="Episode"),
-    "play_reach": Shot(
-        HOOKS, show_picture(MAP), scroll_to="Table", overlays=("names", "reach")
-    ),
+    "play_reach": Shot(HOOKS, show_map, scroll_to="Table", overlays=("names", "reach")),
     "play_why": Shot(
         replace(STACK, policy="reachnet"),
         pause_at(7.5),
         scroll_to="Speed",
         overlays=("names", "perceived", "path"),
     ),
-    "play_picture": Shot(
-        STACK,
-        show_picture("robot_0", 3.5),
-        (1100, 860),
-        scroll_to="Show",
-        overlays=("names", "contacts"),
-    ),
-    "play_dark": Shot(replace(HOOKS, policy="reachnet"), darken),
     "play_phone": Shot(HOOKS, lambda page, browser: None, PHONE),
 }
 FAILURES = "failures"

@@ -11,9 +11,8 @@ from lemma.core.poses import Pose2
 from lemma.tasks.instance import OWN_SPLIT
 from lemma.tasks.rules import problems
 from lemma.tasks.suite import load_instance
-from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.session import Session, moved
 from lemma.viewer.episode.status import Phase
-from lemma.viewer.episode.tables import moved
 
 INSTANCE = load_instance("stack", "test", 0)
 ((TOP, BOTTOM),) = INSTANCE.goal.pairs

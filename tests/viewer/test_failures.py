@@ -76,15 +76,15 @@ def test_failure_opens_where_it_went_wrong(page: FailurePage) -> None:
         page.panel.cause.value = wanted
         page.panel.list()
         seen(page)
-        sight = page.replayer.comparison
-        assert sight is not None
-        assert sight.case.cause is not None
-        assert words(sight.case.cause) == wanted
-        policy, expert = sight.sides
+        found = page.replayer.comparison
+        assert found is not None
+        assert found.case.cause is not None
+        assert words(found.case.cause) == wanted
+        policy, expert = found.sides
         assert policy.title == OTHER
         assert not policy.success
         assert expert.success
-        at_s = sight.case.row["subtasks"][sight.case.mistake or 0]["start_s"]
+        at_s = found.case.row["subtasks"][found.case.mistake or 0]["start_s"]
         assert page.cursor.at_s >= at_s - 0.01
         assert not page.cursor.playing
 
@@ -111,12 +111,14 @@ def test_two_policies_stand_side_by_side(page: FailurePage) -> None:
     page.panel.beside.value = page.panel.beside.options[1]
     page.panel.look()
     seen(page)
-    sight = page.replayer.comparison
-    assert sight is not None
-    one, other = sight.sides
+    found = page.replayer.comparison
+    assert found is not None
+    one, other = found.sides
     assert one.title == OTHER
     assert other.title == page.panel.beside.value != EXPERT
-    assert one.times == other.times
+    assert [time_s for time_s, _ in one.frames] == [
+        time_s for time_s, _ in other.frames
+    ]
 
 
 def test_motor_commands_cannot_be_done_again(

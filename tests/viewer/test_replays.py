@@ -64,7 +64,7 @@ def test_line_gives_the_very_episode(
 
 def test_line_that_lies_is_found_out(cases: dict[int, Case]) -> None:
     row = {**cases[0].row, "elapsed_s": 1.0}
-    assert "elapsed s" in replay_line(replace(cases[0], row=row)).differs
+    assert "elapsed_s" in replay_line(replace(cases[0], row=row)).differs
 
 
 def test_motor_commands_are_in_no_line(cases: dict[int, Case]) -> None:

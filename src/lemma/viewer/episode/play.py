@@ -1,12 +1,18 @@
-"""One episode that somebody looks at: a thread of its own that sets the table and acts.
+"""One episode on the page: a thread of its own sets the table, and acts.
 
-Nothing here is shared between two plays but loaded policies: a play whose policy hangs
-is left behind, and the next one begins beside it.
+The thread goes through ``Phase`` from setting the table to an end. Other threads ask
+for changes in three ways, and the simulation carries them out between two ticks:
+the transport lets it go on or wait, :meth:`Play.nudge` moves a thing, and
+:meth:`Play.take_over` breaks off a sub-task, so that a visitor leads.
+
+Two plays share loaded policies alone. A play whose policy hangs is left behind, and the
+next one begins beside it.
 """
 
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.poses import Pose2
@@ -54,8 +60,17 @@ class Moved:
     """Why it could not be moved; empty if it was."""
 
 
+class _Leader(Enum):
+    """Who decides about the robots."""
+
+    POLICY = auto()
+    ASKED = auto()
+    """Still the policy; a visitor follows when the simulation next asks."""
+    VISITOR = auto()
+
+
 class Play:
-    """An episode in the making."""
+    """An episode of the page; safe to use from any thread."""
 
     def __init__(
         self,
@@ -71,7 +86,7 @@ class Play:
         Args:
             request: What is asked for.
             load: Loads policies.
-            acts: Whether to go on and act; else the table is set, and no more.
+            acts: Whether to act; else the table is set, and no more.
             steps: Whether to pause after the first sub-task.
             speed: How many times real time it is played.
         """
@@ -86,9 +101,11 @@ class Play:
         self._insight: Insight | None = None
         self.teleoperator: Teleoperator | None = None
         """Of a visitor who leads, or led last; None if nobody has."""
-        self._log, self._controls = EpisodeLog(), False
+        self._log = EpisodeLog()
+        self._controls = False
+        """Whether the policy commands motors, so that nobody can take over."""
         self._taking = threading.Lock()
-        self._asked = self._leads = False
+        self._leader = _Leader.POLICY
         self.led_first = ""
         """Name of the robot that was acting when a visitor took over."""
         self._goal_is_known = True
@@ -125,11 +142,8 @@ class Play:
     @property
     def is_led(self) -> bool:
         """Whether a visitor leads the robots."""
-        return (
-            self._leads
-            and self.teleoperator is not None
-            and not self.teleoperator.is_done
-        )
+        led = self._leader is _Leader.VISITOR
+        return led and self.teleoperator is not None and not self.teleoperator.is_done
 
     @property
     def _goes_on(self) -> bool:
@@ -139,7 +153,8 @@ class Play:
     @property
     def can_be_taken_over(self) -> bool:
         """Whether a visitor could lead from now on."""
-        return self._goes_on and not (self._asked or self._leads or self._controls)
+        policy = self._leader is _Leader.POLICY
+        return self._goes_on and policy and not self._controls
 
     @property
     def can_hand_back(self) -> bool:
@@ -163,12 +178,12 @@ class Play:
                 "policy 'by hand' to lead from the beginning."
             )
         with self._taking:
-            # Of two visitors who press at the same time, one leads.
+            # Two visitors may press at the same time: one leads.
             if not self.can_be_taken_over:
                 raise InvalidConfigError(
                     "Robots are taken over while an episode goes on, and nobody leads."
                 )
-            self._asked, self.teleoperator = True, Teleoperator()
+            self._leader, self.teleoperator = _Leader.ASKED, Teleoperator()
             self.transport.interrupt()
 
     def hand_back(self) -> None:
@@ -185,7 +200,7 @@ class Play:
         """
         if self._controls and self.teleoperator is None:
             raise InvalidConfigError("Motor commands of policies are not kept.")
-        # Between what a visitor changes and the state that comes of it is nothing.
+        # The log and the state belong together: no visitor changes them meanwhile.
         with self.transport.changing:
             latest = self.transport.latest
             if self.instance is None or latest is None or not self._log.by_hand:
@@ -228,11 +243,11 @@ class Play:
         except AbandonedError:
             pass
         except Exception as error:
-            # Whatever it is, the page is there to say it.
+            # The page reports any error, and stays alive.
             what = str(error) if isinstance(error, LemmaError) else repr(error)
             self._board.tell(Phase.BROKEN, note=what)
         finally:
-            self._leads = False
+            self._leader = _Leader.POLICY
             self.transport.finish()
 
     def _set_table(self) -> Rollout:
@@ -274,7 +289,7 @@ class Play:
             rollout = player.begin(rollout.instance, rollout.kind, rollout.control)
             self._watch(rollout)
         if isinstance(player.policy, Teleoperator):
-            self.teleoperator, self._leads = player.policy, True
+            self.teleoperator, self._leader = player.policy, _Leader.VISITOR
             self._log.lead(self.teleoperator, rollout.episode.elapsed_s)
         try:
             if not self._read(rollout, player):
@@ -289,7 +304,7 @@ class Play:
                 except InterruptedEpisodeError:
                     if not rollout.episode.is_over:
                         self._lead(rollout)
-                    # Else robots stand still, to be judged: nobody can lead them.
+                    # An episode that is over cannot be led: it is judged.
                     rollout.episode.conclude()
             self._board.conclude(rollout, known=self._goal_is_known)
         finally:
@@ -308,11 +323,11 @@ class Play:
         self.explanations = (*self.explanations, Explanation(now_s))
         self._board.end(now_s, "taken over")
         self._board.begin(Phase.LED, "You lead the robots", now_s)
-        self._leads, self._asked = True, False
+        self._leader = _Leader.VISITOR
         try:
             teleoperator.take_over(episode)
         finally:
-            self._leads = False
+            self._leader = _Leader.POLICY
         end_s = episode.elapsed_s
         self._board.end(end_s, "by hand")
         self.transport.mark(end_s)
@@ -341,7 +356,7 @@ class Play:
         return True
 
     def _decided(self, decision: Decision | Actions | None) -> None:
-        """Say what is about to happen; None while it is being decided."""
+        """Report a decision before it is carried out; None: the policy is asked."""
         if decision is None:
             self._board.tell(Phase.DECIDING)
             return
@@ -362,11 +377,11 @@ class Play:
             self._board.begin(Phase.ACTING, words, episode.elapsed_s)
 
     def _explained(self, insight: Insight) -> None:
-        """Keep why something is about to happen."""
+        """Keep the policy's reasons until its decision is reported."""
         self._insight = insight
 
     def explanation(self) -> Explanation:
-        """Return why and how what is looked at is done."""
+        """Return why and how the sub-task at the cursor is done."""
         now_s = self.transport.cursor_s + FRAME_S
         before = (each for each in reversed(self.explanations) if each.time_s <= now_s)
         return next(before, NOTHING)

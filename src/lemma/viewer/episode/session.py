@@ -11,11 +11,13 @@ from lemma.evaluation.run.control.rollout import load_player as load_any
 from lemma.evaluation.run.rollout import Player
 from lemma.policies.control.interfaces import is_model_server
 from lemma.policies.spec import PolicySpec
+from lemma.scene.spec import RobotPlacement, SceneSpec
+from lemma.scene.table import Gap
 from lemma.serve.websocket import is_address
-from lemma.tasks.instance import Instance
+from lemma.tasks.instance import OWN_SPLIT, Instance
+from lemma.tasks.sampling import gap_beyond
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.request import EpisodeRequest
-from lemma.viewer.episode.tables import moved
 from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 
 _PATIENCE_S = 1.0
@@ -170,3 +172,44 @@ class Session:
                 if callable(close):
                     close()
             self._loaded.clear()
+
+
+def moved(instance: Instance, name: str, pose: Pose2) -> Instance:
+    """Return an instance in which a robot or an object begins elsewhere.
+
+    Args:
+        instance: Any.
+        name: Of the robot or object.
+        pose: Where it shall stand or lie.
+
+    Raises:
+        InvalidConfigError: That is nowhere in the room.
+        UnknownNameError: There is no such thing.
+    """
+    scene, pose = instance.scene, pose.rounded()
+    if name in scene.robot_names:
+        number = scene.robot_names.index(name)
+        robots = tuple(
+            replace(robot, base=pose) if i == number else robot
+            for i, robot in enumerate(scene.robots)
+        )
+        spec = replace(scene, robots=robots, gap_m=_gap_for(scene, robots))
+    else:
+        placed = scene.placement(name)
+        objects = tuple(
+            replace(placed, pose=pose) if other is placed else other
+            for other in scene.objects
+        )
+        spec = replace(scene, objects=objects)
+    return replace(instance, scene=spec, split=OWN_SPLIT)
+
+
+def _gap_for(before: SceneSpec, robots: tuple[RobotPlacement, ...]) -> Gap | None:
+    """Return the gap of a table, moved along with the robot that it keeps away."""
+    gap = before.gap_m
+    if gap is None or len(robots) != 2:
+        return gap
+    user = min(
+        (0, 1), key=lambda robot: abs(gap_beyond(before.robots, robot)[0] - gap[0])
+    )
+    return gap_beyond(robots, user)

@@ -119,7 +119,9 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
     views = _views(scene, [states[at], states[last]])
     scene.restore(states[at])
     own = steps[moment] if moment < len(steps) else None
-    chosen = GroundedSubTask.from_dict(own["grounded"]) if own and own["grounded"] else None
+    chosen = (
+        GroundedSubTask.from_dict(own["grounded"]) if own and own["grounded"] else None
+    )
     top = _map(case, scene, chosen, choices[0])
     if video is not None:
         video.parent.mkdir(parents=True, exist_ok=True)
