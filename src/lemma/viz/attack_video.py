@@ -40,7 +40,7 @@ def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording
     if commands is not None:
         config = control_config(instance.task)
         what = ["motor commands"]
-        steps = [MotorCommands(config.control, config.control_hz, commands)]
+        steps = [MotorCommands(config.control, config.control_hz, list(commands))]
     play_steps(
         episode,
         steps,
