@@ -15,7 +15,6 @@ from lemma.evaluation.report.policy_results import (
 )
 from lemma.evaluation.report.sections import HOW, page, protocol_words, sample_words
 from lemma.evaluation.report.success_tables import at_a_glance
-from lemma.evaluation.report.tables import markdown
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
@@ -53,7 +52,7 @@ def headline(results: Path = RESULTS) -> str:
         return NOTHING
     how = f"[{HOW}](docs/results.md#{'-'.join(HOW.lower().split())})"
     told = f"{protocol_words(played, how)} {sample_words(played)}".strip()
-    return f"{told}\n\n{markdown(at_a_glance(played))}"
+    return f"{told}\n\n{at_a_glance(played).markdown()}"
 
 
 def readme(results: Path = RESULTS) -> str:

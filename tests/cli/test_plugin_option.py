@@ -14,7 +14,7 @@ from lemma.cli.main import main, split_plugins
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.dataset.instructions import draw_instruction
 from lemma.dataset.recipe.generate import GenerateConfig
-from lemma.evaluation.run.evaluate import EvaluationConfig
+from lemma.evaluation.run.config import EvaluationConfig
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.instance import BENCHMARK_VERSION
 from lemma.tasks.language.bank import bank_for

@@ -16,7 +16,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
 from lemma.env.view import View
-from lemma.evaluation.run.evaluate import EvaluationConfig
+from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.loading import load_policy
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.compose import (

@@ -21,7 +21,8 @@ from lemma.core.workers.serial import Serial
 from lemma.evaluation.lines import read_rows
 from lemma.evaluation.records import ABOUT, EPISODES, Row
 from lemma.evaluation.run import loading
-from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.evaluation.run.config import EvaluationConfig
+from lemma.evaluation.run.evaluate import evaluate
 from lemma.policies.spec import PolicySpec
 from lemma.serve.conversation import ProtocolMode
 from lemma.serve.faults import PolicyUnreachableError

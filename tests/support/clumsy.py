@@ -8,7 +8,8 @@ from lemma.core.poses import Pose2
 from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.records import SUMMARY, read_about
-from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.evaluation.run.config import EvaluationConfig
+from lemma.evaluation.run.evaluate import evaluate
 from lemma.policies.interfaces import Decision, Oracle, OracleInput, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
 from lemma.policies.spec import PolicySpec

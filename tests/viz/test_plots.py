@@ -207,7 +207,7 @@ def test_figures_show_results_and_the_paper(tmp_path: Path) -> None:
     assert f"{title}, pass: 50.0% (24%–76%), 5 of 10; the paper: 87.00 ± 0.67 %" in said
     # The paper's mean is over all eight.
     assert f"{title}, mean of 2: 75.0% (53%–89%), 15 of 20" in said
-    assert "ReachNet (ours), pass: 100.0% (72%–100%), 10 of 10" in said
+    assert "ReachNet, pass: 100.0% (72%–100%), 10 of 10" in said
     said = words_of(figures["success-by-distractors-high-level"].svg)
     assert f"{title}, 2: 100.0% (72%–100%), 10 of 10" in said
     assert words_of(figures["causes-high-level"].svg) == [f"{title}: wrong robot 25.0%"]

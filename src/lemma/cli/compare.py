@@ -4,13 +4,21 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from lemma.cli.options import JsonFlag, messages, output, print_json
+from lemma.core.tables import Table
 from lemma.evaluation.analysis.comparison import Comparison
 from lemma.evaluation.analysis.comparison import compare as run
 
+_HEADER = (
+    "success [%]",
+    "1st",
+    "2nd",
+    "difference (95 %)",
+    "only 1st",
+    "only 2nd",
+    "p",
+)
 ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 """What ``lemma evaluate`` or ``lemma reproduce`` wrote."""
 
@@ -47,16 +55,13 @@ def compare(
             }
         )
         return 0
-    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    shown.add_column("success [%]", style="bold", no_wrap=True)
-    for heading in ("1st", "2nd", "difference (95 %)", "only 1st", "only 2nd", "p"):
-        shown.add_column(heading, justify="right", no_wrap=True)
+    rows = []
     for kind, by_task in found.items():
         for task, one in by_task.items():
             # Last of a kind, all of its tasks once more, leniently.
             name = kind.replace("_", "-") if task == "all" else f"  {task}"
-            shown.add_row(name, *_cells(one), style="" if task == "all" else "dim")
-    output().print(shown)
+            rows.append((name, *_cells(one)))
+    output().print(Table(_HEADER, tuple(rows)).terminal())
     return 0
 
 

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from lemma.cli.options import (
     Arguments,
@@ -27,7 +25,7 @@ from lemma.policies.interfaces import TIMEOUT_S
 if TYPE_CHECKING:
     from lemma.evaluation.analysis.result import Cell, Result
     from lemma.evaluation.records import Row
-    from lemma.evaluation.run.evaluate import EvaluationConfig
+    from lemma.evaluation.run.config import EvaluationConfig
     from lemma.policies.planners.chat import ChatOptions
 
 _ALL = "all"
@@ -148,6 +146,7 @@ def evaluate(
     # Imported here, so that help does not wait for it.
     from lemma.evaluation.analysis.result import summarise
     from lemma.evaluation.records import SUMMARY, read_about
+    from lemma.evaluation.report.success_tables import rates
     from lemma.evaluation.run.evaluate import evaluate as run
     from lemma.evaluation.run.protocol import NAME, departures
 
@@ -162,7 +161,7 @@ def evaluate(
     if as_json:
         print_json(_rates(result.cells, config.kinds))
     else:
-        output().print(table(result.cells))
+        output().print(rates(result.cells).terminal())
         for line in effort_lines(result):
             output().print(line)
     return 0
@@ -173,7 +172,7 @@ def _config(
 ) -> "EvaluationConfig":
     """Return what the options mean."""
     from lemma.evaluation.evaluation import named_at
-    from lemma.evaluation.run.evaluate import EvaluationConfig
+    from lemma.evaluation.run.config import EvaluationConfig
     from lemma.policies.spec import PolicySpec
     from lemma.tasks.instance import OWN_SPLIT, Instance
     from lemma.tasks.language.blind import kinds_of
@@ -264,7 +263,8 @@ def complain_of(rows: "list[Row]") -> None:
 
 
 def _names(text: str, every: tuple[str, ...]) -> tuple[str, ...]:
-    return every if text == _ALL else tuple(text.split(","))
+    listed = tuple(name.strip() for name in text.split(","))
+    return every if listed == (_ALL,) else listed
 
 
 def _rates(
@@ -283,21 +283,3 @@ def _rates(
             "lenient_success_rate": later.success_rate if later else None,
         }
     return found
-
-
-def table(cells: "tuple[Cell, ...]") -> Table:
-    """Return success rates [%] for a terminal: tasks down, kinds across."""
-    from lemma.evaluation.report.success_tables import rates
-
-    found = rates(cells)
-    first, *kinds = found.header
-    # Four kinds fit into 80 columns without the edge.
-    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
-    shown.add_column(first, style="bold", no_wrap=True)
-    for kind in kinds:
-        shown.add_column(kind, justify="right", no_wrap=True)
-    for number, row in enumerate(found.rows):
-        if number == len({cell.task for cell in cells}):
-            shown.add_section()
-        shown.add_row(*row)
-    return shown

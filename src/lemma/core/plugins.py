@@ -58,6 +58,20 @@ def load_plugins(names: Iterable[str] = ()) -> tuple[str, ...]:
     return tuple(_loaded)
 
 
+def plugin_words() -> list[str]:
+    """Return the words of a command that load the same plugins, files by their name.
+
+    Installed plugins are loaded without a word.
+    """
+    installed = {entry.value for entry in _installed()}
+    names = [name for name in _loaded if name not in installed]
+    return [
+        word
+        for name in names
+        for word in ("--plugin", Path(name).name if name.endswith(".py") else name)
+    ]
+
+
 @cache
 def _installed() -> tuple[EntryPoint, ...]:
     return tuple(entry_points(group=GROUP))

@@ -13,8 +13,7 @@ from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.result import Result, summarise
 from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
 from lemma.evaluation.report.success_tables import rates
-from lemma.evaluation.report.tables import markdown
-from lemma.evaluation.run.evaluate import VERDICTS, EvaluationConfig
+from lemma.evaluation.run.config import VERDICTS, EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate as play
 from lemma.policies.planners.registry import is_planner
 from lemma.policies.spec import (
@@ -55,7 +54,7 @@ class Evaluation:
 
     def __str__(self) -> str:
         """Return success rates [%] by task and kind of instruction, in Markdown."""
-        told = markdown(rates(self.result.cells))
+        told = rates(self.result.cells).markdown()
         if self.errors:
             told += (
                 f"\n{len(self.errors)} of {len(self.rows)} episodes failed because the "

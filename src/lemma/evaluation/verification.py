@@ -22,7 +22,8 @@ from lemma.evaluation.analysis.result import Result, check_lines, read_result
 from lemma.evaluation.experiments.catalog import EXPERIMENTS
 from lemma.evaluation.lines import lines_at, lines_in, read_lines, result_beside
 from lemma.evaluation.records import SUMMARY, Row, check_about, key_of, read_about
-from lemma.evaluation.run.evaluate import VERDICTS, start_of
+from lemma.evaluation.run.config import VERDICTS
+from lemma.evaluation.run.evaluate import start_of
 from lemma.evaluation.run.loading import learned_parts
 from lemma.evaluation.run.protocol import NAME, quote
 from lemma.evaluation.run.replay import differences, play_again

@@ -6,15 +6,17 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from made_up import result
+from made_up import ABOUT, result, row
 
 import results
 from lemma.cli.report import report as verb
 from lemma.core.errors import DatasetError
-from lemma.evaluation.analysis.result import Asked, Result
+from lemma.core.tables import Table
+from lemma.evaluation.analysis.result import Asked, Result, summarise
 from lemma.evaluation.report import success_tables, tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
+    NOTHING,
     PolicyResults,
     entries_of,
     read_results,
@@ -36,14 +38,14 @@ def anybody(policy: str) -> Result:
     return replace(made, experiment="", about=about)
 
 
-def cells(table: tables.ResultTable, title: str) -> dict[str, str]:
+def cells(table: Table, title: str) -> dict[str, str]:
     (found,) = [line for line in table.rows if line[0] == title]
     return dict(zip(table.header, found, strict=True))
 
 
 def test_one_seed_has_wilson_intervals() -> None:
     entry = entry_of(result(5))
-    found = cells(success_tables.by_task([entry], "high_level"), "ReachNet (ours)")
+    found = cells(success_tables.by_task([entry], "high_level"), "ReachNet")
     assert found["pass"] == "50.0 (24–76)"
     assert found["mean"] == "50.0 (30–70) †"
     # Nobody played the other tasks.
@@ -52,7 +54,7 @@ def test_one_seed_has_wilson_intervals() -> None:
 
 def test_several_seeds_have_a_spread() -> None:
     entry = entry_of(result(6, seed=1), result(4, seed=0), result(8, seed=2))
-    found = cells(success_tables.by_task([entry], "high_level"), "ReachNet (ours)")
+    found = cells(success_tables.by_task([entry], "high_level"), "ReachNet")
     assert (found["pass"], found["mean"]) == ("60.0 ± 20.0", "60.0 ± 20.0 †")
     assert [one.seed for one in entry.results] == [0, 1, 2]
 
@@ -115,7 +117,7 @@ def test_ablations_have_a_table_of_their_own() -> None:
         ("no palette swap", "30.0 (15–52) †", "20"),
     ]
     titles = [line[0] for line in success_tables.by_task(entries, "high_level").rows]
-    assert titles == ["ReachNet (ours)", "*lenient*"]
+    assert titles == ["ReachNet", "*lenient*"]
 
 
 def test_results_are_found_in_folders(tmp_path: Path) -> None:
@@ -166,7 +168,7 @@ def test_controls_of_language_stand_in_one_row() -> None:
     entries = entries_of([control("full", 9), none, swapped])
     assert len(entries) == 3
     (line,) = tables.language(entries).rows
-    assert line[:3] == ("ReachNet (ours)", "high-level", "90.0 (70–97) †")
+    assert line[:3] == ("ReachNet", "high-level", "90.0 (70–97) †")
     assert [cell.split(" ")[0] for cell in line[3:6]] == ["20.0", "–", "10.0"]
     assert [cell.split(" ")[0] for cell in line[6:8]] == ["30.0", "10.0"]
     assert line[8] == "83.3 of 18"
@@ -176,11 +178,11 @@ def test_controls_of_language_stand_in_one_row() -> None:
 def test_perturbed_starts_stand_beside_the_others() -> None:
     entries = entries_of([control("full", 9), control("full", 7, perturb_start=True)])
     assert [entry.title for entry in entries] == [
-        "ReachNet (ours)",
+        "ReachNet",
         "ReachNet, perturbed starts",
     ]
     (line,) = tables.starts(entries).rows
-    assert line == ("ReachNet (ours)", "high-level", "90.0 (70–97) †", "70.0 (48–85) †")
+    assert line == ("ReachNet", "high-level", "90.0 (70–97) †", "70.0 (48–85) †")
     # What was said is another question.
     assert tables.language(entries).rows == ()
 
@@ -306,7 +308,7 @@ def test_the_readme_has_the_table_of_the_results(tmp_path: Path) -> None:
     assert "no results of this version yet" in results.headline(tmp_path)
     result(5).write(tmp_path / "reachnet" / "seed-0.json")
     told = results.headline(tmp_path)
-    assert "| ReachNet (ours) | 50.0 (30–70) † |" in told
+    assert "| ReachNet | 50.0 (30–70) † |" in told
     assert "| *lenient* | 50.0 (30–70) † |" in told
     assert "50.0 (24–76)" in results.text(tmp_path)
     assert NOT_RUN in results.text(tmp_path)
@@ -340,3 +342,15 @@ def test_a_part_is_called_a_part() -> None:
 
 def test_nobody_is_judged_by_what_others_aimed_at() -> None:
     assert "at least" not in page(entries_of([result(1)], complete=True))
+
+
+def test_a_policy_that_does_nothing_has_a_dash_for_shares_of_its_time() -> None:
+    rows = [
+        {**row("pass", number), "elapsed_s": 0.0, "idle_s": {"robot_0": 0.0}}
+        for number in range(3)
+    ]
+    made = summarise(rows, {**ABOUT, "policy": PolicySpec("mine:Idle").about()})
+    table = tables.coordination([entry_of(made)], "high_level")
+    found = dict(zip(table.header, table.rows[0], strict=True))
+    assert found["idle, left [%]"] == found["time / expert's"] == NOTHING
+    assert "mine:Idle" in page([entry_of(made)])

@@ -1,7 +1,9 @@
 """Evaluation: the same lines however it was interrupted, and honest about failures."""
 
 import json
+import shlex
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 from lemma.cli.evaluate import EvaluateOptions
 from lemma.cli.evaluate import evaluate as verb
 from lemma.cli.workers import Workers
+from lemma.core import plugins
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.workers.pool import Job, Listener, ProcessPool, ignore
 from lemma.core.workers.serial import Serial
@@ -17,8 +20,10 @@ from lemma.evaluation.analysis.intervals import rates_by, wilson_interval
 from lemma.evaluation.analysis.result import cells_of
 from lemma.evaluation.lines import read_rows
 from lemma.evaluation.records import ABOUT, EPISODES, Row
-from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.evaluation.run.config import EvaluationConfig
+from lemma.evaluation.run.evaluate import evaluate
 from lemma.evaluation.run.protocol import quote
+from lemma.policies.planners.chat import ChatOptions
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.suite import load_instance
 
@@ -215,10 +220,31 @@ def test_no_trials_have_no_interval() -> None:
 def test_the_verb_prints_a_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ask = EvaluateOptions(tasks="stack", instructions="high-level,unseen", episodes=1)
+    ask = EvaluateOptions(tasks="stack", instructions="high-level, unseen", episodes=1)
     assert verb("oracle", tmp_path, ask, Workers(workers=1)) == 0
     shown = capsys.readouterr().out
     assert "stack" in shown
     assert "unseen" in shown
     assert "100.0" in shown
     assert "mean, lenient" in shown
+
+
+def test_the_command_of_a_result_can_be_pasted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plugin = str(tmp_path / "my task.py")
+    monkeypatch.setattr(plugins, "_loaded", {plugin: object(), "their.tasks": object()})
+    chat = ChatOptions(cassette=tmp_path / "my run.jsonl")
+    policy = PolicySpec("llm:my model (v2)", timeout_s=7.0, chat=chat)
+    asked = replace(order(tmp_path, episodes=2), policy=policy)
+    command = asked.command()
+    words = shlex.split(command)
+    assert words[words.index("--policy") + 1] == "llm:my model (v2)"
+    assert words[words.index("--timeout") + 1] == "7"
+    assert words[words.index("--cassette") + 1] == "my run.jsonl"
+    # Where a file lies differs by machine.
+    assert [words[i + 1] for i, word in enumerate(words) if word == "--plugin"] == [
+        "my task.py",
+        "their.tasks",
+    ]
+    assert str(tmp_path) not in command

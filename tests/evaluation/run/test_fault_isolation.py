@@ -22,7 +22,8 @@ from lemma.core.workers.serial import Serial
 from lemma.env.simulation import Simulation
 from lemma.env.view import View
 from lemma.evaluation.records import EPISODES, POLICY_ERROR
-from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.evaluation.run.config import EvaluationConfig
+from lemma.evaluation.run.evaluate import evaluate
 from lemma.evaluation.run.fault_isolation import (
     Fault,
     IsolatedPolicy,

@@ -14,7 +14,8 @@ from lemma.core.workers.pool import ProcessPool
 from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.result import read_result, summarise
 from lemma.evaluation.records import ABOUT, EPISODES, SUMMARY, Row, read_about
-from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.evaluation.run.config import EvaluationConfig
+from lemma.evaluation.run.evaluate import evaluate
 from lemma.policies.planners.chat import ChatOptions, PlannerUnavailableError
 from lemma.policies.spec import PolicySpec
 

@@ -10,7 +10,8 @@ from lemma.core.errors import DatasetError
 from lemma.core.poses import Pose2
 from lemma.core.workers.serial import Serial
 from lemma.evaluation.records import PROTECTIVE_STOP, Row
-from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.evaluation.run.config import EvaluationConfig
+from lemma.evaluation.run.evaluate import evaluate
 from lemma.evaluation.run.replay import differences, play_again
 from lemma.evaluation.run.rollout import REFUSAL_S, Player, Rollout, roll_out
 from lemma.policies.compose import PlannerWithGrounder

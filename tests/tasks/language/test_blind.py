@@ -13,7 +13,7 @@ import pytest
 import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.dataset.instructions import TRAINING_KINDS, Language, draw_instruction
-from lemma.evaluation.run.evaluate import EvaluationConfig
+from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.language_controls import control_of
 from lemma.policies.spec import PolicySpec
 from lemma.scene.palette import OBJECT_COLORS
@@ -48,7 +48,7 @@ READ_BY = {
     "src/lemma/env/config.py",
     "src/lemma/env/instance_source.py",
     "src/lemma/env/observation.py",
-    "src/lemma/evaluation/run/evaluate.py",
+    "src/lemma/evaluation/run/config.py",
     "src/lemma/evaluation/run/language_controls.py",
     "src/lemma/evaluation/run/protocol.py",
     "src/lemma/evaluation/run/rollout.py",

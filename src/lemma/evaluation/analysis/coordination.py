@@ -23,7 +23,7 @@ clearance           smallest distance between the two arms, looked at ten times 
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from lemma.evaluation.records import PROTECTIVE_STOP, Row
@@ -71,47 +71,55 @@ class Coordination:
     """As ``expert_s``, of those."""
 
 
+_COUNTED = ("doable", "able", "planned", "as_expert", "order_violations")
+"""Counts that stand in each line."""
+
+
 def coordination_of(rows: Sequence[Row], kind: str, task: str) -> Coordination:
     """Sum the figures of episodes of one kind and task; at least one."""
     figures = [row["coordination"] for row in rows]
+    gaps = [each["clearance_mm"] for each in figures]
+    clearances = [gap for gap in gaps if gap is not None]
     known = [row for row in rows if row["coordination"]["expert_s"] is not None]
     timed = [row for row in known if row["success"]]
     later = [row for row in known if row["lenient"] and row["lenient"]["success"]]
-    clearances = [
-        each["clearance_mm"] for each in figures if each["clearance_mm"] is not None
-    ]
-    robots = sorted({name for row in rows for name in row["idle_s"]})
     return Coordination(
         kind=kind,
         task=task,
         episodes=len(rows),
         elapsed_s=_sum(row["elapsed_s"] for row in rows),
-        idle_s={r: _sum(row["idle_s"].get(r, 0.0) for row in rows) for r in robots},
+        idle_s=_sums(row["idle_s"] for row in rows),
         timed=len(timed),
         timed_s=_sum(row["elapsed_s"] for row in timed),
-        expert_s=_sum(row["coordination"]["expert_s"] for row in timed),
-        doable=sum(each["doable"] for each in figures),
-        able=sum(each["able"] for each in figures),
-        planned=sum(each["planned"] for each in figures),
-        as_expert=sum(each["as_expert"] for each in figures),
-        order_violations=sum(each["order_violations"] for each in figures),
+        expert_s=_expert_s(timed),
+        **{name: sum(each[name] for each in figures) for name in _COUNTED},
         nearest_mm=min(clearances, default=None),
-        touching=sum(each <= 0.0 for each in clearances),
+        touching=sum(gap <= 0.0 for gap in clearances),
         stops=sum(row["failure"] == PROTECTIVE_STOP for row in rows),
         refusals=_refusals(rows),
         lenient_timed_s=_sum(row["lenient"]["elapsed_s"] for row in later),
-        lenient_expert_s=_sum(row["coordination"]["expert_s"] for row in later),
+        lenient_expert_s=_expert_s(later),
     )
 
 
-def _refusals(rows: Iterable[Row]) -> int | None:
-    count = 0
-    for row in rows:
-        if row["lenient"] is None:
-            return None
-        steps = (*row["subtasks"], *row["lenient"]["subtasks"])
-        count += sum(step["outcome"] in REFUSED for step in steps)
-    return count
+def _refusals(rows: Sequence[Row]) -> int | None:
+    if any(row["lenient"] is None for row in rows):
+        return None
+    steps = (
+        step for row in rows for step in (*row["subtasks"], *row["lenient"]["subtasks"])
+    )
+    return sum(step["outcome"] in REFUSED for step in steps)
+
+
+def _expert_s(rows: Iterable[Row]) -> float:
+    return _sum(row["coordination"]["expert_s"] for row in rows)
+
+
+def _sums(each: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """Return sums by name, in the order of names; what has no value counts as 0."""
+    listed = list(each)
+    names = sorted({name for values in listed for name in values})
+    return {name: _sum(one.get(name, 0.0) for one in listed) for name in names}
 
 
 def _sum(values: Iterable[float]) -> float:

@@ -164,7 +164,7 @@ _add(
 _add(
     Experiment(
         name="reachnet",
-        title="ReachNet (ours)",
+        title="ReachNet",
         suite="ours",
         policy=PolicySpec("reachnet"),
     )

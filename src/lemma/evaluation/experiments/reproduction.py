@@ -18,7 +18,8 @@ from lemma.evaluation.experiments.catalog import (
 )
 from lemma.evaluation.lines import packed_beside, write_packed
 from lemma.evaluation.records import ABOUT, training_seed
-from lemma.evaluation.run.evaluate import EvaluationConfig, evaluate
+from lemma.evaluation.run.config import EvaluationConfig
+from lemma.evaluation.run.evaluate import evaluate
 from lemma.evaluation.run.loading import learned_parts, weights_of
 from lemma.policies.class_path import checkpoint_of
 from lemma.policies.spec import PolicySpec

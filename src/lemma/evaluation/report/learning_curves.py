@@ -8,8 +8,8 @@ import msgspec
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_json
+from lemma.core.tables import Table
 from lemma.evaluation.experiments.catalog import EXPERIMENTS
-from lemma.evaluation.report.tables import ResultTable
 
 CURVE = "curve.json"
 """File of a curve, beside the results of its experiment."""
@@ -61,7 +61,7 @@ def _curves_in(results: Path) -> Iterator[tuple[str, LearningCurve]]:
                 raise DatasetError(f"{path} is no learning curve: {error}.") from error
 
 
-def learning_curves(curves: Mapping[str, LearningCurve]) -> ResultTable:
+def learning_curves(curves: Mapping[str, LearningCurve]) -> Table:
     """Return a row for each checkpoint.
 
     Args:
@@ -78,4 +78,4 @@ def learning_curves(curves: Mapping[str, LearningCurve]) -> ResultTable:
         for name, curve in curves.items()
         for point in curve.points
     )
-    return ResultTable(header, rows)
+    return Table(header, rows)

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from lemma.core.tables import Table
 from lemma.evaluation.analysis.result import Result
 from lemma.evaluation.experiments.catalog import (
     ABLATION_EPISODES,
@@ -23,7 +24,6 @@ from lemma.evaluation.report.policy_results import (
     is_control_level,
     tasks_of,
 )
-from lemma.evaluation.report.tables import ResultTable, markdown
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
@@ -67,7 +67,7 @@ class Section:
     title: str
     note: str
     """In Markdown; may be empty."""
-    table: ResultTable
+    table: Table
 
     @property
     def name(self) -> str:
@@ -140,7 +140,7 @@ def sections(
 
 def _paper_sections(
     entries: Sequence[PolicyResults],
-) -> Iterator[tuple[str, str, ResultTable]]:
+) -> Iterator[tuple[str, str, Table]]:
     """Yield title, note and table of what is in the paper, too."""
     yield (
         "High-level instructions",
@@ -175,7 +175,7 @@ def _paper_sections(
 
 def _own_sections(
     entries: Sequence[PolicyResults], guide: str
-) -> Iterator[tuple[str, str, ResultTable]]:
+) -> Iterator[tuple[str, str, Table]]:
     """Yield title, note and table of what the paper does not have."""
     yield (
         "Unseen templates",
@@ -219,7 +219,7 @@ def _own_sections(
 
 def _diagnoses(
     entries: Sequence[PolicyResults], guide: str
-) -> Iterator[tuple[str, str, ResultTable]]:
+) -> Iterator[tuple[str, str, Table]]:
     """Yield title, note and table of how policies fail, and how robots share work."""
     yield (
         "Where the points are lost",
@@ -251,7 +251,7 @@ def _diagnoses(
 
 def _written(section: Section) -> str:
     title, note, table = section.title, section.note, section.table
-    body = markdown(table)
+    body = table.markdown()
     return f"\n## {title}\n\n{note}\n\n{body}" if note else f"\n## {title}\n\n{body}"
 
 
@@ -390,5 +390,5 @@ def _provenance(entries: Iterable[PolicyResults]) -> Section:
         HOW,
         f"Reported models are trained with seeds {', '.join(map(str, SEEDS))}; "
         "the weights of the first ship.",
-        ResultTable(header, tuple(rows), labels=3),
+        Table(header, tuple(rows), labels=3),
     )

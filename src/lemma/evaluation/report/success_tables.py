@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from lemma.core.tables import Table
 from lemma.evaluation.analysis.intervals import (
     Rate,
     leniently,
@@ -26,7 +27,7 @@ from lemma.evaluation.report.policy_results import (
     shown_mean,
     tasks_of,
 )
-from lemma.evaluation.report.tables import ResultTable, words
+from lemma.evaluation.report.tables import words
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import in_order
 from lemma.tasks.suite import SUITE
@@ -36,7 +37,7 @@ PAPER = "*paper*"
 _DISTRACTORS = range(5)
 
 
-def at_a_glance(entries: Sequence[PolicyResults]) -> ResultTable:
+def at_a_glance(entries: Sequence[PolicyResults]) -> Table:
     """Return the mean over the tasks of every policy, by kind of instructions."""
     kinds = [
         kind for kind in EVALUATION_KINDS if any(entry.has(kind) for entry in entries)
@@ -53,10 +54,10 @@ def at_a_glance(entries: Sequence[PolicyResults]) -> ResultTable:
             means = (figures.mean if figures else None for figures in paper)
             rows.append((PAPER, *map(_printed, means)))
     header = ("mean over the tasks [%]", *(words(kind, "-") for kind in kinds))
-    return ResultTable(header, tuple(rows))
+    return Table(header, tuple(rows))
 
 
-def rates(cells: Sequence[Cell]) -> ResultTable:
+def rates(cells: Sequence[Cell]) -> Table:
     """Return the success of one policy [%]: tasks down, kinds of instructions across.
 
     Strict, with Wilson intervals; the last row is the mean of the lenient verdict.
@@ -75,7 +76,7 @@ def rates(cells: Sequence[Cell]) -> ResultTable:
         if all(listed):
             means = (f"{100 * mean_over_tasks(column):.1f}" for column in listed)
             rows.append((title, *means))
-    return ResultTable(("success [%]", *(words(k, "-") for k in columns)), tuple(rows))
+    return Table(("success [%]", *(words(k, "-") for k in columns)), tuple(rows))
 
 
 def _interval(rate: Rate | None) -> str:
@@ -85,7 +86,7 @@ def _interval(rate: Rate | None) -> str:
     return f"{100 * rate.success_rate:.1f} ({100 * low:.0f}-{100 * high:.0f})"
 
 
-def by_task(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
+def by_task(entries: Iterable[PolicyResults], kind: str) -> Table:
     """Return success by task with one kind of instructions."""
     reporting = _reporting(entries, kind)
     tasks = tasks_of(reporting, kind)
@@ -103,10 +104,10 @@ def by_task(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
             # The paper's mean is over all of them.
             mean = _printed(figures.mean if set(tasks) == set(SUITE) else None)
             rows.append((PAPER, *each, mean))
-    return ResultTable(("success [%]", *tasks, "mean"), tuple(rows))
+    return Table(("success [%]", *tasks, "mean"), tuple(rows))
 
 
-def control_level(entries: Iterable[PolicyResults]) -> ResultTable:
+def control_level(entries: Iterable[PolicyResults]) -> Table:
     """Return success by task of what answers motor commands, strict."""
     entries = [entry for entry in entries if is_control_level(entry)]
     asked = [one.experiment.tasks for one in entries if one.experiment]
@@ -119,20 +120,20 @@ def control_level(entries: Iterable[PolicyResults]) -> ResultTable:
             label = (entry.title, words(kind, "-"))
             rows.append((*label, *each, mean_cell(entry, kind)))
     header = ("success [%]", "instructions", *tasks, "mean")
-    return ResultTable(header, tuple(rows), labels=2)
+    return Table(header, tuple(rows), labels=2)
 
 
-def by_distractors(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
+def by_distractors(entries: Iterable[PolicyResults], kind: str) -> Table:
     """Return success by number of distractors, over all tasks."""
     return _breakdown(entries, kind, "distractors")
 
 
-def by_team(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
+def by_team(entries: Iterable[PolicyResults], kind: str) -> Table:
     """Return success by types of the robots, over all tasks."""
     return _breakdown(entries, kind, "team")
 
 
-def distractors_by_task(entries: Iterable[PolicyResults]) -> ResultTable:
+def distractors_by_task(entries: Iterable[PolicyResults]) -> Table:
     """Return success by task and distractors where the paper has it: its own table."""
     rows: list[tuple[str, ...]] = []
     columns: tuple[int, ...] = ()
@@ -143,7 +144,7 @@ def distractors_by_task(entries: Iterable[PolicyResults]) -> ResultTable:
                 columns = tuple(reported)
                 rows += _by_number(entry, kind, task, reported)
     header = ("success [%]", "task", "instructions", *map(str, columns))
-    return ResultTable(header, tuple(rows), labels=3)
+    return Table(header, tuple(rows), labels=3)
 
 
 def _by_number(
@@ -177,7 +178,7 @@ def values_of(
     return (*known, *sorted(found.difference(order)))
 
 
-def _breakdown(entries: Iterable[PolicyResults], kind: str, field: str) -> ResultTable:
+def _breakdown(entries: Iterable[PolicyResults], kind: str, field: str) -> Table:
     reporting = _reporting(entries, kind)
     values = values_of(reporting, kind, field)
     rows: list[tuple[str, ...]] = []
@@ -194,7 +195,7 @@ def _breakdown(entries: Iterable[PolicyResults], kind: str, field: str) -> Resul
         reported = figures.teams if figures and field == "team" else {}
         if reported:
             rows.append((PAPER, *(_printed(reported.get(v)) for v in values), NOTHING))
-    return ResultTable(("success [%]", *map(str, values), "all"), tuple(rows))
+    return Table(("success [%]", *map(str, values), "all"), tuple(rows))
 
 
 def _pooled(seeds: list[list[Cell]]) -> str:

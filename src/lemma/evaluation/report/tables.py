@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
+from lemma.core.tables import Table
 from lemma.evaluation.analysis.coordination import Coordination
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.analysis.result import Result
@@ -25,30 +26,12 @@ from lemma.evaluation.run.language_controls import FULL, LANGUAGES
 from lemma.tasks.language.template import EVALUATION_KINDS
 
 
-@dataclass(frozen=True)
-class ResultTable:
-    """A table, ready to be written in any form."""
-
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    labels: int = 1
-    """Columns from the left that hold words, not numbers."""
-
-
-def markdown(table: ResultTable) -> str:
-    """Return a table in Markdown, numbers to the right."""
-    numbers = len(table.header) - table.labels
-    rule = [*[":---"] * table.labels, *["---:"] * numbers]
-    lines = (table.header, rule, *table.rows)
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
 def words(name: str, gap: str = " ") -> str:
     """Return the name of a kind or cause as people write it."""
     return name.replace("_", gap)
 
 
-def ablations(entries: Sequence[PolicyResults]) -> ResultTable:
+def ablations(entries: Sequence[PolicyResults]) -> Table:
     """Return the success of ReachNet with one thing of its training changed each."""
     chosen = [entry for entry in entries if is_ablation(entry)]
     kinds = [
@@ -63,10 +46,10 @@ def ablations(entries: Sequence[PolicyResults]) -> ResultTable:
         for entry in chosen
     ]
     header = ("mean over the tasks [%]", *(words(k, "-") for k in kinds), "episodes")
-    return ResultTable(header, tuple(rows))
+    return Table(header, tuple(rows))
 
 
-def losses(entries: Iterable[PolicyResults]) -> ResultTable:
+def losses(entries: Iterable[PolicyResults]) -> Table:
     """Return why episodes failed, by policy and kind of instructions."""
     rows = []
     for entry in entries:
@@ -77,10 +60,10 @@ def losses(entries: Iterable[PolicyResults]) -> ResultTable:
                 rows.append(
                     (entry.title, words(kind, "-"), *_counts(counted, episodes))
                 )
-    return ResultTable(("", "instructions", *_CAUSES_HEADER), tuple(rows), labels=2)
+    return Table(("", "instructions", *_CAUSES_HEADER), tuple(rows), labels=2)
 
 
-def losses_by_task(entry: PolicyResults) -> ResultTable:
+def losses_by_task(entry: PolicyResults) -> Table:
     """Return why episodes of one policy failed, by kind and task; where any did."""
     rows = []
     for kind in EVALUATION_KINDS:
@@ -89,10 +72,10 @@ def losses_by_task(entry: PolicyResults) -> ResultTable:
             if counted:
                 episodes = _episodes(entry, kind, task=task)
                 rows.append((words(kind, "-"), task, *_counts(counted, episodes)))
-    return ResultTable(("instructions", "task", *_CAUSES_HEADER), tuple(rows), labels=2)
+    return Table(("instructions", "task", *_CAUSES_HEADER), tuple(rows), labels=2)
 
 
-def precision(entries: Sequence[PolicyResults], kind: str) -> ResultTable:
+def precision(entries: Sequence[PolicyResults], kind: str) -> Table:
     """Return how far off poses are [mm], and how many are missed, by task."""
     tasks = tasks_of(entries, kind)
     rows = []
@@ -101,43 +84,112 @@ def precision(entries: Sequence[PolicyResults], kind: str) -> ResultTable:
             cells = [_precision(entry, kind, task, end) for task in tasks]
             if any(cell != NOTHING for cell in cells):
                 rows.append((entry.title, end, *cells))
-    return ResultTable(
-        ("median error [mm] (missed)", "end", *tasks), tuple(rows), labels=2
+    return Table(("median error [mm] (missed)", "end", *tasks), tuple(rows), labels=2)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A column of numbers."""
+
+    name: str
+    of_seed: Callable[[Sequence[Coordination]], float | None]
+    """What it is with one training seed; None where it is not defined."""
+    places: int = 1
+    """Digits behind the point."""
+    over_seeds: Callable[[Sequence[float]], float] | None = None
+    """How seeds are joined; mean and standard deviation if None."""
+
+    def shown(self, seeds: Sequence[Sequence[Coordination]]) -> str:
+        """Return the cell of a table."""
+        each = [self.of_seed(found) for found in seeds]
+        values = [value for value in each if value is not None]
+        if not values:
+            return NOTHING
+        if self.over_seeds is not None:
+            return f"{self.over_seeds(values):.{self.places}f}"
+        mean = f"{fmean(values):.{self.places}f}"
+        if len(values) == 1:
+            return mean
+        return f"{mean} ± {stdev(values):.{self.places}f}"
+
+
+Sum = Callable[[Coordination], float]
+
+
+def _ratio(
+    part: Sum, whole: Sum, scale: float = 100.0
+) -> Callable[[Sequence[Coordination]], float | None]:
+    """Return a ratio of two sums, which is not defined where the second is 0."""
+
+    def of_seed(found: Sequence[Coordination]) -> float | None:
+        below = sum(map(whole, found))
+        return scale * sum(map(part, found)) / below if below else None
+
+    return of_seed
+
+
+def _refusals(found: Sequence[Coordination]) -> float | None:
+    counts = [one.refusals for one in found]
+    episodes = sum(one.episodes for one in found)
+    played = [count for count in counts if count is not None]
+    return 100.0 * sum(played) / episodes if len(played) == len(counts) else None
+
+
+def _nearest(found: Sequence[Coordination]) -> float | None:
+    gaps = (one.nearest_mm for one in found)
+    return min((gap for gap in gaps if gap is not None), default=None)
+
+
+def _idle(robot: str, name: str) -> Metric:
+    return Metric(
+        f"idle, {name} [%]",
+        _ratio(lambda one: one.idle_s.get(robot, 0.0), lambda one: one.elapsed_s),
     )
 
 
-def coordination(entries: Iterable[PolicyResults], kind: str) -> ResultTable:
+COORDINATION = (
+    Metric(
+        "time / expert's", _ratio(lambda c: c.timed_s, lambda c: c.expert_s, 1.0), 2
+    ),
+    _idle("robot_0", "left"),
+    _idle("robot_1", "right"),
+    Metric("first-try allocation [%]", _ratio(lambda c: c.able, lambda c: c.doable)),
+    Metric("expert's robot [%]", _ratio(lambda c: c.as_expert, lambda c: c.planned)),
+    Metric(
+        "order violations per 100",
+        _ratio(lambda c: c.order_violations, lambda c: c.episodes),
+    ),
+    Metric("nearest arms [mm]", _nearest, 0, min),
+    Metric("touching", lambda found: sum(one.touching for one in found), 0, sum),
+    Metric("protective stops per 100", _ratio(lambda c: c.stops, lambda c: c.episodes)),
+    Metric("lenient: refusals per 100", _refusals),
+    Metric(
+        "lenient: time / expert's",
+        _ratio(lambda c: c.lenient_timed_s, lambda c: c.lenient_expert_s, 1.0),
+        2,
+    ),
+)
+"""Columns of the table of how robots work together."""
+
+
+def coordination(entries: Iterable[PolicyResults], kind: str) -> Table:
     """Return how well robots work together, over all tasks.
 
     What is counted is defined in :mod:`lemma.evaluation.analysis.coordination`.
     """
     rows = []
     for entry in entries:
-        seeds = [
-            found
+        each = (
+            [one for one in result.coordination if one.kind == kind]
             for result in entry.results
-            for found in [[one for one in result.coordination if one.kind == kind]]
-            if found
-        ]
+        )
+        seeds = [found for found in each if found]
         if seeds and not is_ablation(entry):
-            rows.append((entry.title, *_coordination(seeds)))
-    header = (
-        "time / expert's",
-        "idle, left [%]",
-        "idle, right [%]",
-        "first-try allocation [%]",
-        "expert's robot [%]",
-        "order violations per 100",
-        "nearest arms [mm]",
-        "touching",
-        "protective stops per 100",
-        "lenient: refusals per 100",
-        "lenient: time / expert's",
-    )
-    return ResultTable(("", *header), tuple(rows))
+            rows.append((entry.title, *(one.shown(seeds) for one in COORDINATION)))
+    return Table(("", *(one.name for one in COORDINATION)), tuple(rows))
 
 
-def language(entries: Iterable[PolicyResults]) -> ResultTable:
+def language(entries: Iterable[PolicyResults]) -> Table:
     """Return how much each policy needs the sentence, where a control was run.
 
     The success is at the goal of the instance, whatever is said. Where nothing is said,
@@ -166,10 +218,10 @@ def language(entries: Iterable[PolicyResults]) -> ResultTable:
         "none, others",
         "swapped goal",
     )
-    return ResultTable(header, tuple(rows), labels=2)
+    return Table(header, tuple(rows), labels=2)
 
 
-def starts(entries: Iterable[PolicyResults]) -> ResultTable:
+def starts(entries: Iterable[PolicyResults]) -> Table:
     """Return success from perturbed starts beside that from the instances' own."""
     families = _families(entries, lambda result: result.about["language"] == FULL)
     rows = []
@@ -181,7 +233,7 @@ def starts(entries: Iterable[PolicyResults]) -> ResultTable:
             if both[1] != NOTHING:
                 rows.append((title, words(kind, "-"), *both))
     header = ("mean over the tasks [%]", "instructions", "own start", "perturbed start")
-    return ResultTable(header, tuple(rows), labels=2)
+    return Table(header, tuple(rows), labels=2)
 
 
 _CAUSES_HEADER = ("failed", "of", *(words(cause) for cause in Cause))
@@ -217,52 +269,6 @@ def _precision(entry: PolicyResults, kind: str, task: str, end: str) -> str:
         return NOTHING
     missed = sum(one.missed for one in found) / sum(one.poses for one in found)
     return f"{fmean(one.median_mm for one in found):.1f} ({100 * missed:.1f} %)"
-
-
-def _coordination(seeds: Sequence[Sequence[Coordination]]) -> tuple[str, ...]:
-    """Return the cells of a row: means over the seeds, extremes of all."""
-
-    def ratio(part: str, whole: str, scale: float = 100.0) -> str:
-        values = [
-            scale * sum(getattr(one, part) for one in found) / below
-            for found in seeds
-            if (below := sum(getattr(one, whole) for one in found))
-        ]
-        return _spread(values, 2 if scale == 1.0 else 1)
-
-    def idle(robot: str) -> str:
-        values = [
-            100.0
-            * sum(one.idle_s.get(robot, 0.0) for one in found)
-            / sum(one.elapsed_s for one in found)
-            for found in seeds
-        ]
-        return _spread(values, 1)
-
-    every = [one for found in seeds for one in found]
-    played_strictly = any(one.refusals is None for one in every)
-    gaps = [one.nearest_mm for one in every if one.nearest_mm is not None]
-    return (
-        ratio("timed_s", "expert_s", 1.0),
-        idle("robot_0"),
-        idle("robot_1"),
-        ratio("able", "doable"),
-        ratio("as_expert", "planned"),
-        ratio("order_violations", "episodes"),
-        f"{min(gaps):.0f}" if gaps else NOTHING,
-        str(sum(one.touching for one in every)),
-        ratio("stops", "episodes"),
-        NOTHING if played_strictly else ratio("refusals", "episodes"),
-        ratio("lenient_timed_s", "lenient_expert_s", 1.0),
-    )
-
-
-def _spread(values: Sequence[float], places: int) -> str:
-    """Return a mean, with the standard deviation over seeds if there are several."""
-    if not values:
-        return NOTHING
-    mean = f"{fmean(values):.{places}f}"
-    return f"{mean} ± {stdev(values):.{places}f}" if len(values) > 1 else mean
 
 
 def _families(

@@ -8,8 +8,7 @@ again, so that a run that goes on gives what an undisturbed one gives.
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from math import inf
 from multiprocessing import parent_process
 from pathlib import Path
@@ -17,195 +16,31 @@ from shutil import rmtree
 from time import perf_counter
 from typing import Any
 
-from lemma.core.arguments import known
-from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import only_writer, read_json
 from lemma.core.resumable import PARTS, Part, begin, do_missing
 from lemma.core.workers.pool import Engine, report
-from lemma.dataset.recipe.files import versions
 from lemma.evaluation.lines import read_lines, read_rows, write_rows
 from lemma.evaluation.records import (
     ABOUT,
     EPISODES,
     PROTOCOL_VERSION,
     STATE,
-    EpisodeKey,
     Row,
     key_of,
     place_of,
 )
+from lemma.evaluation.run.config import VERDICTS, EvaluationConfig
 from lemma.evaluation.run.control.rollout import load_player
 from lemma.evaluation.run.expert_feedback import count_steps
-from lemma.evaluation.run.expert_times import TIMED_SPLITS, expert_s, perturbed_start
-from lemma.evaluation.run.language_controls import FULL, LANGUAGES, control_of
-from lemma.evaluation.run.loading import hang_up, served_parts, weights_of
-from lemma.evaluation.run.protocol import GROUP, check_protocol, quote
+from lemma.evaluation.run.expert_times import expert_s, perturbed_start
+from lemma.evaluation.run.language_controls import control_of
+from lemma.evaluation.run.loading import hang_up
+from lemma.evaluation.run.protocol import check_protocol
 from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
 from lemma.policies.interfaces import keeps_state
-from lemma.policies.spec import PLANNINGS, GivenPolicy, PolicySpec
-from lemma.tasks.instance import BENCHMARK_VERSION, OWN_SPLIT, SPLITS, Instance
-from lemma.tasks.language.blind import check_blind
-from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
-from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
-
-VERDICTS = ("both", "strict")
-"""How far episodes are played: to both verdicts, or to the strict one alone."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluationConfig:
-    """What to evaluate."""
-
-    out: Path
-    """Folder of the result."""
-    policy: PolicySpec
-    tasks: tuple[str, ...] = SUITE
-    """Names of tasks, also of your own."""
-    split: str = "test"
-    """Frozen list of instances; or ``"free"``, which samples them, seeds counting from
-    0."""
-    kinds: tuple[str, ...] = ("high_level",)
-    """Kinds of instructions."""
-    episodes: int | None = None
-    """Only the first so many of every task; all if None. Split ``"free"`` needs it."""
-    language: str = FULL
-    """What is said, one of :data:`lemma.evaluation.run.language_controls.LANGUAGES`."""
-    perturb_start: bool = False
-    """Whether objects begin a little elsewhere, see
-    :mod:`lemma.evaluation.run.perturbed_starts`."""
-    verdicts: str = VERDICTS[0]
-    """One of :data:`VERDICTS`; strictly alone, an episode ends where the other would go
-    on after a protective stop."""
-    instance: Instance | None = None
-    """The only one to play; its task and :data:`OWN_SPLIT` are then those above."""
-
-    def __post_init__(self) -> None:
-        """Check the names and the number."""
-        if self.instance is not None:
-            self._check_own(self.instance)
-            return
-        if not (self.tasks and self.kinds):
-            raise InvalidConfigError(
-                "There is nothing to play. Name a task and a kind of instruction."
-            )
-        for task in self.tasks:
-            check_split(task, self.split)
-        for kind in self.kinds:
-            if kind not in EVALUATION_KINDS:
-                raise UnknownNameError("kind of instruction", kind, EVALUATION_KINDS)
-            if kind == BLIND:
-                for task in self.tasks:
-                    check_blind(task, self.split)
-        if self.language not in LANGUAGES:
-            raise UnknownNameError("control of language", self.language, LANGUAGES)
-        if self.verdicts not in VERDICTS:
-            raise UnknownNameError("protocol", self.verdicts, VERDICTS)
-        if self.perturb_start and self.split not in TIMED_SPLITS:
-            raise InvalidConfigError(
-                f"Split {self.split!r} has no perturbed starts; "
-                f"{' and '.join(TIMED_SPLITS)} have."
-            )
-        if self.episodes is not None and self.episodes < 1:
-            raise InvalidConfigError(
-                f"Episodes per task are 1 or more, not {self.episodes}."
-            )
-        if self.episodes is None and self.split == FREE_SPLIT:
-            raise InvalidConfigError(
-                f"Split {FREE_SPLIT!r} is sampled and has no end. Say how many "
-                "episodes of each task there shall be, with --episodes."
-            )
-
-    def _check_own(self, instance: Instance) -> None:
-        alone = (self.tasks, self.split) == ((instance.task,), OWN_SPLIT)
-        of_lists = self.episodes or self.perturb_start or self.language == "shuffled"
-        if of_lists or not alone:
-            raise InvalidConfigError(
-                "An instance of your own is all that is played, and is on no list: "
-                "name no tasks, split, number of episodes, perturbation or shuffling."
-            )
-        for kind in self.kinds:
-            known("kind of instruction", kind, instance.instructions)
-
-    @property
-    def per_task(self) -> int:
-        """Episodes per task and kind of instruction."""
-        if self.instance is not None:
-            return 1
-        every = SPLITS.get(self.split, self.episodes or 0)
-        return every if self.episodes is None else min(self.episodes, every)
-
-    @property
-    def total(self) -> int:
-        """Episodes in all."""
-        return len(self.tasks) * len(self.kinds) * self.per_task
-
-    def about(self) -> dict[str, Any]:
-        """Return what decides the result."""
-        told = [getattr(planner, "about", None) for planner in self.policy.planners()]
-        return {
-            "policy": self.policy.about(),
-            **({"planners": told} if any(told) else {}),
-            "oracle": self.policy.oracle,
-            "weights": weights_of(self.policy),
-            "served": served_parts(self.policy),
-            "language": self.language,
-            "perturb_start": self.perturb_start,
-            "split": self.split,
-            "protocol": quote(),
-            "protocol_version": PROTOCOL_VERSION,
-            "verdicts": self.verdicts,
-            **({"instance": self.instance.to_dict()} if self.instance else {}),
-            "horizon_s": Rollout.horizon_s,
-            **versions(BENCHMARK_VERSION),
-        }
-
-    def command(self) -> str:
-        """Return the command line that asks for the same, wherever it is written."""
-        words = ["lemma evaluate", f"--policy {self.policy.name}"]
-        kinds = ",".join(kind.replace("_", "-") for kind in self.kinds)
-        words.append(f"--instructions {kinds}")
-        own = "--instance FILE.json"
-        words.append(own if self.instance else f"--split {self.split}")
-        if self.tasks != SUITE and self.instance is None:
-            words.append(f"--tasks {','.join(self.tasks)}")
-        if self.episodes is not None:
-            words.append(f"--episodes {self.episodes}")
-        if self.policy.level:
-            words.append(f"--level {self.policy.level}")
-        if self.policy.arguments:
-            told = (f"{name}={value}" for name, value in self.policy.arguments)
-            words.append(f"--policy-args {','.join(told)}")
-        if self.policy.planning != PLANNINGS[0]:
-            words.append(f"--planning {self.policy.planning}")
-        if self.policy.gta:
-            words.append("--gta")
-        if self.language != FULL:
-            words.append(f"--language {self.language}")
-        if self.policy.chat is not None:
-            words += self.policy.chat.words()
-        if self.perturb_start:
-            words.append("--perturb-start")
-        if self.verdicts != VERDICTS[0]:
-            words.append(f"--protocol {self.verdicts}")
-        return " ".join(words)
-
-    def groups(self) -> Iterator[tuple[str, str, range]]:
-        """Yield kind, task and numbers of the episodes that are played together."""
-        first = self.instance.index if self.instance else 0
-        last = first + self.per_task
-        for kind in self.kinds:
-            for task in self.tasks:
-                for start in range(first, last, GROUP):
-                    end = min(start + GROUP, last)
-                    yield kind, task, range(start, end)
-
-    def keys(self) -> set[EpisodeKey]:
-        """Return which episodes are asked for."""
-        return {
-            (kind, task, index)
-            for kind, task, indices in self.groups()
-            for index in indices
-        }
+from lemma.policies.spec import GivenPolicy, PolicySpec
+from lemma.tasks.instance import BENCHMARK_VERSION, Instance
+from lemma.tasks.suite import load_instance
 
 
 def evaluate(

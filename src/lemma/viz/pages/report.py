@@ -10,6 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from lemma.core.files import write_text
+from lemma.core.tables import Table
 from lemma.core.version import VERSION as __version__
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.lines import result_beside
@@ -20,7 +21,6 @@ from lemma.evaluation.report.episodes import (
     explanation,
     subtask_words,
 )
-from lemma.evaluation.report.latex import latex
 from lemma.evaluation.report.policy_results import PolicyResults
 from lemma.evaluation.report.sections import (
     Section,
@@ -29,7 +29,7 @@ from lemma.evaluation.report.sections import (
     sections,
 )
 from lemma.evaluation.report.success_tables import at_a_glance
-from lemma.evaluation.report.tables import ResultTable, markdown, words
+from lemma.evaluation.report.tables import words
 from lemma.evaluation.run.language_controls import FULL
 from lemma.policies.spec import PLANNINGS
 from lemma.serve.websocket import is_address
@@ -198,8 +198,8 @@ def _step_data(case: Case, step: Mapping[str, Any]) -> dict[str, Any]:
 def _copies(section: Section) -> dict[str, str]:
     caption = section.title
     return {
-        "latex": latex(section.table, f"{caption}.", f"tab:{section.name}"),
-        "markdown": markdown(section.table),
+        "latex": section.table.latex(f"{caption}.", f"tab:{section.name}"),
+        "markdown": section.table.markdown(),
     }
 
 
@@ -217,7 +217,7 @@ def _tiles(
     yield len(found.pictures), "with pictures"
 
 
-def _share(table: ResultTable, cell: str) -> str:
+def _share(table: Table, cell: str) -> str:
     """Return the rate that a cell begins with [%]; nothing where it is none."""
     rate = _RATE.match(cell) if table.header[0].endswith("[%]") else None
     return rate[1] if rate else ""

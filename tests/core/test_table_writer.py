@@ -1,18 +1,20 @@
 """Tables that can be copied into a paper."""
 
+import io
 import re
 
-from lemma.evaluation.report.latex import escaped, latex
-from lemma.evaluation.report.tables import ResultTable, markdown
+from rich.console import Console
 
-TABLE = ResultTable(
+from lemma.core.tables import Table, escaped
+
+TABLE = Table(
     ("success [%]", "stack_2", "mean"),
     (("ET & CLIPort", "50.0 (24–76)", "60.0 ± 20.0"), ("*paper*", "≈ 27", "–")),
 )
 
 
 def test_a_table_has_the_rules_of_booktabs_and_all_cells() -> None:
-    lines = [line.strip() for line in latex(TABLE, "Success.", "tab:it").splitlines()]
+    lines = [line.strip() for line in TABLE.latex("Success.", "tab:it").splitlines()]
     assert lines == [
         r"\begin{table}[t]",
         r"\centering",
@@ -44,10 +46,24 @@ def test_marks_of_markdown_become_commands() -> None:
     )
 
 
+def test_values_have_no_marks() -> None:
+    assert TABLE.csv().splitlines() == [
+        "success [%],stack_2,mean",
+        "ET & CLIPort,50.0 (24–76),60.0 ± 20.0",
+        "paper,≈ 27,–",
+    ]
+
+
+def test_a_terminal_shows_brackets_as_they_are() -> None:
+    text = io.StringIO()
+    Console(file=text, width=80).print(TABLE.terminal())
+    assert "success [%]" in text.getvalue()
+
+
 def test_both_forms_have_the_same_rows() -> None:
-    rows = [line for line in latex(TABLE).splitlines() if line.endswith(r"\\")]
+    rows = [line for line in TABLE.latex().splitlines() if line.endswith(r"\\")]
     lines = [
-        line for line in markdown(TABLE).splitlines() if not re.match(r"\| :", line)
+        line for line in TABLE.markdown().splitlines() if not re.match(r"\| :", line)
     ]
     assert len(rows) == len(lines) == 3
     assert all(row.count("&") - row.count(r"\&") == 2 for row in rows)

@@ -1,0 +1,117 @@
+"""Tables of words and numbers, written for a terminal, Markdown, LaTeX or CSV."""
+
+import csv
+import io
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import rich.table
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "±": r"$\pm$",
+    "≈": r"$\approx$",
+    "×": r"$\times$",
+    "−": "$-$",
+    "–": "--",
+    "“": "``",
+    "”": "''",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+}
+_MARKS = (
+    (re.compile(r"`([^`]+)`"), r"\\texttt{\1}"),
+    (re.compile(r"\*\*([^*]+)\*\*"), r"\\textbf{\1}"),
+    (re.compile(r"\*([^*]+)\*"), r"\\emph{\1}"),
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of cells of text; marks of Markdown are emphasis."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    labels: int = 1
+    """Columns from the left that hold words, not numbers."""
+
+    def markdown(self) -> str:
+        """Return it in Markdown, numbers to the right."""
+        numbers = len(self.header) - self.labels
+        rule = [*[":---"] * self.labels, *["---:"] * numbers]
+        lines = (self.header, rule, *self.rows)
+        return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+    def csv(self) -> str:
+        """Return it as comma-separated values, without marks."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerows(map(plain, row) for row in (self.header, *self.rows))
+        return text.getvalue()
+
+    def latex(self, caption: str = "", label: str = "") -> str:
+        r"""Return it for a paper; it needs ``\usepackage{booktabs}``.
+
+        Args:
+            caption: Below the table, if any; plain text.
+            label: What ``\ref`` calls it, if anything.
+        """
+        columns = "l" * self.labels + "r" * (len(self.header) - self.labels)
+        lines = [
+            r"\begin{table}[t]",
+            r"  \centering",
+            rf"  \begin{{tabular}}{{{columns}}}",
+            r"    \toprule",
+            f"    {_line(self.header)}",
+            r"    \midrule",
+            *(f"    {_line(row)}" for row in self.rows),
+            r"    \bottomrule",
+            r"  \end{tabular}",
+        ]
+        if caption:
+            lines.append(rf"  \caption{{{escaped(caption)}}}")
+        if label:
+            lines.append(rf"  \label{{{label}}}")
+        return "\n".join((*lines, r"\end{table}")) + "\n"
+
+    def terminal(self) -> "rich.table.Table":
+        """Return it for a terminal, numbers to the right."""
+        # Imported here, so that packages without a terminal do without it.
+        from rich.box import SIMPLE_HEAD  # noqa: PLC0415
+        from rich.table import Table as RichTable  # noqa: PLC0415
+        from rich.text import Text  # noqa: PLC0415
+
+        # Four kinds of instructions fit into 80 columns without the edge.
+        shown = RichTable(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+        for number, heading in enumerate(self.header):
+            if number < self.labels:
+                shown.add_column(Text(heading), style="bold", no_wrap=True)
+            else:
+                shown.add_column(Text(heading), justify="right", no_wrap=True)
+        for row in self.rows:
+            shown.add_row(*map(Text, row))
+        return shown
+
+
+def plain(text: str) -> str:
+    """Return a cell without marks of Markdown."""
+    for mark, _ in _MARKS:
+        text = mark.sub(r"\1", text)
+    return text
+
+
+def escaped(text: str) -> str:
+    """Return plain text, or a cell of Markdown, so that LaTeX prints it as meant."""
+    safe = "".join(_SPECIAL.get(character, character) for character in text)
+    for mark, command in _MARKS:
+        safe = mark.sub(command, safe)
+    return safe
+
+
+def _line(cells: tuple[str, ...]) -> str:
+    return " & ".join(map(escaped, cells)) + r" \\"

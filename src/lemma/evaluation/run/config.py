@@ -1,0 +1,193 @@
+"""What an evaluation is of: a policy, episodes, and what is said."""
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lemma.core.arguments import known
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.plugins import plugin_words
+from lemma.dataset.recipe.files import versions
+from lemma.evaluation.records import (
+    PROTOCOL_VERSION,
+    EpisodeKey,
+)
+from lemma.evaluation.run.expert_times import TIMED_SPLITS
+from lemma.evaluation.run.language_controls import FULL, LANGUAGES
+from lemma.evaluation.run.loading import served_parts, weights_of
+from lemma.evaluation.run.protocol import GROUP, quote
+from lemma.evaluation.run.rollout import Rollout
+from lemma.policies.interfaces import TIMEOUT_S
+from lemma.policies.spec import PLANNINGS, PolicySpec
+from lemma.tasks.instance import BENCHMARK_VERSION, OWN_SPLIT, SPLITS, Instance
+from lemma.tasks.language.blind import check_blind
+from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
+from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split
+
+VERDICTS = ("both", "strict")
+"""How far episodes are played: to both verdicts, or to the strict one alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationConfig:
+    """What to evaluate."""
+
+    out: Path
+    """Folder of the result."""
+    policy: PolicySpec
+    tasks: tuple[str, ...] = SUITE
+    """Names of tasks, also of your own."""
+    split: str = "test"
+    """Frozen list of instances; or ``"free"``, which samples them, seeds counting from
+    0."""
+    kinds: tuple[str, ...] = ("high_level",)
+    """Kinds of instructions."""
+    episodes: int | None = None
+    """Only the first so many of every task; all if None. Split ``"free"`` needs it."""
+    language: str = FULL
+    """What is said, one of :data:`lemma.evaluation.run.language_controls.LANGUAGES`."""
+    perturb_start: bool = False
+    """Whether objects begin a little elsewhere, see
+    :mod:`lemma.evaluation.run.perturbed_starts`."""
+    verdicts: str = VERDICTS[0]
+    """One of :data:`VERDICTS`; strictly alone, an episode ends where the other would go
+    on after a protective stop."""
+    instance: Instance | None = None
+    """The only one to play; its task and :data:`OWN_SPLIT` are then those above."""
+
+    def __post_init__(self) -> None:
+        """Check the names and the number."""
+        if self.instance is not None:
+            self._check_own(self.instance)
+            return
+        if not (self.tasks and self.kinds):
+            raise InvalidConfigError(
+                "There is nothing to play. Name a task and a kind of instruction."
+            )
+        for task in self.tasks:
+            check_split(task, self.split)
+        for kind in self.kinds:
+            if kind not in EVALUATION_KINDS:
+                raise UnknownNameError("kind of instruction", kind, EVALUATION_KINDS)
+            if kind == BLIND:
+                for task in self.tasks:
+                    check_blind(task, self.split)
+        if self.language not in LANGUAGES:
+            raise UnknownNameError("control of language", self.language, LANGUAGES)
+        if self.verdicts not in VERDICTS:
+            raise UnknownNameError("protocol", self.verdicts, VERDICTS)
+        if self.perturb_start and self.split not in TIMED_SPLITS:
+            raise InvalidConfigError(
+                f"Split {self.split!r} has no perturbed starts; "
+                f"{' and '.join(TIMED_SPLITS)} have."
+            )
+        if self.episodes is not None and self.episodes < 1:
+            raise InvalidConfigError(
+                f"Episodes per task are 1 or more, not {self.episodes}."
+            )
+        if self.episodes is None and self.split == FREE_SPLIT:
+            raise InvalidConfigError(
+                f"Split {FREE_SPLIT!r} is sampled and has no end. Say how many "
+                "episodes of each task there shall be, with --episodes."
+            )
+
+    def _check_own(self, instance: Instance) -> None:
+        alone = (self.tasks, self.split) == ((instance.task,), OWN_SPLIT)
+        of_lists = self.episodes or self.perturb_start or self.language == "shuffled"
+        if of_lists or not alone:
+            raise InvalidConfigError(
+                "An instance of your own is all that is played, and is on no list: "
+                "name no tasks, split, number of episodes, perturbation or shuffling."
+            )
+        for kind in self.kinds:
+            known("kind of instruction", kind, instance.instructions)
+
+    @property
+    def per_task(self) -> int:
+        """Episodes per task and kind of instruction."""
+        if self.instance is not None:
+            return 1
+        every = SPLITS.get(self.split, self.episodes or 0)
+        return every if self.episodes is None else min(self.episodes, every)
+
+    @property
+    def total(self) -> int:
+        """Episodes in all."""
+        return len(self.tasks) * len(self.kinds) * self.per_task
+
+    def about(self) -> dict[str, Any]:
+        """Return what decides the result."""
+        told = [getattr(planner, "about", None) for planner in self.policy.planners()]
+        return {
+            "policy": self.policy.about(),
+            **({"planners": told} if any(told) else {}),
+            "oracle": self.policy.oracle,
+            "weights": weights_of(self.policy),
+            "served": served_parts(self.policy),
+            "language": self.language,
+            "perturb_start": self.perturb_start,
+            "split": self.split,
+            "protocol": quote(),
+            "protocol_version": PROTOCOL_VERSION,
+            "verdicts": self.verdicts,
+            **({"instance": self.instance.to_dict()} if self.instance else {}),
+            "horizon_s": Rollout.horizon_s,
+            **versions(BENCHMARK_VERSION),
+        }
+
+    def command(self) -> str:
+        """Return the command line that asks for the same, ready to be pasted.
+
+        Files have their names alone: the same result has the same command on every
+        machine.
+        """
+        policy = self.policy
+        kinds = ",".join(kind.replace("_", "-") for kind in self.kinds)
+        told = [f"{name}={value}" for name, value in policy.arguments]
+        wanted = (
+            ("--split", self.split, self.instance is None),
+            ("--instance", "FILE.json", self.instance is not None),
+            ("--tasks", ",".join(self.tasks), not self._of_suite),
+            ("--episodes", str(self.episodes), self.episodes is not None),
+            ("--level", policy.level, bool(policy.level)),
+            ("--policy-args", ",".join(told), bool(told)),
+            ("--planning", policy.planning, policy.planning != PLANNINGS[0]),
+            ("--gta", None, policy.gta),
+            ("--timeout", f"{policy.timeout_s:g}", policy.timeout_s != TIMEOUT_S),
+            ("--language", self.language, self.language != FULL),
+        )
+        words = ["lemma", "evaluate", *plugin_words(), "--policy", policy.name]
+        words += ["--instructions", kinds]
+        for name, value, is_wanted in wanted:
+            if is_wanted:
+                words += [name] if value is None else [name, value]
+        # These are quoted already.
+        asked = policy.chat.words() if policy.chat is not None else []
+        words_later = ["--perturb-start"] if self.perturb_start else []
+        if self.verdicts != VERDICTS[0]:
+            words_later += ["--protocol", self.verdicts]
+        return " ".join([shlex.join(words), *asked, *words_later])
+
+    @property
+    def _of_suite(self) -> bool:
+        return self.tasks == SUITE or self.instance is not None
+
+    def groups(self) -> Iterator[tuple[str, str, range]]:
+        """Yield kind, task and numbers of the episodes that are played together."""
+        first = self.instance.index if self.instance else 0
+        last = first + self.per_task
+        for kind in self.kinds:
+            for task in self.tasks:
+                for start in range(first, last, GROUP):
+                    end = min(start + GROUP, last)
+                    yield kind, task, range(start, end)
+
+    def keys(self) -> set[EpisodeKey]:
+        """Return which episodes are asked for."""
+        return {
+            (kind, task, index)
+            for kind, task, indices in self.groups()
+            for index in indices
+        }
