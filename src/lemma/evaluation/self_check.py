@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.wrappers import RescaleAction
 
 from lemma.core.errors import LemmaError
@@ -87,6 +88,7 @@ def _round_trip() -> tuple[bool, str]:
         config = EnvConfig(task="pass", control=mode, observation="state")
         env = FlatView(ControlEnv(config))
         box = env.action_space
+        assert isinstance(box, Box)
         if not np.isfinite([box.low, box.high]).all():
             continue
         rescaled = RescaleAction(env, np.float32(-1.0), np.float32(1.0))
