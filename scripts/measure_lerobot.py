@@ -22,7 +22,7 @@ import numpy as np
 
 from lemma.core.workers.pool import ProcessPool
 from lemma.dataset.lerobot.aggregation import aggregate_in_groups, silence
-from lemma.dataset.lerobot.unpacked import read_unpacked, unpack
+from lerobot_train_unpacked import read_unpacked, unpack
 
 CHUNK = 20
 SAMPLES, SAMPLES_UNPACKED = 100, 2_000

@@ -6,6 +6,10 @@ of machine, with the same versions.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lemma.core.poses import FloatArray
 from lemma.env.config import EnvConfig
@@ -24,7 +28,7 @@ class MotorCommands:
     """Their mode, a name in :data:`lemma.env.control.modes.CONTROLS`."""
     control_hz: float
     """Actions per second of simulated time."""
-    rows: Sequence[FloatArray]
+    rows: Sequence[NDArray[np.floating[Any]]]
     """Actions, oldest first, each (robots, columns)."""
 
 
