@@ -113,19 +113,6 @@ def test_a_recipe_of_another_version_is_refused_and_kept(tmp_path: Path) -> None
     assert sha256_of(path) == before
 
 
-def test_a_truncated_file_is_refused_and_made_again_once_deleted(
-    tmp_path: Path,
-) -> None:
-    folder = copytree(small_recipe(), tmp_path / "copy")
-    path = recipe_file(folder, "test", "pass")
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(DatasetError, match=r"pass\.parquet is damaged.*Delete it"):
-        generate(small_order(folder), Serial())
-    path.unlink()
-    assert generate(small_order(folder), Serial()).made == 3
-    assert bytes_of(folder) == bytes_of(small_recipe())
-
-
 def test_a_full_disk_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -299,8 +299,9 @@ def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
             f"{folder} holds {form!r}, which was rendered from a recipe. Choose "
             "another folder."
         )
+    files = listed_files(folder)
     check_same_job(folder, listed_versions(folder), about)
-    return listed_files(folder)
+    return files
 
 
 def _forget(
