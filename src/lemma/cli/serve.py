@@ -97,10 +97,10 @@ def _check(url: str, policy_args: str, as_json: Flag) -> int:
         part.close()
     found = found or check_server(url)
     if as_json:
-        told = {"ok": found.ok, "instruction": found.instruction, **found.answer}
-        if "subtask" in told:
-            told["subtask"] = told["subtask"].to_dict()
-        print_json({**told, "mistakes": found.mistakes})
+        document = {"ok": found.ok, "instruction": found.instruction, **found.answer}
+        if "subtask" in document:
+            document["subtask"] = document["subtask"].to_dict()
+        print_json({**document, "mistakes": found.mistakes})
         return 0 if found.ok else 1
     console = output()
     lines = [

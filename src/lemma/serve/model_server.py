@@ -49,7 +49,7 @@ from lemma.serve.websocket import (
 _HELLO_S = 30.0
 _BENCHMARK = "lemma_vla_eval:LemmaBenchmark"
 _TASK = {"name": "lemma", "suite": "lemma"}
-"""Task of every episode: policies are not told which one it is."""
+"""Task of every episode: policies do not get its name."""
 
 
 def _address(url: str) -> str:
@@ -88,7 +88,7 @@ class ModelServer:
         self._address = _address(url)
         first, self.welcome = self._open(mode.first_patience_s)
         self._idle = [first]
-        # Of all messages, also to other connections: an answer fits one question.
+        # Messages of all connections are numbered: an answer belongs to one question.
         self._numbers = count(1)
 
     @property
@@ -110,17 +110,17 @@ class ModelServer:
         spec = self.welcome.get("action_spec")
         if not isinstance(spec, dict) or not spec:
             return
-        told = {
+        declared = {
             name: (part.get("format"), part.get("dims"))
             for name, part in spec.items()
             if isinstance(part, dict)
         }
-        formats = {found for found, _ in told.values()}
-        numbers = sum(dims for _, dims in told.values() if isinstance(dims, int))
+        formats = {found for found, _ in declared.values()}
+        numbers = sum(dims for _, dims in declared.values() if isinstance(dims, int))
         fits = formats <= {"raw", format_of(control)} and numbers in (0, len(names))
         if not fits:
             raise InvalidConfigError(
-                f"{self.url} declares the actions {shown(told)}, and control mode "
+                f"{self.url} declares the actions {shown(declared)}, and control mode "
                 f"{control!r} takes {len(names)} numbers, {names[0]} to {names[-1]}, "
                 f"whose format is {format_of(control)!r} or 'raw'. Choose the control "
                 "mode that the model was trained for, or convert on the server."

@@ -18,7 +18,7 @@ from lemma.serve.session import ModelSession, Session
 
 DEFAULT_PORT = 8000
 PROTOCOLS = ("lemma", "vla-eval")
-"""What a server can speak: ours, or that of vla-eval's model servers."""
+"""Protocols of a server: ours, and that of vla-eval's model servers."""
 _LOOK_S = 0.1
 _HERE = "This is a LEMMA policy server. Speak WebSocket; see docs/serving.md.\n"
 _OPEN_S = 10.0
@@ -31,8 +31,8 @@ _log.addFilter(lambda record: "handshake failed" not in str(record.msg))
 class RequestDispatcher:
     """The one thread that asks the policy, for all clients, one after another.
 
-    When a client leaves while its question is being worked on, that thread may hang: it
-    is left to itself, and another takes its place.
+    If a client leaves while the policy works on its question, the thread may hang. It
+    is abandoned then, and another one takes its place.
     """
 
     def __init__(self) -> None:
@@ -45,10 +45,10 @@ class RequestDispatcher:
 
         Args:
             work: Asks the policy.
-            left: Whether whoever wants to know has gone.
+            left: Whether the client has left.
 
         Raises:
-            CancelledError: Nobody wants to know any more.
+            CancelledError: The client has left.
         """
         future: Future[Any] = Future()
         with self._lock:
@@ -78,7 +78,7 @@ class RequestDispatcher:
         threading.Thread(target=_work, args=(self._queue,), daemon=True).start()
 
     def close(self) -> None:
-        """Let the thread end after what it does now."""
+        """Let the thread end after the present question."""
         with self._lock:
             self._queue.put(None)
 
@@ -126,14 +126,14 @@ class PolicyServer:
             host: Address to listen at. There is no password: leave it at this machine,
                 or at a network that you trust.
             port: Port to listen at; 0 for any that is free.
-            about: What the policy says of itself, ready for JSON; it is written into
+            about: Description of the policy, ready for JSON; it is written into
                 results.
             protocol: One of :data:`PROTOCOLS`.
 
         Raises:
-            ProtocolError: The policy can do nothing.
+            ProtocolError: The policy has no method to ask.
             InvalidConfigError: The port is taken, or the extra is not installed; or the
-                policy needs what the protocol does not hold.
+                protocol does not hold all that the policy needs.
         """
         Session(policy, about)
         known("protocol", protocol, PROTOCOLS)
@@ -175,9 +175,9 @@ class PolicyServer:
         self._server.serve_forever()
 
     def close(self) -> None:
-        """Hang up on everybody."""
+        """Close all connections."""
         self._server.shutdown()
-        # Some versions of websockets stop listening, and keep who is there.
+        # Some versions of websockets stop listening and keep open connections.
         for connection in tuple(self._connections):
             connection.close_socket()
         self._desk.close()
@@ -236,10 +236,10 @@ def serve(
         port: Port to listen at; 0 for any that is free.
         about: What the policy says of itself, ready for JSON.
         protocol: One of :data:`PROTOCOLS`.
-        on_ready: Told the address once it can be asked.
+        on_ready: Called with the address once the server answers.
 
     Raises:
-        ProtocolError: The policy can do nothing.
+        ProtocolError: The policy has no method to ask.
         InvalidConfigError: The port is taken, or the extra is not installed.
     """
     server = PolicyServer(policy, host=host, port=port, about=about, protocol=protocol)

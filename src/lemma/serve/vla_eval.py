@@ -30,17 +30,17 @@ _LARGEST_IMAGE = 4096 * 4096
 
 
 class Kind(StrEnum):
-    """What a message is."""
+    """The kinds of messages."""
 
     HELLO = "hello"
-    """The first of a connection; its answer says what the server is."""
+    """The first message of a connection; the answer describes the server."""
     EPISODE_START = "episode_start"
     """An episode begins; there is no answer but an error."""
     OBSERVATION = "observation"
-    """What is seen now; the answer is an action."""
+    """An observation; the answer is an action."""
     ACTION = "action"
     EPISODE_END = "episode_end"
-    """What became of the episode; there is no answer."""
+    """The result of the episode; there is no answer."""
     ERROR = "error"
 
 

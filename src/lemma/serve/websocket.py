@@ -12,7 +12,7 @@ from lemma.serve.faults import ProtocolError
 from lemma.serve.messages import LARGEST_BYTES, websockets
 
 SCHEMES = {"http": "ws", "https": "wss", "ws": "ws", "wss": "wss"}
-"""What an address may begin with, and what is used for it."""
+"""Valid schemes of an address, and the WebSocket schemes that they mean."""
 AUTHORIZATION = "LEMMA_SERVER_AUTHORIZATION"
 """Environment variable with the header ``Authorization`` for a server behind a proxy:
 ``"Bearer ..."`` or ``"Basic ..."``."""

@@ -1,8 +1,8 @@
-"""Faulty policies cost their own episodes: the one place where decisions are checked.
+"""Decisions are checked here, so that a faulty policy fails its own episodes alone.
 
-Whatever a policy raises or answers becomes either a decision that can be carried out or
-a :class:`Fault`, which ends its episode and no other. What hangs or crashes is kept in
-other processes; see :mod:`lemma.serve.isolation`.
+An answer or an exception of a policy becomes either a decision that can be carried out
+or a :class:`Fault`, which ends its episode and no other. Policies that hang or crash do
+so in processes of their own; see :mod:`lemma.serve.isolation`.
 """
 
 import math
@@ -21,20 +21,20 @@ from lemma.serve.faults import FaultKind, PolicyFailedError, trouble_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 FARTHEST_M = 100.0
-"""A pose farther from the middle of the table was never meant in metres."""
+"""Poses farther from the middle of the table are not in metres [m]."""
 
 _LONGEST = 300
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Why a policy has no decision for an episode."""
+    """The reason why a policy has no decision for an episode."""
 
     kind: FaultKind
     explanation: str
     """One sentence."""
     effort: Effort | None = None
-    """What was tried in vain, where that is counted."""
+    """The effort of the failed decision, where it is counted."""
 
     def to_dict(self) -> dict[str, str]:
         """Return plain data, ready for JSON."""
@@ -42,7 +42,7 @@ class Fault:
 
 
 class IsolatedPolicy:
-    """Asks a policy about many episodes and believes nothing."""
+    """Asks a policy about many episodes and checks its answers."""
 
     def __init__(self, policy: Policy | ControlPolicy) -> None:
         """Keep the policy."""
@@ -52,8 +52,8 @@ class IsolatedPolicy:
     def decide(self, inputs: Sequence[Any]) -> list[Any]:
         """Return the next decision of each episode, or why there is none.
 
-        When the policy fails at all episodes together, it is asked about each alone,
-        so that only the guilty one pays. After a batch that hung it stays at that.
+        If the policy fails at a batch, it is asked about each episode alone, so that
+        only the episodes fail at which it does. After a timeout there are no batches.
 
         Args:
             inputs: One per episode; at least one.
@@ -123,8 +123,8 @@ def check(answer: Any, given: PolicyInput | ControlInput) -> Decision | Actions 
     the policy can see.
 
     Args:
-        answer: What the policy returned.
-        given: What it was given.
+        answer: The answer of the policy.
+        given: Its input.
     """
     try:
         if isinstance(given, ControlInput):
@@ -135,7 +135,7 @@ def check(answer: Any, given: PolicyInput | ControlInput) -> Decision | Actions 
 
 
 def _checked_actions(answer: Any) -> Actions:
-    """Return actions; whether they fit is known to the environment alone."""
+    """Return actions; the environment checks their shape."""
     if isinstance(answer, PolicyFailedError):
         raise _FaultError(answer.kind, str(answer))
     found = answer if isinstance(answer, Actions) else Actions(answer)

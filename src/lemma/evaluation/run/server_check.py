@@ -126,16 +126,16 @@ def _decision_mistakes(
     geometry = GeometricGrounder(now.spec)
     [pair] = play.instance.goal.pairs
     cubes = {name: now.poses[name] for name in pair}
-    told = ", ".join(f"{n} at ({p.x:.3f}, {p.y:.3f}) m" for n, p in cubes.items())
+    places = ", ".join(f"{n} at ({p.x:.3f}, {p.y:.3f}) m" for n, p in cubes.items())
     if grounded is None:
         picked = subtask.pick
         if picked not in cubes:
-            return {"pick": f"It picks {picked or 'nothing'}; there are {told}."}
+            return {"pick": f"It picks {picked or 'nothing'}; there are {places}."}
     else:
         at = grounded.pick
         picked = min(cubes, key=lambda name: cubes[name].distance(at))
         if cubes[picked].distance(at) > NEAR_M:
-            return {"pick": f"It picks at ({at.x:g}, {at.y:g}); there are {told}."}
+            return {"pick": f"It picks at ({at.x:g}, {at.y:g}); there are {places}."}
     found = {}
     [able] = [r for r in geometry.robots if geometry.reaches(r, cubes[picked])]
     if subtask.robot != able:
@@ -210,17 +210,17 @@ def mistakes(
     jump = _jump(env, rows)
     if jump >= 1.0:
         found["layout"] = _layout(env, rows)
-    name, told = env.robot_names[robot], rows[robot, -1]
+    name, opening = env.robot_names[robot], rows[robot, -1]
     delta = issubclass(CONTROLS[env.config.control].controller, DeltaPoseController)
-    if (told + 1.0) / 2.0 < 0.5 if delta else told < 0.5 * FINGER_OPENING_M:
+    if (opening + 1.0) / 2.0 < 0.5 if delta else opening < 0.5 * FINGER_OPENING_M:
         found["gripper"] = (
-            f"It closes the fingers of {name} ({told:g}) on the way to {cube}. Here "
+            f"It closes the fingers of {name} ({opening:g}) on the way to {cube}. Here "
             + ("-1 is closed and 1 open." if delta else "it is an opening in metres.")
         )
-    elif not delta and told > FINGER_OPENING_M + 1e-6:
+    elif not delta and opening > FINGER_OPENING_M + 1e-6:
         found["gripper"] = (
-            f"It opens the fingers of {name} to {told:g} m, and {FINGER_OPENING_M:g} m "
-            "is all there is. Is it a fraction, or millimetres?"
+            f"It opens the fingers of {name} to {opening:g} m; the widest is "
+            f"{FINGER_OPENING_M:g} m. Is it a fraction, or millimetres?"
         )
     if delta:
         found.update(_direction(env, rows, robot, cube))

@@ -187,23 +187,25 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
         before: The one that was recorded.
         now: The other.
     """
-    told = []
+    found = []
     for name in sorted({*before, *now} - {"messages"}):
         if before.get(name) != now.get(name):
             was, new = _apart(*(json.dumps(r.get(name)) for r in (before, now)))
-            told.append(f"{name} was {was} and is {new}")
+            found.append(f"{name} was {was} and is {new}")
     lines = [list(_said(each.get("messages"))) for each in (before, now)]
     for number, (old, new) in enumerate(zip(*lines, strict=False), 1):
         if old != new:
             shorter = _apart(json.dumps(old), json.dumps(new))
-            told.append(f"line {number} of the messages was {' and is '.join(shorter)}")
+            found.append(
+                f"line {number} of the messages was {' and is '.join(shorter)}"
+            )
             break
     else:
         if len(lines[0]) != len(lines[1]):
-            told.append(
+            found.append(
                 f"the messages had {len(lines[0])} lines and have {len(lines[1])}"
             )
-    return told
+    return found
 
 
 def _said(messages: Any) -> Iterator[str]:

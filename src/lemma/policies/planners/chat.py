@@ -34,8 +34,8 @@ from lemma.core.errors import InvalidConfigError, LemmaError
 KEY_VARIABLE = "LEMMA_API_KEY"
 """Environment variable with the key of the server."""
 MODES = ("record", "replay", "strict")
-"""What happens to a request that the cassette does not hold: it is asked and kept; it
-is asked and not kept; it is an error."""
+"""Treatment of a request that is not on the cassette: it is sent and kept; it is sent
+and not kept; it is an error."""
 PERCEPTIONS = ("truth", "seen")
 """Where the text of a scene comes from: the simulation, or ReachNet's perception."""
 TEAMS = ("one", "each")
@@ -298,10 +298,10 @@ class ChatServer:
     def _refused(self, error: HTTPError) -> Exception:
         """Return what an answer with an HTTP status of failure means."""
         try:
-            told = error.read(_CHUNK)
+            body = error.read(_CHUNK)
         except (OSError, http.client.HTTPException):
-            told = b""
-        said = self._excerpt(told or str(error.reason).encode())
+            body = b""
+        said = self._excerpt(body or str(error.reason).encode())
         text = f"The server answered HTTP {error.code}: {said}"
         if error.code in (408, 429) or error.code >= 500:
             after = error.headers.get("Retry-After", "")
@@ -322,16 +322,16 @@ class ChatServer:
             _NotAnsweredError: It is none.
         """
         try:
-            told = json.loads(body)
-            choice = told["choices"][0]
+            found = json.loads(body)
+            choice = found["choices"][0]
             content, remark = _content_of(choice, choice["message"])
-            usage = told.get("usage") or {}
+            usage = found.get("usage") or {}
             asked, said = (
                 _count(usage, f"{end}_tokens") for end in ("prompt", "completion")
             )
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-            told = None
-        if told is None:
+            found = None
+        if found is None:
             raise _NotAnsweredError(
                 RAISED,
                 f"The server's answer is no chat completion: {self._excerpt(body)}",
@@ -490,8 +490,8 @@ def _content_of(
         return "", f"The model refuses: {message['refusal']}"
     calls = message.get("tool_calls") or []
     if calls:
-        told = calls[0]["function"]["arguments"]
-        text = told if isinstance(told, str) else json.dumps(told)
+        found = calls[0]["function"]["arguments"]
+        text = found if isinstance(found, str) else json.dumps(found)
         return text if len(calls) == 1 else "", "It came as a tool call."
     if message.get("reasoning_content") or message.get("reasoning"):
         return "", "The server put all of it into reasoning_content."

@@ -239,7 +239,7 @@ class LanguageModelPlanner(Composite):
         """
         shown = pictures(given) if self.cameras else []
         messages = messages_of(system_prompt(given, answers), text, shown)
-        told = ""
+        reason = ""
         for _ in range(self._options.tries):
             reply = self._asker.ask(self._request(messages, answers))
             tally.calls += 1
@@ -252,7 +252,7 @@ class LanguageModelPlanner(Composite):
             except InvalidAnswerError as error:
                 tally.invalid.append(str(error.kind))
                 why = f"{error} {reply.remark}".strip()
-                told = f"{error.kind}: {why}"
+                reason = f"{error.kind}: {why}"
                 messages = [
                     *messages,
                     # Some servers refuse an empty turn.
@@ -262,7 +262,7 @@ class LanguageModelPlanner(Composite):
         raise _GaveUpError(
             MALFORMED,
             f"The model gave {self._options.tries} answers that are no sub-task. The "
-            f"last one: {told}",
+            f"last one: {reason}",
         )
 
     def _request(
