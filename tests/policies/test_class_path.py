@@ -35,3 +35,12 @@ def test_without_the_lerobot_package_it_is_said_how_to_get_it(
 def test_a_class_that_is_not_there_is_said_to_be_missing(name: str) -> None:
     with pytest.raises(InvalidConfigError, match=r"There is no .*mymodule:MyPolicy"):
         class_of(name)
+
+
+@pytest.mark.parametrize("name", ["api_key", "HUB_TOKEN", "password"])
+def test_results_hold_no_secret_arguments(name: str) -> None:
+    arguments = ((name, "sk-secret"),)
+    with pytest.raises(InvalidConfigError, match="environment variable") as caught:
+        PolicySpec("my_module:Policy", arguments=arguments)
+    assert "sk-secret" not in str(caught.value)
+    assert PolicySpec("a:B", arguments=(("max_tokens", 3), ("keyframes", 4)))

@@ -1,7 +1,7 @@
 """Classes by path, ``"package.module:Class"``, and by the short names of LeRobot's."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError
@@ -11,7 +11,7 @@ LEROBOT = "lerobot:"
 """Begins the name of a checkpoint of LeRobot, ``"lerobot:CHECKPOINT"``."""
 LEROBOT_PRIVILEGED = "lerobot-privileged:"
 """Begins the name of one that gets the simulation's state: an oracle."""
-_SECRET = re.compile(r"(?i)(^|_)(api_?key|key|token|secret|password|auth)(_|$)")
+_SECRET = re.compile(r"(?i)(^|_)(api_?key|token|secret|passw(or)?d|credentials?)$")
 _MODULE = "lemma.policies.control.lerobot"
 _LEROBOT_CLASSES = {
     LEROBOT: f"{_MODULE}:LeRobotPolicy",
@@ -65,6 +65,7 @@ def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
     Raises:
         InvalidConfigError: There is no such class, or it cannot be made.
     """
+    check_no_secret(arguments or ())
     make = class_of(name)
     checkpoint = checkpoint_of(name)
     if checkpoint is not None:
@@ -78,11 +79,25 @@ def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
         ) from error
 
 
+def check_no_secret(names: Iterable[str]) -> None:
+    """Check that no argument of a class is a secret, since results hold all arguments.
+
+    Args:
+        names: Of the arguments.
+
+    Raises:
+        InvalidConfigError: One is, by its name.
+    """
+    for name in names:
+        if _SECRET.search(name):
+            raise InvalidConfigError(
+                f"The argument {name!r} looks like a secret, and results hold the "
+                "arguments of a policy. Have the policy read it from an environment "
+                "variable or a file."
+            )
+
+
 def _with(arguments: Mapping[str, Any] | None) -> str:
     if not arguments:
         return "without arguments"
-    shown = (
-        f"{name}=***" if _SECRET.search(name) else f"{name}={value!r}"
-        for name, value in arguments.items()
-    )
-    return f"with {', '.join(shown)}"
+    return "with " + ", ".join(f"{name}={value!r}" for name, value in arguments.items())

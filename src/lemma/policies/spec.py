@@ -10,7 +10,13 @@ from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.registry import takes
-from lemma.policies.class_path import checkpoint_of, class_of, instance_of, privileged
+from lemma.policies.class_path import (
+    check_no_secret,
+    checkpoint_of,
+    class_of,
+    instance_of,
+    privileged,
+)
 from lemma.policies.compose import (
     MultiStep,
     PlannerWithGrounder,
@@ -130,6 +136,7 @@ class PolicySpec:
 
     def __post_init__(self) -> None:
         """Check the names and the time, and that its planners can be made."""
+        check_no_secret(name for name, _ in self.arguments)
         self._check_level()
         if self.planning not in PLANNINGS:
             raise UnknownNameError("way of planning", self.planning, PLANNINGS)
