@@ -27,8 +27,7 @@ from lemma.core.poses import Pose2
 from lemma.viewer.episode.request import EpisodeRequest
 from lemma.viewer.episode.session import Session
 from lemma.viewer.episode.status import Phase
-from lemma.viewer.failures.catalog import Catalog, Filter
-from lemma.viewer.failures.page import FailurePage
+from lemma.viewer.failures import FailurePage
 from lemma.viewer.page import Page
 from lemma.viewer.recording.sources import cases_in
 from lemma.viewer.scene.pictures import MAP
@@ -43,10 +42,7 @@ LATER_S = 14.0
 COLORS = 256
 DESK, PHONE = (1100, 640), (390, 760)
 _CANVAS = "document.querySelector('canvas').getBoundingClientRect()"
-_PRESS = (
-    "[...document.querySelectorAll('button')]"
-    ".find(button => button.innerText.trim() == {!r}).click()"
-)
+_INNER = "document.querySelector('.replay iframe').contentDocument"
 _NO_NOTICES = (
     "document.querySelectorAll('.mantine-Notification-root')"
     ".forEach(notice => notice.remove()); 0"
@@ -172,19 +168,16 @@ def shoot(shot: Shot, browser: Browser, path: Path) -> None:
 
 
 def shoot_failures(browser: Browser, path: Path) -> None:
-    """Open failures of a result that ships, and save what is seen."""
-    catalog = Catalog(cases_in(RESULTS / "et-cliport-single-step"))
-    page = FailurePage(catalog, open_server(HOST, PORT), Filter(task="stack"))
+    """Open a failure of a result that ships, and save what is seen."""
+    cases = cases_in(RESULTS / "et-cliport-single-step")
+    page = FailurePage(cases, HOST, PORT)
     with running(page):
-        browser.resize(1240, 640)
-        browser.open(page.address)
-        until(lambda: page.replayer.comparison is not None and not page.replayer.busy)
-        browser.wait_for("document.body.innerText.includes('Pause')")
-        # The expert goes on, and the policy does not.
-        browser.run(_PRESS.format("Play"))
-        until(lambda: page.cursor.at_s >= LATER_S)
-        browser.run(_PRESS.format("Pause"))
-        time.sleep(SETTLES_S)
+        browser.resize(1240, 900)
+        browser.open(f"{page.address}/#failures?task=stack")
+        browser.wait_for("document.querySelector('.case .replay button')")
+        browser.run("document.querySelector('.case .replay button').click()")
+        browser.wait_for(f"{_INNER}?.body?.dataset.at > {LATER_S}")
+        browser.run("document.querySelector('.case').scrollIntoView(); 0")
         take(browser, path)
 
 

@@ -235,7 +235,7 @@ def test_failures_of_several_results_are_played(
     committed: Path, tmp_path: Path
 ) -> None:
     pytest.importorskip("viser")
-    from lemma.viewer.failures.catalog import Catalog, Filter  # noqa: PLC0415
+    from lemma.viewer.failures import policies_of  # noqa: PLC0415
     from lemma.viewer.recording.sources import cases_in, replays_in  # noqa: PLC0415
 
     for seed in range(2):
@@ -244,12 +244,12 @@ def test_failures_of_several_results_are_played(
         (tmp_path / f"seed-{seed}.json").write_text(json.dumps(found))
         source = committed / "clumsy" / f"seed-0{PACKED}"
         copyfile(source, tmp_path / f"seed-{seed}{PACKED}")
-    catalog = Catalog(cases_in(tmp_path))
-    assert catalog.policies[1:] == ("clumsy:Clumsy, seed 0", "clumsy:Clumsy, seed 1")
-    assert len(catalog.find(Filter())) == 2 * FAILED * len(KINDS)
+    cases = cases_in(tmp_path)
+    assert policies_of(cases) == ("clumsy:Clumsy, seed 0", "clumsy:Clumsy, seed 1")
+    assert sum(case.cause is not None for case in cases) == 2 * FAILED * len(KINDS)
     count, replays = replays_in(tmp_path, None, None, 1)
     assert count == 1
-    # What failed, beside the expert.
+    # A failure comes first, beside the expert.
     assert [side.success for side in next(replays).sides] == [False, True]
 
 

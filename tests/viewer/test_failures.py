@@ -1,26 +1,25 @@
-"""Failures in a page: found, and opened where it went wrong, beside the expert."""
+"""The page of failures: its list, and episodes that are played again on demand."""
 
+import json
+import re
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
 
 import pytest
 from browser import page_in_chromium
 from clumsy import FAILED, KINDS, play_clumsily
-from looked_at import until
 
 from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.report.episodes import Case
-from lemma.viewer.failures.catalog import ALL, Catalog, Filter, words
-from lemma.viewer.failures.comparison import NOT_SAID, Cursor
-from lemma.viewer.failures.page import FailurePage
-from lemma.viewer.failures.panel import MISTAKE, ON, PLAY, START
-from lemma.viewer.recording.replays import EXPERT
+from lemma.viewer.failures import FailurePage
 from lemma.viewer.recording.sources import cases_in
-from lemma.viewer.server import open_server
 
-OTHER = "another"
+OTHER = "other"
 
 
 @pytest.fixture(scope="module")
@@ -29,131 +28,101 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> list[Case]:
 
 
 @pytest.fixture(scope="module")
-def catalog(cases: list[Case]) -> Catalog:
-    return Catalog([*cases, *(replace(case, policy=OTHER) for case in cases)])
-
-
-@pytest.fixture(scope="module")
-def page(catalog: Catalog) -> Iterator[FailurePage]:
-    found = FailurePage(catalog, open_server("127.0.0.1", 18180), Filter(OTHER))
+def page(cases: list[Case]) -> Iterator[FailurePage]:
+    both = [*cases, *(replace(case, policy=OTHER) for case in cases)]
+    found = FailurePage(both, "127.0.0.1", 18180, OTHER)
+    loop = threading.Thread(target=found.run)
+    loop.start()
     yield found
     found.close()
+    loop.join(10.0)
 
 
-def seen(page: FailurePage) -> None:
-    until(lambda: not page.replayer.busy)
-    page.tick(0.0)
+def data_of(page: FailurePage) -> Any:
+    content = page.answer("/")
+    assert content is not None
+    found = re.search(rb'id="data">(.*?)</script>', content, re.DOTALL)
+    assert found is not None
+    return json.loads(found[1])["failures"]
 
 
-def test_failures_are_found_by_policy_task_and_cause(catalog: Catalog) -> None:
-    each = FAILED * len(KINDS)
-    assert len(catalog.find(Filter())) == 2 * each
-    assert len(catalog.find(Filter(policy=OTHER))) == each
-    assert not catalog.find(Filter(task="hook"))
-    assert len(catalog.causes) == 1 + FAILED
-    counts = [len(catalog.find(Filter(cause=cause))) for cause in catalog.causes]
-    assert counts[0] == sum(counts[1:])
-    assert catalog.tasks == (ALL, "stack")
+def told_at(page: FailurePage, path: str) -> Any:
+    content = page.answer(path)
+    assert content is not None
+    found = re.search(rb'id="told">(.*?)</script>', content, re.DOTALL)
+    assert found is not None
+    (told,) = json.loads(found[1])
+    return told
 
 
-def test_other_policies_are_found_on_the_same_instance(catalog: Catalog) -> None:
-    case, *_ = catalog.find(Filter(policy=OTHER))
-    (policy, other), *more = catalog.others(case).items()
-    assert not more
-    assert policy == other.policy != OTHER
-    assert other.row is case.row
+def test_every_failure_can_be_played_beside_the_expert_or_another(
+    page: FailurePage,
+) -> None:
+    data = data_of(page)
+    failed = [case for case in data["cases"] if case["cause"]]
+    assert len(failed) == 2 * FAILED * len(KINDS)
+    for case in failed:
+        ((_, policy),) = case["beside"]
+        assert policy == data["policies"][1 - case["policy"]]
+        assert case["replay"]
+    assert page.address.endswith("/#failures?policy=1")
+
+
+def test_failure_opens_at_its_mistake(page: FailurePage) -> None:
+    case = next(c for c in data_of(page)["cases"] if c.get("mistake") is not None)
+    told = told_at(page, f"/{case['replay']}")
+    policy, expert = told["sides"]
+    assert (policy["solved"], expert["solved"]) == (False, True)
+    start_s = policy["steps"][case["mistake"]]["start"]
+    assert told["opens"] == pytest.approx(start_s, abs=0.01)
+    ((number, name),) = case["beside"]
+    beside = told_at(page, f"/{case['replay']}?beside={number}")
+    assert [side["title"] for side in beside["sides"]] == [policy["title"], name]
+
+
+def ask(page: FailurePage, path: str, host: str) -> int:
+    number = int(page.address.split(":")[2].partition("/")[0])
+    connection = HTTPConnection("127.0.0.1", number, timeout=60.0)
+    connection.request("GET", path, headers={"Host": host})
+    return connection.getresponse().status
+
+
+@pytest.mark.parametrize(
+    ("path", "host", "status"),
+    [
+        ("/", "127.0.0.1", 200),
+        ("/", "evil.example", 403),
+        ("/replays/player.js", "localhost:80", 200),
+        ("/replays/99999.html", "localhost", 404),
+        ("/replays/-1.html", "localhost", 404),
+        ("/etc/passwd", "localhost", 404),
+        ("/replays/../../etc/passwd", "localhost", 404),
+    ],
+)
+def test_only_its_own_files_are_served(
+    page: FailurePage, path: str, host: str, status: int
+) -> None:
+    assert ask(page, path, host) == status
+
+
+def test_broken_lines_leave_the_page_alive(cases: list[Case]) -> None:
+    broken = replace(cases[0], row={**cases[0].row, "subtasks": [{}]})
+    commanded = replace(cases[1], row={**cases[1].row, "control": {}})
+    page = FailurePage([cases[0], commanded], "127.0.0.1", 18185)
+    assert [bool(c["replay"]) for c in data_of(page)["cases"]] == [True, False]
+    assert b"motor commands" in (page.answer("/") or b"")
+    page.cases = (broken, commanded)
+    assert b"cannot be played again" in (page.answer("/replays/0.html") or b"")
+    page.close()
 
 
 def test_there_must_be_a_failure(cases: list[Case]) -> None:
-    with pytest.raises(InvalidConfigError, match=r"episodes\.jsonl"):
-        Catalog([])
-    with pytest.raises(InvalidConfigError, match="None of the 2 episodes failed"):
-        Catalog([case for case in cases if case.cause is None])
-
-
-def test_failure_opens_where_it_went_wrong(page: FailurePage) -> None:
-    for wanted in page.panel.cause.options[1:]:
-        page.panel.cause.value = wanted
-        page.panel.list()
-        seen(page)
-        found = page.replayer.comparison
-        assert found is not None
-        assert found.case.cause is not None
-        assert words(found.case.cause) == wanted
-        policy, expert = found.sides
-        assert policy.title == OTHER
-        assert not policy.success
-        assert expert.success
-        at_s = found.case.row["subtasks"][found.case.mistake or 0]["start_s"]
-        assert page.cursor.at_s >= at_s - 0.01
-        assert not page.cursor.playing
-
-
-def test_panel_leads_the_cursor(page: FailurePage) -> None:
-    page.panel.cause.value = ALL
-    page.panel.list()
-    first = page.panel.case
-    page.panel.turn(ON)
-    assert page.panel.case is not first
-    seen(page)
-    opens_s = page.cursor.at_s
-    page.panel.move(START)
-    assert page.cursor.at_s == 0.0
-    page.panel.move(PLAY)
-    page.tick(0.5)
-    assert page.cursor.at_s == pytest.approx(0.5)
-    page.panel.move(MISTAKE)
-    assert page.cursor.at_s == pytest.approx(opens_s)
-    assert not page.cursor.playing
-
-
-def test_two_policies_stand_side_by_side(page: FailurePage) -> None:
-    page.panel.beside.value = page.panel.beside.options[1]
-    page.panel.look()
-    seen(page)
-    found = page.replayer.comparison
-    assert found is not None
-    one, other = found.sides
-    assert one.title == OTHER
-    assert other.title == page.panel.beside.value != EXPERT
-    assert [time_s for time_s, _ in one.frames] == [
-        time_s for time_s, _ in other.frames
-    ]
-
-
-def test_motor_commands_cannot_be_done_again(
-    page: FailurePage, cases: list[Case]
-) -> None:
-    case = replace(cases[0], row={**cases[0].row, "control": {}})
-    page.replayer.ask(case)
-    seen(page)
-    assert page.replayer.comparison is not None
-    assert page.replayer.comparison.note == NOT_SAID
-    assert not page.replayer.comparison.sides
-
-
-def test_broken_line_leaves_the_page_alive(
-    page: FailurePage, cases: list[Case]
-) -> None:
-    # Of somebody of its own: what was seen before is not done again.
-    row = {**cases[0].row, "subtasks": [{}]}
-    page.replayer.ask(replace(cases[0], policy="broken", row=row))
-    seen(page)
-    assert page.replayer.comparison is not None
-    assert page.replayer.comparison.note
-    page.replayer.ask(cases[0])
-    seen(page)
-    assert page.replayer.comparison.sides
-
-
-def test_cursor_stops_at_the_end() -> None:
-    cursor = Cursor()
-    cursor.open(1.0, 2.0)
-    cursor.play()
-    cursor.advance(5.0)
-    assert (cursor.at_s, cursor.playing) == (2.0, False)
-    cursor.play()
-    assert (cursor.at_s, cursor.playing) == (0.0, True)
+    for found, says in (
+        ([], r"episodes\.jsonl"),
+        ([c for c in cases if c.cause is None], "None of the 2 episodes failed"),
+    ):
+        with pytest.raises(InvalidConfigError, match=says):
+            FailurePage(found, "127.0.0.1", 18185)
 
 
 @pytest.mark.parametrize(
@@ -174,28 +143,16 @@ def test_verb_wants_results(
 
 
 @pytest.mark.slow
-def test_visitor_goes_through_failures(
-    catalog: Catalog, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    page = FailurePage(catalog, open_server("127.0.0.1", 18190))
-    loop = threading.Thread(target=page.run)
-    loop.start()
-    try:
-        with page_in_chromium(tmp_path_factory.mktemp("profile")) as browser:
-            # What is drawn in software costs time by its size.
-            browser.resize(600, 300)
-            browser.open(page.address)
-            browser.wait_for("document.querySelector('[data-done=\"2\"]')")
-            first = browser.run("document.querySelector('[data-cause]').innerText")
-            browser.run(
-                "[...document.querySelectorAll('button')]"
-                f".find(button => button.innerText.trim() == {ON!r}).click()"
-            )
-            browser.wait_for(
-                f"document.querySelector('[data-cause]').innerText != {first!r}"
-            )
-            browser.wait_for("document.querySelector('[data-done=\"2\"]')")
-            assert browser.run("document.querySelectorAll('.subtask').length") >= 2
-    finally:
-        page.close()
-        loop.join(10.0)
+def test_visitor_opens_a_failure(page: FailurePage, tmp_path: Path) -> None:
+    with page_in_chromium(tmp_path) as browser:
+        # Software draws large pictures slowly.
+        browser.resize(600, 300)
+        browser.open(page.address)
+        browser.wait_for("document.querySelectorAll('.case').length > 1")
+        assert browser.run("document.querySelector('.case header').innerText").endswith(
+            OTHER
+        )
+        browser.run("document.querySelector('.case .replay button').click()")
+        inner = "document.querySelector('.replay iframe').contentDocument"
+        browser.wait_for(f"{inner}?.body?.dataset.at > 0")
+        assert browser.run(f"{inner}.querySelectorAll('h2').length") == 2

@@ -17,7 +17,7 @@ from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
 if TYPE_CHECKING:
     import viser
 
-    from lemma.viewer.failures.page import FailurePage
+    from lemma.viewer.failures import FailurePage
     from lemma.viewer.page import Page
 
 _FIRST = "hook_stack"
@@ -119,8 +119,7 @@ def _failures(folder: str | None, policy: str | None, at: Listening) -> "Failure
         InvalidConfigError: There is no folder, or nothing failed.
         UnknownNameError: Nothing failed of that policy.
     """
-    from lemma.viewer.failures.catalog import ALL, Catalog, Filter
-    from lemma.viewer.failures.page import FailurePage
+    from lemma.viewer.failures import FailurePage, policies_of
     from lemma.viewer.recording.sources import cases_in
 
     if folder is None:
@@ -128,24 +127,22 @@ def _failures(folder: str | None, policy: str | None, at: Listening) -> "Failure
             "--failures looks at results. Name their folder: lemma play runs/mine "
             "--failures"
         )
-    catalog = Catalog(cases_in(Path(folder)))
-    if policy is not None and policy not in catalog.policies:
-        raise UnknownNameError("policy", policy, catalog.policies[1:])
-    return FailurePage(catalog, _listen(at), Filter(policy or ALL))
+    cases = cases_in(Path(folder))
+    policies = policies_of(case for case in cases if case.cause is not None)
+    if policy is not None and policy not in policies:
+        raise UnknownNameError("policy", policy, policies)
+    return FailurePage(cases, at.host, at.port, policy, at.allow_host, _warn)
 
 
 def _listen(at: Listening) -> "viser.ViserServer":
-    """Start the server of a page, which reports the first refusal on the terminal."""
+    """Start the server of a page."""
     from lemma.viewer.server import open_server
 
-    return open_server(
-        at.host,
-        at.port,
-        at.allow_host,
-        lambda text: messages().print(
-            text, style="yellow", markup=False, soft_wrap=True
-        ),
-    )
+    return open_server(at.host, at.port, at.allow_host, _warn)
+
+
+def _warn(text: str) -> None:
+    messages().print(text, style="yellow", markup=False, soft_wrap=True)
 
 
 def _open(page: "Page | FailurePage", at: Listening) -> int:
@@ -164,7 +161,4 @@ def _open(page: "Page | FailurePage", at: Listening) -> int:
 
 def _warn_of(host: str) -> None:
     if host not in (LOOPBACK, "localhost", "::1"):
-        messages().print(
-            f"Everybody who reaches {host} can use this page: it has no password.",
-            style="yellow",
-        )
+        _warn(f"Everybody who reaches {host} can use this page: it has no password.")

@@ -26,7 +26,7 @@ class Page:
         self.session = session
         prepare_panel(server)
         self.port = server.get_port()
-        self.address = address_of(server)
+        self.address = address_of(server.get_host(), self.port)
         self.stage = Stage(self._server, _LOOK_AT_FIRST)
         self.panel = Panel(
             self._server, session, _LOOK_AT_FIRST, self.stage.set_visible

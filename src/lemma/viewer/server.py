@@ -61,19 +61,17 @@ def open_server(
     Raises:
         InvalidConfigError: That is no address of this machine, or no port.
     """
-    _check_address(host, port)
+    check_address(host, port)
     guard = Guard(host, frozenset(name.lower() for name in hosts), tell)
     # The library would print an address of its own.
     with contextlib.redirect_stdout(io.StringIO()), guarded_by(guard):
         return _Server(host, port, label="LEMMA Bench", verbose=False)
 
 
-def address_of(server: viser.ViserServer) -> str:
+def address_of(host: str, port: int) -> str:
     """Return the address to visit on this machine: IPv6 stands in brackets."""
-    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(
-        server.get_host(), server.get_host()
-    )
-    return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
 
 def prepare_panel(server: viser.ViserServer) -> None:
@@ -130,8 +128,12 @@ class Rounds:
             pass
 
 
-def _check_address(host: str, port: int) -> None:
-    """Check what the server would wait for without a word."""
+def check_address(host: str, port: int) -> None:
+    """Check that a server can listen there.
+
+    Raises:
+        InvalidConfigError: That is no address of this machine, or no port.
+    """
     if not 0 < port < 65536:
         raise InvalidConfigError(f"{port} is no port. Valid: 1 to 65535.")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET

@@ -107,11 +107,23 @@ def _numbered(number: int, case: Case) -> tuple[int, Replay]:
     return number, replay_of_case(case)
 
 
-def replay_of_case(case: Case) -> Replay:
-    """Return an episode of a result; one that failed, beside the expert."""
+def replay_of_case(case: Case, other: Case | None = None) -> Replay:
+    """Return an episode of a result beside another.
+
+    Args:
+        case: The episode.
+        other: The other one; if None, the expert goes on from a mistake.
+
+    Raises:
+        LemmaError: It cannot be played again.
+    """
     again = replay_line(case)
-    sides = [again.recording]
-    if case.cause is not None:
+    sides, differs = [again.recording], [again.differs]
+    if other is not None:
+        beside = replay_line(other)
+        sides.append(beside.recording)
+        differs.append(beside.differs)
+    elif case.cause is not None:
         sides.append(expert_instead(case, again))
     row = case.row
     return replay_of(
@@ -120,7 +132,7 @@ def replay_of_case(case: Case) -> Replay:
         sides,
         sentence=row["instruction"],
         opens_s=0.0 if case.cause is None else again.turn_s,
-        note=again.differs and f"It went differently here. {again.differs}",
+        note=" ".join(f"It went differently here. {text}" for text in differs if text),
     )
 
 

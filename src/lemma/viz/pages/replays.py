@@ -54,21 +54,34 @@ def write_replays(
         DatasetError: It cannot be written there.
     """
     if shared:
-        beside = path.parent / PLAYER
-        script = f"const PLAYER = {script_text(player)};\n"
+        beside, script = path.parent / PLAYER, player_script(player)
         if not beside.exists() or beside.read_text("utf-8") != script:
             write_text(beside, script)
-    page = fill(
+    write_text(path, replays_page(replays, None if shared else player))
+
+
+def player_script(player: str) -> str:
+    """Return the script :data:`PLAYER` with the HTML of a player."""
+    return f"const PLAYER = {script_text(player)};\n"
+
+
+def replays_page(replays: Sequence[Replay], player: str | None) -> str:
+    """Return a page.
+
+    Args:
+        replays: The episodes.
+        player: HTML of the player; None if it is in the script beside the page.
+    """
+    return fill(
         "replays.html",
         title=replays[0].title if len(replays) == 1 else "LEMMA Bench: replays",
         replays=replays,
         told=[_data(replay) for replay in replays],
-        player="" if shared else script_text(player),
+        player="" if player is None else script_text(player),
         beside=PLAYER,
         encode=lambda content: base64.b64encode(content).decode(),
         footer=f"Written by lemma {__version__}. It needs no network.",
     )
-    write_text(path, page)
 
 
 def _data(replay: Replay) -> dict[str, Any]:

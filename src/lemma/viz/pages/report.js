@@ -172,10 +172,17 @@ function media(c) {
 }
 function replay(c) {
   const box = make("div", { class: "replay" });
-  const button = make("button", { type: "button" }, "Turn it around, beside the expert");
-  button.addEventListener("click", () =>
-    box.replaceChildren(make("iframe", { src: c.replay, title: "The episode, to turn around" })));
-  box.append(button);
+  function open(source) {
+    box.querySelector("iframe")?.remove();
+    box.append(make("iframe", { src: source, title: "The episode, to turn around" }));
+  }
+  const sources = [["the expert", c.replay],
+    ...c.beside.map(([number, policy]) => [policy, `${c.replay}?beside=${number}`])];
+  for (const [who, source] of sources) {
+    const button = make("button", { type: "button" }, `Turn it around, beside ${who}`);
+    button.addEventListener("click", () => open(source));
+    box.append(button);
+  }
   return box;
 }
 function step(s, mistake) {

@@ -56,6 +56,9 @@ class Findings:
     """Why pictures are missing, in a sentence; empty if none are."""
     replays: Mapping[int, str] = field(default_factory=dict)
     """Pages beside this one, by number of the episode."""
+    beside: Mapping[int, tuple[tuple[int, str], ...]] = field(default_factory=dict)
+    """Number and policy of other episodes that can be shown beside one, by its
+    number."""
 
 
 def write_report_page(
@@ -91,6 +94,22 @@ def write_report_page(
     write_text(path, page)
 
 
+def failures_page(found: Findings) -> str:
+    """Return a page with the failures alone."""
+    return fill(
+        "report.html",
+        title="LEMMA Bench: failures",
+        lead="",
+        tiles=[],
+        glance=None,
+        figures=[],
+        tables=[],
+        missing=found.missing,
+        data={"tables": {}, "failures": failures_data(found)},
+        footer=f"Written by lemma {__version__}.",
+    )
+
+
 def glance(entries: Sequence[PolicyResults]) -> Section:
     """Return the mean success of every policy with every kind of instructions."""
     return Section("At a glance", sample_words(entries), at_a_glance(entries))
@@ -105,7 +124,7 @@ def failures_data(found: Findings) -> dict[str, Any]:
         "kinds": {kind: words(kind, "-") for kind in EVALUATION_KINDS},
         "cases": [
             _case_data(case, policies.index(case.policy), found.pictures.get(i))
-            | {"replay": found.replays.get(i, "")}
+            | {"replay": found.replays.get(i, ""), "beside": found.beside.get(i, ())}
             for i, case in enumerate(found.cases)
         ],
     }

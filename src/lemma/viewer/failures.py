@@ -1,0 +1,204 @@
+"""The page of failures: a report's list of them, each played again on demand."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Sequence
+from html import escape
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from socket import AF_INET, AF_INET6
+from urllib.parse import parse_qs, urlsplit
+
+from lemma.core.errors import InvalidConfigError, LemmaError
+from lemma.evaluation.records import EPISODES, PACKED
+from lemma.evaluation.report.episodes import Case
+from lemma.viewer.origins import Guard
+from lemma.viewer.recording.pages import client_page
+from lemma.viewer.recording.sources import replay_of_case
+from lemma.viewer.server import address_of, check_address
+from lemma.viz.pages.replays import PLAYER, player_script, replays_page
+from lemma.viz.pages.report import Findings, failures_page
+
+NOT_SAID = (
+    "Some cannot be played again: lines of control level hold no motor commands, and "
+    "other versions have other instances."
+)
+_REPLAYS = "replays"
+_KEPT = 16
+_PORTS = 100
+
+
+class FailurePage:
+    """A page on an address, with the failures of results."""
+
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        host: str,
+        port: int,
+        policy: str | None = None,
+        hosts: Iterable[str] = (),
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        """Listen.
+
+        Args:
+            cases: Episodes of results.
+            host: Address to listen on.
+            port: Port to listen on; the next one that is free if it is taken.
+            policy: Title of the policy whose failures come first; all if None.
+            hosts: Names by which a proxy may be called.
+            tell: Called with a sentence when a request is refused for the first time.
+
+        Raises:
+            InvalidConfigError: That is no address of this machine, or no port; or no
+                episode failed.
+        """
+        self.cases = tuple(cases)
+        check_failures(cases)
+        check_address(host, port)
+        self._guard = Guard(host, frozenset(name.lower() for name in hosts), tell)
+        self._done: OrderedDict[str, bytes] = OrderedDict()
+        self._one_at_a_time, self._runs = threading.Lock(), False
+        self._files = {
+            "/": failures_page(self._findings()).encode(),
+            f"/{_REPLAYS}/{PLAYER}": player_script(client_page()).encode(),
+        }
+        self._server = _listen(host, port, self._handler())
+        self.address = address_of(host, self._server.server_port)
+        if policy is not None:
+            number = policies_of(self.cases).index(policy)
+            self.address += f"/#failures?policy={number}"
+
+    def run(self) -> None:
+        """Answer until it is closed from another thread, or interrupted."""
+        self._runs = True
+        self._server.serve_forever(poll_interval=0.1)
+
+    def close(self) -> None:
+        """Stop listening, and end :meth:`run` in another thread."""
+        if self._runs:
+            self._server.shutdown()
+        self._server.server_close()
+
+    def _findings(self) -> Findings:
+        starts: dict[tuple[object, ...], list[int]] = {}
+        for number, case in enumerate(self.cases):
+            if case.is_repeatable:
+                starts.setdefault(_start(case), []).append(number)
+        replays, beside = {}, {}
+        for number, case in enumerate(self.cases):
+            if case.cause is not None and case.is_repeatable:
+                replays[number] = f"{_REPLAYS}/{number}.html"
+                beside[number] = tuple(
+                    (other, self.cases[other].policy)
+                    for other in starts[_start(case)]
+                    if self.cases[other].policy != case.policy
+                )
+        failed = sum(case.cause is not None for case in self.cases)
+        missing = NOT_SAID if len(replays) < failed else ""
+        return Findings(self.cases, missing=missing, replays=replays, beside=beside)
+
+    def answer(self, path: str) -> bytes | None:
+        """Return a file of the page; None if there is no such file."""
+        address = urlsplit(path)
+        if address.path in self._files:
+            return self._files[address.path]
+        folder, _, name = address.path.strip("/").partition("/")
+        number = _number(name.removesuffix(".html"), len(self.cases))
+        if folder != _REPLAYS or number is None:
+            return None
+        (beside,) = parse_qs(address.query).get("beside", [""])[:1]
+        with self._one_at_a_time:
+            if path not in self._done:
+                other = _number(beside, len(self.cases))
+                self._done[path] = self._replay(number, other).encode()
+                if len(self._done) > _KEPT:
+                    self._done.popitem(last=False)
+            return self._done[path]
+
+    def _replay(self, number: int, other: int | None) -> str:
+        beside = None if other is None else self.cases[other]
+        try:
+            return replays_page([replay_of_case(self.cases[number], beside)], None)
+        except Exception as error:
+            # The page reports any error, and stays alive.
+            what = str(error) if isinstance(error, LemmaError) else repr(error)
+            return f"<!doctype html><p>It cannot be played again: {escape(what)}</p>"
+
+    def _handler(self) -> type[BaseHTTPRequestHandler]:
+        page, guard = self, self._guard
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                host = self.headers.get("Host")
+                origin = f"http://{host}" if host else None
+                if not guard.admits(origin, host):
+                    guard.refuse(origin, host)
+                    status, content = HTTPStatus.FORBIDDEN, b"Not by this name.\n"
+                elif (found := page.answer(self.path)) is not None:
+                    status, content = HTTPStatus.OK, found
+                else:
+                    status, content = HTTPStatus.NOT_FOUND, b"There is no such page.\n"
+                kind = "javascript" if self.path.endswith(".js") else "html"
+                self.send_response(status)
+                self.send_header("Content-Type", f"text/{kind}; charset=utf-8")
+                self.send_header("Content-Length", str(len(content)))
+                self.end_headers()
+                self.wfile.write(content)
+
+            def log_message(self, *_: object) -> None:
+                """Print nothing."""
+
+        return Handler
+
+
+def check_failures(cases: Sequence[Case]) -> None:
+    """Check that there is a failure.
+
+    Raises:
+        InvalidConfigError: There is none.
+    """
+    if not cases:
+        raise InvalidConfigError(
+            "No lines of episodes lie beside these results: there must be the "
+            f"{EPISODES} that 'lemma evaluate' wrote with them, or the "
+            f"NAME{PACKED} of 'lemma reproduce'."
+        )
+    if all(case.cause is None for case in cases):
+        raise InvalidConfigError(
+            f"None of the {len(cases)} episodes failed whose lines are there."
+        )
+
+
+def policies_of(cases: Iterable[Case]) -> tuple[str, ...]:
+    """Return titles of the policies, in order."""
+    return tuple(dict.fromkeys(case.policy for case in cases))
+
+
+def _start(case: Case) -> tuple[object, ...]:
+    """Return instance and instruction, by which episodes are compared."""
+    row = case.row
+    moved = row.get("perturb_start", False)
+    kind, about = row["instruction_kind"], case.about
+    return row["task"], row["split"], row["index"], kind, moved, about["language"]
+
+
+def _number(text: str, count: int) -> int | None:
+    number = int(text) if text.isascii() and text.isdecimal() else count
+    return number if number < count else None
+
+
+def _listen(
+    host: str, port: int, handler: type[BaseHTTPRequestHandler]
+) -> ThreadingHTTPServer:
+    class Server(ThreadingHTTPServer):
+        address_family = AF_INET6 if ":" in host else AF_INET
+        daemon_threads = True
+
+    for each in range(port, min(port + _PORTS, 65536)):
+        try:
+            return Server((host, each), handler)
+        except OSError:
+            continue
+    raise InvalidConfigError(f"All ports of {host} from {port} on are taken.")
