@@ -71,7 +71,15 @@ def test_leaves_with_1_if_an_attack_succeeded(
     ("words", "told"),
     [
         (("--split", "free"), "split free needs --episodes"),
-        (("--episodes", "61"), "60 instances"),
+        (
+            ("--episodes", "61"),
+            "--episodes 61 do not fit the split test, which has instances 0 to 59",
+        ),
+        (("--start", "60"), "--start 60 and --episodes all do not fit"),
+        (
+            ("--start", "-1", "--split", "free", "--episodes", "2"),
+            "which has instances from 0 on",
+        ),
         (("--attacks", "drag_hom"), "drag_home"),
         (("--attacks", "drag_home", "--level", "control"), "at skill level"),
         (("--tasks", " , "), "names nothing"),

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from lemma.audit import freeze as freezer
-from lemma.audit.freeze import MANIFEST, accept, accept_all, freeze, write_list
+import freeze_instances as freezer
+from freeze_instances import MANIFEST, accept, accept_all, freeze, write_list
 from lemma.core.errors import SamplingError
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, ExpertStep, solve

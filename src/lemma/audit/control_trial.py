@@ -6,16 +6,14 @@ commanded to stay where they are.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from itertools import takewhile
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.audit.hand import drawn_back, faces, leaning, moved
+from lemma.audit.hand import drawn_back, leaning, moved
 from lemma.audit.trial import AttemptOver, Trial
 from lemma.core.poses import FloatArray, Pose2
 from lemma.env.base_env import EnvSnapshot
@@ -33,10 +31,10 @@ from lemma.tasks.suite import FREE_SPLIT
 
 STEP_S = 0.02
 """Time between two commands; a longer one would shake off what lies on a held stick."""
+# Wait at the end of an attempt for the environment to call it a success.
 _PATIENCE_S = 2.5
-"""Wait at the end of an attempt for the environment to call it a success."""
+# Share of the joints' velocity limits at which the hand is led.
 _SPEED = 0.6
-"""Share of the joints' velocity limits at which the hand is led."""
 _CLOSE_RAD = 0.01
 _STUCK_S = 0.6
 _LIFT_M = 0.12
@@ -53,13 +51,8 @@ def control_config(task: str) -> EnvConfig:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """A moment of a trial."""
-
-    env: EnvSnapshot
-    row: FloatArray
-    commands: int
+Moment = tuple[EnvSnapshot, FloatArray, int]
+"""The environment, the last command of all robots, and the number of commands."""
 
 
 class ControlTrial(Trial):
@@ -123,10 +116,6 @@ class ControlTrial(Trial):
         """Whether the hand can be at each of some poses."""
         return all(len(self.postures(hand)) > 0 for hand in hands)
 
-    def farthest(self, ways: Iterable[Iterable[FloatArray]]) -> list[FloatArray]:
-        """Return the longest beginning of a way that the hand can follow."""
-        return max((list(takewhile(self.can, way)) for way in ways), key=len)
-
     def posture(self, hand: FloatArray) -> FloatArray | None:
         """Return the joint angles for a pose that are nearest to the present ones."""
         found = self.postures(hand)
@@ -162,16 +151,6 @@ class ControlTrial(Trial):
         for _ in range(round(seconds / STEP_S)):
             self.command(self.joints.copy(), opening_m)
 
-    def turn_to(self, joints: FloatArray, opening_m: float, speed: float = 1.0) -> None:
-        """Lead the joints straight to angles, and wait until they are there."""
-        start = self.joints.copy()
-        limits = np.array(ARMS[self.placement.arm].velocity_limits)
-        seconds = float((np.abs(joints - start) / limits).max()) / (_SPEED * speed)
-        count = max(1, math.ceil(seconds / STEP_S))
-        for i in range(1, count + 1):
-            self.command(start + (joints - start) * (i / count), opening_m)
-        self.settle(opening_m)
-
     def settle(self, opening_m: float) -> None:
         """Wait until the joints are at the commanded angles, or are stuck."""
         for _ in range(round(_STUCK_S / STEP_S)):
@@ -182,10 +161,15 @@ class ControlTrial(Trial):
 
     def go(self, hand: FloatArray, opening_m: float, speed: float = 1.0) -> bool:
         """Go to a pose, straight in joint space; return whether there is a way."""
-        joints = self.posture(hand)
+        joints, start = self.posture(hand), self.joints.copy()
         if joints is None:
             return False
-        self.turn_to(joints, opening_m, speed)
+        limits = np.array(ARMS[self.placement.arm].velocity_limits)
+        seconds = float((np.abs(joints - start) / limits).max()) / (_SPEED * speed)
+        count = max(1, math.ceil(seconds / STEP_S))
+        for i in range(1, count + 1):
+            self.command(start + (joints - start) * (i / count), opening_m)
+        self.settle(opening_m)
         return True
 
     def lead(
@@ -253,8 +237,11 @@ class ControlTrial(Trial):
             ahead_m: Distance of the cube's middle ahead of the tool centre point.
         """
         cube, z = self.pose(name), self.height(name)
-        for way in faces(cube.yaw, self.outward(cube)):
-            hand = drawn_back(leaning(Pose2(cube.x, cube.y, way), z, lean), ahead_m)
+        faces = [cube.yaw + 0.5 * math.pi * k for k in range(4)]
+        # Across the three faces that point outwards most.
+        faces.sort(key=lambda yaw: -math.cos(yaw - self.outward(cube)))
+        for yaw in faces[:3]:
+            hand = drawn_back(leaning(Pose2(cube.x, cube.y, yaw), z, lean), ahead_m)
             if self.can(hand, drawn_back(hand, 0.08), moved(hand, dz=_LIFT_M)):
                 yield hand
 
@@ -302,13 +289,14 @@ class ControlTrial(Trial):
 
     def snapshot(self) -> Moment:
         """Return the present moment, for :meth:`restore`."""
-        return Moment(self._env.snapshot(), self._row.copy(), len(self._commands))
+        return self._env.snapshot(), self._row.copy(), len(self._commands)
 
     def restore(self, moment: Moment) -> None:
         """Go back to a moment; everything done since then is undone."""
-        self._env.restore(moment.env)
-        self._row = moment.row.copy()
-        del self._commands[moment.commands :]
+        snapshot, row, count = moment
+        self._env.restore(snapshot)
+        self._row = row.copy()
+        del self._commands[count:]
         self._over = False
 
     def finish(self) -> bool:

@@ -1,7 +1,6 @@
 """Poses of a hand that may lean: matrices (4, 4), world from tool centre point."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -49,15 +48,3 @@ def moved(
 def ahead(hand: FloatArray, distance_m: float, heading: float) -> FloatArray:
     """Return a hand moved along a horizontal direction."""
     return moved(hand, distance_m * math.cos(heading), distance_m * math.sin(heading))
-
-
-def faces(yaw: float, near: float) -> Iterator[float]:
-    """Yield three directions across a cube's faces, the nearest to ``near`` first.
-
-    Args:
-        yaw: Heading of the cube [rad].
-        near: Preferred direction [rad].
-    """
-    turns = sorted(range(4), key=lambda k: -math.cos(yaw + 0.5 * math.pi * k - near))
-    for k in turns[:3]:
-        yield yaw + 0.5 * math.pi * k

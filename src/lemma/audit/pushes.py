@@ -1,11 +1,11 @@
-"""Where a hand must be to move a thing with the stick: every part of it, every way.
+"""Poses of a hand that moves a thing with the stick: geometry of the plane.
 
-Pure geometry of the plane. Unlike :mod:`lemma.tasks.drags`, which the expert uses, it
-knows all sides of the stick, all grasps, and any length.
+Unlike :mod:`lemma.tasks.drags`, which the expert uses, it knows all sides of the stick,
+all grasps, and pushes of any length.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lemma.core.poses import Pose2
@@ -18,13 +18,15 @@ from lemma.scene.objects.stick import (
 )
 from lemma.tasks.drags import Disc, stick_gap
 
-GAP_M = 0.02
-"""Between the stick and what it pushes before it does."""
+LONGEST_M = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M)
+"""From the end of the handle to the tip of the hook."""
+# Between the stick and a thing before it is pushed.
+_GAP_M = 0.02
 
 _HALF_M = STICK_SECTION_M / 2
 _CUBE_M = CUBE_EDGE_M / 2
+# Where the middle of the hook's bar is along the handle.
 _BAR_M = HANDLE_LENGTH_M - _HALF_M
-"""Where the middle of the hook's bar is along the handle."""
 _BESIDE_M = _HALF_M + _CUBE_M
 _INSIDE_M = HANDLE_LENGTH_M - STICK_SECTION_M - _CUBE_M
 
@@ -96,27 +98,12 @@ def push(
     yaw = heading - contact.heading
     u, v = contact.at
     touching = Pose2(thing.x, thing.y, yaw) @ Pose2(-u, -v)
-    stick = Pose2(touching.x - GAP_M * cos, touching.y - GAP_M * sin, touching.yaw)
+    stick = Pose2(touching.x - _GAP_M * cos, touching.y - _GAP_M * sin, touching.yaw)
     reached = Pose2(
         touching.x + length_m * cos, touching.y + length_m * sin, touching.yaw
     )
     moved = Pose2(thing.x + length_m * cos, thing.y + length_m * sin, heading)
     return Push(grasp, stick, stick @ grasp, reached @ grasp, moved)
-
-
-def pushes(
-    contacts: Sequence[Contact],
-    grasps: Sequence[Pose2],
-    thing: Pose2,
-    headings: Sequence[float],
-    lengths_m: Sequence[float],
-) -> Iterator[Push]:
-    """Yield all combinations."""
-    for contact in contacts:
-        for grasp in grasps:
-            for heading in headings:
-                for length_m in lengths_m:
-                    yield push(contact, grasp, thing, heading, length_m)
 
 
 def overlap_m(wanted: Push, obstacles: Sequence[Disc]) -> float:

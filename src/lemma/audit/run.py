@@ -53,18 +53,18 @@ class Found:
     """Attempts that ended because the physics became unstable."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Tally:
     """The outcomes of one attack on the instances of one task."""
 
     level: str
-    tried: int
+    tried: int = 0
     """Instances, each with every robot."""
-    executed: int
+    executed: int = 0
     """Those in which something was executed; in the others geometry gave it up."""
-    succeeded: int
+    succeeded: int = 0
     """Instances that were solved."""
-    best_progress: float
+    best_progress: float = 0.0
     """Most of a goal that ever held, in [0, 1]."""
 
 
@@ -179,14 +179,11 @@ def tally(found: Iterable[Found]) -> dict[str, dict[str, Tally]]:
     tallies: dict[str, dict[str, Tally]] = {}
     for one in found:
         of_tasks = tallies.setdefault(one.attack, {})
-        so_far = of_tasks.get(one.task, Tally(one.level, 0, 0, 0, 0.0))
-        of_tasks[one.task] = Tally(
-            one.level,
-            so_far.tried + 1,
-            so_far.executed + one.acted,
-            so_far.succeeded + one.succeeded,
-            max(so_far.best_progress, one.progress),
-        )
+        sums = of_tasks.setdefault(one.task, Tally(one.level))
+        sums.tried += 1
+        sums.executed += one.acted
+        sums.succeeded += one.succeeded
+        sums.best_progress = max(sums.best_progress, one.progress)
     return tallies
 
 

@@ -92,6 +92,10 @@ class Trial(ABC):
             with suppress(Lost):
                 play(option)
 
+    def require_near(self, name: str, limit_m: float) -> None:
+        """Give up if an object is farther from the robot's base than a limit."""
+        self.require(self.radius(self.pose(name)) <= limit_m)
+
     def pose(self, name: str) -> Pose2:
         """Return the pose of an object, seen from above."""
         return self.scene.pose2(name)
@@ -114,6 +118,10 @@ class Trial(ABC):
         base = self.placement.base
         x = base.x + radius_m * math.cos(bearing)
         return Pose2(x, base.y + radius_m * math.sin(bearing), bearing)
+
+    def support_m(self, name: str) -> float:
+        """Return how far from its middle an object carries another [m]."""
+        return kind_of(name).support_m or 0.0
 
     def cargo(self) -> list[str]:
         """Return what can be moved, is no tool and has not fallen off the table."""

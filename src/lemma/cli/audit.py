@@ -29,17 +29,16 @@ _AT_INTERRUPT = "{done} of {total} instances were done; nothing is kept."
 
 @dataclass(frozen=True, slots=True)
 class AuditOptions:
-    """Which instances, and which attacks."""
+    """Instances and attacks."""
 
     tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
     """Names of tasks, separated by commas."""
     split: str = "test"
-    """Frozen list of instances; or free, which samples them. Split free needs
-    --episodes."""
+    """Frozen list of instances; or free, which samples them and needs --episodes."""
     episodes: Number = None
-    """Only so many instances of every task; the whole list by default."""
+    """Number of instances of every task; the whole list by default."""
     start: int = 0
-    """Number of the first one."""
+    """Index of the first instance."""
     level: Literal["skill", "control", "both"] = "both"
     """Attacks with grounded sub-tasks, with motor commands, or both."""
     attacks: Annotated[str, tyro.conf.arg(metavar="ATTACK,...")] = _ALL
@@ -55,22 +54,25 @@ def audit(
     videos: Folder = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Attack instances with one robot alone, in physics; none may be solved.
+    """Attack instances with one robot alone, in physics.
 
-    Leaves with 1 if one was.
+    Exits with 1 if an attack succeeds.
 
     Args:
-        wanted: Which instances, and which attacks.
-        working: Where to work.
+        wanted: Instances and attacks.
+        working: Worker processes.
         videos: Folder for a video of every success.
         as_json: Print one JSON object instead of a table.
     """
-    # Imported here, so that help does not wait for it.
+    # Imported here so that help does not wait for it.
     from lemma.audit.run import audit as run
     from lemma.audit.run import tally, to_dict
 
     names = _attacks(wanted)
     keys = _keys(wanted)
+    if videos is not None:
+        # A folder that cannot be made is better refused before the work than after.
+        videos.mkdir(parents=True, exist_ok=True)
     with progress_bar("audit", len(keys), _AT_INTERRUPT) as advance:
         found = run(keys, names, working.make_engine(), advance)
     won = [one for one in found if one.succeeded]
@@ -126,16 +128,17 @@ def _keys(wanted: AuditOptions) -> list[tuple[str, str, int]]:
     tasks = SUITE if wanted.tasks == _ALL else words(wanted.tasks)
     for task in tasks:
         check_split(task, wanted.split)
-    size, first = SPLITS.get(wanted.split), wanted.start
-    count = wanted.episodes
-    if count is None and size is not None:
-        count = size - first
-    end = first + (count or 0)
-    if count is None or count < 1 or first < 0 or end > (end if size is None else size):
+    size, first, count = SPLITS.get(wanted.split), wanted.start, wanted.episodes
+    if count is None and size is None:
         raise InvalidConfigError(
-            f"Split {wanted.split!r} has {size or 'any number of'} instances, but "
-            f"--start {first} and --episodes {count} ask for others. Give both, in "
-            "that range; split free needs --episodes."
+            "The split free needs --episodes, because it has any number of instances."
+        )
+    end = first + count if count is not None else size or 0
+    if not 0 <= first < end or (size is not None and end > size):
+        has = "from 0 on" if size is None else f"0 to {size - 1}"
+        raise InvalidConfigError(
+            f"--start {first} and --episodes {_ALL if count is None else count} do not "
+            f"fit the split {wanted.split}, which has instances {has}."
         )
     return [
         (task, wanted.split, index) for task in tasks for index in range(first, end)
@@ -171,7 +174,6 @@ def write_videos(
     from lemma.viz.attack_video import replay_attack
     from lemma.viz.video import VideoStyle, write_video
 
-    folder.mkdir(parents=True, exist_ok=True)
     style = style or VideoStyle()
     for one in won:
         instance = load_instance(one.task, one.split, one.index)

@@ -16,14 +16,14 @@ _BACK_M = 0.02
 _AWAY_M = 0.15
 _OVERS_M = (0.0, 0.02, -0.02, 0.04)
 _PUSH_M_S = 0.10
+# Where along the handle the stick is held, by attempt.
 _TOPPLE_HANDS_M = (0.45, 0.25, 0.06)
-"""Where along the handle the stick is held, by attempt."""
+# Above the middle of the cube, and still below its top.
 _TOPPLE_RAISES_M = (0.03, 0.036, 0.042, 0.048)
-"""Above the middle of the cube, and still below its top."""
 _TOWER_HANDS_M = (0.45, 0.30, 0.15)
+# Where along the handle the stick is held, and the distance from the cube to the pad
+# before the stroke; by attempt [m].
 _SHOTS = ((0.45, 0.03), (0.25, 0.08), (0.25, 0.2))
-"""Where along the handle the stick is held, and the distance from the cube to the pad
-before the stroke; by attempt [m]."""
 _SWING_M = 0.12
 _STROKE_RAISES_M = (0.0, 0.015, 0.03)
 _SPEEDS_M_S = (0.8, 1.4, 2.2)
@@ -83,8 +83,7 @@ def _require_pad(trial: ControlTrial, on: On) -> None:
     """Give up unless the stick could push a cube against a fixed pad."""
     require_stick(trial)
     trial.require(kind_of(on.bottom).fixed)
-    limit_m = trial.could.touch_m + _LONGEST_M
-    trial.require(trial.radius(trial.pose(on.bottom)) <= limit_m)
+    trial.require_near(on.bottom, trial.could.touch_m + _LONGEST_M)
 
 
 def _push_over(
@@ -120,9 +119,6 @@ def _push_over(
     trial.try_each(product(raises_m, _OVERS_M), again)
 
 
-for _attack in (
-    Attack(tower_push, "control", attempts=len(_TOWER_HANDS_M)),
-    Attack(topple, "control", attempts=len(_TOPPLE_HANDS_M)),
-    Attack(strike, "control", attempts=len(_SHOTS)),
-):
-    ATTACKS.add(_attack.name, _attack)
+ATTACKS.add("tower_push", Attack(tower_push, "control", attempts=len(_TOWER_HANDS_M)))
+ATTACKS.add("topple", Attack(topple, "control", attempts=len(_TOPPLE_HANDS_M)))
+ATTACKS.add("strike", Attack(strike, "control", attempts=len(_SHOTS)))

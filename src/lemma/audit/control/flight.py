@@ -11,31 +11,31 @@ from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import On
 
+# What is let go low and flat flies no farther beyond the hand.
 _FLING_M = 0.5
-"""What is let go low and flat flies no farther beyond the hand."""
+# Of the hand, when it picks and when it lets go; by attempt. The cube stands upright
+# again at the end.
 _FLING_LEANS_RAD = ((0.0, 0.5 * math.pi), (0.35, 0.35), (0.6, 0.6))
-"""Of the hand, when it picks and when it lets go; by attempt. The cube stands upright
-again at the end."""
 _RUN_M = 0.4
 _ABOVE_M = (0.03, 0.07)
 _SPEEDS_M_S = (0.8, 1.2, 1.6, 2.0, 2.4)
+# Where the fingers open, as a share of the way.
 _SHARES = (0.1, 0.25, 0.4, 0.55, 0.7)
-"""Where the fingers open, as a share of the way."""
 _FLING_LANDING_S = 1.6
 
+# No throw of an arm at these speeds goes farther beyond its hand.
 _THROW_M = 1.2
-"""No throw of an arm at these speeds goes farther beyond its hand."""
+# Radius as a share of reach, height [m] and lean [rad] of the hand, before and after,
+# by attempt.
 _SWINGS = (
     ((0.45, 0.15, 0.3), (0.95, 0.45, 1.3)),
     ((0.55, 0.30, 0.0), (0.95, 0.30, 0.8)),
 )
-"""Radius as a share of reach, height [m] and lean [rad] of the hand, before and
-after, by attempt."""
+# Steps after which the fingers open.
 _RELEASES = (5, 9, 13, 17, 21, 25, 30, 35, 42, 50)
-"""Steps after which the fingers open."""
 _SWING_STEPS = 65
+# Of the swing, for throws about the best one.
 _PARTS = (1.0, 0.85, 0.7)
-"""Of the swing, for throws about the best one."""
 _OFFS = (-2, -1, 1, 2)
 _THROW_LANDING_S = 1.8
 
@@ -113,8 +113,7 @@ def _require_pad(trial: ControlTrial, range_m: float) -> On:
     """
     on = trial.goal.conjuncts[0]
     trial.require(len(trial.goal.conjuncts) == 1 and kind_of(on.bottom).fixed)
-    limit_m = trial.could.touch_m + range_m
-    trial.require(trial.radius(trial.pose(on.bottom)) <= limit_m)
+    trial.require_near(on.bottom, trial.could.touch_m + range_m)
     return on
 
 
@@ -136,8 +135,5 @@ def _run(
     return (first, last) if last is not None and trial.can(first) else None
 
 
-for _attack in (
-    Attack(fling, "control", attempts=len(_FLING_LEANS_RAD)),
-    Attack(throw, "control", attempts=len(_SWINGS)),
-):
-    ATTACKS.add(_attack.name, _attack)
+ATTACKS.add("fling", Attack(fling, "control", attempts=len(_FLING_LEANS_RAD)))
+ATTACKS.add("throw", Attack(throw, "control", attempts=len(_SWINGS)))

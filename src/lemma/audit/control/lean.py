@@ -22,15 +22,15 @@ from lemma.tasks.goal import On
 
 _ABOVE_M = 0.004
 _DROP_M = (0.03, 0.08)
+# Distance of a cube's middle ahead of the tool centre point; the second is the most
+# that the fingertips hold.
 _AHEAD_M = (0.0, 0.022)
-"""Distance of a cube's middle ahead of the tool centre point; the second is the most
-that the fingertips hold."""
 _TURNS_RAD = (0.0, 0.35, -0.35, 0.8, -0.8)
+# Of the way from the middle of a bottom to the edge of its support.
 _SHARES = (0.0, 0.3, 0.6, 0.85, 0.97)
-"""Of the way from the middle of a bottom to the edge of its support."""
+# Inverse kinematics is asked somewhat beyond the distance that is known to be out of
+# reach.
 _DOUBT_M = 0.03
-"""Inverse kinematics is asked somewhat beyond the distance that is known to be out of
-reach."""
 _PRESS_M = 0.004
 _STROKES = 3
 _SURE_M = 0.01
@@ -41,8 +41,7 @@ _STICK_TRIES = 3
 def tilted_move(trial: ControlTrial) -> None:
     """Picks and places with a hand that leans outwards, or drops."""
     for on in trial.goal.conjuncts:
-        limit_m = _place_m(trial, on) + _DOUBT_M
-        trial.require(trial.radius(trial.pose(on.bottom)) <= limit_m)
+        trial.require_near(on.bottom, _place_m(trial, on) + _DOUBT_M)
     for on in trial.goal.conjuncts:
         if not _put_on(trial, on, trial.attempt):
             return
@@ -54,8 +53,7 @@ def tilted_stick(trial: ControlTrial) -> None:
     for on in trial.goal.conjuncts:
         for name in (on.top, on.bottom):
             stick_m = HANDLE_LENGTH_M + HOOK_LENGTH_M if kind_of(name).cargo else 0.0
-            limit_m = _place_m(trial, on) + stick_m
-            trial.require(trial.radius(trial.pose(name)) <= limit_m)
+            trial.require_near(name, _place_m(trial, on) + stick_m)
     grip = either_way(trial, trial.pose(STICK) @ END_GRASP)
     hands = ((leaning(grip, STICK_GRASP_HEIGHT_M, lean), lean) for lean in LEANS_RAD)
     leans = [lean for hand, lean in hands if trial.can(hand)]
@@ -72,9 +70,8 @@ def rake(trial: ControlTrial) -> None:
     """Pulls cubes nearer with the fingertips of a leaning hand."""
     for name in trial.goal.entities:
         # A thing that cannot be touched can neither be raked nor built upon.
-        kind = kind_of(name)
-        limit_m = trial.could.radius_m(kind.disc_m, kind.support_m or 0.0)
-        trial.require(trial.radius(trial.pose(name)) <= limit_m)
+        disc_m, support_m = kind_of(name).disc_m, trial.support_m(name)
+        trial.require_near(name, trial.could.radius_m(disc_m, support_m))
     cubes = [name for name in trial.goal.entities if kind_of(name).cargo]
     for name in [cube for cube in cubes if not trial.is_home(cube, _SURE_M)]:
         for _ in range(_STROKES):
@@ -86,7 +83,7 @@ def rake(trial: ControlTrial) -> None:
 
 def _place_m(trial: ControlTrial, on: On) -> float:
     """Return the distance beyond which nobody puts a top on its bottom [m]."""
-    return trial.could.place_m + (kind_of(on.bottom).support_m or 0.0)
+    return trial.could.place_m + trial.support_m(on.bottom)
 
 
 def _put_on(trial: ControlTrial, on: On, number: int = 0) -> bool:
@@ -134,7 +131,7 @@ def _places(
     trial: ControlTrial, on: On, z: float, lean: float, ahead_m: float
 ) -> Iterator[FloatArray]:
     """Yield hands that put the middle of a held cube upon its bottom."""
-    target, support_m = trial.pose(on.bottom), kind_of(on.bottom).support_m or 0.0
+    target, support_m = trial.pose(on.bottom), trial.support_m(on.bottom)
     outward = trial.outward(target)
     for share in _SHARES:
         x = target.x - share * support_m * math.cos(outward)
@@ -190,9 +187,6 @@ def _first_touch(trial: ControlTrial, name: str) -> FloatArray | None:
     return None
 
 
-for _attack in (
-    Attack(tilted_move, "control", attempts=6, cheap=True),
-    Attack(rake, "control", attempts=3, cheap=True),
-    Attack(tilted_stick, "control", attempts=_STICK_TRIES),
-):
-    ATTACKS.add(_attack.name, _attack)
+ATTACKS.add("tilted_move", Attack(tilted_move, "control", attempts=6, cheap=True))
+ATTACKS.add("rake", Attack(rake, "control", attempts=3, cheap=True))
+ATTACKS.add("tilted_stick", Attack(tilted_stick, "control", attempts=_STICK_TRIES))

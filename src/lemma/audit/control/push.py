@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.control_trial import ControlTrial
@@ -12,13 +13,15 @@ from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import On
 
-GAP_M = 0.004
-"""Between two cubes of a row when they are set down."""
+# Between two cubes of a row when they are set down.
+_GAP_M = 0.004
+# Half of two closed fingers.
 _FINGERS_M = 0.015
-"""Half of two closed fingers."""
 _STEP_M = 0.02
 _HIGH_M = 0.20
 _SPOTS = 12
+# How many spare cubes are in the row, all if None, and how far the upper cube of a
+# tower stands out, None without one [m]; by attempt.
 _WAYS: tuple[tuple[int | None, float | None], ...] = (
     (None, None),
     (None, 0.013),
@@ -28,10 +31,8 @@ _WAYS: tuple[tuple[int | None, float | None], ...] = (
     (1, 0.018),
     (1, 0.023),
 )
-"""How many spare cubes are in the row, all if None, and how far the upper cube of a
-tower stands out, None without one [m]; by attempt."""
+# Of the push; a row that is fast slides on.
 _SPEEDS_M_S = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.65, 0.8)
-"""Of the push; a row that is fast slides on."""
 _BEHIND_M = CUBE_EDGE_M / 2 + 0.035
 _LOW_M = 0.02
 _SLIDE_M = 0.10
@@ -56,8 +57,14 @@ class Line:
         return -(self.end.inverse() @ pose).x
 
 
-def line_to(trial: ControlTrial, pad: Pose2, beside_m: float = 0.0) -> Line:
+def row_m(count: int) -> float:
+    """Return the length of a row of cubes [m]."""
+    return count * (CUBE_EDGE_M + _GAP_M)
+
+
+def line_to(trial: ControlTrial, on: On, beside_m: float = 0.0) -> Line:
     """Return the line to a pad that passes the robot's base on its left [m]."""
+    pad = trial.pose(on.bottom)
     turn = math.asin(beside_m / trial.radius(pad))
     return Line(Pose2(pad.x, pad.y, trial.outward(pad) - turn))
 
@@ -90,7 +97,7 @@ def build_row(
         return []
     first_m = line.before_m(spot)
     for i, name in enumerate(row):
-        if not trial.set_down(name, line.at(first_m + i * (CUBE_EDGE_M + GAP_M))):
+        if not trial.set_down(name, line.at(first_m + row_m(i))):
             return []
     if out_m is not None:
         upper = line.at(line.before_m(trial.pose(row[0])) - out_m)
@@ -111,10 +118,9 @@ def cube_chain(trial: ControlTrial) -> None:
     trial.require(number is None or len(spare) > number)
     spare = spare[:number]
     trial.require(spare and trial.is_home(on.top))
-    pad, row_m = trial.pose(on.bottom), (len(spare) + 1) * (CUBE_EDGE_M + GAP_M)
-    limit_m = trial.could.touch_m + row_m + _SLIDE_M + kind_of(on.bottom).disc_m
-    trial.require(trial.radius(pad) <= limit_m)
-    line = line_to(trial, pad)
+    beyond_m = row_m(len(spare) + 1) + _SLIDE_M + kind_of(on.bottom).disc_m
+    trial.require_near(on.bottom, trial.could.touch_m + beyond_m)
+    line = line_to(trial, on)
     row = build_row(trial, on, spare, line, out_m)
     if not row:
         return
@@ -137,9 +143,8 @@ def hand_push(trial: ControlTrial) -> None:
     """Pushes a cube to its pad with the hand, or with a cube in it."""
     held_m = CUBE_EDGE_M if trial.attempt else 0.0
     for on in trial.goal.conjuncts:
-        support_m = kind_of(on.bottom).support_m or 0.0
-        limit_m = trial.could.touch_m + CUBE_EDGE_M / 2 + held_m + support_m
-        trial.require(trial.radius(trial.pose(on.bottom)) <= limit_m)
+        beyond_m = CUBE_EDGE_M / 2 + held_m + trial.support_m(on.bottom)
+        trial.require_near(on.bottom, trial.could.touch_m + beyond_m)
     for on in trial.goal.conjuncts:
         _push_on(trial, on)
 
@@ -181,11 +186,9 @@ def _farthest(
     trial: ControlTrial, spots: Sequence[Pose2], z: float, leans: Sequence[float]
 ) -> list[FloatArray]:
     """Return the hands, of the one lean with which the robot gets farthest."""
-    return trial.farthest((leaning(spot, z, lean) for spot in spots) for lean in leans)
+    ways = ((leaning(spot, z, lean) for spot in spots) for lean in leans)
+    return max((list(takewhile(trial.can, way)) for way in ways), key=len)
 
 
-for _attack in (
-    Attack(hand_push, "control", attempts=2, cheap=True),
-    Attack(cube_chain, "control", attempts=len(_WAYS)),
-):
-    ATTACKS.add(_attack.name, _attack)
+ATTACKS.add("hand_push", Attack(hand_push, "control", attempts=2, cheap=True))
+ATTACKS.add("cube_chain", Attack(cube_chain, "control", attempts=len(_WAYS)))

@@ -3,7 +3,7 @@
 from typing import Any
 
 from lemma.audit.attack import ATTACKS, Attack
-from lemma.audit.control.push import GAP_M, Line, build_row, line_to
+from lemma.audit.control.push import Line, build_row, line_to, row_m
 from lemma.audit.control.stick import (
     LOW_M,
     carry_over,
@@ -25,6 +25,9 @@ from lemma.scene.objects.stick import HANDLE_LENGTH_M
 from lemma.tasks.drags import stick_gap
 from lemma.tasks.goal import On
 
+# How far left of the base the line passes [m], how far the upper cube of a tower
+# stands out, None without one [m], and whether the last push has a run-up; by
+# attempt.
 _WAYS: tuple[tuple[float, float | None, bool], ...] = (
     (-0.17, None, False),
     (-0.20, None, False),
@@ -32,28 +35,26 @@ _WAYS: tuple[tuple[float, float | None, bool], ...] = (
     (-0.17, 0.016, True),
     (-0.20, 0.022, True),
 )
-"""How far left of the base the line passes [m], how far the upper cube of a tower
-stands out, None without one [m], and whether the last push has a run-up; by attempt."""
 _GRASPS = (Pose2(0.43, 0.0), Pose2(0.25, 0.0), Pose2(0.02, 0.0))
+# Where along the handle the stick is held, one after the other.
 _FIRST, _LAST = _GRASPS[0], _GRASPS[-1]
-"""Where along the handle the stick is held, one after the other."""
 _SLOW_M_S = 0.05
 _FAST_M_S = 1.2
+# Accelerations of a run-up; with more the upper cube of a tower slides back.
 _RUNS_M_S2 = (0.2, 0.4, 0.7, 1.0, 1.5)
-"""Accelerations of a run-up; with more the upper cube of a tower slides back."""
+# From the base to the hand where a run-up begins.
 _START_M = 0.42
-"""From the base to the hand where a run-up begins."""
 _STEP_M = 0.01
+# Shorter pushes are not worth the time.
 _LEAST_M = 0.02
-"""Shorter pushes are not worth the time."""
 _LEAN_COST_M = 0.04
 _GAIN_M = 0.005
+# Of the gaps in the row and behind it.
 _SLACK_M = 0.03
-"""Of the gaps in the row and behind it."""
 _NEAR_M = 0.02
 _PUSHES = 6
+# Cubes that the goal does not need, fetched with the stick if there are fewer.
 _SPARE = 2
-"""Cubes that the goal does not need, fetched with the stick if there are fewer."""
 
 
 def stick_relay(trial: ControlTrial) -> None:
@@ -65,10 +66,9 @@ def stick_relay(trial: ControlTrial) -> None:
     """
     require_stick(trial)
     on, others = trial.goal.conjuncts[0], trial.spare()
-    pad, kind = trial.pose(on.bottom), kind_of(on.bottom)
-    row_m = (len(others) + 1) * (CUBE_EDGE_M + GAP_M)
-    limit_m = trial.could.touch_m + HANDLE_LENGTH_M + row_m + kind.disc_m
-    trial.require(others and kind.fixed and trial.radius(pad) <= limit_m)
+    trial.require(others and kind_of(on.bottom).fixed)
+    beyond_m = HANDLE_LENGTH_M + row_m(len(others) + 1) + kind_of(on.bottom).disc_m
+    trial.require_near(on.bottom, trial.could.touch_m + beyond_m)
     if not _fetch(trial, on.top):
         return
     spare = [name for name in others if trial.is_home(name)]
@@ -78,7 +78,7 @@ def stick_relay(trial: ControlTrial) -> None:
     if not spare:
         return
     beside_m, out_m, runs_up = _WAYS[trial.attempt]
-    line = line_to(trial, pad, beside_m)
+    line = line_to(trial, on, beside_m)
     row = build_row(trial, on, spare, line, out_m)
     if not row:
         return

@@ -15,42 +15,40 @@ from lemma.audit.control.stick import (
 )
 from lemma.audit.control_trial import STEP_S, ControlTrial
 from lemma.audit.hand import ahead, leaning, moved
+from lemma.audit.pushes import LONGEST_M
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.objects.stick import (
     HANDLE_LENGTH_M,
-    HOOK_LENGTH_M,
     STICK_GRASP_HEIGHT_M,
     STICK_SECTION_M,
 )
 from lemma.tasks.goal import On
 
+# Where on the stick the cube lies.
 _SPOT = Pose2(HANDLE_LENGTH_M - 0.004, 0.08)
-"""Where on the stick the cube lies."""
-_LONGEST_M = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M) + CUBE_EDGE_M
+# Where along the handle the stick is held then, by attempt.
 _HANDS_M = (0.42, 0.30, 0.20, 0.08)
-"""Where along the handle the stick is held then, by attempt."""
 _CARRY_M = 0.10
+# Speed of the arm with a cube on the stick [rad/s], [m/s].
 _SLOW = 0.12
-"""Speed of the arm with a cube on the stick [rad/s], [m/s]."""
 _JUMP_RAD = 0.3
 _AIMS_M = (-0.06, -0.035, -0.01, 0.06)
 _PITCHES_RAD = (0.3, 0.42, 0.55)
 _DIP_M = 0.025
 _PULL_M = 0.15
 
+# Poses of the hand, and its speed as a share of the usual one.
 _Ending = tuple[list[FloatArray], float]
-"""Poses of the hand, and its speed as a share of the usual one."""
 
 
 def tip_off_stick(trial: ControlTrial) -> None:
     """Carries a cube on the stick over its pad, and tips or jerks it off."""
     require_stick(trial)
     for on in trial.goal.conjuncts:
-        support_m = kind_of(on.bottom).support_m or 0.0
-        limit_m = trial.could.touch_m + _LONGEST_M + support_m
-        trial.require(trial.radius(trial.pose(on.bottom)) <= limit_m)
+        beyond_m = LONGEST_M + CUBE_EDGE_M + trial.support_m(on.bottom)
+        trial.require_near(on.bottom, trial.could.touch_m + beyond_m)
     # With the stick over one pad nothing is done about another.
     on = trial.goal.conjuncts[0]
     if _load(trial, on):

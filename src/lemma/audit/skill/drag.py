@@ -81,9 +81,6 @@ def _bring_home(trial: SkillTrial, ways: Ways) -> None:
             failures[thing] = number + 1
 
 
-for _attack in (
-    Attack(drag_home, "skill", cheap=True),
-    Attack(drag_any_part, "skill"),
-    Attack(take_the_stick, "skill", cheap=True),
-):
-    ATTACKS.add(_attack.name, _attack)
+ATTACKS.add("drag_home", Attack(drag_home, "skill", cheap=True))
+ATTACKS.add("drag_any_part", Attack(drag_any_part, "skill"))
+ATTACKS.add("take_the_stick", Attack(take_the_stick, "skill", cheap=True))

@@ -12,8 +12,8 @@ from lemma.expert.grounding import GroundedOption
 from lemma.expert.planner import find_plan
 from lemma.scene.objects.entity import kind_of
 
+# No plan of the suite has more sub-tasks.
 _LONGEST = 8
-"""No plan of the suite has more sub-tasks."""
 _DRAWS = 50
 
 

@@ -1,19 +1,13 @@
 """Attacks that push or shove a cube, or a tower, onto what is out of reach."""
 
 import math
+from dataclasses import replace
 
 from lemma.audit.attack import ATTACKS, Attack
-from lemma.audit.pushes import (
-    BAR_GRASPS,
-    CONTACTS,
-    HANDLE_GRASPS,
-    HOOK,
-    Push,
-    overlap_m,
-    push,
-)
+from lemma.audit.pushes import Push, overlap_m
 from lemma.audit.skill.stick import (
     HOOKING,
+    STRAIGHT,
     bring_within,
     carry_out,
     drag_closer,
@@ -25,22 +19,19 @@ from lemma.audit.skill_trial import SkillTrial
 from lemma.core.poses import Pose2, wrap
 from lemma.robots.gripper import FINGER_CENTER_M, FINGER_THICKNESS_M
 from lemma.scene.objects.cube import CUBE_EDGE_M
-from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import On
 
+# How far beyond the pad's middle a push aims, by attempt.
 _BEYOND_M = (0.0, 0.03, 0.055)
-"""How far beyond the pad's middle a push aims, by attempt."""
-_CONTACTS = tuple(contact for contact in CONTACTS if contact is not HOOK)
-_GRASPS = (*HANDLE_GRASPS[:3], BAR_GRASPS[1])
 _STAGES = 6
 _TURNS_RAD = (0.0, 0.12, -0.12, 0.25, -0.25, 0.4, -0.4, 0.7, -0.7)
 _INSIDE_M = (0.02, 0.06, 0.12, 0.2, 0.3)
 _TOWER_PUSHES = 3
+# How far the upper cube stands out towards the pad, by attempt: where the lower one
+# is stopped, it tips over.
 _OVERHANGS_M = (0.0, 0.015, 0.018)
-"""How far the upper cube stands out towards the pad, by attempt: where the lower one is
-stopped, it tips over."""
+# How far beside its middle a cube can be held.
 _OFF_M = 0.0225
-"""How far beside its middle a cube can be held."""
 _EDGE_M = 0.0015
 _FINGER_M = FINGER_CENTER_M + FINGER_THICKNESS_M / 2
 _SHOVES = 7
@@ -67,9 +58,8 @@ def shove(trial: SkillTrial) -> None:
     # Opening fingers move nothing beyond themselves and all cubes in a row.
     row_m = _FINGER_M + CUBE_EDGE_M * len(trial.cargo())
     for on in trial.goal.conjuncts:
-        support_m = kind_of(on.bottom).support_m or 0.0
-        limit_m = trial.reach.travel_m + row_m + support_m
-        trial.require(trial.radius(trial.pose(on.bottom)) <= limit_m)
+        beyond_m = row_m + trial.support_m(on.bottom)
+        trial.require_near(on.bottom, trial.reach.travel_m + beyond_m)
     for on in trial.goal.conjuncts:
         _shove_on(trial, on)
 
@@ -129,13 +119,12 @@ def _direct_pushes(
     length_m = cube.distance(pad) + _BEYOND_M[trial.attempt]
     discs = trial.grounder.discs(trial.state(), but=top)
     others = [d for d in discs if math.hypot(d[0] - pad.x, d[1] - pad.y) > 0.01]
+    ways = replace(STRAIGHT, headings=(heading,), lengths_m=(length_m,))
     reach, found = trial.reach, []
-    for contact in _CONTACTS:
-        for grasp in _GRASPS:
-            way = push(contact, grasp, cube, heading, length_m)
-            follows = reach.inner_m < trial.radius(way.end) < reach.grasp_m - 0.002
-            if trial.margin(way.start) > 0.003 and follows:
-                found.append((round(overlap_m(way, others), 4), way))
+    for way in ways.pushes(cube):
+        follows = reach.inner_m < trial.radius(way.end) < reach.grasp_m - 0.002
+        if trial.margin(way.start) > 0.003 and follows:
+            found.append((round(overlap_m(way, others), 4), way))
     return sorted(found, key=lambda pair: pair[0])
 
 
@@ -195,9 +184,6 @@ def _face(cube: Pose2, wanted: float) -> float:
     return min(turns, key=lambda yaw: abs(wrap(yaw - wanted)))
 
 
-for _attack in (
-    Attack(push_onto_pad, "skill", attempts=len(_BEYOND_M)),
-    Attack(push_tower, "skill", attempts=len(_OVERHANGS_M)),
-    Attack(shove, "skill", cheap=True),
-):
-    ATTACKS.add(_attack.name, _attack)
+ATTACKS.add("push_onto_pad", Attack(push_onto_pad, "skill", attempts=len(_BEYOND_M)))
+ATTACKS.add("push_tower", Attack(push_tower, "skill", attempts=len(_OVERHANGS_M)))
+ATTACKS.add("shove", Attack(shove, "skill", cheap=True))

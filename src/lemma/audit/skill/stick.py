@@ -12,6 +12,7 @@ from lemma.audit.pushes import (
     GRASPS,
     HANDLE_GRASPS,
     HOOK,
+    LONGEST_M,
     Contact,
     Push,
     overlap_m,
@@ -21,19 +22,18 @@ from lemma.audit.skill_trial import SkillTrial
 from lemma.core.poses import Pose2, wrap
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK, kind_of
-from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M
 from lemma.tasks.drags import stick_gap
 from lemma.tasks.subtask import Primitive
 
 SURE_M = 0.004
+# Farther than this inside its reach a robot has no use for a thing.
 _HOME_M = 0.075
-"""Farther than this inside its reach a robot has no use for a thing."""
 _FAR_M = 0.03
 _OVERLAP_COST = 3.0
 _LENGTH_COST = 0.1
 _LEAST_GAIN_M = 0.01
+# Pushes, the most useful ones, that are checked for what is in their way.
 _LOOKS = 200
-"""Pushes, the most useful ones, that are checked for what is in their way."""
 
 
 @dataclass(frozen=True)
@@ -42,16 +42,13 @@ class Ways:
 
     contacts: tuple[Contact, ...] = (HOOK,)
     grasps: tuple[Pose2, ...] = (END_GRASP,)
-    headings: int = 36
+    headings: tuple[float, ...] = tuple(i * (math.tau / 36) for i in range(36))
     lengths_m: tuple[float, ...] = tuple(round(0.06 + 0.02 * i, 2) for i in range(25))
 
     def pushes(self, thing: Pose2) -> Iterator[Push]:
         """Yield all combinations for a thing at a pose."""
-        turn = math.tau / self.headings
-        headings = [i * turn for i in range(self.headings)]
-        for contact, grasp, heading, length_m in product(
-            self.contacts, self.grasps, headings, self.lengths_m
-        ):
+        parts = (self.contacts, self.grasps, self.headings, self.lengths_m)
+        for contact, grasp, heading, length_m in product(*parts):
             yield push(contact, grasp, thing, heading, length_m)
 
 
@@ -60,10 +57,12 @@ HOOKING = Ways()
 ANY_WAY = Ways(
     CONTACTS,
     (*HANDLE_GRASPS[:6:2], HANDLE_GRASPS[-1], BAR_GRASPS[1]),
-    headings=24,
+    headings=tuple(i * (math.tau / 24) for i in range(24)),
     lengths_m=tuple(round(0.08 + 0.06 * i, 2) for i in range(9)),
 )
 """With every side of the stick, and other grasps."""
+STRAIGHT = Ways(CONTACTS[1:], (*HANDLE_GRASPS[:3], BAR_GRASPS[1]))
+"""With every side but the hook, for one heading and length."""
 
 
 def require_stick(trial: SkillTrial, grasps: Sequence[Pose2] = GRASPS) -> None:
@@ -73,8 +72,8 @@ def require_stick(trial: SkillTrial, grasps: Sequence[Pose2] = GRASPS) -> None:
 
 def touches_by_stick(trial: SkillTrial, name: str) -> bool:
     """Whether the stick could touch a thing while it is held, pointing down."""
-    longest_m = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M) + CUBE_EDGE_M
-    return trial.radius(trial.pose(name)) <= trial.reach.grasp_m + longest_m
+    limit_m = trial.reach.grasp_m + LONGEST_M + CUBE_EDGE_M
+    return trial.radius(trial.pose(name)) <= limit_m
 
 
 def grasp_now(trial: SkillTrial, grasps: Sequence[Pose2]) -> Pose2 | None:

@@ -4,7 +4,7 @@ import math
 from itertools import product
 
 from lemma.audit.attack import ATTACKS, Attack
-from lemma.audit.pushes import END_GRASP
+from lemma.audit.pushes import END_GRASP, LONGEST_M
 from lemma.audit.skill.stick import bring_within, require_stick
 from lemma.audit.skill_trial import SkillTrial
 from lemma.core.poses import Pose2
@@ -19,13 +19,13 @@ from lemma.tasks.subtask import Primitive
 
 _ON_BAR = Pose2(HANDLE_LENGTH_M - STICK_SECTION_M / 2, 0.35 * HOOK_LENGTH_M)
 _BEYOND = Pose2(HANDLE_LENGTH_M + 0.005, 0.3 * HOOK_LENGTH_M)
+# Where on the stick the cube lies, in its frame, and how it is carried: slowly along
+# the table, or through the air; by attempt.
 _WAYS = (
     (_ON_BAR, Primitive.POKE),
     (_ON_BAR, Primitive.PREPOKE),
     (_BEYOND, Primitive.POKE),
 )
-"""Where on the stick the cube lies, in its frame, and how it is carried: slowly along
-the table, or through the air; by attempt."""
 _TURNS_RAD = tuple(math.radians(d) for d in (60, 75, 45, 90, -60, -75))
 _SIDES_RAD = (-0.55, 0.55, -0.7, 0.7)
 _PULL_M = 0.25
@@ -34,9 +34,9 @@ _PULL_M = 0.25
 def carry_on_stick(trial: SkillTrial) -> None:
     """Lays a cube on the stick, and carries it farther than the hand."""
     require_stick(trial, (END_GRASP,))
-    limit_m = trial.reach.travel_m + math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M) + 0.1
+    limit_m = trial.reach.travel_m + LONGEST_M + 0.1
     for on in trial.goal.conjuncts:
-        trial.require(trial.radius(trial.pose(on.bottom)) <= limit_m)
+        trial.require_near(on.bottom, limit_m)
     for on in trial.goal.conjuncts:
         _carry(trial, on)
 
