@@ -17,7 +17,11 @@ from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import Grounder, PastStep, Planner, Policy
 from lemma.policies.spec import PolicySpec
 from lemma.serve.conversation import ProtocolMode, Remote
-from lemma.serve.faults import FaultKind, PolicyFailedError
+from lemma.serve.faults import (
+    FaultKind,
+    PolicyFailedError,
+    PolicyUnreachableError,
+)
 from lemma.serve.isolation import isolate
 
 LONG_S = 60.0
@@ -71,6 +75,13 @@ def test_faults_are_named(name: str, kind: FaultKind, words: str) -> None:
     assert failed.value.kind is kind
     # In a new process, if the old one is gone.
     assert policy.act([given()]) == [moved()]
+    policy.close()
+
+
+def test_a_process_that_the_system_kills_is_no_fault_of_the_policy() -> None:
+    policy: Any = isolate("faulty_policies:IsKilled", LONG_S)
+    with pytest.raises(PolicyUnreachableError, match="memory"):
+        policy.act([given(BAD)])
     policy.close()
 
 

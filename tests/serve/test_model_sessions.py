@@ -11,8 +11,12 @@ from model_server import pack, unpack
 import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.policies.control.interfaces import Actions, ControlInput
+from lemma.serve.conversation import ProtocolMode
+from lemma.serve.faults import PolicyUnreachableError
+from lemma.serve.model_server import ModelServer
 from lemma.serve.server import PolicyServer
 from lemma.serve.session import ModelSession
+from lemma.serve.vla_eval import observation
 
 
 class Counts:
@@ -105,6 +109,21 @@ def test_what_is_missing_is_said(
     assert (answer["type"], answer["seq"]) == ("error", 7)
     with pytest.raises(AssertionError, match=words):
         raise AssertionError(answer["payload"]["error"])
+
+
+def test_trouble_of_the_machine_ends_the_run_of_the_other_side() -> None:
+    class Starves(Counts):
+        def act(self, inputs: list[ControlInput]) -> list[Actions]:
+            raise MemoryError
+
+    with PolicyServer(Starves(np.zeros(14)), port=0, protocol="vla-eval") as server:
+        url = server.url.replace("http", "vla-eval")
+        there = ModelServer(url, ProtocolMode(5.0))
+        episode = there.begin({}, [f"{n}" for n in range(14)])
+        seen = observation({}, "go", np.zeros(42))
+        with pytest.raises(PolicyUnreachableError, match="MemoryError"):
+            there.act([episode], [seen])
+        there.close()
 
 
 @pytest.mark.parametrize("rows", ["left", 3.0, np.zeros((0, 2, 7))])

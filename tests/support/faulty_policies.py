@@ -115,6 +115,12 @@ class Leaves(_Faulty):
         sys.exit(3)
 
 
+class IsKilled(_Faulty):
+    def fail(self) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(1000.0)
+
+
 class ForgetsOne(_Faulty):
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         return [moved() for one in inputs if one.instruction != BAD]

@@ -104,6 +104,7 @@ class ProcessChannel:
         Raises:
             TimeoutError: There is none in time.
             OSError: The process is gone.
+            PolicyUnreachableError: The system has killed it.
         """
         end = time.monotonic() + timeout_s
         # The children of a dead process may hold its end of the pipe open.
@@ -118,8 +119,14 @@ class ProcessChannel:
             self._process.join(_END_S)
             raise self._ended() from None
 
-    def _ended(self) -> ConnectionError:
+    def _ended(self) -> Exception:
         code = self._process.exitcode
+        if code == -signal.SIGKILL:
+            return PolicyUnreachableError(
+                "The process of the policy was killed, as the system does when memory "
+                "runs out. Free memory, or use fewer workers; the same command then "
+                "goes on."
+            )
         return ConnectionError(f"its process ended with {_why(code)}")
 
     def close(self) -> None:

@@ -25,8 +25,10 @@ from lemma.policies.control.interfaces import (
 )
 from lemma.serve.conversation import Channel, ProtocolMode, keep_trying
 from lemma.serve.faults import (
+    UNAVAILABLE,
     FaultKind,
     PolicyFailedError,
+    PolicyUnreachableError,
     ProtocolError,
 )
 from lemma.serve.vla_eval import (
@@ -47,6 +49,7 @@ from lemma.serve.websocket import (
 )
 
 _HELLO_S = 30.0
+_SHOWN = 500
 _BENCHMARK = "lemma_vla_eval:LemmaBenchmark"
 _TASK = {"name": "lemma", "suite": "lemma"}
 """Task of every episode: policies do not get its name."""
@@ -283,7 +286,9 @@ class ServedEpisode:
             self._hang_up()
             raise PolicyFailedError(FaultKind.MALFORMED, str(error)) from error
         if reply.kind is Kind.ERROR:
-            said = reply.payload.get("error", dict(reply.payload))
+            said = str(reply.payload.get("error", reply.payload))[:_SHOWN]
+            if reply.payload.get("kind") == UNAVAILABLE:
+                raise PolicyUnreachableError(f"The model server says: {said}")
             raise PolicyFailedError(FaultKind.RAISED, f"The model server says: {said}")
         return read_action(reply.payload, self._names)
 

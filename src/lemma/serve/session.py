@@ -243,6 +243,7 @@ class ModelSession:
     def answer(self, data: bytes | str) -> bytes | None:
         """Return the answer to a message, if it has one; errors are answers as well."""
         seq = 0
+        failed: dict[str, str] = {}
         try:
             asked = unpack(data)
             seq = asked.seq
@@ -252,11 +253,13 @@ class ModelSession:
             kind = Kind.HELLO if asked.kind is Kind.HELLO else Kind.ACTION
             return pack(Message.of(kind, found, seq))
         except (ProtocolError, PolicyFailedError) as error:
-            text = str(error)
+            failed["error"] = str(error)
         except Exception as error:
             # The policy is anybody's code.
-            text = f"{type(error).__name__}: {error}"
-        return pack(Message.of(Kind.ERROR, {"error": text}, seq))
+            failed["error"] = f"{type(error).__name__}: {error}"
+            if trouble_of(error) is not None:
+                failed["kind"] = UNAVAILABLE
+        return pack(Message.of(Kind.ERROR, failed, seq))
 
     def _answer(self, asked: Message) -> dict[str, Any] | None:
         if asked.kind is Kind.HELLO:

@@ -159,6 +159,13 @@ def test_a_server_that_repeats_the_key_in_any_spelling(
     assert "sk" not in shown
 
 
+def test_the_password_of_a_proxy_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("http_proxy", "http://me:word@proxy:port")
+    with pytest.raises(PlannerUnavailableError) as caught:
+        ask("http://example.invalid/v1")
+    assert "word" not in str(caught.value)
+
+
 def test_words_of_an_answer_are_no_secret(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(KEY_VARIABLE, "none")
     with chat_server() as server:

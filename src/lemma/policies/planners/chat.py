@@ -337,20 +337,16 @@ class ChatServer:
                 f"The server's answer is no chat completion: {self._excerpt(body)}",
             )
         if len(self._key) >= _SHORTEST_SECRET:
-            content = self._hidden(content)
+            content = _without(self._key, content)
         return Reply(content, asked, said, remark=self._hidden(remark)[:_SHOWN])
 
     def _excerpt(self, data: bytes) -> str:
         """Return the beginning of an answer for a message, without the key."""
-        text = " ".join(data.decode(errors="replace").split())
-        return self._hidden(text)[:_SHOWN]
+        return self._hidden(" ".join(data.decode(errors="replace").split()))[:_SHOWN]
 
     def _hidden(self, text: str) -> str:
-        """Return a text of others without the key and without passwords in URLs."""
-        text = re.sub(r"\S+@(?=\S)", "***@", text) if "://" in text else text
-        for spelling in _spellings(self._key):
-            text = text.replace(spelling, "***")
-        return text
+        """Return a message without the key and without passwords in addresses."""
+        return _without(self._key, re.sub(r"\S+@(?=\S)", "***@", text))
 
 
 class _Slots:
@@ -435,22 +431,19 @@ def probe_of(request: Mapping[str, Any]) -> dict[str, Any]:
     return {**request, "messages": [messages[0], question]}
 
 
-def _spellings(secret: str) -> list[str]:
-    """Return a secret as messages may spell it, the longest first."""
+def _without(secret: str, text: str) -> str:
+    """Return a text in which no usual spelling of a secret is left."""
     if not secret:
-        return []
+        return text
     plain = json.dumps(secret)[1:-1]
-    found = {
-        secret,
-        plain,
-        plain.replace("/", "\\/"),
-        repr(secret)[1:-1],
-        quote(secret),
-        quote(secret, safe=""),
-        escape(secret),
+    spellings = {
+        *(secret, plain, plain.replace("/", "\\/"), repr(secret)[1:-1]),
+        *(quote(secret), quote(secret, safe=""), escape(secret)),
         b64encode(secret.encode()).decode().rstrip("="),
     }
-    return sorted(found, key=len, reverse=True)
+    for spelling in sorted(spellings, key=len, reverse=True):
+        text = text.replace(spelling, "***")
+    return text
 
 
 def _is_loopback(host: str) -> bool:
