@@ -50,8 +50,10 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 _PAUSE_S = 0.1
 _LONGEST_PAUSE_S = 3.0
-_HELLO_S = 30.0
-_HELLO_BYTES = 1 << 20
+HELLO_S = 30.0
+"""For the answer to the first message [s]."""
+LARGEST_HELLO_BYTES = 1 << 20
+"""Of that answer, which results hold."""
 _SHOWN = 500
 
 R = TypeVar("R", bound=Reply)
@@ -265,7 +267,7 @@ class Conversation:
         end = time.monotonic() + timeout_s
         self._channel.send(encode(request))
         data = self._channel.receive(max(0.0, end - time.monotonic()))
-        if isinstance(request, Hello) and len(data) > _HELLO_BYTES:
+        if isinstance(request, Hello) and len(data) > LARGEST_HELLO_BYTES:
             raise ProtocolError(f"{self.where} answers 'hello' with {len(data)} bytes.")
         reply = decode_reply(data)
         if isinstance(reply, Error):
@@ -299,7 +301,7 @@ class Conversation:
 
     def _greet(self) -> Welcome:
         try:
-            welcome = self._ask(Hello(protocol=PROTOCOL), Welcome, _HELLO_S)
+            welcome = self._ask(Hello(protocol=PROTOCOL), Welcome, HELLO_S)
         except PolicyFailedError as error:
             raise ProtocolError(
                 f"{self.where} does not answer 'hello' as a policy does: {error}"

@@ -23,7 +23,13 @@ from lemma.policies.control.interfaces import (
     ControlInput,
     is_model_server,
 )
-from lemma.serve.conversation import Channel, ProtocolMode, keep_trying
+from lemma.serve.conversation import (
+    HELLO_S,
+    LARGEST_HELLO_BYTES,
+    Channel,
+    ProtocolMode,
+    keep_trying,
+)
 from lemma.serve.faults import (
     UNAVAILABLE,
     FaultKind,
@@ -48,7 +54,6 @@ from lemma.serve.websocket import (
     websocket_address,
 )
 
-_HELLO_S = 30.0
 _SHOWN = 500
 _BENCHMARK = "lemma_vla_eval:LemmaBenchmark"
 _TASK = {"name": "lemma", "suite": "lemma"}
@@ -218,7 +223,10 @@ class ModelServer:
 
     def _greet(self, channel: Channel) -> dict[str, Any]:
         channel.send(pack(Message.of(Kind.HELLO, hello(benchmark=_BENCHMARK))))
-        reply = unpack(channel.receive(_HELLO_S))
+        data = channel.receive(HELLO_S)
+        if len(data) > LARGEST_HELLO_BYTES:
+            raise ProtocolError(f"it says {len(data)} bytes.")
+        reply = unpack(data)
         if reply.kind is not Kind.HELLO:
             raise ProtocolError(f"it says {reply.kind}: {shown(dict(reply.payload))}.")
         check_version(reply.payload, self.url)

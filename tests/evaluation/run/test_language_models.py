@@ -112,7 +112,7 @@ def test_a_changed_prompt_is_a_clear_error_in_strict_mode(
         "strict mode",
         "metres",
         "meters",
-        "line 4",
+        "in line ",
         "--cassette-mode record",
     ):
         assert words in told
@@ -120,7 +120,7 @@ def test_a_changed_prompt_is_a_clear_error_in_strict_mode(
 
 def test_another_setting_is_a_clear_error_too(tmp_path: Path, recorded: Path) -> None:
     chat = ChatOptions(cassette=recorded / "c.jsonl", mode="strict", max_tokens=7)
-    with pytest.raises(PlannerUnavailableError, match="max_tokens was 1024 and is 7"):
+    with pytest.raises(PlannerUnavailableError, match=r"=1024' became 'max_tokens=7'"):
         evaluate(order(tmp_path, chat, episodes=1), Serial())
     # And no result goes on with answers to other questions.
     with pytest.raises(DatasetError):

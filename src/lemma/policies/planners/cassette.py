@@ -25,6 +25,7 @@ from lemma.policies.planners.chat import PlannerUnavailableError, Reply
 
 _LOCK = ".lock"
 _SHOWN = 90
+_MOST = 3
 
 
 class _Line(msgspec.Struct):
@@ -102,8 +103,11 @@ class Cassette:
 
     def _append(self, data: bytes) -> None:
         """Write a line, over an unfinished line of a writer that was killed."""
-        with self.path.open("r+b" if self.path.exists() else "xb") as file:
+        with self.path.open("r+b" if self.path.exists() else "xb+") as file:
             file.truncate(self._end)
+            file.seek(max(0, self._end - 1))
+            if file.read(1) not in (b"", b"\n"):
+                data = b"\n" + data
             file.seek(self._end)
             file.write(data)
             file.flush()
@@ -112,19 +116,35 @@ class Cassette:
         self._lines += 1
 
     def _read_on(self) -> None:
-        """Read the whole lines that were added since."""
+        """Read the lines that were added since."""
+        for number, end, line in self._read(self._lines, self._end):
+            self._lines, self._end = number, end
+            if line is not None:
+                self._replies.setdefault(line.key, line.reply)
+
+    def _read(
+        self, number: int = 0, end: int = 0
+    ) -> Iterator[tuple[int, int, _Line | None]]:
+        """Yield number, end in bytes and content of further lines; None for blanks.
+
+        Args:
+            number: Of the last line that was read.
+            end: Its end in bytes.
+        """
         if not self.path.exists():
             return
         with self.path.open("rb") as file:
-            file.seek(self._end)
-            for data in file:
-                if not data.endswith(b"\n"):
+            file.seek(end)
+            for each, data in enumerate(file, number + 1):
+                end += len(data)
+                try:
+                    line = self._parsed(data, each) if data.strip() else None
+                except DatasetError:
+                    if data.endswith(b"\n"):
+                        raise
+                    # A writer that was killed has begun it.
                     return
-                if data.strip():
-                    line = self._parsed(data, self._lines + 1)
-                    self._replies.setdefault(line.key, line.reply)
-                self._end += len(data)
-                self._lines += 1
+                yield each, end, line
 
     def _parsed(self, data: bytes, number: int) -> _Line:
         try:
@@ -146,82 +166,50 @@ class Cassette:
             why: Why it is not sent to a server, a sentence.
         """
         text = f"{self.path} has no answer to a request ({key_of(request)[:12]}). {why}"
-        nearest = self._nearest(request)
-        if nearest is None:
+        wanted = _flat(request)
+        alike = [
+            (SequenceMatcher(None, _flat(line.request), wanted).quick_ratio(), -number)
+            for number, _, line in self._read()
+            if line is not None
+        ]
+        if not alike:
             return PlannerUnavailableError(f"{text} The cassette is empty.")
-        number, other = nearest
-        changes = "; ".join(differences(other, request))
+        nearest = -max(alike)[1]
+        [other] = [line for number, _, line in self._read() if number == nearest]
+        assert other is not None
+        changes = "; ".join(differences(other.request, request))
         return PlannerUnavailableError(
-            f"{text} The nearest request, in line {number}, differs: {changes}. Undo "
+            f"{text} The nearest request, in line {nearest}, differs: {changes}. Undo "
             "the change, or ask again with --cassette-mode record."
         )
 
-    def _nearest(
-        self, request: Mapping[str, Any]
-    ) -> tuple[int, Mapping[str, Any]] | None:
-        """Return the number and the request of the line that is most alike."""
-        if not self.path.exists():
-            return None
-        wanted = _flat(request)
-        matcher = SequenceMatcher(autojunk=False)
-        matcher.set_seq2(wanted)
-        best: tuple[float, int, Mapping[str, Any]] | None = None
-        with self.path.open("rb") as file:
-            for number, data in enumerate(file, 1):
-                if not data.strip():
-                    continue
-                if not data.endswith(b"\n"):
-                    break
-                other = self._parsed(data, number).request
-                matcher.set_seq1(_flat(other))
-                alike = matcher.quick_ratio()
-                if best is None or alike > best[0]:
-                    best = alike, number, other
-        return None if best is None else best[1:]
-
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return the differences between two requests, each as "was ... and is ...".
+    """Return the first differences between two requests, as "... became ...".
 
     Args:
         before: The one that was recorded.
         now: The other.
     """
+    old, new = _flat(before), _flat(now)
+    matcher = SequenceMatcher(None, old, new, autojunk=False)
     found = []
-    for name in sorted({*before, *now} - {"messages"}):
-        if before.get(name) != now.get(name):
-            was, new = _apart(*(json.dumps(r.get(name)) for r in (before, now)))
-            found.append(f"{name} was {was} and is {new}")
-    lines = [list(_said(each.get("messages"))) for each in (before, now)]
-    for number, (old, new) in enumerate(zip(*lines, strict=False), 1):
-        if old != new:
-            shorter = _apart(json.dumps(old), json.dumps(new))
-            found.append(
-                f"line {number} of the messages was {' and is '.join(shorter)}"
-            )
-            break
-    else:
-        if len(lines[0]) != len(lines[1]):
-            found.append(
-                f"the messages had {len(lines[0])} lines and have {len(lines[1])}"
-            )
-    return found
-
-
-def _said(messages: Any) -> Iterator[str]:
-    """Yield the lines of all messages."""
-    for message in messages if isinstance(messages, list) else ():
-        content = message.get("content") if isinstance(message, dict) else message
-        parts = content if isinstance(content, list) else [content]
-        for part in parts:
-            text = part.get("text", part) if isinstance(part, dict) else part
-            yield from (text if isinstance(text, str) else json.dumps(text)).split("\n")
+    for tag, start, end, first, last in matcher.get_opcodes():
+        if tag != "equal":
+            texts = ("\n".join(old[start:end]), "\n".join(new[first:last]))
+            found.append(" became ".join(map(repr, _apart(*texts))))
+    return found[:_MOST]
 
 
 def _flat(request: Mapping[str, Any]) -> list[str]:
     """Return a request as lines that can be compared."""
-    rest = [f"{k}={json.dumps(v)}" for k, v in request.items() if k != "messages"]
-    return [*rest, *_said(request.get("messages"))]
+    lines = [f"{k}={json.dumps(v)}" for k, v in sorted(request.items())]
+    for message in request.get("messages") or ():
+        content = message.get("content") if isinstance(message, dict) else message
+        for part in content if isinstance(content, list) else [content]:
+            text = part.get("text", part) if isinstance(part, dict) else part
+            lines += (text if isinstance(text, str) else json.dumps(text)).split("\n")
+    return [line for line in lines if not line.startswith("messages=")]
 
 
 def _apart(before: str, now: str) -> tuple[str, str]:
@@ -230,6 +218,8 @@ def _apart(before: str, now: str) -> tuple[str, str]:
     parting = next((i for i, (a, b) in pairs if a != b), min(len(before), len(now)))
     start = max(0, parting - _SHOWN // 3)
     head = "..." if start else ""
-    ends = (head + text[start:] for text in (before, now))
-    old, new = (t if len(t) <= _SHOWN else f"{t[:_SHOWN]}..." for t in ends)
-    return old, new
+    old, new = (head + text[start:] for text in (before, now))
+    return (
+        old if len(old) <= _SHOWN else f"{old[:_SHOWN]}...",
+        new if len(new) <= _SHOWN else f"{new[:_SHOWN]}...",
+    )
