@@ -235,21 +235,21 @@ class ChatServer:
         Raises:
             PlannerUnavailableError: Nobody answers there, or refuses everything.
         """
-        reply = self._ask(request)
-        if reply.failure == RAISED and self._ask(probe_of(request)).failure:
+        reply = self._ask(request, self._waits_s)
+        if reply.failure and self._ask(probe_of(request), ()).failure:
             raise PlannerUnavailableError(
                 f"{self._url} fails at every request, also at an empty question. "
-                f"{reply.explanation} Mend the server; or, if it does not know a field "
-                "of the request, replace that with --extra-body, where null leaves "
-                'it out: --extra-body \'{"max_tokens": null, "max_completion_tokens": '
-                "1024}'. The same command then goes on."
+                f"{reply.explanation} Mend the server, or raise --timeout. If it does "
+                "not know a field of the request, replace that with --extra-body, "
+                'where null leaves it out: --extra-body \'{"max_tokens": null, '
+                '"max_completion_tokens": 1024}\'. The same command then goes on.'
             )
         return reply
 
-    def _ask(self, request: Mapping[str, Any]) -> Reply:
-        """Return the reply to a request after as many attempts as there are."""
+    def _ask(self, request: Mapping[str, Any], waits_s: tuple[float, ...]) -> Reply:
+        """Return the reply to a request, after a wait before each further attempt."""
         body = json.dumps(request).encode()
-        for wait_s in (*self._waits_s, None):
+        for wait_s in (*waits_s, None):
             try:
                 with self._slots.one():
                     return self._attempt(body)
