@@ -103,9 +103,8 @@ class Plain:
     def pair(
         self, links: tuple[int, int], a: FloatArray, b: FloatArray, margin: float
     ) -> None:
-        near, far = np.empty(3), np.empty(3)
-        gap = closest_points(a, b, near, far) - margin
-        self.add(links, near, far, gap)
+        gap, near, far = closest_points(a, b)
+        self.add(links, np.array(near), np.array(far), gap - margin)
 
     def collect(self, q: FloatArray) -> None:
         self.placed = np.empty((7, 4, 4))
@@ -124,12 +123,11 @@ class Plain:
         for i, end in itertools.product(range(2, 8), (0, 3)):
             near = world[i, end : end + 3]
             self.add((0, link[i]), near, near - down, near[2] - world[i, 6])
-        near, far = np.empty(3), np.empty(3)
         for corner in world[CAPSULES:]:
             self.add((0, 6), corner[:3], corner[:3] - down, corner[2])
             for thing in self.beside:
-                gap = closest_points(corner, thing, near, far)
-                self.soft(near, far, gap)
+                gap, *points = closest_points(corner, thing)
+                self.soft(*map(np.array, points), gap)
         for thing, end in itertools.product(self.inside, (0, 3)):
             point = thing[end : end + 3]
             half = thing[7] - max(thing[2], thing[5])
@@ -141,12 +139,12 @@ class Plain:
             links = (link[inner], 6)
             self.pair(links, world[corner], world[inner], _SELF_MARGIN_M)
         for i, other in itertools.product(range(1, CAPSULES), self.others):
-            gap = 0.5 * closest_points(world[i], other, near, far)
-            self.add((0, link[i]), near, far, gap)
+            gap, *points = closest_points(world[i], other)
+            self.add((0, link[i]), *map(np.array, points), 0.5 * gap)
         tool = self.placed[6, :3, 3] + TCP_OFFSET_M * self.placed[6, :3, 2]
         for thing in self.beside:
             point = np.array([*tool, *tool, 0.0])
-            if closest_points(point, thing, near, far) + thing[6] >= _IN_HAND_M:
+            if closest_points(point, thing)[0] + thing[6] >= _IN_HAND_M:
                 for i in range(2, 7):
                     self.pair((0, link[i]), world[i], thing, 0.0)
 
@@ -222,12 +220,11 @@ def test_there_is_room_for_all_constraints_of_three_robots() -> None:
 def test_more_constraints_than_there_is_room_for_are_an_error() -> None:
     controller = controller_of(simulation_of("two"), "joint_position")
     controller.look()
-    point, below = np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, -0.9])
-    given, rows = (0.1, 0.0, 1e6), np.zeros((1, 7))
+    found, rows = (0.1, (0.0, 0.0, 0.1), (0.0, 0.0, -0.9)), np.zeros((1, 7))
     record = controller.guard.records[0]
-    assert _add_row(record, (0, 9), point, below, given, rows, 0) == 1
+    assert _add_row(record, (0, 9), found, 0.0, 1e6, rows, 0) == 1
     with pytest.raises(CapacityError, match="dampers"):
-        _add_row(record, (0, 9), point, below, given, rows, 1)
+        _add_row(record, (0, 9), found, 0.0, 1e6, rows, 1)
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_velocity", "ee_pose"])

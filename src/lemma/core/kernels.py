@@ -23,6 +23,8 @@ from typing import Any, TypeVar, overload
 from filelock import FileLock, Timeout
 from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
+from numba.core.cgutils import get_null_value
+from numba.extending import intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -62,7 +64,7 @@ def kernel(function: Any = None, /, *, nogil: bool = False) -> Any:
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher: Any = njit(nogil=nogil)(function)
+        dispatcher: Any = njit(nogil=nogil, error_model="numpy")(function)
         kept: NullCache | _KernelCache
         try:
             kept = _KernelCache(function)
@@ -73,6 +75,23 @@ def kernel(function: Any = None, /, *, nogil: bool = False) -> Any:
         return dispatcher
 
     return compiled if function is None else compiled(function)
+
+
+def _borrow(_: Any, array: Any) -> Any:
+    def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
+        found = context.make_array(array)(context, builder, values[0])
+        found.meminfo = get_null_value(found.meminfo.type)
+        return found._getvalue()
+
+    return array(array), generate
+
+
+borrowed: Any = intrinsic(_borrow)
+"""In a kernel, takes an array and returns it without a count of references.
+
+Numba counts references for every view with atomic instructions, which take longer than
+most of what kernels do with a view. The caller of the kernel keeps the array alive.
+"""
 
 
 def cache_folder(function: Callable[..., Any]) -> str | None:

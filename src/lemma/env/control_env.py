@@ -113,10 +113,18 @@ class ControlEnv(LemmaEnv):
         """Step without looking: return reward, terminated and truncated."""
         episode = self._running()
         rows = self.action_layout.check(action, clip=self.config.clip_actions)
-        self.controller.check(rows)
-        self.controller.command(rows)
+        controller, simulation = self.controller, episode.simulation
+        controller.check(rows)
+        controller.command(rows)
         for _ in range(self.config.ticks_per_step):
-            self._tick()
+            controller.look()
+            simulation.tick(drive=controller.drive)
+            controller.count_busy()
+        clocks, ticks = simulation.clocks.values(), controller.busy_ticks()
+        for clock, busy in zip(clocks, ticks, strict=True):
+            # Tick by tick: a product would have other last bits.
+            for _ in range(busy):
+                clock.busy_s += TICK_S
         step_s = 1.0 / self.config.control_hz
         self._settled_s = self._settled_s + step_s if episode.is_success else 0.0
         if self._settled_s >= SETTLE_S - 0.5 * TICK_S:
@@ -124,15 +132,6 @@ class ControlEnv(LemmaEnv):
         episode.conclude()
         reward = self.rewards.reward(episode)
         return reward, episode.stopped, episode.out_of_time and not episode.stopped
-
-    def _tick(self) -> None:
-        simulation = self.episode.simulation
-        self.controller.look()
-        simulation.tick(drive=self.controller.drive)
-        moving = self.controller.moving()
-        for clock, busy in zip(simulation.clocks.values(), moving, strict=True):
-            if busy:
-                clock.busy_s += TICK_S
 
     def _remember(self) -> dict[str, Any]:
         return {"settled_s": self._settled_s}

@@ -16,6 +16,8 @@ from lemma.core.poses import FloatArray
 from lemma.robots.gripper import FINGERTIP_BEYOND_TCP_M, TCP_OFFSET_M
 from lemma.robots.ur.build import ARMS
 
+Triple = tuple[float, float, float]
+
 _FINGER_HALF_SPAN_M = 0.055
 _FINGER_RADIUS_M = 0.018
 
@@ -113,29 +115,33 @@ def place_capsules(
 
 
 @kernel
-def segment_points(
-    a: FloatArray, b: FloatArray, on_a: FloatArray, on_b: FloatArray
-) -> float:
-    """Write the closest points of two segments; return their distance [m].
+def segment_points(a: FloatArray, b: FloatArray) -> tuple[float, Triple, Triple]:
+    """Find the closest points of two segments.
 
     Ericson, *Real-Time Collision Detection*, section 5.1.9.
 
     Args:
         a: Both ends, (6+,) [m].
         b: The same.
-        on_a: Written, (3,) [m].
-        on_b: Written, (3,) [m].
+
+    Returns:
+        Their distance [m], the point on ``a`` and the point on ``b``.
     """
-    aa = bb = ab = ar = br = 0.0
-    for i in range(3):
-        da, db, r = a[3 + i] - a[i], b[3 + i] - b[i], a[i] - b[i]
-        aa += da * da
-        bb += db * db
-        ab += da * db
-        ar += da * r
-        br += db * r
+    ax, ay, az = a[3] - a[0], a[4] - a[1], a[5] - a[2]
+    bx, by, bz = b[3] - b[0], b[4] - b[1], b[5] - b[2]
+    rx, ry, rz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    aa = ax * ax + ay * ay + az * az
+    bb = bx * bx + by * by + bz * bz
+    br = bx * rx + by * ry + bz * rz
     s = t = 0.0
-    if aa > 1e-12 and bb > 1e-12:
+    if aa <= 1e-12:
+        if bb > 1e-12:
+            t = min(1.0, max(0.0, br / bb))
+    elif bb <= 1e-12:
+        s = min(1.0, max(0.0, -(ax * rx + ay * ry + az * rz) / aa))
+    else:
+        ab = ax * bx + ay * by + az * bz
+        ar = ax * rx + ay * ry + az * rz
         denominator = aa * bb - ab * ab
         # Between parallel segments any s will do.
         if denominator > 1e-12 * aa * bb:
@@ -145,39 +151,33 @@ def segment_points(
             t, s = 0.0, min(1.0, max(0.0, -ar / aa))
         elif t > 1.0:
             t, s = 1.0, min(1.0, max(0.0, (ab - ar) / aa))
-    elif bb > 1e-12:
-        t = min(1.0, max(0.0, br / bb))
-    elif aa > 1e-12:
-        s = min(1.0, max(0.0, -ar / aa))
-    distance = 0.0
-    for i in range(3):
-        on_a[i] = a[i] + s * (a[3 + i] - a[i])
-        on_b[i] = b[i] + t * (b[3 + i] - b[i])
-        distance += (on_a[i] - on_b[i]) ** 2
-    return math.sqrt(distance)
+    near = (a[0] + s * ax, a[1] + s * ay, a[2] + s * az)
+    far = (b[0] + t * bx, b[1] + t * by, b[2] + t * bz)
+    x, y, z = near[0] - far[0], near[1] - far[1], near[2] - far[2]
+    return math.sqrt(x * x + y * y + z * z), near, far
 
 
 @kernel
 def segment_distance(a: FloatArray, b: FloatArray) -> float:
     """Return the distance between two segments, (6+,) each [m]."""
-    distance: float = segment_points(a, b, np.empty(3), np.empty(3))
+    distance: float = segment_points(a, b)[0]
     return distance
 
 
 @kernel
-def closest_points(
-    a: FloatArray, b: FloatArray, on_a: FloatArray, on_b: FloatArray
-) -> float:
-    """Write the closest points of the axes of two capsules; return their surfaces' gap.
+def closest_points(a: FloatArray, b: FloatArray) -> tuple[float, Triple, Triple]:
+    """Find the closest points of the axes of two capsules.
 
     Args:
         a: Ends and radius, (7+,) [m].
         b: The same.
-        on_a: Written, (3,) [m].
-        on_b: Written, (3,) [m].
+
+    Returns:
+        The gap between their surfaces [m], the point on the axis of ``a`` and that on
+        the axis of ``b``.
     """
-    gap: float = segment_points(a, b, on_a, on_b) - a[6] - b[6]
-    return gap
+    distance, near, far = segment_points(a, b)
+    return distance - a[6] - b[6], near, far
 
 
 # Capsules of one arm that may come near each other: outer links against the inner ones.

@@ -72,6 +72,10 @@ class Scene:
             for placed in spec.objects
             if placed.entity.kind.fixed
         }
+        self._fixed_rows = {
+            name: np.array((*pose.position, *pose.quaternion))
+            for name, pose in self._fixed_poses.items()
+        }
         self._entity_by_body = {
             self.model.body(placed.name).id: placed.name for placed in spec.objects
         }
@@ -124,22 +128,34 @@ class Scene:
         """Return the pose of an object's body frame in the world."""
         address = self._free_qpos.get(name)
         if address is None:
-            try:
-                return self._fixed_poses[name]
-            except KeyError:
-                known = self.spec.object_names
-                raise UnknownNameError("object in this scene", name, known) from None
+            if name not in self._fixed_poses:
+                raise self._unknown(name)
+            return self._fixed_poses[name]
         q = self.data.qpos[address : address + 7].tolist()
         return Pose((q[0], q[1], q[2]), (q[3], q[4], q[5], q[6]))
+
+    def _unknown(self, name: str) -> UnknownNameError:
+        return UnknownNameError("object in this scene", name, self.spec.object_names)
 
     def pose_row(self, name: str) -> FloatArray:
         """Return position [m] and quaternion wxyz of an object, (7,)."""
         address = self._free_qpos.get(name)
-        if address is None:
-            pose = self.pose(name)
-            return np.array([*pose.position, *pose.quaternion])
-        row: FloatArray = self.data.qpos[address : address + 7].copy()
+        row: FloatArray
+        if address is not None:
+            row = self.data.qpos[address : address + 7].copy()
+        elif name in self._fixed_rows:
+            row = self._fixed_rows[name].copy()
+        else:
+            raise self._unknown(name)
         return row
+
+    def position(self, name: str) -> list[float]:
+        """Return where the body frame of an object is in the world, (3,) [m]."""
+        address = self._free_qpos.get(name)
+        if address is None:
+            return list(self.pose(name).position)
+        found: list[float] = self.data.qpos[address : address + 3].tolist()
+        return found
 
     def pose2(self, name: str) -> Pose2:
         """Return the pose of an object on the table: the heading of its x axis."""
@@ -180,11 +196,17 @@ class Scene:
 
         Their center of mass is below its top, where no skill goes.
         """
-        return tuple(n for n, at in self._free_qpos.items() if self._is_below(n, at))
+        # One list for all: environments ask for this in every control step.
+        qpos = self.data.qpos.tolist()
+        return tuple(
+            name
+            for name, at in self._free_qpos.items()
+            if self._is_below(name, qpos[at + 2 : at + 7])
+        )
 
-    def _is_below(self, name: str, address: int) -> bool:
+    def _is_below(self, name: str, row: list[float]) -> bool:
         """Whether the center of mass of a movable object is below the table's top."""
-        z, qw, qx, qy, qz = self.data.qpos[address + 2 : address + 7].tolist()
+        z, qw, qx, qy, qz = row
         cx, cy, cz = self._mass_at[name]
         z += 2.0 * (qx * qz - qw * qy) * cx + 2.0 * (qy * qz + qw * qx) * cy
         z += (1.0 - 2.0 * (qx * qx + qy * qy)) * cz

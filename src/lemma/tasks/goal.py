@@ -57,7 +57,7 @@ class On:
         """Whether the top's middle is over the part of the bottom that may carry it."""
         limit = kind_of(self.bottom).support_m
         assert limit is not None
-        top, bottom = scene.pose(self.top).position, scene.pose(self.bottom).position
+        top, bottom = scene.position(self.top), scene.position(self.bottom)
         dx, dy = top[0] - bottom[0], top[1] - bottom[1]
         return dx * dx + dy * dy <= limit * limit and top[2] > bottom[2]
 

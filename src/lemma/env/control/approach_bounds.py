@@ -81,9 +81,17 @@ def safe_gap(pace: float) -> float:
 
 
 @kernel
-def is_clear(a: FloatArray, b: FloatArray, gap: float) -> bool:
-    """Whether two capsules are certainly further apart than a gap [m]."""
-    x, y, z = a[8] - b[8], a[9] - b[9], a[10] - b[10]
-    least = gap + a[11] + b[11]
+def is_clear(a: FloatArray, i: int, b: FloatArray, j: int, gap: float) -> bool:
+    """Whether two capsules are certainly further apart than a gap.
+
+    Args:
+        a: Capsules, (n, 12); see :data:`ROW`.
+        i: A row of them. Views of rows would take longer than the comparison.
+        b: Others.
+        j: A row of those.
+        gap: Distance of the surfaces [m].
+    """
+    x, y, z = a[i, 8] - b[j, 8], a[i, 9] - b[j, 9], a[i, 10] - b[j, 10]
+    least = gap + a[i, 11] + b[j, 11]
     clear: bool = x * x + y * y + z * z > least * least
     return clear

@@ -17,10 +17,10 @@ import numpy as np
 from lemma.core.engine import mujoco
 from lemma.core.poses import FloatArray
 from lemma.env.control.motor_commands import (
+    count_moving,
     drive_positions,
     drive_torques,
     drive_velocities,
-    find_moving,
 )
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.motion.arm_motion import ArmMotion
@@ -65,7 +65,7 @@ class Controller(ABC):
             *(data.qpos, data.ctrl),
         )
         """What every kernel of :mod:`lemma.env.control.motor_commands` takes first."""
-        self._moving = np.zeros(len(arms), bool)
+        self._busy_ticks = np.zeros(len(arms), np.int64)
 
     def check(self, rows: FloatArray) -> None:  # noqa: B027 - bounds are mostly enough
         """Raise what is wrong with an action; changes nothing.
@@ -81,17 +81,26 @@ class Controller(ABC):
             arm.opening_m = opening_m
 
     def look(self) -> None:
-        """Look around, once per servo tick."""
+        """Look around, at the beginning of a servo tick."""
         self.guard.look()
+
+    def count_busy(self) -> None:
+        """Note which arms move, at the end of a servo tick."""
+        count_moving(self.guard.records, self.qvel, self._busy_ticks)
 
     @abstractmethod
     def drive(self) -> None:
         """Command the motors, before every physics step."""
 
-    def moving(self) -> list[bool]:
-        """Return which arms move: a joint by 0.02 rad/s or a finger by 2 mm/s."""
-        find_moving(self.guard.records, self.qvel, self._moving)
-        return self._moving.tolist()
+    def busy_ticks(self) -> list[int]:
+        """Return in how many servo ticks each arm moved since the last call.
+
+        An arm moves if at the end of a tick a joint is faster than 0.02 rad/s
+        or a finger than 2 mm/s.
+        """
+        found = self._busy_ticks.tolist()
+        self._busy_ticks[:] = 0
+        return found
 
 
 class JointController(Controller):

@@ -15,13 +15,6 @@ ACCELERATION_RAD_S2 = 10.0
 
 
 @kernel
-def saturate(control: FloatArray, q: FloatArray, span: FloatArray) -> None:
-    """Bring commands (6,) within ``span`` of the joint angles, in place [rad]."""
-    for i in range(6):
-        control[i] = min(q[i] + span[i], max(q[i] - span[i], control[i]))
-
-
-@kernel
 def approach(state: FloatArray, target: FloatArray, speeds: FloatArray) -> None:
     """Advance the speeds of a reference, (2, 6), by one physics step.
 

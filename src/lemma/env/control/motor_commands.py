@@ -10,7 +10,7 @@ saw, positions and commands of the simulation, and then what is asked for.
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.core.kernels import kernel
+from lemma.core.kernels import borrowed, kernel
 from lemma.core.poses import FloatArray
 from lemma.env.control.joint_limits import (
     accelerate,
@@ -18,7 +18,6 @@ from lemma.env.control.joint_limits import (
     approach,
     bound,
     predict,
-    saturate,
     steer,
 )
 from lemma.env.control.safety_filter import keep_clear
@@ -42,6 +41,8 @@ def drive_positions(  # noqa: PLR0913 - one call is what makes it fast
     targets: FloatArray,
 ) -> None:
     """Lead joints to angles, (n, 6) [rad], along a trapezoid of speed each."""
+    states, targets = borrowed(states), borrowed(targets)
+    obstacles, objects = borrowed(obstacles), borrowed(objects)
     for k in range(records.shape[0]):
         arm, state = records[k], states[k]
         approach(state, targets[k], arm.speeds)
@@ -62,6 +63,8 @@ def drive_velocities(  # noqa: PLR0913
     wanted: FloatArray,
 ) -> None:
     """Turn joints at speeds, (n, 6) [rad/s]; the angles are the measured."""
+    states, wanted, qpos = borrowed(states), borrowed(wanted), borrowed(qpos)
+    obstacles, objects = borrowed(obstacles), borrowed(objects)
     for k in range(records.shape[0]):
         arm, state = records[k], states[k]
         state[0] = qpos[arm.qpos : arm.qpos + 6]
@@ -84,6 +87,8 @@ def drive_poses(  # noqa: PLR0913
     spheres: FloatArray,
 ) -> None:
     """Go where RMPflow leads, whose records (n,) and spheres (n, m, 6) are given."""
+    states, spheres = borrowed(states), borrowed(spheres)
+    obstacles, objects = borrowed(obstacles), borrowed(objects)
     before, rates = np.empty(6), np.empty(6)
     for k in range(records.shape[0]):
         arm, state = records[k], states[k]
@@ -119,6 +124,8 @@ def drive_torques(  # noqa: PLR0913
     The last four are the velocities of all joints, the inertia matrix of the scene, and
     forces of its joints.
     """
+    states, wanted = borrowed(states), borrowed(wanted)
+    obstacles, objects = borrowed(obstacles), borrowed(objects)
     inertia, bias, rates = np.empty((6, 6)), np.empty(6), np.empty(6)
     for k in range(records.shape[0]):
         arm, state, start = records[k], states[k], records[k].dof
@@ -152,19 +159,24 @@ def _send_reference(
     zero where ``(control - q) / lag`` is the speed, so bounding that bounds the speed,
     whatever held the arm back.
     """
-    commands = control[arm.ctrl : arm.ctrl + 6]
     for i in range(6):
-        commands[i] = state[0, i] + arm.lag_s * state[1, i]
-    saturate(commands, qpos[arm.qpos : arm.qpos + 6], arm.lag_s * arm.speeds)
+        command = state[0, i] + arm.lag_s * state[1, i]
+        q, span = qpos[arm.qpos + i], arm.lag_s * arm.speeds[i]
+        control[arm.ctrl + i] = min(q + span, max(q - span, command))
     control[arm.gripper_ctrl] = opening
 
 
 @kernel
-def find_moving(records: np.ndarray, qvel: FloatArray, out: NDArray[np.bool_]) -> None:
-    """Write, (n,), whose joint or finger is faster than 0.02 rad/s or 2 mm/s."""
+def count_moving(
+    records: np.ndarray, qvel: FloatArray, counts: NDArray[np.int64]
+) -> None:
+    """Add 1 to the count, (n,), of each arm that moves.
+
+    One of its joints is faster than 0.02 rad/s or a finger than 2 mm/s.
+    """
     for k in range(records.shape[0]):
-        start = records[k].dof
-        out[k] = False
+        start, moving = records[k].dof, False
         for i in range(8):
             if abs(qvel[start + i]) > (_MOVING_RAD_S if i < 6 else _MOVING_M_S):
-                out[k] = True
+                moving = True
+        counts[k] += moving

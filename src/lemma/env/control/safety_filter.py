@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.core.kernels import kernel
+from lemma.core.kernels import borrowed, kernel
 from lemma.core.poses import FloatArray
 from lemma.env.control.approach_bounds import ROW, enclose
 from lemma.env.control.guarded_arm import CAPSULES, arm_records
@@ -128,6 +128,8 @@ def _look(
     obstacles: FloatArray,
     objects: FloatArray,
 ) -> None:
+    owners, capsules, qpos = borrowed(owners), borrowed(capsules), borrowed(qpos)
+    obstacles, objects = borrowed(obstacles), borrowed(objects)
     for k in range(records.shape[0]):
         arm = records[k]
         q = qpos[arm.qpos : arm.qpos + 6]
@@ -164,7 +166,7 @@ def _look_for_objects(
         tcp[3 + i] = tcp[i]
     width = qpos[arm.fingers[0]] + qpos[arm.fingers[1]]
     opening = min(max(width, 0.0), FINGER_OPENING_M)
-    matrix, near, far = np.empty((3, 4)), np.empty(3), np.empty(3)
+    matrix = np.empty((3, 4))
     arm.beside, arm.inside = 0, 0
     c = 0
     for o in range(owners.shape[0]):
@@ -172,18 +174,24 @@ def _look_for_objects(
         transform(
             qpos[address : address + 7] if address >= 0 else owners[o, 1:8], matrix
         )
-        first, away = arm.beside, math.inf
+        first = arm.beside
         while c < capsules.shape[0] and capsules[c, 7] == o:
             row = objects[0, arm.beside]
             _place(matrix, capsules[c], row)
             enclose(row)
-            away = min(away, closest_points(tcp, row, near, far) + row[6])
             arm.beside += 1
             c += 1
         for r in range(first, arm.beside):
             higher = max(objects[0, first, 2], objects[0, first, 5])
             objects[0, r, 7] = higher + owners[o, 9]
-        if abs(opening - owners[o, 8]) < _GRIPPED_M and away < _HELD_M:
+        # An object that cannot be gripped has NaN as its width.
+        if not abs(opening - owners[o, 8]) < _GRIPPED_M:
+            continue
+        away = math.inf
+        for r in range(first, arm.beside):
+            row = objects[0, r]
+            away = min(away, closest_points(tcp, row)[0] + row[6])
+        if away < _HELD_M:
             for r in range(first, arm.beside):
                 objects[1, arm.inside] = objects[0, r]
                 arm.inside += 1

@@ -28,7 +28,7 @@ from lemma.env.control.approach_bounds import (
     safe_gap,
 )
 from lemma.env.control.guarded_arm import CAPSULES, CORNERS
-from lemma.robots.collision_model import SELF_PAIRS, closest_points
+from lemma.robots.collision_model import SELF_PAIRS, Triple, closest_points
 from lemma.robots.gripper import TCP_OFFSET_M
 
 EXPECTED_RAD_S = 0.15
@@ -107,11 +107,11 @@ def restrain(
     count = _constrain(arm, obstacles, objects, held, EXPECTED_RAD_S, rows)
     if count == 0:
         return False
-    changed, most_changed = _project(rows[:count], rates, arm.speeds)
+    changed, most_changed = _project(rows, count, rates, arm.speeds)
     if most_changed > EXPECTED_RAD_S:
         rates[:] = wanted
         count = _constrain(arm, obstacles, objects, held, _ANY_RAD_S, rows)
-        changed, _ = _project(rows[:count], rates, arm.speeds)
+        changed, _ = _project(rows, count, rates, arm.speeds)
     return changed
 
 
@@ -138,18 +138,14 @@ def _constrain(
 def _add_table_rows(arm: np.record, expected: float, rows: FloatArray) -> int:
     """Keep the links clear of the table."""
     count = 0
-    near, far = np.empty(3), np.empty(3)
     for i in range(_FIRST_ABOVE_TABLE, _LAST_ABOVE_TABLE + 1):
-        safe = safe_gap(arm.pace[i])
+        safe, part = safe_gap(arm.pace[i]), arm.world[i]
         for end in range(2):
-            gap = arm.world[i, 3 * end + 2] - arm.world[i, 6]
+            x, y, z = part[3 * end], part[3 * end + 1], part[3 * end + 2]
+            gap = z - part[6]
             if gap <= safe:
-                near[:] = arm.world[i, 3 * end : 3 * end + 3]
-                far[:] = near
-                far[2] = near[2] - 1.0
-                count = _add_row(
-                    arm, (0, i), near, far, (gap, 0.0, expected), rows, count
-                )
+                found = gap, (x, y, z), (x, y, z - 1.0)
+                count = _add_row(arm, (0, i), found, 0.0, expected, rows, count)
     return count
 
 
@@ -163,38 +159,25 @@ def _add_hand_rows(
     count: int,
 ) -> int:
     """Let the hand touch objects gently, and put down gently what it holds."""
-    near, far = np.empty(3), np.empty(3)
     for k in range(CAPSULES, CAPSULES + CORNERS):
-        safe = safe_gap(arm.pace[k])
-        corner = arm.world[k]
-        if corner[2] <= safe:
-            near[:] = corner[:3]
-            far[:] = near
-            far[2] = near[2] - 1.0
-            count = _add_row(
-                arm, (0, k), near, far, (near[2], 0.0, expected), rows, count
-            )
+        safe, corner = safe_gap(arm.pace[k]), arm.world[k]
+        x, y, z = corner[0], corner[1], corner[2]
+        if z <= safe:
+            found = z, (x, y, z), (x, y, z - 1.0)
+            count = _add_row(arm, (0, k), found, 0.0, expected, rows, count)
         for m in range(objects.shape[0]):
-            if not is_clear(corner, objects[m], safe):
-                gap = closest_points(corner, objects[m], near, far)
-                count = _add_row(
-                    arm, (0, k), near, far, (gap, _TOUCH_M_S, expected), rows, count
-                )
+            if not is_clear(arm.world, k, objects, m, safe):
+                found = closest_points(corner, objects[m])
+                count = _add_row(arm, (0, k), found, _TOUCH_M_S, expected, rows, count)
     for m in range(held.shape[0]):
+        thing = held[m]
+        below = thing[7] - max(thing[2], thing[5])
         for end in range(2):
-            near[:] = held[m, 3 * end : 3 * end + 3]
-            far[:] = near
-            far[2] = near[2] - 1.0
-            gap = near[2] - (held[m, 7] - max(held[m, 2], held[m, 5]))
-            # No part of the arm, so there is no bound.
+            x, y, z = thing[3 * end], thing[3 * end + 1], thing[3 * end + 2]
+            found = z - below, (x, y, z), (x, y, z - 1.0)
+            # It is no part of the arm, so nothing bounds how joints move it.
             count = _add_row(
-                arm,
-                (0, CAPSULES),
-                near,
-                far,
-                (gap, _TOUCH_M_S, _ANY_RAD_S),
-                rows,
-                count,
+                arm, (0, CAPSULES), found, _TOUCH_M_S, _ANY_RAD_S, rows, count
             )
     return count
 
@@ -204,15 +187,14 @@ def _add_self_rows(
     arm: np.record, expected: float, rows: FloatArray, count: int
 ) -> int:
     """Keep the arm clear of itself."""
-    near, far = np.empty(3), np.empty(3)
     for k in range(_OWN_PAIRS.shape[0]):
-        outer, inner = _OWN_PAIRS[k]
+        outer, inner = _OWN_PAIRS[k, 0], _OWN_PAIRS[k, 1]
         link = int(arm.parts[inner, 7])
         safe = safe_gap(pace(arm, outer, link, expected)) + _SELF_MARGIN_M
-        if not is_clear(arm.world[outer], arm.world[inner], safe):
-            gap = closest_points(arm.world[outer], arm.world[inner], near, far)
-            given = (gap - _SELF_MARGIN_M, 0.0, expected)
-            count = _add_row(arm, (link, outer), near, far, given, rows, count)
+        if not is_clear(arm.world, outer, arm.world, inner, safe):
+            gap, near, far = closest_points(arm.world[outer], arm.world[inner])
+            found = gap - _SELF_MARGIN_M, near, far
+            count = _add_row(arm, (link, outer), found, 0.0, expected, rows, count)
     return count
 
 
@@ -225,16 +207,14 @@ def _add_arm_rows(
     count: int,
 ) -> int:
     """Keep the arm clear of the others."""
-    near, far = np.empty(3), np.empty(3)
     for i in range(1, CAPSULES):
         # Both may move: each may use half of the distance.
         safe = 2.0 * safe_gap(arm.pace[i])
         for j in range(obstacles.shape[0]):
-            if not is_clear(arm.world[i], obstacles[j], safe):
-                gap = 0.5 * closest_points(arm.world[i], obstacles[j], near, far)
-                count = _add_row(
-                    arm, (0, i), near, far, (gap, 0.0, expected), rows, count
-                )
+            if not is_clear(arm.world, i, obstacles, j, safe):
+                gap, near, far = closest_points(arm.world[i], obstacles[j])
+                found = 0.5 * gap, near, far
+                count = _add_row(arm, (0, i), found, 0.0, expected, rows, count)
     return count
 
 
@@ -242,22 +222,21 @@ def _add_arm_rows(
 def _add_object_rows(
     arm: np.record, objects: FloatArray, expected: float, rows: FloatArray, count: int
 ) -> int:
-    """Keep what is not the hand clear of objects that are not in it."""
-    near, far = np.empty(3), np.empty(3)
-    tcp = np.zeros(7)
+    """Keep the arm without its hand clear of objects that are not in the hand."""
+    tcp, hand = np.zeros(7), arm.placed[_HAND]
     for i in range(3):
-        hand = arm.placed[_HAND]
-        tcp[i] = hand[i, 3] + TCP_OFFSET_M * hand[i, 2]
-        tcp[3 + i] = tcp[i]
+        tcp[i] = tcp[3 + i] = hand[i, 3] + TCP_OFFSET_M * hand[i, 2]
     for m in range(objects.shape[0]):
-        if closest_points(tcp, objects[m], near, far) + objects[m, 6] < _IN_HAND_M:
-            continue
+        is_beside = False
         for i in range(_FIRST_ABOVE_TABLE, _FIRST_OF_HAND):
-            if not is_clear(arm.world[i], objects[m], safe_gap(arm.pace[i])):
-                gap = closest_points(arm.world[i], objects[m], near, far)
-                count = _add_row(
-                    arm, (0, i), near, far, (gap, 0.0, expected), rows, count
-                )
+            if is_clear(arm.world, i, objects, m, safe_gap(arm.pace[i])):
+                continue
+            thing = objects[m]
+            if not is_beside and closest_points(tcp, thing)[0] + thing[6] < _IN_HAND_M:
+                break
+            is_beside = True
+            found = closest_points(arm.world[i], thing)
+            count = _add_row(arm, (0, i), found, 0.0, expected, rows, count)
     return count
 
 
@@ -265,9 +244,9 @@ def _add_object_rows(
 def _add_row(
     arm: np.record,
     bodies: tuple[int, int],
-    near: FloatArray,
-    far: FloatArray,
-    given: tuple[float, float, float],
+    found: tuple[float, Triple, Triple],
+    least: float,
+    expected: float,
     rows: FloatArray,
     count: int,
 ) -> int:
@@ -276,58 +255,77 @@ def _add_row(
     Args:
         arm: The arm.
         bodies: A link, and a part beyond it: joints between change the distance.
-        near: Point of the arm [m].
-        far: The point that it approaches [m].
-        given: Distance of the surfaces [m], approach that is always allowed [m/s], and
-            the change of joint speeds that is expected [rad/s].
+        found: Gap between the surfaces, point of the arm, and the point that it
+            approaches [m].
+        least: Approach that is always allowed [m/s].
+        expected: Change of joint speeds that is expected [rad/s].
         rows: (n, 7): approach per joint speed [m], largest approach [m/s].
         count: Rows so far.
 
     Returns:
         Rows now.
+
+    Raises:
+        CapacityError: There is no room for another row.
     """
-    gap, least, expected = given
-    if gap > RANGE_M:
-        return count
-    dx, dy, dz = far[0] - near[0], far[1] - near[1], far[2] - near[2]
+    gap, (x, y, z), far = found
+    dx, dy, dz = far[0] - x, far[1] - y, far[2] - z
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    if length < 1e-9:
-        return count
-    dx, dy, dz = dx / length, dy / length, dz / length
     room = max(0.0, gap - CLEARANCE_M)
     limit = max(math.sqrt(2.0 * DECELERATION_M_S2 * room), least)
     first, last = bodies[0], int(arm.parts[bodies[1], 7])
     t, u = arm.twists[last], arm.twists[first]
-    x, y, z = near[0], near[1], near[2]
     wx, wy, wz = t[0] - u[0], t[1] - u[1], t[2] - u[2]
     approach = (
         dx * (t[3] - u[3] + wy * z - wz * y)
         + dy * (t[4] - u[4] + wz * x - wx * z)
         + dz * (t[5] - u[5] + wx * y - wy * x)
     )
-    if approach + arm.parts[bodies[1], 8] * expected < limit - ROUNDING:
+    more = arm.parts[bodies[1], 8] * expected + ROUNDING
+    if gap > RANGE_M or length < 1e-9 or approach + more * length < limit * length:
         return count
     if count >= rows.shape[0]:
         raise CapacityError("There are more velocity dampers than most_rows() says.")
-    for j in range(6):
-        rows[count, j] = 0.0
-        if first <= j < last:
-            f = arm.placed[j]
-            x, y, z = near[0] - f[0, 3], near[1] - f[1, 3], near[2] - f[2, 3]
-            rows[count, j] = (
-                dx * (f[1, 2] * z - f[2, 2] * y)
-                + dy * (f[2, 2] * x - f[0, 2] * z)
-                + dz * (f[0, 2] * y - f[1, 2] * x)
-            )
+    _write_row(
+        arm,
+        (first, last),
+        (x, y, z),
+        (dx / length, dy / length, dz / length),
+        rows,
+        count,
+    )
     rows[count, 6] = limit
     return count + 1
 
 
 @kernel
+def _write_row(
+    arm: np.record,
+    links: tuple[int, int],
+    near: Triple,
+    direction: Triple,
+    rows: FloatArray,
+    r: int,
+) -> None:
+    """Write to a row how joint speeds move a point of a link in a direction [m]."""
+    dx, dy, dz = direction
+    for j in range(6):
+        rows[r, j] = 0.0
+        if links[0] <= j < links[1]:
+            f = arm.placed[j]
+            x, y, z = near[0] - f[0, 3], near[1] - f[1, 3], near[2] - f[2, 3]
+            rows[r, j] = (
+                dx * (f[1, 2] * z - f[2, 2] * y)
+                + dy * (f[2, 2] * x - f[0, 2] * z)
+                + dz * (f[0, 2] * y - f[1, 2] * x)
+            )
+
+
+@kernel
 def _project(
-    rows: FloatArray, rates: FloatArray, limits: FloatArray
+    rows: FloatArray, count: int, rates: FloatArray, limits: FloatArray
 ) -> tuple[bool, float]:
-    """Project joint speeds onto what every row allows.
+    """Project joint speeds onto what each of the first rows allows.
 
     Returns:
         Whether they changed, and the norm of the largest change on the way [rad/s].
@@ -336,7 +334,7 @@ def _project(
     before = rates.copy()
     for _ in range(_SWEEPS):
         clean = True
-        for r in range(rows.shape[0]):
+        for r in range(count):
             approach = 0.0
             for j in range(6):
                 approach += rows[r, j] * rates[j]
@@ -361,7 +359,7 @@ def _project(
     for j in range(6):
         if abs(rates[j]) * scale > limits[j]:
             scale = limits[j] / abs(rates[j])
-    for r in range(rows.shape[0]):
+    for r in range(count):
         approach = 0.0
         for j in range(6):
             approach += rows[r, j] * rates[j]

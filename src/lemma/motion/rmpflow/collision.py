@@ -39,8 +39,9 @@ def add_collision_leaves(
     near = _find_near(root, spheres, centres, balls)
     column = root.column
     for i in range(3):
-        column[i], column[3 + i] = root.frames[0, i, 3], root.frames[1, i, 3]
-    column[6] = root.base_radius_m
+        column[0, i] = root.frames[0, i, 3]
+        column[0, 3 + i] = root.frames[1, i, 3]
+    column[0, 6] = root.base_radius_m
     for s in range(spheres.shape[0]):
         radius, link = spheres[s, 3], int(spheres[s, 4])
         x, y, z = centres[s, 0], centres[s, 1], centres[s, 2]
@@ -49,7 +50,7 @@ def add_collision_leaves(
             up = (0.0, 0.0, 1.0)
             _add_one(root, qd, link, centre, up, z - radius, TABLE_RANGE_M)
         if link >= _FIRST_WRIST_LINK and root.base_radius_m > 0.0:
-            gap, away = capsule_distance(column, centre)
+            gap, away = capsule_distance(column, 0, centre)
             if gap - radius < OWN_BASE_RANGE_M:
                 _add_one(root, qd, link, centre, away, gap - radius, OWN_BASE_RANGE_M)
         for k in range(near):
@@ -58,7 +59,7 @@ def add_collision_leaves(
             least = balls[o, 3] + radius
             if dx * dx + dy * dy + dz * dz > least * least:
                 continue
-            gap, away = capsule_distance(obstacles[o], centre)
+            gap, away = capsule_distance(obstacles, o, centre)
             if gap - radius < obstacles[o, 7]:
                 _add_one(root, qd, link, centre, away, gap - radius, obstacles[o, 7])
 
@@ -76,11 +77,12 @@ def collision_memory(
     """
     balls = np.empty((obstacles.shape[0], 5))
     for o in range(obstacles.shape[0]):
-        capsule, length = obstacles[o], 0.0
+        length = 0.0
         for i in range(3):
-            balls[o, i] = 0.5 * (capsule[i] + capsule[3 + i])
-            length += (capsule[i] - capsule[3 + i]) ** 2
-        balls[o, 3] = 0.5 * math.sqrt(length) + capsule[6] + capsule[7] + _ROUNDING_M
+            balls[o, i] = 0.5 * (obstacles[o, i] + obstacles[o, 3 + i])
+            length += (obstacles[o, i] - obstacles[o, 3 + i]) ** 2
+        balls[o, 3] = 0.5 * math.sqrt(length) + obstacles[o, 6] + obstacles[o, 7]
+        balls[o, 3] += _ROUNDING_M
     return np.empty((spheres.shape[0], 3)), balls
 
 
@@ -117,22 +119,25 @@ def _find_near(
 
 @kernel
 def capsule_distance(
-    capsule: FloatArray, point: tuple[float, float, float]
+    capsules: FloatArray, o: int, point: tuple[float, float, float]
 ) -> tuple[float, tuple[float, float, float]]:
-    """Return how far a point is from a capsule [m], and the direction away from it."""
-    abx, aby, abz = (
-        capsule[3] - capsule[0],
-        capsule[4] - capsule[1],
-        capsule[5] - capsule[2],
-    )
-    x, y, z = point[0] - capsule[0], point[1] - capsule[1], point[2] - capsule[2]
+    """Return how far a point is from a capsule [m], and the direction away from it.
+
+    Args:
+        capsules: Ends and radius, (n, 7+) [m].
+        o: A row of them. A view of the row would take longer than the rest.
+        point: The point [m].
+    """
+    ax, ay, az = capsules[o, 0], capsules[o, 1], capsules[o, 2]
+    abx, aby, abz = capsules[o, 3] - ax, capsules[o, 4] - ay, capsules[o, 5] - az
+    x, y, z = point[0] - ax, point[1] - ay, point[2] - az
     length = abx * abx + aby * aby + abz * abz
     if length >= 1e-12:
         t = min(1.0, max(0.0, (abx * x + aby * y + abz * z) / length))
         x, y, z = x - t * abx, y - t * aby, z - t * abz
     gap = math.sqrt(x * x + y * y + z * z)
     scale = 1.0 / max(gap, 1e-9)
-    return gap - capsule[6], (x * scale, y * scale, z * scale)
+    return gap - capsules[o, 6], (x * scale, y * scale, z * scale)
 
 
 @kernel

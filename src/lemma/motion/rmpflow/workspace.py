@@ -76,7 +76,7 @@ _RECORD = np.dtype(
         # Scratch memory of one leaf.
         ("jacobian", np.float64, (3, 6)),
         ("row", np.float64, 6),
-        ("column", np.float64, 7),
+        ("column", np.float64, (1, 7)),
         ("low", np.float64, 3),
         ("high", np.float64, 3),
         ("point", np.float64, 3),
