@@ -49,7 +49,7 @@ def test_moved_table_is_set_and_played(session: Session) -> None:
     until_phase(session, Phase.SOLVED)
 
 
-def test_what_overlaps_is_said_and_can_be_mended(session: Session) -> None:
+def test_overlaps_are_reported_and_can_be_mended(session: Session) -> None:
     session.move(TOP, INSTANCE.scene.placement(BOTTOM).pose)
     until_phase(session, Phase.BROKEN)
     assert "overlap" in session.play.status.note
@@ -95,7 +95,7 @@ def test_thing_is_moved_while_an_episode_waits(session: Session) -> None:
         ("white_pad", FREE, "is fixed"),
     ],
 )
-def test_what_cannot_be_moved_stays(
+def test_impossible_moves_are_undone(
     session: Session, name: str, pose: Pose2, says: str
 ) -> None:
     begin(session)

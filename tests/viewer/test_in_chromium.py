@@ -20,8 +20,6 @@ from lemma.viewer.episode.status import Phase
 from lemma.viewer.page import Page
 from lemma.viewer.server import open_server
 
-pytestmark = pytest.mark.slow
-
 TRIES, SETTLES_S, FRAMES, NEAR_M = 3, 0.5, 3, np.array([0.0, -0.95, 0.69])
 EVIL = "<img src=x onerror=window.evil=1>"
 SHOWS = "document.body.innerText.includes({!r})"
@@ -95,6 +93,7 @@ def look_from(
         browser.run("new Promise(requestAnimationFrame).then(() => true)")
 
 
+@pytest.mark.slow
 def test_expert_is_played_to_success_and_looked_at_again(
     browser: Browser, page: Page
 ) -> None:
@@ -118,7 +117,7 @@ def test_expert_is_played_to_success_and_looked_at_again(
     assert page.session.play.transport.cursor_s > 10.0
 
 
-def test_what_is_typed_is_shown_as_it_is(browser: Browser, page: Page) -> None:
+def test_typed_text_is_shown_as_it_is(browser: Browser, page: Page) -> None:
     say(browser, f"Fetch me a {EVIL}")
     until(lambda: page.panel.saying.value == OWN_WORDS)
     press(browser, "Do it")
@@ -128,6 +127,7 @@ def test_what_is_typed_is_shown_as_it_is(browser: Browser, page: Page) -> None:
     assert browser.run("window.evil") is None
 
 
+@pytest.mark.slow
 def test_cube_is_dragged_and_the_table_is_ones_own(
     browser: Browser, page: Page
 ) -> None:
@@ -157,6 +157,7 @@ def test_cube_is_dragged_and_the_table_is_ones_own(
     browser.wait_for(f"!{SHOWS.format('Your own table')}")
 
 
+@pytest.mark.slow
 def test_robot_is_taken_over_and_handed_back(browser: Browser, page: Page) -> None:
     # Slow enough for a browser that is slower.
     page.session.set_speed(0.25)
@@ -181,6 +182,7 @@ def test_robot_is_taken_over_and_handed_back(browser: Browser, page: Page) -> No
     assert [line.outcome for line in play.status.lines][:2] == ["taken over", "by hand"]
 
 
+@pytest.mark.slow
 def test_two_tabs_see_the_same(browser: Browser, page: Page) -> None:
     with browser.tab() as other:
         other.resize(500, 300)
@@ -192,6 +194,7 @@ def test_two_tabs_see_the_same(browser: Browser, page: Page) -> None:
             tab.wait_for(SHOWS.format(said))
 
 
+@pytest.mark.slow
 def test_policy_that_breaks_leaves_the_page_alive(browser: Browser, page: Page) -> None:
     page.panel.policy.value = "broken"
     press(browser, "Do it")
@@ -204,6 +207,7 @@ def test_policy_that_breaks_leaves_the_page_alive(browser: Browser, page: Page) 
     browser.wait_for(SHOWS.format("Understood"))
 
 
+@pytest.mark.slow
 def test_page_is_there_at_the_width_of_a_phone(
     browser: Browser, tmp_path: Path
 ) -> None:

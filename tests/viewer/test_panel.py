@@ -112,7 +112,7 @@ def test_typing_makes_the_sentence_ones_own(page: Page) -> None:
     assert page.panel.text.value == EVIL
 
 
-def test_what_cannot_be_is_said_until_something_else_is_asked(page: Page) -> None:
+def test_complaint_stays_until_the_next_request(page: Page) -> None:
     until_phase(page, Phase.READY)
     page.panel.policy.value = "os:system"
     page.panel.act()
@@ -316,7 +316,7 @@ def test_file_that_holds_no_table_is_refused(page: Page) -> None:
     assert page.session.play.request.own is None
 
 
-def test_what_is_carried_is_shown_and_snaps_back(page: Page) -> None:
+def test_carried_things_are_shown_and_snap_back(page: Page) -> None:
     until_phase(page, Phase.READY)
     hands, bodies = page.panel.table.dragging, page.stage.bodies
     assert bodies is not None

@@ -9,7 +9,7 @@ from lemma.viewer.server import Rounds
 WAIT_S = 10.0
 
 
-def test_what_is_called_has_come_to_its_end_when_it_is_ended() -> None:
+def test_end_waits_for_the_present_call() -> None:
     rounds, begun, go_on = Rounds(), threading.Event(), threading.Event()
     done: list[float] = []
 
@@ -40,7 +40,7 @@ def test_nothing_is_called_after_the_end() -> None:
     rounds.go(lambda real_s: pytest.fail("called"))
 
 
-def test_who_interrupts_can_end_it() -> None:
+def test_loop_can_be_ended_after_an_interrupt() -> None:
     rounds = Rounds()
 
     def tick(real_s: float) -> None:

@@ -95,9 +95,7 @@ def test_expert_follows_another_goal_that_it_can_parse() -> None:
         (own(SAID, "vague"), "could not be read"),
     ],
 )
-def test_what_is_not_understood_is_not_acted_on(
-    asked: EpisodeRequest, says: str
-) -> None:
+def test_unread_sentences_are_not_acted_on(asked: EpisodeRequest, says: str) -> None:
     play = played(asked, vague=Reads((("red_cube", "blue_pad"),), 0.2))
     assert play.status.phase is Phase.FAILED
     assert play.status.reading is not None
@@ -115,7 +113,7 @@ def test_what_is_not_understood_is_not_acted_on(
         "Never ever",
     ],
 )
-def test_what_shall_not_be_is_not_understood(said: str) -> None:
+def test_denials_are_not_understood(said: str) -> None:
     play = played(own(said, "reader"), reader=Reads(INSTANCE.goal.pairs, 0.9))
     assert play.status.phase is Phase.FAILED
     assert play.status.reading is not None

@@ -76,7 +76,7 @@ def test_hand_goes_where_it_is_led(session: Session) -> None:
     assert arm.scene.opening_m(arm.robot) < 0.01
 
 
-def test_what_was_done_is_done_again_to_the_bit(session: Session, file: Path) -> None:
+def test_saved_episode_repeats_to_the_bit(session: Session, file: Path) -> None:
     name = f"{Recorded.__module__}:{Recorded.__name__}"
     arguments = (("file", str(file)),)
     policy = load_policy(
@@ -180,7 +180,7 @@ def test_commands_alone_are_no_whole_episode(taken: Path) -> None:
         Recorded(str(taken))
 
 
-def test_nobody_takes_over_what_is_not_done() -> None:
+def test_only_a_running_episode_is_taken_over() -> None:
     found = session_of(still=StandsStill())
     with pytest.raises(InvalidConfigError, match="while an episode goes on"):
         found.play.take_over()

@@ -83,7 +83,7 @@ def test_step_ends_with_the_subtask() -> None:
         assert not transport.playing
 
 
-def test_who_is_abandoned_while_waiting_is_told() -> None:
+def test_waiting_simulation_is_told_of_its_end() -> None:
     transport = Transport()
     ticking = Ticking(transport, 100.0)
     ticking.settle()

@@ -45,7 +45,7 @@ def view(server: Server) -> Viewpoint:
     return Viewpoint(found, HALF_M)
 
 
-def test_who_has_a_narrow_window_steps_back(server: Server, view: Viewpoint) -> None:
+def test_narrow_windows_step_back(server: Server, view: Viewpoint) -> None:
     camera = server.enter(0, 700, 600)
     view.step_back()
     assert np.array_equal(camera.position, eye_for(700 / 600, HALF_M))
@@ -66,7 +66,7 @@ def test_a_page_that_begins_late_is_moved_again(
     assert np.array_equal(camera.position, fits)
 
 
-def test_who_moved_is_left_there(server: Server, view: Viewpoint) -> None:
+def test_moved_cameras_are_left_alone(server: Server, view: Viewpoint) -> None:
     camera = server.enter(0, *NARROW)
     view.step_back()
     camera.position = np.array([1.0, -2.0, 3.0])
@@ -78,7 +78,7 @@ def test_who_moved_is_left_there(server: Server, view: Viewpoint) -> None:
     assert np.linalg.norm(camera.position) > 2.0 * HALF_M
 
 
-def test_who_comes_again_is_somebody_new(server: Server, view: Viewpoint) -> None:
+def test_a_visitor_who_returns_is_placed_anew(server: Server, view: Viewpoint) -> None:
     server.enter(0, *NARROW)
     view.step_back()
     server.clients.clear()

@@ -65,7 +65,7 @@ def test_window_follows_every_episode_and_changes_none(
     assert 8 <= viewer.looks <= 12
 
 
-def test_what_cannot_open_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failing_window_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
     def launch(*_: object, **__: object) -> None:
         raise RuntimeError("mjpython is needed")
 

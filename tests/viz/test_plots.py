@@ -16,9 +16,7 @@ from lemma.viz.plots import (
     Mark,
     Series,
     dots,
-    histogram,
     lines,
-    ranges,
     stacks,
     standalone,
 )
@@ -148,26 +146,6 @@ def test_parts_differ_without_colors_and_fill_their_share() -> None:
     assert hatched == [False, True]
     assert "3 of 4" in svg
     assert "never" not in svg
-
-
-def test_ranges_put_the_mean_between_the_ends() -> None:
-    svg = ranges([("a", 2.0, 3.0, 10.0)], "s", "time")
-    (shape,) = shapes(svg).values()
-    left, right = extent_of(shape)
-    assert (place_of(shape)[0] - left) / (right - left) == pytest.approx(
-        1 / 8, abs=0.01
-    )
-    assert "time [s]" in svg
-    ElementTree.fromstring(ranges([], "s", "time"))
-
-
-@pytest.mark.parametrize(
-    "values", [[0.0], [-3.0, 4.0], [1e-3, 2e-3], [7.0] * 9, [1.0, 5000.0]]
-)
-def test_histograms_hold_every_value(values: list[float]) -> None:
-    svg = histogram(values, "cm", "margin", "poses")
-    counts = [int(said.rpartition(" ")[2]) for said in words_of(svg)]
-    assert sum(counts) == len(values)
 
 
 def test_the_same_plot_has_the_same_bytes_and_shares_no_names() -> None:

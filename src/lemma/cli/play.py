@@ -26,7 +26,7 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """Where the page is."""
+    """Address of the page."""
 
     host: str = LOOPBACK
     """Address to listen on; only this machine reaches the default."""
@@ -45,7 +45,7 @@ _HERE = Listening()
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """What it begins with."""
+    """The first table."""
 
     index: Number = None
     """Number of the instance; 0 by default."""
@@ -75,12 +75,12 @@ def play(
         task: Task to begin with, hook_stack by default; with --failures a folder of
             results.
         which: Of its instances.
-        policy: Who acts, as in lemma evaluate. By default reachnet where torch is
+        policy: As in lemma evaluate. By default reachnet where torch is
             installed, else the expert, which reads the benchmark's sentences alone.
         say: A sentence of your own, which is acted on at once.
-        failures: Look at what went wrong in a folder of results, beside what the expert
-            would have done, or another policy did.
-        at: Where the page is.
+        failures: List the failures in a folder of results, and play them beside the
+            expert or another policy.
+        at: Address of the page.
 
     Returns:
         Exit code: 0 after Ctrl-C.

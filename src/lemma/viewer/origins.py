@@ -1,4 +1,4 @@
-"""Who may open a socket to a page: scripts of other pages in the same browser may not.
+"""Guard of a page's socket against scripts of other pages in the same browser.
 
 A browser lets every page open a socket to every address, this machine's too, and names
 the page whose script it is in the header ``Origin``. The server has to check it.
@@ -24,8 +24,8 @@ class Guard:
     """Decides which sockets are opened by our own page, or by no page at all."""
 
     listens_at: str
-    """Address of the server. On the loopback address nobody may call it by a name of
-    their own, whatever that name resolves to."""
+    """Address of the server. On the loopback address it may be called by names of
+    this machine alone, even if other names resolve to it."""
     hosts: frozenset[str] = frozenset()
     """Names by which a proxy may be called whose pages are ours, without ports."""
     tell: Callable[[str], None] = lambda _: None

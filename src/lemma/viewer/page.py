@@ -19,7 +19,7 @@ class Page:
         """Show a session.
 
         Args:
-            session: What is shown; closed with the page.
+            session: Closed with the page.
             server: Of the page; closed with it.
         """
         self._server = server

@@ -1,4 +1,4 @@
-"""Servers of pages: their address, who may use them, how they look, and their loop."""
+"""Servers of pages: address, guard, looks, and loop."""
 
 import contextlib
 import io
@@ -41,7 +41,7 @@ class _Server(viser.ViserServer):
     """A server without a tunnel to the internet."""
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Do nothing: visitors could ask for a tunnel."""
+        """Do nothing: visitors cannot open a tunnel."""
 
 
 def open_server(
@@ -63,7 +63,7 @@ def open_server(
     """
     check_address(host, port)
     guard = Guard(host, frozenset(name.lower() for name in hosts), tell)
-    # The library would print an address of its own.
+    # The library would print an address, too.
     with contextlib.redirect_stdout(io.StringIO()), guarded_by(guard):
         return _Server(host, port, label="LEMMA Bench", verbose=False)
 
@@ -99,17 +99,17 @@ def close_server(server: viser.ViserServer) -> None:
 
 
 class Rounds:
-    """Calls something :data:`UPDATES_HZ` times a second, until somebody ends it."""
+    """Calls a function :data:`UPDATES_HZ` times a second until it is ended."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Prepare the loop."""
         self._over, self._turn = threading.Event(), threading.Lock()
 
     def go(self, tick: Callable[[float], None]) -> None:
         """Go round until it is ended.
 
         Args:
-            tick: Told how much real time has passed since the last time [s].
+            tick: Called with the real time since the last call [s].
         """
         period, last = 1.0 / UPDATES_HZ, time.perf_counter()
         while True:
@@ -122,7 +122,7 @@ class Rounds:
             self._over.wait(max(0.0, period - (time.perf_counter() - now)))
 
     def end(self) -> None:
-        """End it; what is called now has come to its end then."""
+        """End it; the present call is waited for."""
         self._over.set()
         with self._turn:
             pass

@@ -1,1 +1,5 @@
-"""Pictures, videos and pages."""
+"""Pictures, videos, plots and static pages; without a server, and without viser.
+
+Numbers and tables come from ``evaluation.report``; scenes to turn around are made by
+``viewer``.
+"""

@@ -69,7 +69,7 @@ def label_plate(
     """Return a free place for a label: above a point, else below, right or left of it.
 
     Args:
-        near: What is labelled.
+        near: Point of the labelled thing.
         text: The word.
         size: Height of the letters [px].
         away: Distance from the point to the plate's middle [px].

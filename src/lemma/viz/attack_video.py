@@ -1,4 +1,4 @@
-"""An attack that succeeded, replayed from what it did, with states for a video."""
+"""An attack that succeeded, played again for a video."""
 
 import time
 from itertools import pairwise
@@ -14,15 +14,15 @@ from lemma.viz.recording import Line, Recording, robot_titles
 
 
 def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording:
-    """Do again what an attack did.
+    """Play an attack again.
 
     Args:
-        found: What it did; it must have succeeded.
-        instance: To what.
+        found: The attack's record; it must have succeeded.
+        instance: That was attacked.
         frame_s: Simulated time from one frame to the next [s].
 
     Raises:
-        InvalidConfigError: The attack did not succeed, so it was not kept what it did.
+        InvalidConfigError: The attack did not succeed, so its actions were not kept.
     """
     if not found.succeeded:
         raise InvalidConfigError(

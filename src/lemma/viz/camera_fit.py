@@ -1,4 +1,4 @@
-"""Where to look from, so that everything that matters is in the picture."""
+"""The nearest camera that has all points in its picture."""
 
 import math
 

@@ -21,10 +21,10 @@ def caption(
     """Draw instruction, running sub-task and simulated time.
 
     Args:
-        recording: What is shown.
+        recording: The episode.
         time_s: Simulated time of the picture [s].
         size: Width and height of the strip [px].
-        note: What else to say beside the time.
+        note: A remark beside the time.
         ended: Whether to say how it ended instead of the sub-task.
     """
     width, height = size

@@ -24,10 +24,10 @@ def illustrate_all(
     """Render every recording, one process per core.
 
     Args:
-        recordings: What to show, with frames.
+        recordings: With frames.
         folder: Where the videos go; made if need be.
         style: Size and pace of the videos.
-        on_video: Told of every video as soon as it is there.
+        on_video: Called with every video as soon as it is written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     # The longest first, so that no core waits for it at the end.
@@ -50,7 +50,7 @@ def illustrate(recording: Recording, folder: Path, style: VideoStyle) -> Illustr
     """Write the video of a recording; return it with poster and map.
 
     Args:
-        recording: What to show, with frames.
+        recording: With frames.
         folder: Where the video goes.
         style: Size and pace of the video.
     """

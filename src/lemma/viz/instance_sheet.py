@@ -1,4 +1,4 @@
-"""One picture with all there is to see of an instance."""
+"""One picture of an instance: cameras, depth, map, reach, goal and sentences."""
 
 import math
 

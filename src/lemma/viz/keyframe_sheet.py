@@ -1,4 +1,4 @@
-"""One episode of a recipe as a picture: its keyframes, and what was done between."""
+"""One episode of a recipe as a picture: its keyframes and sub-tasks."""
 
 import math
 
@@ -95,7 +95,7 @@ def _write_head(canvas: Canvas, record: EpisodeRecord, width: float) -> None:
 def _write_foot(
     canvas: Canvas, record: EpisodeRecord, keyframe: int, corner: tuple[int, int]
 ) -> None:
-    """Say what happens next, or how it ended."""
+    """Write the next sub-task, or the end of the episode."""
     text, ink = _next(record, keyframe)
     clock = f"{record.keyframe_time_s[keyframe]:.1f} s"
     width, height = _TILE_PX

@@ -1,4 +1,4 @@
-"""The top-down map, with what people want to know drawn on it."""
+"""The top-down map with reach, names and goal."""
 
 import math
 from collections.abc import Callable
@@ -50,9 +50,9 @@ def annotated_map(
     by a dashed one.
 
     Args:
-        instance: What to draw.
+        instance: Of the scene.
         scene: Its scene, in the state to draw.
-        images: What its cameras see.
+        images: Of its cameras.
         width: Width of the picture [px]; its height follows.
         raster: The raster of the map.
     """

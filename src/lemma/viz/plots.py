@@ -3,7 +3,8 @@
 Series differ by color and by marker, parts of bars by color and by hatching, so that
 nothing depends on colors, which are those of Okabe and Ito. Each color is written as
 ``var(--name, #color)``: a page may set others for a dark background, and
-:func:`standalone` leaves the plain color. Who points at a mark reads its numbers.
+:func:`standalone` leaves the plain color. A mark shows its numbers when the mouse
+points at it.
 """
 
 import io
@@ -14,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
-import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
@@ -39,9 +39,9 @@ _COLOR = re.compile("|".join(_NAMES))
 _VARIABLE = re.compile(r"var\(--[\w-]+, ([^)]+)\)")
 _SVG = "http://www.w3.org/2000/svg"
 _STYLE: dict[Any, Any] = {
-    # Words stay words: they can be searched, copied and edited.
+    # Text stays text, which can be searched and edited.
     "svg.fonttype": "none",
-    # Names of clip paths and hatches must not depend on chance.
+    # Names of clip paths and hatches are the same in every run.
     "svg.hashsalt": "lemma",
     "font.family": "sans-serif",
     "font.sans-serif": ("DejaVu Sans", "Helvetica", "Arial"),
@@ -68,7 +68,7 @@ _BESIDE: dict[str, Any] = {
     "va": "center",
     "color": FAINT,
 }
-"""Where a note stands: right of the axes."""
+"""Place of a note: right of the axes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +77,11 @@ class Mark:
 
     value: float
     low: float
-    """Where its whisker begins."""
+    """Lower end of its whisker."""
     high: float
-    """Where its whisker ends."""
+    """Upper end of its whisker."""
     words: str
-    """What it says to those who point at it."""
+    """Its tooltip."""
     reference: float | None = None
     """Another value to compare it with, if any."""
 
@@ -128,8 +128,8 @@ def dots(categories: Sequence[str], series: Sequence[Series], axis: str) -> str:
 
     Args:
         categories: Names of the rows.
-        series: What to show, at least one.
-        axis: What the values are.
+        series: At least one.
+        axis: Meaning of the values.
     """
     lanes = max(len(series), 2)
     row = _LANE * lanes + 10
@@ -163,8 +163,8 @@ def lines(
 
     Args:
         categories: Names along the horizontal axis.
-        series: What to show, at least one.
-        axes_words: What the categories are, and what the values are.
+        series: At least one.
+        axes_words: Meaning of the categories and of the values.
     """
     apart = min(0.02, 0.7 / len(series) / max(len(categories), 1))
 
@@ -189,21 +189,13 @@ def lines(
     return _plot(draw, _TALL + 60, title, [one.name for one in series])
 
 
-def stacks(
-    parts: Sequence[str],
-    bars: Sequence[Bar],
-    axis: str,
-    colors: Sequence[str] | None = None,
-    even: int | None = None,
-) -> str:
+def stacks(parts: Sequence[str], bars: Sequence[Bar], axis: str) -> str:
     """Return bars divided into parts that differ by color and by hatching.
 
     Args:
         parts: Names of the parts.
         bars: From top to bottom.
-        axis: What the length of a part is.
-        colors: Of the parts, without hatching; some that differ if None.
-        even: Number of parts that should be equal, at whose ends lines are drawn.
+        axis: Meaning of the length of a part.
     """
     used = [k for k in range(len(parts)) if any(bar.parts[k] for bar in bars)]
     most = max((sum(bar.parts) for bar in bars), default=0.0)
@@ -216,79 +208,26 @@ def stacks(
                 width = 100 * bar.parts[k]
                 if width > 0:
                     words = f"{bar.label}: {parts[k]} {bar.parts[k]:.1%}"
-                    axes.barh(
-                        *(j, width, 0.6, left),
-                        **_filling(k, colors),
-                        gid=_tip(tips, words),
-                    )
+                    tip = _tip(tips, words)
+                    axes.barh(j, width, 0.6, left, **_filling(k), gid=tip)
                 left += width
             axes.annotate(bar.note, (1.0, j), **_BESIDE)
-        for i in range(1, even or 0):
-            axes.axvline(100 * i / (even or 1), color=INK, lw=1.2, ls=":", alpha=0.6)
         axes.set(xlim=(0, 100 * limit), xlabel=axis, yticks=range(len(bars)))
         axes.set_yticklabels([bar.label for bar in bars])
         axes.set_ylim(max(len(bars), 1) - 0.5, -0.5)
         axes.grid(axis="x")
         for k in used:
-            axes.barh(0, 0, **_filling(k, colors), label=parts[k])
+            axes.barh(0, 0, **_filling(k), label=parts[k])
 
     return _plot(draw, _ROW * len(bars) + 48, axis, [parts[k] for k in used])
-
-
-def ranges(
-    rows: Sequence[tuple[str, float, float, float]], unit: str, axis: str
-) -> str:
-    """Return one line per row from the least to the most, with a dot at the mean.
-
-    Args:
-        rows: Label, least, mean and most.
-        unit: Of the numbers.
-        axis: What they are.
-    """
-
-    def draw(axes: Axes, tips: list[str]) -> None:
-        for j, (label, least, mean, most) in enumerate(rows):
-            words = f"{label}: {least:.1f} to {most:.1f} {unit}, mean {mean:.1f} {unit}"
-            _whiskers(axes, 0, [least, mean, most], [j] * 3, _tip(tips, words))
-        axes.set(xlabel=f"{axis} [{unit}]", yticks=range(len(rows)))
-        axes.set_yticklabels([label for label, *_ in rows])
-        axes.set_ylim(max(len(rows), 1) - 0.5, -0.5)
-        axes.set_xlim(left=0)
-        axes.grid(axis="x")
-
-    return _plot(draw, _ROW * len(rows) + 48, axis)
-
-
-def histogram(values: Sequence[float], unit: str, axis: str, counted: str) -> str:
-    """Return how often values occur.
-
-    Args:
-        values: The values, at least one.
-        unit: Of the values.
-        axis: What they are.
-        counted: What there is one of per value: the axis of counts.
-    """
-
-    def draw(axes: Axes, tips: list[str]) -> None:
-        counts, edges = np.histogram(values, bins=40)
-        for count, low, high in zip(counts, edges[:-1], edges[1:], strict=True):
-            tip = _tip(tips, f"{low:.3g} to {high:.3g} {unit}: {count}")
-            width = 0.92 * (high - low)
-            axes.bar(low, count, width, align="edge", color=_hue(0), gid=tip)
-        axes.set(xlabel=f"{axis} [{unit}]", ylabel=counted)
-        axes.grid(axis="y")
-
-    return _plot(draw, _TALL, axis)
 
 
 def _hue(number: int) -> str:
     return _HUES[number % len(_HUES)]
 
 
-def _filling(number: int, colors: Sequence[str] | None) -> dict[str, Any]:
-    """Return how the bars of a part are filled."""
-    if colors is not None:
-        return {"facecolor": colors[number], "edgecolor": FAINT}
+def _filling(number: int) -> dict[str, Any]:
+    """Return the color and hatching of a part."""
     hatch = _HATCHES[number % len(_HATCHES)]
     return {"facecolor": _hue(number), "edgecolor": PAPER, "hatch": hatch}
 
@@ -316,7 +255,7 @@ def _whiskers(
 
 
 def _tip(tips: list[str], words: str) -> str:
-    """Keep what a shape says; return the name by which it is found."""
+    """Keep the tooltip of a shape, and return the name of the shape."""
     tips.append(words)
     return f"tip-{len(tips) - 1}"
 
@@ -330,9 +269,9 @@ def _plot(
     """Return a plot as SVG.
 
     Args:
-        draw: Draws into axes, and names what its shapes say.
+        draw: Draws into axes, and lists tooltips.
         height: Of all but the legend [px].
-        title: For those who cannot see it.
+        title: For screen readers.
         series: Names in the legend, if any: of what is labelled, or of markers.
     """
     tips: list[str] = []

@@ -59,10 +59,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Recording:
-    """What one policy, or somebody by hand, did with an instance."""
+    """An episode of a policy, or by hand."""
 
     title: str
-    """Who did it, in words."""
+    """The policy in words."""
     instance: Instance
     lines: tuple[Line, ...]
     """Its sub-tasks, in order."""
@@ -74,7 +74,7 @@ class Recording:
     elapsed_s: float
     """Simulated time [s]."""
     wall_s: float = 0.0
-    """Real time that simulating and planning took [s]; 0 where nobody measured it."""
+    """Real time of simulating and planning [s]; 0 where it was not measured."""
     because: str = ""
     """Why it failed, in a sentence, where more is known than :attr:`failure`."""
 
@@ -248,10 +248,10 @@ def robot_titles(instance: Instance) -> tuple[str, ...]:
 
 
 def warm_up(instance: Instance) -> float:
-    """Compile what the expert needs, which happens once per machine.
+    """Compile the kernels of the expert, which happens once per machine.
 
     Returns:
-        How long it took [s].
+        The time [s].
     """
     started = time.perf_counter()
     record(instance, horizon_s=2.0)

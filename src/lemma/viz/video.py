@@ -57,7 +57,7 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
     """Render a recording and encode it.
 
     Args:
-        recording: What to show; recorded with ``style.frame_s``.
+        recording: The episode, with frames every ``style.frame_s``.
         path: The MP4 file.
         style: Size and pace.
 
@@ -67,7 +67,7 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
     Raises:
         RenderingError: OpenGL does not work here.
     """
-    # Who films nothing needs no encoder: results are written without.
+    # The encoder is optional, and only videos need it.
     import av  # noqa: PLC0415
 
     scene = Scene(recording.instance.scene)

@@ -1,1 +1,1 @@
-"""What is played: an episode in a thread of its own, and commands to it."""
+"""The episode of a page in a thread of its own, and commands to it."""

@@ -26,7 +26,7 @@ class Explanation:
     time_s: float
     """Simulated time [s]."""
     insight: Insight | None = None
-    """What the policy perceived and weighed; None where it does not say so."""
+    """The policy's perception and options; None where it gives none."""
     robot: str = ""
     """Name of the robot that acts."""
     waypoints: Waypoints = ()
@@ -47,7 +47,7 @@ def explain(
         simulation: As it is before the sub-task.
         time_s: Simulated time of the episode [s].
         decision: Of the policy.
-        insight: What the policy said about it, if it says anything.
+        insight: The policy's reasons, if it gives any.
     """
     waypoints: Waypoints = ()
     if decision.grounded is not None:

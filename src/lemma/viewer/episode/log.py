@@ -1,4 +1,4 @@
-"""What was done in an episode so far, as it is kept in a file."""
+"""The log of an episode, as it is kept in a file."""
 
 from dataclasses import replace
 
@@ -16,10 +16,10 @@ from lemma.viewer.episode.teleoperator import CONTROL, CONTROL_HZ, Teleoperator
 
 
 class EpisodeLog:
-    """What robots and visitors did; written by the thread that simulates."""
+    """Sub-tasks and commands; written by the thread that simulates."""
 
     def __init__(self) -> None:
-        """Begin with nothing."""
+        """Begin an empty log."""
         self._parts: tuple[Executed | Commanded, ...] = ()
         self._nudged: tuple[Nudged, ...] = ()
         self._begun: Executed | None = None
@@ -31,17 +31,17 @@ class EpisodeLog:
         return led or bool(self._nudged)
 
     def begin(self, decision: Decision, start_s: float) -> None:
-        """Take note of what a policy decided; without poses nothing is executed.
+        """Note a decision of the policy; without poses nothing is executed.
 
         Args:
-            decision: What it was.
+            decision: Of the policy.
             start_s: Simulated time [s].
         """
         subtask, grounded = decision.subtask, decision.grounded
         self._begun = None if grounded is None else Executed(start_s, subtask, grounded)
 
     def end(self, until_s: float | None = None) -> None:
-        """Take note that the sub-task that had begun has ended.
+        """Note the end of the running sub-task.
 
         Args:
             until_s: Simulated time at which it was broken off [s]; None if it was not.
@@ -52,17 +52,17 @@ class EpisodeLog:
             self._parts, self._begun = (*self._parts, done), None
 
     def lead(self, teleoperator: Teleoperator, start_s: float) -> None:
-        """Take note that a visitor leads from now on.
+        """Note that a visitor leads from now on.
 
         Args:
-            teleoperator: Which keeps what it commands.
+            teleoperator: Keeps the commands.
             start_s: Simulated time [s].
         """
         led = Commanded(CONTROL, CONTROL_HZ, teleoperator.rows, start_s)
         self._parts = (*self._parts, led)
 
     def move(self, name: str, pose: Pose2, time_s: float) -> None:
-        """Take note that a visitor laid something elsewhere.
+        """Note that a visitor moved a thing.
 
         Args:
             name: Of the thing.
@@ -74,11 +74,11 @@ class EpisodeLog:
     def kept(
         self, instance: Instance, said: str, latest: tuple[float, FloatArray]
     ) -> Teleoperation:
-        """Return all of it.
+        """Return the whole log.
 
         Args:
-            instance: At which table.
-            said: What was said.
+            instance: Of the table.
+            said: The sentence.
             latest: Time [s] and positions of the joints of the newest state.
         """
         parts = self._parts if self._begun is None else (*self._parts, self._begun)

@@ -61,7 +61,7 @@ class Moved:
 
 
 class _Leader(Enum):
-    """Who decides about the robots."""
+    """Source of decisions about the robots."""
 
     POLICY = auto()
     ASKED = auto()
@@ -84,7 +84,7 @@ class Play:
         """Set the table in another thread, and act there if that is wanted.
 
         Args:
-            request: What is asked for.
+            request: Table, sentence and policy.
             load: Loads policies.
             acts: Whether to act; else the table is set, and no more.
             steps: Whether to pause after the first sub-task.
@@ -100,7 +100,7 @@ class Play:
         """Why and how each sub-task was done, oldest first."""
         self._insight: Insight | None = None
         self.teleoperator: Teleoperator | None = None
-        """Of a visitor who leads, or led last; None if nobody has."""
+        """Of the visitor who leads, or led last; None if nobody did."""
         self._log = EpisodeLog()
         self._controls = False
         """Whether the policy commands motors, so that nobody can take over."""
@@ -110,7 +110,7 @@ class Play:
         """Name of the robot that was acting when a visitor took over."""
         self._goal_is_known = True
         self.moved: Moved | None = None
-        """What visitors did last to things of the running episode."""
+        """The latest change of a thing by a visitor during the episode."""
         self._load = load
         self._board = StatusBoard(request.policy)
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -118,7 +118,7 @@ class Play:
 
     @property
     def status(self) -> Status:
-        """How it stands; a new object whenever that changes."""
+        """The status; a new object whenever it changes."""
         return self._board.status
 
     def leave(self, wait_s: float = 0.0) -> bool:
@@ -152,22 +152,22 @@ class Play:
 
     @property
     def can_be_taken_over(self) -> bool:
-        """Whether a visitor could lead from now on."""
+        """Whether a visitor may take over now."""
         policy = self._leader is _Leader.POLICY
         return self._goes_on and policy and not self._controls
 
     @property
     def can_hand_back(self) -> bool:
-        """Whether there is a policy that could go on."""
+        """Whether a policy can go on."""
         return self.is_led and not self._controls
 
     @property
     def was_led(self) -> bool:
-        """Whether a visitor did something, which could be kept."""
+        """Whether a visitor did something that can be saved."""
         return self._log.by_hand
 
     def take_over(self) -> None:
-        """Let a visitor lead from now on; what robots are doing is broken off.
+        """Let a visitor lead from now on; the running sub-task is broken off.
 
         Raises:
             InvalidConfigError: Nothing is done that could be taken over.
@@ -193,7 +193,7 @@ class Play:
             self.transport.play()
 
     def kept(self) -> Teleoperation:
-        """Return what was done so far, by the policy and by hand.
+        """Return the log so far, of the policy and by hand.
 
         Raises:
             InvalidConfigError: Nothing was done by hand.
@@ -208,9 +208,9 @@ class Play:
             return self._log.kept(self.instance, self.status.said, latest)
 
     def nudge(self, name: str, pose: Pose2) -> None:
-        """Lay an object elsewhere while the episode goes on, and pause there.
+        """Move an object while the episode goes on, and pause there.
 
-        What came of it is said in :attr:`moved`.
+        The result is in :attr:`moved`.
 
         Args:
             name: Of the object.
@@ -256,7 +256,7 @@ class Play:
         kind, control = request.saying, LanguageControl()
         if kind == OWN_WORDS:
             kind, control = "high_level", LanguageControl(request.text)
-            # Sentences of the benchmark say what they ask for, whoever acts.
+            # The goal of a sentence of the benchmark is known, for any policy.
             reading = parse_goal(request.text, instance)
             self._goal_is_known = reading.acts
             if reading.acts and reading.pairs:
@@ -269,7 +269,7 @@ class Play:
         return rollout
 
     def _watch(self, rollout: Rollout) -> None:
-        """Look at an episode from its first state on."""
+        """Record an episode from its first state on."""
         simulation, transport = rollout.episode.simulation, self.transport
 
         def record() -> None:
@@ -333,7 +333,7 @@ class Play:
         self.transport.mark(end_s)
 
     def _read(self, rollout: Rollout, player: Player) -> bool:
-        """Say what is understood; return whether to act on it."""
+        """Report the reading; return whether to act on it."""
         self._board.tell(Phase.READING)
         reading = self.status.reading
         if reading is None and self.request.policy == ORACLE:

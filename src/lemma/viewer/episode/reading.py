@@ -1,4 +1,4 @@
-"""What a policy understands of a sentence, asked before it acts."""
+"""A policy's reading of a sentence, asked for before it acts."""
 
 import re
 from dataclasses import replace
@@ -20,19 +20,19 @@ from lemma.viewer.episode.status import Reading, say_goal
 _DENIES = re.compile(
     "\\b(?:not|never|cannot|dont|nor)\\b|n['\u2019]t\\b", re.IGNORECASE
 )
-"""Words of sentences that readers take for the contrary: none was trained on them."""
+"""Words of denials, which readers take for the contrary: none was trained on them."""
 SILENT = Reading(None, "This policy does not say what it understood.")
-"""Of policies that read without a word."""
+"""Of policies without a reader."""
 LEAST_CERTAIN = 0.5
-"""A reader that holds its best goal for less likely than this has not understood."""
+"""Least certainty at which a reader has understood."""
 
 
 def parse_goal(text: str, instance: Instance) -> Reading:
-    """Return what the templates of the benchmark make of a sentence.
+    """Return the goal of a sentence by the templates of the benchmark.
 
     Args:
         text: Anything.
-        instance: Whose table it is about.
+        instance: Of the table.
     """
     found = parse(text)
     if found is None:
@@ -46,12 +46,12 @@ def parse_goal(text: str, instance: Instance) -> Reading:
 
 
 def ask_reader(policy: object, given: PolicyInput, instance: Instance) -> Reading:
-    """Return what a policy's own reader makes of a sentence.
+    """Return the goal that a policy's own reader finds in a sentence.
 
     Args:
-        policy: Whoever shall act.
-        given: What it is given before its first decision.
-        instance: Whose table it is.
+        policy: The policy.
+        given: Its input before the first decision.
+        instance: Of the table.
     """
     reader = find_reader(policy)
     if reader is None:
@@ -75,9 +75,9 @@ def check_plan(reading: Reading, scene: Scene, *, needed: bool) -> Reading:
     """Return a reading that says so if the expert knows no way to do it.
 
     Args:
-        reading: What was understood.
+        reading: Of a sentence.
         scene: The table as it is.
-        needed: Whether nobody can act without a plan of the expert.
+        needed: Whether the policy cannot act without the expert's plan.
     """
     if not (reading.acts and reading.pairs):
         return reading
@@ -92,17 +92,17 @@ def check_plan(reading: Reading, scene: Scene, *, needed: bool) -> Reading:
 def hear(
     text: str, instance: Instance, player: Player, *, knows: bool
 ) -> tuple[Instance, Reading]:
-    """Return an instance on whose table somebody says something else.
+    """Return the table of an instance with another sentence.
 
     Args:
-        text: What is said.
-        instance: Whose table it is.
-        player: Whoever shall act.
-        knows: Whether that is the expert, who is told the goal.
+        text: The sentence.
+        instance: Of the table.
+        player: The policy.
+        knows: Whether it is the expert, which knows the goal.
 
     Returns:
-        The same table with this sentence, and with the goal that was understood if it
-        can be acted on; and what was understood.
+        The instance, with the goal that was understood if it can be acted on, and the
+        reading.
     """
     sentences = {**instance.instructions, "high_level": text}
     said = replace(instance, instructions=sentences)
@@ -118,7 +118,7 @@ def hear(
 
 
 def find_reader(policy: Any) -> Reader | None:
-    """Return the part of a policy that says what it reads, if there is one."""
+    """Return the part of a policy that reads sentences, if there is one."""
     if isinstance(policy, Composite):
         found = (find_reader(part) for part in policy.parts)
         return next((reader for reader in found if reader is not None), None)

@@ -1,4 +1,4 @@
-"""What a user asks for: an instance, a sentence, and a policy."""
+"""A request of the page: an instance, a sentence, and a policy."""
 
 from dataclasses import dataclass
 
@@ -10,14 +10,14 @@ from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
 
 OWN_WORDS = "your own words"
 SAYINGS = (*KINDS, OWN_WORDS)
-"""What may be said: a kind of sentence of the instance, or anything."""
+"""Kinds of sentences: those of the instance, or any."""
 LONGEST = 300
 """Characters of a sentence that are read."""
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRequest:
-    """An instance, a sentence, and who shall follow it."""
+    """An instance, a sentence, and the policy that follows it."""
 
     task: str = SUITE[0]
     split: str = "test"
@@ -25,13 +25,13 @@ class EpisodeRequest:
     saying: str = SAYINGS[0]
     """One of :data:`SAYINGS`."""
     text: str = ""
-    """What is said in one's own words."""
+    """A sentence in own words."""
     policy: str = ORACLE
     own: Instance | None = None
-    """An instance that somebody made, instead of the one of the task's lists."""
+    """An own instance, instead of that of the task's list."""
 
     def __post_init__(self) -> None:
-        """Check what can be checked without looking anything up.
+        """Check the names and the length of the sentence.
 
         Raises:
             UnknownNameError: No such split or kind of sentence.
@@ -48,7 +48,7 @@ class EpisodeRequest:
             )
 
     def instance(self) -> Instance:
-        """Return the table that is meant.
+        """Return the instance.
 
         Raises:
             LemmaError: There is no such instance.

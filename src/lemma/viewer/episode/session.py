@@ -1,4 +1,4 @@
-"""What a page looks at: one play after another, and the policies that are loaded."""
+"""A page's episodes, one after the other, and the policies that are loaded."""
 
 import threading
 from collections.abc import Callable
@@ -21,11 +21,11 @@ from lemma.viewer.episode.request import EpisodeRequest
 from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 
 _PATIENCE_S = 1.0
-"""How long a policy is waited for that shall stop [s]."""
+"""Time that a policy gets to stop [s]."""
 
 
 def load_player(name: str) -> Player:
-    """Return a policy, with what it sees with."""
+    """Return a policy, with its cameras."""
     return load_any(PolicySpec(name))
 
 
@@ -43,7 +43,7 @@ class Session:
         """Set the first table.
 
         Args:
-            request: What to begin with.
+            request: Of the first table.
             policies: Names of those that may be chosen.
             load: Loads one.
             acts: Whether to act at once.
@@ -66,7 +66,7 @@ class Session:
         with self._loading:
             if name not in self._loaded:
                 self._loaded[name] = self._load(name)
-            # What renders belongs to one thread.
+            # Renderers belong to one thread: each play has its own.
             player = self._loaded[name]
         if isinstance(player, ControlPlayer):
             return ControlPlayer(player.policy)
@@ -74,11 +74,11 @@ class Session:
         return replace(player, rig=rig)
 
     def offer(self, address: str) -> None:
-        """Offer a policy that is behind an address; nobody is asked there yet.
+        """Offer a policy behind an address, which is not asked yet.
 
         Args:
-            address: Of ``lemma serve``, or of a model server of vla-eval. Visitors
-                name no classes: those would be run.
+            address: Of ``lemma serve``, or of a model server of vla-eval. Visitors may
+                not name classes, which would be run.
 
         Raises:
             InvalidConfigError: It is no address.
@@ -94,10 +94,10 @@ class Session:
             self.policies = (*self.policies, address)
 
     def ask(self, request: EpisodeRequest, *, acts: bool, steps: bool = False) -> None:
-        """Leave what is played, and set the table for something else.
+        """Leave the present episode, and set another table.
 
         Args:
-            request: What is asked for.
+            request: Of the next table.
             acts: Whether to act; else the table is looked at.
             steps: Whether to pause after the first sub-task.
 
@@ -108,15 +108,15 @@ class Session:
         with self._commands:
             before = self.play
             if not before.leave(_PATIENCE_S) and not self._loading.locked():
-                # It is still at work on what it was asked: the next play loads another.
+                # A policy that hangs is not used again: the next play loads it anew.
                 self._loaded.pop(before.request.policy, None)
             self.play = self._begin(request, acts, steps)
 
     def move(self, name: str, pose: Pose2) -> None:
         """Put a robot or an object elsewhere.
 
-        Before an episode and after it, it is the table that changes, which is then set
-        anew. While one goes on it is paused, and a thing laid elsewhere, if it can be.
+        Before and after an episode the table changes, and is set anew. A running
+        episode is paused, and the thing is moved in it, if it can be.
 
         Args:
             name: Of the robot or object.
@@ -138,7 +138,7 @@ class Session:
             play.nudge(name, pose)
 
     def take(self, instance: Instance) -> None:
-        """Set a table of somebody's own.
+        """Set an own table.
 
         Args:
             instance: Any.
@@ -147,7 +147,7 @@ class Session:
         self.ask(request, acts=False)
 
     def take_listed(self) -> None:
-        """Set the table of the list again that was changed."""
+        """Set the listed table again."""
         self.ask(replace(self.play.request, own=None), acts=False)
 
     def _check(self, request: EpisodeRequest) -> None:
@@ -159,12 +159,12 @@ class Session:
         self.ask(self.play.request, acts=self.play.acts)
 
     def set_speed(self, speed: float) -> None:
-        """Set how many times real time is played, from now on."""
+        """Set the speed, in times real time, from now on."""
         self._speed = speed
         self.play.transport.set_speed(speed)
 
     def close(self) -> None:
-        """End what is played, and give back what was loaded."""
+        """End the episode, and close the loaded policies."""
         with self._commands:
             self.play.leave(_PATIENCE_S)
             for player in self._loaded.values():
@@ -183,7 +183,7 @@ def moved(instance: Instance, name: str, pose: Pose2) -> Instance:
         pose: Where it shall stand or lie.
 
     Raises:
-        InvalidConfigError: That is nowhere in the room.
+        InvalidConfigError: The pose is outside of the room.
         UnknownNameError: There is no such thing.
     """
     scene, pose = instance.scene, pose.rounded()

@@ -1,4 +1,4 @@
-"""How an episode stands, in words: plain data that its thread writes and pages read."""
+"""The status of an episode: plain data that its thread writes and pages read."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -12,18 +12,18 @@ from lemma.viz.recording import Line
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What was understood of a sentence."""
+    """The reading of a sentence."""
 
     pairs: GoalPairs | None
-    """(top, bottom) pairs that shall hold; None where nothing says."""
+    """(top, bottom) pairs that shall hold; None where the policy does not say."""
     note: str = ""
-    """What else there is to say of it, in a sentence."""
+    """A remark, in a sentence."""
     acts: bool = True
-    """Whether somebody who read this should act."""
+    """Whether the policy should act on it."""
 
 
 class Phase(StrEnum):
-    """What happens."""
+    """State of an episode."""
 
     SETTING = "Setting the table"
     READY = "Ready"
@@ -34,7 +34,7 @@ class Phase(StrEnum):
     LED = "You lead"
     SOLVED = "Done"
     FOLLOWED = "Done, as I understood it"
-    """What was understood holds; whether it was meant, nobody here can say."""
+    """The goal that was understood holds; whether it was meant is not known."""
     FAILED = "Not done"
     ENDED = "Ended"
     BROKEN = "Stopped"
@@ -46,14 +46,14 @@ ENDS = (Phase.SOLVED, Phase.FOLLOWED, Phase.FAILED, Phase.ENDED, Phase.BROKEN)
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How an episode stands, in words."""
+    """Status of an episode, in words."""
 
     phase: Phase = Phase.SETTING
     said: str = ""
     """The sentence."""
     policy: str = ""
     note: str = ""
-    """Why it is so, or what came of it."""
+    """Reason or result."""
     reading: Reading | None = None
     lines: tuple[Line, ...] = ()
 
@@ -66,13 +66,13 @@ def say_goal(pairs: GoalPairs) -> str:
 
 
 class StatusBoard:
-    """Says how an episode stands; written by its thread, read by any."""
+    """Status of an episode; written by its thread, read by any."""
 
     def __init__(self, policy: str) -> None:
         """Begin with a table that is being set.
 
         Args:
-            policy: Name of who shall act.
+            policy: Name of the policy.
         """
         self.status = Status(policy=policy)
         """A new object whenever something changes."""
@@ -81,7 +81,7 @@ class StatusBoard:
         """Change some of it.
 
         Args:
-            phase: What happens now; as before if None.
+            phase: The new phase; as before if None.
             changes: Fields of :class:`Status`.
         """
         if phase is not None:
@@ -92,8 +92,8 @@ class StatusBoard:
         """Add a line that runs.
 
         Args:
-            phase: What happens now.
-            words: What is done.
+            phase: The new phase.
+            words: The line.
             start_s: Simulated time [s].
         """
         self.tell(phase, lines=(*self.status.lines, Line(words, start_s)))
@@ -126,12 +126,12 @@ class StatusBoard:
         return tuple(line for line in lines if line.end_s is not None), running
 
     def conclude(self, rollout: Rollout, *, known: bool) -> None:
-        """Say how an episode ended.
+        """Report the end of an episode.
 
         Args:
             rollout: The episode.
-            known: Whether its instance's goal is what the sentence asks for; else only
-                what was understood can be judged.
+            known: Whether the sentence asks for the goal of its instance; if not, only
+                the reading can be judged.
         """
         took = f"{rollout.episode.elapsed_s:.1f} s"
         understood = self.status.reading.pairs if self.status.reading else None

@@ -19,11 +19,11 @@ from lemma.tasks.suite import FREE_SPLIT
 BY_HAND = "by hand"
 """Its name among the policies of a page."""
 CONTROL, CONTROL_HZ = "ee_pose", 20.0
-"""What it commands, and how often a second."""
+"""Control mode, and commands per second."""
 
 
 class Teleoperator:
-    """Sends each robot to where its target is; safe to use from any thread."""
+    """Sends each hand to its target; safe to use from any thread."""
 
     control_options: ClassVar[Mapping[str, object]] = {
         "control": CONTROL,
@@ -32,21 +32,21 @@ class Teleoperator:
     }
 
     def __init__(self) -> None:
-        """Begin without targets: the first look says where the hands are."""
+        """Begin without targets: the first observation tells the poses of the hands."""
         self._lock = Lock()
         self._targets: FloatArray | None = None
         self.rows: list[FloatArray] = []
-        """What it has commanded, oldest first, each (robots, 8)."""
+        """Its commands, oldest first, each (robots, 8)."""
         self.is_done = False
-        """Whether the visitor leads no more."""
+        """Whether the visitor has handed back."""
 
     def target(self, robot: int) -> FloatArray | None:
-        """Return where a hand shall be: position [m], quaternion wxyz, opening [m]."""
+        """Return the target of a hand: position [m], quaternion wxyz, opening [m]."""
         with self._lock:
             return None if self._targets is None else self._targets[robot].copy()
 
     def lead(self, robot: int, position: ArrayLike, wxyz: ArrayLike) -> None:
-        """Send a hand somewhere, as far as commands go.
+        """Set the target of a hand, within the range of commands.
 
         Args:
             robot: Its number.
@@ -84,7 +84,7 @@ class Teleoperator:
             self._targets[:, 3:7] = np.clip(poses[:, 3:], -1.0, 1.0)
 
     def _row(self) -> FloatArray:
-        """Return the targets, and keep them as what was commanded."""
+        """Return the targets as a command, and keep it."""
         with self._lock:
             assert self._targets is not None
             row = self._targets.copy()
@@ -102,10 +102,10 @@ class Teleoperator:
         return [Actions(self._row())]
 
     def take_over(self, episode: Episode) -> None:
-        """Go on with an episode until it is over, or the visitor leads no more.
+        """Lead an episode until it is over, or the visitor hands back.
 
         Args:
-            episode: At any moment; what robots were doing is broken off.
+            episode: At any moment; the running sub-task is broken off.
         """
         options: dict[str, Any] = dict(self.control_options)
         env = ControlEnv(
@@ -116,7 +116,7 @@ class Teleoperator:
         poses = [arm.tcp_pose() for arm in arms]
         self._begin(
             np.array([[*p[:3, 3], *quaternion_from_matrix(p[:3, :3])] for p in poses]),
-            # What grippers were told, not how far they came: they go on holding.
+            # Commanded openings, not measured ones: grippers go on holding.
             np.array([arm.opening_m for arm in arms]),
         )
         while not (self.is_done or episode.is_over):

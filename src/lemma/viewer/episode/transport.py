@@ -1,9 +1,9 @@
-"""Play, pause, seek: how far the viewer is, and how far the simulation may go.
+"""Play, pause and seek: the cursor of the viewer, and the lead of the simulation.
 
 The simulation runs in a thread of its own and leaves a state every :data:`FRAME_S`. A
 cursor moves over these states at real time times the speed; the simulation waits where
-it is :attr:`Transport.lead_s` ahead of it. So whoever pauses stops both, whoever seeks
-back looks at what has happened, and nothing of it changes what will.
+it is :attr:`Transport.lead_s` ahead of it. A pause stops both. Seeking back shows
+former states, and changes nothing that follows.
 """
 
 import threading
@@ -16,16 +16,16 @@ from lemma.core.poses import FloatArray
 FRAME_S = 0.05
 """Simulated time from one recorded state to the next [s]."""
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""How many times real time an episode may be played."""
+"""Speeds of playing, in times real time."""
 _LEAD_S = 0.1
 
 
 class AbandonedError(Exception):
-    """Nobody looks at this episode any more."""
+    """The page has left this episode."""
 
 
 class InterruptedEpisodeError(Exception):
-    """Somebody else goes on from here."""
+    """A visitor takes over from here."""
 
 
 class Transport:
@@ -47,7 +47,7 @@ class Transport:
 
     @property
     def cursor_s(self) -> float:
-        """Simulated time that is looked at [s]."""
+        """Simulated time of the cursor [s]."""
         return self._cursor_s
 
     @property
@@ -67,17 +67,17 @@ class Transport:
 
     @property
     def at_end(self) -> bool:
-        """Whether the episode is over and its end is looked at."""
+        """Whether the episode is over and the cursor stands at its end."""
         return self._over and self._cursor_s >= self.end_s
 
     @property
     def speed(self) -> float:
-        """How many times real time it is played."""
+        """Speed, in times real time."""
         return self._speed
 
     @property
     def lead_s(self) -> float:
-        """How far the simulation may be ahead of the cursor [s].
+        """Lead that the simulation may have over the cursor [s].
 
         Two moves of the cursor, so that it never waits for a simulation that is fast.
         """
@@ -96,7 +96,7 @@ class Transport:
         return self._latest
 
     def _frame_at(self, time_s: float) -> int:
-        # A time that was written with two digits is not below that of its state.
+        # Times are written with two digits, and may be a little too small.
         return min(int(time_s / FRAME_S + 1e-6), len(self._frames) - 1)
 
     def play(self) -> None:
@@ -120,13 +120,13 @@ class Transport:
                 self._changed.notify_all()
 
     def seek(self, time_s: float) -> None:
-        """Look at another moment of what has happened, and stay there."""
+        """Move the cursor to another moment, and stay there."""
         with self._changed:
             self._cursor_s = float(np.clip(time_s, 0.0, self.end_s))
             self._until, self._playing = None, False
 
     def set_speed(self, speed: float) -> None:
-        """Set how many times real time it is played."""
+        """Set the speed, in times real time."""
         with self._changed:
             self._speed = float(np.clip(speed, SPEEDS[0], SPEEDS[-1]))
             self._changed.notify_all()
@@ -164,8 +164,8 @@ class Transport:
             time_s: Simulated time [s].
 
         Raises:
-            AbandonedError: Nobody looks any more.
-            InterruptedEpisodeError: Somebody has interrupted it.
+            AbandonedError: The page has left the episode.
+            InterruptedEpisodeError: A visitor takes over.
         """
         with self._changed:
             self._latest = time_s, qpos.copy()
@@ -176,7 +176,7 @@ class Transport:
                 for change in changes:
                     change()
                 with self._changed:
-                    # What was changed is looked at.
+                    # The cursor goes to the change.
                     self._frames[-1] = qpos.copy()
                     self._latest = time_s, qpos.copy()
                     self._cursor_s = self.end_s
@@ -185,7 +185,7 @@ class Transport:
             raise InterruptedEpisodeError
 
     def _wait(self, time_s: float) -> list[Callable[[], None]]:
-        """Wait until the simulation may go on, or something shall be changed."""
+        """Wait until the simulation may go on, or return the changes that are due."""
         with self._changed:
             while not (self._abandoned or self._changes or self._interrupted):
                 if time_s <= self._cursor_s + self.lead_s:
@@ -197,10 +197,10 @@ class Transport:
             return changes
 
     def change(self, what: Callable[[], None]) -> None:
-        """Change the state by hand, in the simulation's thread, where it next asks.
+        """Change the state by hand, in the simulation's thread, at its next record.
 
         Args:
-            what: Called between two steps of physics.
+            what: Makes the change; called between two steps of physics.
         """
         with self._changed:
             self._until, self._playing = None, False
@@ -208,7 +208,7 @@ class Transport:
             self._changed.notify_all()
 
     def interrupt(self) -> None:
-        """Break off what is done where the simulation next asks, also in a pause."""
+        """Break off the sub-task at the next record, also in a pause."""
         with self._changed:
             self._interrupted = True
             self._changed.notify_all()
@@ -228,12 +228,12 @@ class Transport:
             self._over = True
 
     def abandon(self) -> None:
-        """End the simulation where it next asks."""
+        """End the simulation at its next record."""
         with self._changed:
             self._abandoned = True
             self._changed.notify_all()
 
     @property
     def abandoned(self) -> bool:
-        """Whether nobody looks any more."""
+        """Whether the simulation ends at its next record."""
         return self._abandoned

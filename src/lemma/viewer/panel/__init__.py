@@ -1,1 +1,1 @@
-"""What is chosen, pressed and read beside the scene."""
+"""The widgets beside the scene."""

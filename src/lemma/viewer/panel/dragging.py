@@ -1,4 +1,4 @@
-"""The part of the panel for dragging: what may be dragged, and tables of one's own."""
+"""The part of the panel for dragging, and for own tables."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,7 @@ LARGEST_FILE = 1_000_000
 
 
 class DraggingPanel:
-    """Widgets of a page for what is done to a table by hand."""
+    """Widgets for changes of a table by hand."""
 
     def __init__(
         self,
@@ -31,8 +31,8 @@ class DraggingPanel:
 
         Args:
             server: The page.
-            session: What they command.
-            complain: Told why something cannot be done.
+            session: Takes their commands.
+            complain: Called with the reason why something cannot be done.
         """
         self._session, self._complain = session, complain
         self.dragging = Dragging(server, self.drop)
@@ -98,7 +98,7 @@ class DraggingPanel:
         self._session.take_listed()
 
     def refresh(self, play: Play) -> None:
-        """Say what is wrong with a table, and take back what could not be done."""
+        """Report problems of a table, and undo impossible moves."""
         request = play.request
         if play.instance is not None and play.instance is not self._instance:
             self._instance = play.instance
@@ -113,7 +113,7 @@ class DraggingPanel:
             self._complain(play.moved.problem)
 
     def allow(self, instance: Instance) -> None:
-        """Let visitors drag what is ticked."""
+        """Let visitors drag the things whose box is ticked."""
         names = set(instance.scene.object_names) if self.things.value else set()
         if self.robots.value:
             names |= set(instance.scene.robot_names)

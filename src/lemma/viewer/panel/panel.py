@@ -1,4 +1,4 @@
-"""The panel of the page: what can be chosen, pressed and read."""
+"""The panel of the page."""
 
 from collections.abc import Callable
 from typing import Any
@@ -30,7 +30,7 @@ from lemma.viewer.scene.stage import OVERLAYS
 from lemma.viewer.server import set_theme
 
 PLAY, PAUSE, STEP, RESTART = MOVES = ("Play", "Pause", "Step", "Restart")
-"""What can be pressed while an episode is played."""
+"""Buttons of an episode."""
 _MOST = 100_000
 _SLIDER_S = 0.1
 _ANY = np.zeros((3, 4, 3), np.uint8)
@@ -54,12 +54,12 @@ class Panel:
 
         Args:
             server: The page.
-            session: What it commands.
-            overlays: What is laid over the scene at first.
+            session: Takes its commands.
+            overlays: Shown at first.
             set_overlay: Shows or hides it.
         """
         self._session = session
-        # Its handles have types by which nothing could be written to them.
+        # The library types values of its handles as read-only.
         self._gui: Any = server.gui
         self._status: Status | None = None
         self._timeline = ""
@@ -142,10 +142,10 @@ class Panel:
             self.image = gui.add_image(_ANY, format="jpeg", visible=False)
 
     def request(self) -> EpisodeRequest:
-        """Return what is chosen now.
+        """Return the present choices as a request.
 
         Raises:
-            LemmaError: That cannot be.
+            LemmaError: It is impossible.
         """
         chosen = self.task.value, self.split.value, self.index.value
         set_now = self._session.play.request
@@ -204,7 +204,7 @@ class Panel:
             self.complain(str(error))
 
     def complain(self, text: str) -> None:
-        """Say why what was asked for cannot be done; nothing if it can."""
+        """Show why something cannot be done; an empty text clears it."""
         self._complaint, self._status = text, None
         if text:
             self.status.content = complaint_html(text)
@@ -215,7 +215,7 @@ class Panel:
             self.set_table()
 
     def typed(self, event: Any) -> None:
-        """Take what a visitor types for a sentence of their own."""
+        """Treat what a visitor types as an own sentence."""
         if event.client_id is not None:
             self.saying.value = OWN_WORDS
             if len(self.text.value) > LONGEST:
@@ -232,7 +232,7 @@ class Panel:
             self._session.set_speed(speeds[self.speed.value])
 
     def refresh(self, play: Play) -> None:
-        """Say how an episode stands; what has not changed is not sent again."""
+        """Show the status of an episode; unchanged parts are not sent again."""
         status, transport = play.status, play.transport
         self.table.refresh(play)
         self.teleoperation.refresh(play)

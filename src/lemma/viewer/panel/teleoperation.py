@@ -1,4 +1,4 @@
-"""The part of the panel by which a visitor leads a robot."""
+"""The part of the panel for leading a robot by hand."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,7 @@ _SCALE = 0.3
 
 
 class TeleoperationPanel:
-    """Widgets for hands that are led; to be seen while an episode goes on."""
+    """Widgets for leading hands; visible while an episode goes on."""
 
     def __init__(
         self,
@@ -31,8 +31,8 @@ class TeleoperationPanel:
 
         Args:
             server: The page.
-            session: What they command.
-            complain: Told why something cannot be done.
+            session: Takes their commands.
+            complain: Called with the reason why something cannot be done.
         """
         self._server, self._session, self._complain = server, session, complain
         self._target: Any = None
@@ -74,7 +74,7 @@ class TeleoperationPanel:
             teleoperator.grip(self._number, opened=what == OPEN)
 
     def download(self, client: Any) -> None:
-        """Give a visitor what was done as a file."""
+        """Send a visitor the log as a file."""
         try:
             done = self._session.play.kept()
         except LemmaError as error:
@@ -86,7 +86,7 @@ class TeleoperationPanel:
         client.send_file_download(name, content, save_immediately=True)
 
     def refresh(self, play: Play) -> None:
-        """Show the handles where the hand shall be, if somebody leads one."""
+        """Show the handles at the target of the hand that is led, if any."""
         leads, goes_on = play.is_led, play.acts and not play.transport.over
         for widget, needed in (
             (self.folder, goes_on or play.teleoperator is not None or play.was_led),

@@ -1,4 +1,4 @@
-"""What the panel says, as HTML: whatever users or policies wrote is escaped."""
+"""Texts of the panel as HTML; sentences of users and policies are escaped."""
 
 from collections.abc import Sequence
 from html import escape
@@ -22,7 +22,7 @@ _COLOR = {
 
 
 def status_html(status: Status) -> str:
-    """Return what is said, what was understood, and how it stands."""
+    """Return the sentence, its reading, and the status."""
     color = _COLOR.get(status.phase, "inherit")
     dots = "" if status.phase in (*ENDS, Phase.READY) else " …"
     title = escape(status.phase.value)
@@ -46,15 +46,15 @@ def status_html(status: Status) -> str:
 
 
 def complaint_html(text: str) -> str:
-    """Return why what was asked for cannot be done."""
+    """Return the reason why something cannot be done."""
     return FRAME.format(f'<div style="color:{BAD}">{escape(text)}</div>')
 
 
 def table_html(own: bool, problems: Sequence[str]) -> str:
-    """Return whose table it is, and what the sampler would not have done.
+    """Return whether the table is an own one, and its problems.
 
     Args:
-        own: Whether somebody changed it; else it is of a list.
+        own: Whether it was changed; else it is of a list.
         problems: Of it, in sentences.
     """
     if not own:
@@ -72,7 +72,7 @@ def why_html(explanation: Explanation, instance: Instance) -> str:
 
     Args:
         explanation: Of one decision; the result is empty where the policy said nothing.
-        instance: Whose robots and objects it speaks of.
+        instance: Of the robots and objects.
     """
     insight = explanation.insight
     if insight is None:
@@ -115,18 +115,18 @@ def why_html(explanation: Explanation, instance: Instance) -> str:
 
 
 def _margin(margin_m: float) -> str:
-    """Return how far something is inside of a reach, in words."""
+    """Return the distance inside of a reach, or beyond it, in words."""
     if margin_m < 0.0:
         return f'<span style="color:{BAD}">{-100 * margin_m:.0f} cm too far</span>'
     return f'<span style="color:{GOOD}">{100 * margin_m:.0f} cm inside</span>'
 
 
 def timeline_html(lines: Sequence[Line], cursor_s: float) -> str:
-    """Return the sub-tasks in words, the one that is looked at in bold.
+    """Return the sub-tasks in words, the one at the cursor in bold.
 
     Args:
         lines: In order.
-        cursor_s: Simulated time that is looked at [s].
+        cursor_s: Simulated time of the cursor [s].
     """
     if not lines:
         text = f'<div style="color:{_FAINT}">No sub-task yet.</div>'

@@ -1,1 +1,1 @@
-"""Episodes that last: what happened in them, as files that play without a server."""
+"""Episodes played again, as files of the player and pages that need no server."""

@@ -163,7 +163,7 @@ def client_page() -> str:
 
 @contextlib.contextmanager
 def _server() -> Iterator[viser.ViserServer]:
-    """Hold a page that nobody opens: a scene can be serialized only from a server."""
+    """Hold a hidden page: only a server can serialize a scene."""
     with socket.socket() as probe:
         probe.bind((_HOST, 0))
         port = probe.getsockname()[1]

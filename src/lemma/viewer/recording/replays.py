@@ -58,7 +58,7 @@ def replay_record(record: EpisodeRecord) -> Recording:
 
 
 def replay_teleoperation(done: Teleoperation) -> tuple[Recording, bool]:
-    """Repeat an episode that a policy and somebody's hand played.
+    """Repeat an episode that a policy and a visitor played.
 
     Returns:
         The episode, and whether it came to the same state, to the bit.

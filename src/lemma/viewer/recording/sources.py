@@ -1,4 +1,4 @@
-"""What a folder holds, as replays: the episodes of a recipe, or of results."""
+"""Replays of a folder: the episodes of a recipe, or of results."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -26,14 +26,14 @@ def replays_in(
     """Find episodes.
 
     Args:
-        folder: A recipe, what ``lemma evaluate`` wrote, or the file of an episode that
-            was led by hand.
+        folder: A recipe, a result of ``lemma evaluate``, or the file of an episode
+            that was led by hand.
         task: Only those of this task.
         split: Only those of this split.
-        limit: How many at most.
+        limit: Largest number.
 
     Returns:
-        How many there are to show, and each of them as it is done again.
+        Their number, and each of them as soon as it was played again.
 
     Raises:
         InvalidConfigError: There are none.
@@ -90,7 +90,7 @@ def write_cases(
         cases: Number and episode of each.
         folder: Where; made if it is missing.
         engine: Where to work.
-        advance: Told of episodes that are done.
+        advance: Called with the number of episodes that were done since the last call.
 
     Returns:
         Names of the files in that folder, by number.

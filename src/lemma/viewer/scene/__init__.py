@@ -1,1 +1,1 @@
-"""What is seen: bodies, light, names, and what can be laid over them."""
+"""The scene of a page: bodies, light, names and overlays."""

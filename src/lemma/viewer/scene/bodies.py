@@ -40,7 +40,7 @@ def light_room(server: viser.ViserServer) -> None:
 def name_bodies(
     server: viser.ViserServer, instance: Instance, root: str = WORLD
 ) -> list[Any]:
-    """Write beside robots and objects what sentences call them.
+    """Write names beside robots and objects, as sentences call them.
 
     Args:
         server: The page.
@@ -81,17 +81,17 @@ class Bodies:
             scene: Its model is drawn, its data are left alone.
             root: Name above those of the bodies.
             at_m: Where the scene's origin is in the page, (3,) [m].
-            bounded: Leave out what has no end, which another table has drawn.
+            bounded: Leave out endless planes, which another table has drawn.
         """
         self._server, self._model = server, scene.model
         self.data = mujoco.MjData(scene.model)
-        """What is shown; positions of bodies are up to date after :meth:`show`."""
+        """The shown state; poses of bodies are up to date after :meth:`show`."""
         self.nodes: dict[int, Any] = {}
         """Nodes by number of the body."""
         self.parts: dict[str, list[Any]] = {}
-        """Meshes by what they belong to: a robot's or an object's name."""
+        """Meshes by name of their robot or object."""
         self.elsewhere: dict[str, Pose2] = {}
-        """By how much robots and objects are shown beside where they are."""
+        """Offsets of robots and objects that are shown beside their poses."""
         self._spec = scene.spec
         self._shown: dict[int, FloatArray] = {}
         server.scene.add_frame(root, show_axes=False, position=at_m)
@@ -139,7 +139,7 @@ class Bodies:
         return True
 
     def show(self, qpos: FloatArray) -> int:
-        """Put all bodies where they are, and send what has moved.
+        """Put all bodies where they are, and send those that moved.
 
         Args:
             qpos: Positions of all joints, (nq,).

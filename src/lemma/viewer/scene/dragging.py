@@ -1,4 +1,4 @@
-"""Dragging: what visitors take with the mouse is carried over the table, and turned."""
+"""Dragging: visitors carry things over the table with the mouse, and turn them."""
 
 import asyncio
 import math
@@ -13,14 +13,14 @@ from lemma.scene.scene import Scene
 from lemma.viewer.scene.bodies import Bodies
 
 RING = "/dragging"
-"""Name of the node with handles, by which what was taken last is turned."""
+"""Name of the node with the handles for turning."""
 _RING_SCALE = 0.22
 _ROBOT_SCALE = 0.45
 _LEAST_SLOPE = 0.05
 
 
 class Dragging:
-    """What may be dragged, and where it is while it is."""
+    """Things that may be dragged, and their poses meanwhile."""
 
     def __init__(
         self, server: viser.ViserServer, drop: Callable[[str, Pose2], None]
@@ -29,7 +29,7 @@ class Dragging:
 
         Args:
             server: The page.
-            drop: Told what was carried where; called in a thread of its own.
+            drop: Called with a name and a pose, in a thread of its own.
         """
         self._server, self._drop = server, drop
         self._bodies: Bodies | None = None
@@ -44,7 +44,7 @@ class Dragging:
 
         Args:
             bodies: The nodes; new ones, or those of before.
-            scene: Whose they are.
+            scene: Of the bodies.
         """
         spec = scene.spec
         if bodies is not self._bodies:
@@ -54,7 +54,7 @@ class Dragging:
         self._place_ring()
 
     def allow(self, names: set[str]) -> None:
-        """Say what may be dragged, by name; the rest is for looking at."""
+        """Set which things may be dragged, by name."""
         if self._bodies is None:
             return
         for name in self._bound - names:
@@ -76,7 +76,7 @@ class Dragging:
             self._place_ring()
 
     def _home(self, name: str) -> Pose2:
-        """Return where something is, wherever it is shown."""
+        """Return the pose of a thing, not where it is shown."""
         assert self._bodies is not None
         return self._bases.get(name) or self._bodies.pose(name)
 
@@ -96,7 +96,7 @@ class Dragging:
         return clicked
 
     def _dragging(self, name: str) -> Callable[[Any], Any]:
-        # Awaited in order, unlike functions that are not.
+        # The library awaits coroutines in order, and runs functions in threads.
         async def dragged(event: Any) -> None:
             now = self._now(name)
             eye = np.asarray(event.client.camera.position, float)
@@ -120,7 +120,7 @@ class Dragging:
         self._place_ring()
 
     def _place_ring(self) -> None:
-        """Put the handles around what was taken last; none if that is nothing."""
+        """Put the handles around the thing that was taken last, if any."""
         if not self._taken or self._bodies is None:
             if self._ring is not None:
                 self._ring.visible = False
@@ -152,13 +152,13 @@ class Dragging:
             self._put_down(name)
 
     def _put_down(self, name: str) -> None:
-        # It may wait for a policy, and nothing else is heard meanwhile.
+        # It may wait for a policy: the loop of the server must not.
         pose, loop = self._now(name), asyncio.get_running_loop()
         loop.run_in_executor(None, self._drop, name, pose)
 
 
 def _on_plane(eye: FloatArray, point: FloatArray, height_m: float) -> FloatArray | None:
-    """Return where a look meets a height, (2,) [m]; None if it hardly does.
+    """Return where a line of sight meets a height, (2,) [m]; None if nearly parallel.
 
     Args:
         eye: From where, (3,) [m].

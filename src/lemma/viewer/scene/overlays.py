@@ -1,4 +1,4 @@
-"""What a policy perceived, and where a hand is to go, drawn over the table."""
+"""A policy's perception and the path of a hand, drawn over the table."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -23,7 +23,7 @@ _ROLE_HEIGHT_M = 0.2
 
 
 def ring(x: float, y: float, radius_m: float, every: int = 1) -> FloatArray:
-    """Return a circle on the table as lines, (N, 2, 3); every so manieth is drawn."""
+    """Return a circle on the table as lines, (N, 2, 3); one in ``every`` is drawn."""
     angles = np.linspace(0.0, 2.0 * np.pi, _POINTS + 1)
     points = np.stack(
         [
@@ -39,12 +39,12 @@ def ring(x: float, y: float, radius_m: float, every: int = 1) -> FloatArray:
 def draw_perceived(
     server: viser.ViserServer, instance: Instance, insight: Insight
 ) -> list[Any]:
-    """Mark what was seen, with its part in the goal, and how far robots were taken for.
+    """Mark each thing that was seen, its part in the goal, and each robot's reach.
 
     Args:
         server: The page.
-        instance: Whose robots were seen.
-        insight: What its policy said.
+        instance: Of the robots.
+        insight: Of the policy.
 
     Returns:
         The nodes.
@@ -95,7 +95,7 @@ def roles(insight: Insight) -> dict[str, tuple[str, ...]]:
 def draw_path(
     server: viser.ViserServer, points: Sequence[Point], rgb: tuple[int, int, int]
 ) -> list[Any]:
-    """Draw where a hand is to go.
+    """Draw the path of a hand.
 
     Args:
         server: The page.

@@ -1,4 +1,4 @@
-"""What cameras see of the moment that is looked at, drawn in a thread of its own."""
+"""Pictures of cameras at the moment of the cursor, drawn in a thread of its own."""
 
 import threading
 from collections.abc import Callable
@@ -45,7 +45,7 @@ class Pictures:
 
         Args:
             name: Of a camera, :data:`MAP` or :data:`NO_PICTURE`.
-            instance: What is looked at.
+            instance: Of the scene.
             qpos: Positions of all joints, (nq,).
         """
         with self._changed:

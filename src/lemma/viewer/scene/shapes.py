@@ -1,4 +1,4 @@
-"""What a compiled model looks like: one mesh per body and color."""
+"""The looks of a compiled model: one mesh per body and color."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from lemma.core.poses import FloatArray
 _VISIBLE_GROUPS = 3
 """Geoms of this group and above are for collisions."""
 _PLANE_M = 15.0
-"""Half the side of what stands for an endless plane [m]."""
+"""Half the side of the square that stands for an endless plane [m]."""
 _SMOOTH_RAD = 0.7
 """Faces that meet at a smaller angle are shaded as one [rad]."""
 _SECTIONS = 48
@@ -36,7 +36,7 @@ class Shape:
 
 
 def shapes_of(model: mujoco.MjModel) -> Iterator[Shape]:
-    """Yield what is to be seen of every body."""
+    """Yield the visible meshes of every body."""
     for body in range(model.nbody):
         first = int(model.body_geomadr[body])
         alike: dict[tuple[int, int, int, bool], list[trimesh.Trimesh]] = {}

@@ -1,4 +1,4 @@
-"""The scene on the page: bodies, light, names, and what can be laid over them."""
+"""The scene on the page: bodies, light, names and overlays."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -21,16 +21,16 @@ from lemma.viz.annotate import ROBOT_INK
 
 OVERLAYS = {
     "names": "Robots and objects, as sentences call them.",
-    "reach": "Where a robot surely works (solid), what it could touch (dashed).",
+    "reach": "Where a robot surely works (solid), and could touch at most (dashed).",
     "contacts": "Where things touch.",
-    "perceived": "What the policy saw: things, their part in the goal, robots' reach.",
-    "path": "Where the hand is to go in this sub-task.",
+    "perceived": "Things as the policy saw them, their part in the goal, and reach.",
+    "path": "The path of the hand in this sub-task.",
 }
-"""What may be laid over the scene."""
+"""Overlays and their hints."""
 _BESIDE_M = 0.6
-"""What shall be seen at least beside each robot [m]."""
+"""Width in view beside each robot, at least [m]."""
 _NEARER = 0.25
-"""How much nearer one comes in a meter towards a visitor, in distances from them."""
+"""Share of the distance to a visitor that is a meter towards them."""
 _MOST_CONTACTS = 40
 _CONTACT_RGB = (255, 140, 0)
 
@@ -43,15 +43,15 @@ class Stage:
 
         Args:
             server: The page.
-            visible: Those of :data:`OVERLAYS` that are to be seen.
+            visible: Those of :data:`OVERLAYS` that are shown.
         """
         self._server, self._visible = server, set(visible)
         self.overlays: dict[str, list[Any]] = {name: [] for name in OVERLAYS}
         """Nodes of each overlay."""
         self.bodies: Bodies | None = None
-        """What moves; None before the first scene."""
+        """Nodes that move; None before the first scene."""
         self.instance: Instance | None = None
-        """Whose scene it is; None before the first."""
+        """Instance of the scene; None before the first."""
         self._qpos: FloatArray | None = None
         self._scene: Scene | None = None
         self._contacts: Any = None
@@ -59,7 +59,7 @@ class Stage:
         self.viewpoint = Viewpoint(server, 1.0)
 
     def set_scene(self, scene: Scene, instance: Instance) -> bool:
-        """Show another scene; what is the same table stays as it is.
+        """Show another scene; nodes of a table that looks the same stay.
 
         Args:
             scene: Its model is drawn, its data are left alone.
@@ -87,7 +87,7 @@ class Stage:
             self._draw_reach(instance)
             self._draw_contacts()
         wide_m = [abs(r.base.x) + _BESIDE_M for r in instance.scene.robots]
-        # What lies nearer looks farther aside.
+        # Nearer things appear farther aside.
         wide_m += [
             abs(o.pose.x) / (1.0 + _NEARER * o.pose.y) for o in instance.scene.objects
         ]
@@ -95,7 +95,7 @@ class Stage:
         return True
 
     def _draw_reach(self, instance: Instance) -> None:
-        """Draw where each robot works, solid, and what it could touch, dashed."""
+        """Draw each robot's reach: surely (solid), and at most (dashed)."""
         for old in self.overlays["reach"]:
             old.remove()
         self.overlays["reach"].clear()
@@ -121,11 +121,11 @@ class Stage:
     def explain(
         self, insight: Insight | None, robot: str, waypoints: Sequence[Point]
     ) -> None:
-        """Show why and how something is being done; nothing where that is not said.
+        """Show the policy's reasons and the path of the hand, where there are any.
 
         Args:
-            insight: What the policy perceived.
-            robot: Name of who goes there.
+            insight: Of the policy.
+            robot: Name of the robot whose hand it is.
             waypoints: Points on it [m].
         """
         instance = self.instance
@@ -170,7 +170,7 @@ class Stage:
             handle.visible = visible
 
     def show(self, qpos: FloatArray) -> int:
-        """Put all bodies where they are, and send what has moved.
+        """Put all bodies where they are, and send those that moved.
 
         Args:
             qpos: Positions of all joints, (nq,).
@@ -188,7 +188,7 @@ class Stage:
         return moved
 
     def refresh(self) -> None:
-        """Show again what was shown last, with what is carried by hand."""
+        """Show the same state again, with things that are carried by hand."""
         if self._qpos is not None:
             self.show(self._qpos)
 

@@ -1,1 +1,1 @@
-"""HTML pages."""
+"""Static HTML pages: demonstration, report, failures and replays."""

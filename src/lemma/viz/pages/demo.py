@@ -13,7 +13,7 @@ from lemma.viz.recording import Recording, main_sentence, robot_titles
 
 @dataclass(frozen=True, slots=True)
 class Illustration:
-    """What the page shows of one recording."""
+    """Pictures of one recording."""
 
     video: Path
     """The MP4 file."""
@@ -34,7 +34,7 @@ def write_page(
 
     Args:
         path: The HTML file.
-        recordings: What the policy did.
+        recordings: The episodes.
         illustrations: Their pictures, in the same order.
         speed: How much faster than real time the videos are.
         replays: Pages beside this one to turn episodes around, by task.
@@ -56,7 +56,7 @@ def write_page(
 
 
 def _card(recording: Recording, illustration: Illustration) -> dict[str, object]:
-    """Return what the page tells of a recording, and its files."""
+    """Return the texts and files of a recording for the page."""
     scene = recording.instance.scene
     titles = robot_titles(recording.instance)
     return {

@@ -1,6 +1,6 @@
 """Pages with episodes to turn around: one HTML file, opened from the disk as it is.
 
-Browsers let a page from the disk read no other file of it but scripts. So recordings
+Browsers let a page from the disk read no other files but scripts. Recordings therefore
 lie in the page itself, and the player in it or, where many pages share it, in a script.
 """
 

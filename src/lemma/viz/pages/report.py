@@ -41,12 +41,12 @@ from lemma.viz.pages.templates import data_uri, fill, inline
 PAGE = "index.html"
 _RATE = re.compile(r"^(?:≈ )?([\d.]+)(?: |$)")
 _BRACKETS = re.compile(r" (\([^)]*\)|± [\d.]+)(?=$| †$)")
-"""Intervals and spreads, which stand back behind what they are of."""
+"""Intervals and spreads, which are written smaller."""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What a page shows besides the results."""
+    """Episodes and pictures of a page, besides the results."""
 
     cases: Sequence[Case] = ()
     """Episodes, by policy."""
@@ -68,7 +68,7 @@ def write_report_page(
 
     Args:
         path: The HTML file.
-        entries: What it reports.
+        entries: Results by policy.
         found: Episodes and pictures, if there are any.
     """
     found = found or Findings()
@@ -116,7 +116,7 @@ def glance(entries: Sequence[PolicyResults]) -> Section:
 
 
 def failures_data(found: Findings) -> dict[str, Any]:
-    """Return what the page's script shows and filters: plain data, ready for JSON."""
+    """Return the data of the page's script, ready for JSON."""
     policies = list(dict.fromkeys(case.policy for case in found.cases))
     return {
         "policies": policies,
@@ -153,7 +153,7 @@ def demo_command(case: Case) -> str:
 
 
 def video_command(case: Case) -> str:
-    """Return the command that films an episode as it was, whatever the policy."""
+    """Return the command that films an episode from its line, for any policy."""
     result = quote(str(result_beside(case.lines)))
     return f"lemma report {result} --episode {case.name} --videos --out out/film"
 

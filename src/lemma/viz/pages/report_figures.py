@@ -1,4 +1,4 @@
-"""The figures of a report: what is plotted of results."""
+"""The figures of a report."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,7 +27,7 @@ _INTERVALS = (
 
 
 def figures_of(entries: Sequence[PolicyResults]) -> list[Figure]:
-    """Return all figures that there is something to show in.
+    """Return all figures that are not empty.
 
     Ablations and control level have tables; controls too, and are plotted only where
     nothing else is.

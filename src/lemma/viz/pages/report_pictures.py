@@ -1,4 +1,4 @@
-"""Pictures and videos of failed episodes, done again from their lines."""
+"""Pictures and videos of failed episodes, played again from their lines."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ EXPERT_INK: Color = (0, 114, 178)
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """What is shown of a failed episode."""
+    """Pictures of a failed episode."""
 
     map: bytes
     """The map at the decisive moment, with both choices; JPEG."""
@@ -67,7 +67,7 @@ def picture_all(
         cases: Number and episode of each.
         videos: Folder for videos; None for none.
         workers: Processes.
-        advance: Told of episodes that are done.
+        advance: Called with the number of episodes that were done.
 
     Raises:
         RenderingError: OpenGL does not work here.
@@ -91,7 +91,7 @@ def _picture_one(number: int, case: Case, video: Path | None) -> tuple[int, Pict
 
 
 def picture(case: Case, video: Path | None = None) -> Pictures:
-    """Do an episode again and draw it.
+    """Play an episode again and draw it.
 
     Args:
         case: A failed episode whose instance is known here.
@@ -132,7 +132,7 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
 
 
 def _expert_choice(episode: Episode) -> GroundedSubTask | None:
-    """Return what the expert would do now, with poses; None where nothing."""
+    """Return the expert's next sub-task, with poses; None if there is none."""
     now = SymbolicState.observe(episode.simulation.scene)
     plan = find_plan(now, episode.instance.goal, GeometricGrounder(now.spec))
     return plan.steps[0].grounded if plan and plan.steps else None
@@ -160,7 +160,7 @@ def _map(
     own: GroundedSubTask | None,
     expert: GroundedSubTask | None,
 ) -> Image.Image:
-    """Draw what the cameras see from above, and who would pick and place where."""
+    """Draw the map, with the pick and place of policy and expert."""
     renderer = Renderer(CAMERA_WIDTH_PX, CAMERA_HEIGHT_PX)
     scene.refresh()
     images = [
@@ -173,7 +173,7 @@ def _map(
     titles = dict(
         zip(case.instance.scene.robot_names, robot_titles(case.instance), strict=True)
     )
-    # The policy's comes last: where both are the same, it must be seen.
+    # The policy's is drawn last, over the expert's.
     side = 0.25 if own and expert and _opposed(own, expert) else -0.25
     for who, grounded, ink, bend in (
         ("expert", expert, EXPERT_INK, 0.25),
@@ -208,7 +208,7 @@ def _opposed(one: GroundedSubTask, other: GroundedSubTask) -> bool:
 
 
 def _pixel(x: float, y: float, size: tuple[int, int]) -> Point:
-    """Return the point of a map for a position [m]; what is outside is at its edge."""
+    """Return the point of a map for a position [m], at its edge if it is outside."""
     scale = size[0] / RASTER.columns / RASTER.cell_m
     across, down = size[0] / 2 + x * scale, size[1] / 2 - y * scale
     return min(max(across, 8.0), size[0] - 8.0), min(max(down, 8.0), size[1] - 8.0)

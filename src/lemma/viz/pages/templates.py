@@ -1,4 +1,4 @@
-"""Pages from Jinja2 templates: whatever is put into one is escaped."""
+"""Pages from Jinja2 templates; all values are escaped."""
 
 import base64
 import io
@@ -24,7 +24,7 @@ def fill(template: str, **values: object) -> str:
 
     Args:
         template: Name of the file beside this one.
-        values: What it is filled with; text is escaped.
+        values: Of its variables; text is escaped.
     """
     return _environment().get_template(template).render(values)
 
