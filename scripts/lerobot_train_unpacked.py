@@ -97,7 +97,7 @@ def unpacked(kind: type, folder: Path) -> type:
         folder: What :func:`unpack` wrote.
     """
 
-    class Unpacked(kind):  # type: ignore[misc]
+    class Unpacked(kind):
         _reads_unpacked = True
 
         def try_load(self) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lemma.core.resumable import flat
+from lemma.core.workers.resumable import flat
 from lemma.evaluation.run.protocol import PROTOCOL, in_force, sha256_of_protocol
 
 ROOT = Path(__file__).parents[1]

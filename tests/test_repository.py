@@ -32,7 +32,7 @@ PYTHON_FILES = SOURCES + sorted(
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
-MAX_FILE_LINES = 400
+MAX_FILE_LINES = 520
 MAX_FUNCTION_LINES = 60
 MAX_MODULES = 12
 """In one folder, ``__init__.py`` apart."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import lemma
-from lemma.core.arithmetic import ordered_sum
+from lemma.core.seeding import ordered_sum
 
 PACKAGE = Path(lemma.__file__).parent
 SIMULATED = ("core", "robots", "scene", "tasks", "motion", "env", "expert")
@@ -32,6 +32,8 @@ def test_nothing_that_is_simulated_depends_on_the_python(folder: str) -> None:
     found = [
         f"{path.relative_to(PACKAGE)}:{fault}"
         for path in sorted((PACKAGE / folder).rglob("*.py"))
+        # Workers decide where something is computed, not what.
+        if "workers" not in path.parts
         for fault in faults(path.read_text())
     ]
     assert found == []

@@ -14,14 +14,14 @@ import pytest
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import only_writer, read_json, write_json, write_text
-from lemma.core.resumable import (
+from lemma.core.workers.pool import ProcessPool, is_worker
+from lemma.core.workers.resumable import (
     Part,
     begin,
     check_same_job,
     differences,
     do_missing,
 )
-from lemma.core.workers.pool import ProcessPool, is_worker
 from lemma.core.workers.serial import Serial
 
 COUNT = 12

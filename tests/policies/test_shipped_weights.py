@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from safetensors.torch import load_file
+from tiers import slow_but
 
 from lemma.cli.main import main
 from lemma.core.files import read_json
@@ -154,9 +155,8 @@ def test_ours_does_nothing_when_told_nothing(name: str) -> None:
         assert play.episode.elapsed_s == 0.0
 
 
-@pytest.mark.slow
 @pytest.mark.render
-@pytest.mark.parametrize("name", WHOLE)
+@pytest.mark.parametrize("name", slow_but(WHOLE, "reachnet"))
 def test_the_demo_runs_with_them(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(["demo", "pass", "--policy", name, "--no-video"])

@@ -121,7 +121,6 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield found
 
 
-@pytest.mark.slow
 def test_page_plays_from_the_disk_without_a_network(
     browser: Browser, folder: Path
 ) -> None:

@@ -11,7 +11,7 @@ from functools import partial
 
 from lemma.bench.machine import installed_version
 from lemma.core.errors import LemmaError
-from lemma.core.extras import DISTRIBUTION, extras
+from lemma.core.version import DISTRIBUTION, extras
 from lemma.core.version import VERSION as __version__
 
 ENGINE = "3.17"

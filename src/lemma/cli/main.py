@@ -10,9 +10,9 @@ from rich.text import Text
 
 from lemma.cli.options import complain, output, replace_what_cannot_be_printed
 from lemma.core.errors import LemmaError, UnknownNameError
-from lemma.core.extras import extra_of
 from lemma.core.plugins import load_plugins, split_names
 from lemma.core.version import VERSION as __version__
+from lemma.core.version import extra_of
 
 VERBS = {
     "tasks": "List the eight tasks of the suite, and those of plugins.",

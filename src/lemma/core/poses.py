@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.core.arithmetic import ordered_sum
+from lemma.core.seeding import ordered_sum
 
 FloatArray = NDArray[np.float64]
 

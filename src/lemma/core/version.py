@@ -1,3 +1,37 @@
-"""The version of the package."""
+"""The version of the package, and the extras that it can be installed with."""
+
+import re
+from importlib.metadata import PackageNotFoundError, requires
 
 VERSION = "0.1.0"
+DISTRIBUTION = "lemma-bench"
+DEVELOPMENT = ("dev", "docs")
+"""Extras for those who work on this package."""
+_OPTIONAL = re.compile(r"([\w.-]+).*\bextra == ['\"]([\w-]+)['\"]")
+
+
+def extras() -> dict[str, list[str]]:
+    """Return the optional packages of every extra that users may want."""
+    found: dict[str, list[str]] = {}
+    try:
+        lines = requires(DISTRIBUTION) or []
+    except PackageNotFoundError:
+        return found
+    for match in filter(None, map(_OPTIONAL.match, lines)):
+        package, extra = match.groups()
+        if extra not in DEVELOPMENT:
+            found.setdefault(extra, []).append(package)
+    return found
+
+
+def extra_of(module: str) -> str | None:
+    """Return the extra that a module comes with; None if it comes with none.
+
+    Args:
+        module: Its full name.
+    """
+    package = module.partition(".")[0].replace("_", "-")
+    for extra, packages in extras().items():
+        if package in [name.replace("_", "-") for name in packages]:
+            return extra
+    return None

@@ -8,7 +8,7 @@ from typing import Any
 
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import sha256_of
-from lemma.core.resumable import PARTS
+from lemma.core.workers.resumable import PARTS
 from lemma.dataset.files import MANIFEST, check_files, listed_files
 
 _KIND = "dataset"

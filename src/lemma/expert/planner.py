@@ -11,7 +11,7 @@ import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from lemma.core.arithmetic import ordered_sum
+from lemma.core.seeding import ordered_sum
 from lemma.expert.grounding import GeometricGrounder, GroundedOption
 from lemma.expert.primitives import PRIMITIVES, Wish
 from lemma.expert.symbolic_state import SymbolicState

@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from lemma.core.arithmetic import ordered_sum
 from lemma.core.errors import InvalidConfigError, SamplingError
 from lemma.core.poses import FloatArray, Pose2
+from lemma.core.seeding import ordered_sum
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.stick import (

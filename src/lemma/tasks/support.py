@@ -10,9 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lemma.core.arithmetic import ordered_sum
 from lemma.core.engine import mujoco
 from lemma.core.poses import Pose
+from lemma.core.seeding import ordered_sum
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.objects.kind import Point
 from lemma.scene.scene import Scene

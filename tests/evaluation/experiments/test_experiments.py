@@ -10,7 +10,7 @@ import pytest
 import tyro
 
 import control_baselines
-from lemma.core.config import decode
+from lemma.core.arguments import decode
 from lemma.core.errors import UnknownNameError
 from lemma.core.files import write_json
 from lemma.core.workers.serial import Serial

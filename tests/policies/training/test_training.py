@@ -16,7 +16,7 @@ from painted_keyframes import write_painted
 from safetensors.torch import load_file
 from tiny_model import NAME, Tiny, TinyConfig, config
 
-from lemma.core.config import decode
+from lemma.core.arguments import decode
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import Batch, Frames
 from lemma.policies.models.catalog import MODELS

@@ -23,8 +23,8 @@ from lemma.core.files import (
     write_json,
     write_text,
 )
-from lemma.core.resumable import NEW_FOLDER, PARTS, Part, begin, do_missing
 from lemma.core.workers.pool import Engine
+from lemma.core.workers.resumable import NEW_FOLDER, PARTS, Part, begin, do_missing
 from lemma.dataset.files import CARD
 from lemma.dataset.lerobot.aggregation import REPO_ID, aggregate_in_groups, silence
 from lemma.dataset.lerobot.card import EXTRAS, card

@@ -17,7 +17,9 @@ import pyarrow as pa
 
 from lemma.core.errors import DatasetError, InvalidConfigError, SamplingError
 from lemma.core.files import only_writer, read_json, sha256_of, write_json
-from lemma.core.resumable import (
+from lemma.core.workers.pool import Engine
+from lemma.core.workers.resources import peak_memory_mb
+from lemma.core.workers.resumable import (
     PARTS,
     RECORD,
     Part,
@@ -25,8 +27,6 @@ from lemma.core.resumable import (
     check_same_job,
     do_missing,
 )
-from lemma.core.workers.pool import Engine
-from lemma.core.workers.resources import peak_memory_mb
 from lemma.dataset.files import (
     MANIFEST,
     check_free,

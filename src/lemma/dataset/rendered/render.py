@@ -15,7 +15,8 @@ from typing import Any, Protocol
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.files import only_writer, sha256_of, write_json, write_text
-from lemma.core.resumable import (
+from lemma.core.workers.pool import Engine
+from lemma.core.workers.resumable import (
     PARTS,
     RECORD,
     Part,
@@ -23,7 +24,6 @@ from lemma.core.resumable import (
     check_same_job,
     do_missing,
 )
-from lemma.core.workers.pool import Engine
 from lemma.dataset.files import CARD, MANIFEST, check_files, check_free, listed_files
 from lemma.dataset.recipe.digests import content_digest
 from lemma.dataset.recipe.files import open_table, versions

@@ -11,8 +11,8 @@ Scalars go through :mod:`math`, as in :mod:`lemma.core.poses`.
 import math
 from collections.abc import Sequence
 
-from lemma.core.arithmetic import ordered_sum
 from lemma.core.poses import FloatArray, matrix_from_quaternion, quaternion_from_matrix
+from lemma.core.seeding import ordered_sum
 
 Quaternion = tuple[float, float, float, float]
 

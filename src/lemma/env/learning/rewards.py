@@ -15,8 +15,8 @@ in, for learners that go on from the value of that state.
 import math
 from collections.abc import Callable
 
-from lemma.core.arithmetic import ordered_sum
 from lemma.core.registry import Registry
+from lemma.core.seeding import ordered_sum
 from lemma.env.episode import Episode
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene

@@ -17,8 +17,8 @@ from time import perf_counter
 from typing import Any
 
 from lemma.core.files import only_writer, read_json
-from lemma.core.resumable import PARTS, Part, begin, do_missing
 from lemma.core.workers.pool import Engine, report
+from lemma.core.workers.resumable import PARTS, Part, begin, do_missing
 from lemma.evaluation.lines import read_lines, read_rows, write_rows
 from lemma.evaluation.records import (
     ABOUT,

@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any
 
 from lemma.core.errors import DatasetError
-from lemma.core.resumable import flat
+from lemma.core.workers.resumable import flat
 from lemma.env.episode import LEAST_STEP_S, STILL_S
 from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.evaluation.records import (

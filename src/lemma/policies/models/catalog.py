@@ -7,7 +7,7 @@ import lemma.policies.models.cliport.end_to_end
 import lemma.policies.models.cliport.model
 import lemma.policies.models.episodic_transformer.model
 import lemma.policies.models.reachnet.model  # noqa: F401
-from lemma.core.config import decode
+from lemma.core.arguments import decode
 from lemma.policies.model import MODELS, Model
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from lemma.core.config import Count, Depth, Share, Width
+from lemma.core.arguments import Count, Depth, Share, Width
 from lemma.policies.layers import TransformerLayer, sinusoids
 from lemma.policies.text.vocabulary import PADDING, UNKNOWN, Vocabulary
 from lemma.policies.text.word_vectors import word_vectors

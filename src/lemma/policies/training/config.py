@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from lemma.core.config import decode
+from lemma.core.arguments import decode
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.instructions import TRAINING_KINDS
 

@@ -12,9 +12,9 @@ import torch
 
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import read_json, write_json
-from lemma.core.resumable import check_same_job
 from lemma.core.seeding import stream
 from lemma.core.version import VERSION as __version__
+from lemma.core.workers.resumable import check_same_job
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.schema import executions, perturbed_as
 from lemma.dataset.rendered.keyframes.schema import FORM

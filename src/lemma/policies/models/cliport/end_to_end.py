@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.core.config import Depth, Share
+from lemma.core.arguments import Depth, Share
 from lemma.core.robot_names import robot_name
 from lemma.policies.batch import PRIMITIVES, STOP, Batch, batch_of
 from lemma.policies.interfaces import Decision, PolicyInput

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from lemma.core.config import (
+from lemma.core.arguments import (
     Count,
     Depth,
     Extent,

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.core.config import Count, Depth, Share, Width, Widths
+from lemma.core.arguments import Count, Depth, Share, Width, Widths
 from lemma.core.robot_names import robot_name
 from lemma.env.view import View
 from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, Batch

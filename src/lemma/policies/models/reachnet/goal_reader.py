@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.core.config import Count, Depth, Share, Width
+from lemma.core.arguments import Count, Depth, Share, Width
 from lemma.policies.batch import NOBODY
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import TransformerLayer, made_without_numbers

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from lemma.core.config import Cost, Depth, Height, Size
+from lemma.core.arguments import Cost, Depth, Height, Size
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.policies.batch import (

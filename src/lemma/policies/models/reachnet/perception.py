@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.core.config import Depth, Share, Width, Widths
+from lemma.core.arguments import Depth, Share, Width, Widths
 from lemma.policies.batch import Batch
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import ResidualBlock, norm, upsample_to

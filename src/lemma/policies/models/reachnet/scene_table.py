@@ -12,7 +12,7 @@ from typing import Any, Self
 import torch
 from torch import Tensor
 
-from lemma.core.config import Deviation, Share
+from lemma.core.arguments import Deviation, Share
 from lemma.policies.batch import NOBODY, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, Traits, traits_of
 from lemma.policies.interfaces import SeenObject, SeenRobot
