@@ -21,12 +21,12 @@ from lemma.cli.options import (
 )
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.policies.interfaces import TIMEOUT_S
+from lemma.policies.planners.chat import ChatOptions
 
 if TYPE_CHECKING:
     from lemma.evaluation.analysis.result import Cell, Result
     from lemma.evaluation.records import Row
     from lemma.evaluation.run.config import EvaluationConfig
-    from lemma.policies.planners.chat import ChatOptions
 
 _ALL = "all"
 _COMPLAINTS = 5
@@ -77,34 +77,12 @@ class EvaluateOptions:
     episode. both: it then goes on, for the lenient verdict; one play gives the two."""
 
 
-@dataclass(frozen=True, slots=True)
-class LanguageModelOptions:
+@dataclass(frozen=True)
+class LanguageModelOptions(ChatOptions):
     """How a language model is asked, with --policy llm:MODEL."""
 
-    base_url: Annotated[str, tyro.conf.arg(metavar="URL")] = ""
-    """Of an OpenAI-compatible server, such as http://127.0.0.1:8000/v1. Its key, if it
-    asks for one, is in the environment variable LEMMA_API_KEY."""
     cassette: File = None
-    """File of requests and answers: what is in it is asked of nobody."""
-    cassette_mode: Literal["record", "replay", "strict"] = "record"
-    """What is not in it. record: is asked and written; replay: is asked; strict: is an
-    error that says what changed."""
-    perception: Literal["truth", "seen"] = "truth"
-    """What the model reads of the table: the truth, or what ReachNet sees."""
-    team: Literal["one", "each"] = "one"
-    """One planner for the team, or one for each robot, with messages."""
-    pictures: Flag = False
-    """Send the images of the robots' cameras as well."""
-    tries: Annotated[int, tyro.conf.arg(metavar="N")] = 3
-    """Answers to a question, until one is a sub-task."""
-    max_tokens: Annotated[int, tyro.conf.arg(metavar="N")] = 1024
-    """Of an answer."""
-    concurrency: Annotated[int, tyro.conf.arg(metavar="N")] = 8
-    """Requests at a time, of all workers of this machine. Each may take --timeout times
-    as long, since the server may answer one after the other."""
-    extra_body: Annotated[str, tyro.conf.arg(metavar="JSON")] = ""
-    """Fields of every request that replace the usual ones, for servers that do not know
-    those; null leaves a field out."""
+    """File of requests and answers: requests that are in it are not sent."""
 
 
 EVERYTHING = EvaluateOptions()
@@ -114,7 +92,9 @@ NO_MODEL = LanguageModelOptions()
 
 QuestionOptions = Annotated[EvaluateOptions, tyro.conf.arg(name="")]
 """The fields as options of the verb."""
-ModelOptions = Annotated[LanguageModelOptions, tyro.conf.arg(name="")]
+ModelOptions = Annotated[
+    LanguageModelOptions, tyro.conf.arg(name=""), tyro.conf.FlagCreatePairsOff
+]
 """The same of a language model."""
 
 
@@ -168,7 +148,7 @@ def evaluate(
 
 
 def _config(
-    policy: str, out: Path, ask: EvaluateOptions, model: LanguageModelOptions
+    policy: str, out: Path, ask: EvaluateOptions, model: ChatOptions
 ) -> "EvaluationConfig":
     """Return what the options mean."""
     from lemma.evaluation.evaluation import named_at
@@ -185,11 +165,13 @@ def _config(
     else:
         split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
     split = ask.split or split
+    asks_model = model != NO_MODEL or policy.startswith("llm:")
+    chat = model if asks_model else None
     return EvaluationConfig(
         out=out,
         policy=PolicySpec(
             policy if ask.level == "control" else named_at(policy, ask.level),
-            *(ask.planning, ask.gta, ask.timeout_s, _chat(policy, model)),
+            *(ask.planning, ask.gta, ask.timeout_s, chat),
             level="control" if ask.level == "control" else "",
             arguments=arguments(ask.policy_args),
         ),
@@ -201,26 +183,6 @@ def _config(
         perturb_start=ask.perturb_start,
         verdicts=ask.protocol,
         instance=own,
-    )
-
-
-def _chat(policy: str, model: LanguageModelOptions) -> "ChatOptions | None":
-    """Return how a language model is asked; None if none is, nor is one spoken of."""
-    from lemma.policies.planners.chat import ChatOptions
-
-    if model == NO_MODEL and not policy.startswith("llm:"):
-        return None
-    return ChatOptions(
-        base_url=model.base_url,
-        cassette=model.cassette,
-        mode=model.cassette_mode,
-        perception=model.perception,
-        team=model.team,
-        pictures=model.pictures,
-        tries=model.tries,
-        max_tokens=model.max_tokens,
-        concurrency=model.concurrency,
-        extra_body=model.extra_body,
     )
 
 

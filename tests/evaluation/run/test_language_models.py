@@ -76,7 +76,7 @@ def test_replay_gives_the_same_bytes_without_a_server(
 ) -> None:
     cassette = recorded / "c.jsonl"
     before = cassette.read_bytes()
-    config = order(tmp_path, ChatOptions(cassette=cassette, mode=mode))
+    config = order(tmp_path, ChatOptions(cassette=cassette, cassette_mode=mode))
     evaluate(config, ProcessPool(workers))
     assert lines(tmp_path) == lines(recorded)
     assert (tmp_path / ABOUT).read_bytes() == (recorded / ABOUT).read_bytes()
@@ -104,7 +104,7 @@ def test_a_changed_prompt_is_a_clear_error_in_strict_mode(
     from lemma.policies.planners import prompts  # noqa: PLC0415
 
     monkeypatch.setattr(prompts, "_TASK", prompts._TASK.replace("metres", "meters"))
-    chat = ChatOptions(cassette=recorded / "c.jsonl", mode="strict")
+    chat = ChatOptions(cassette=recorded / "c.jsonl", cassette_mode="strict")
     with pytest.raises(PlannerUnavailableError) as caught:
         evaluate(order(tmp_path, chat, episodes=1), Serial())
     told = str(caught.value)
@@ -119,12 +119,14 @@ def test_a_changed_prompt_is_a_clear_error_in_strict_mode(
 
 
 def test_another_setting_is_a_clear_error_too(tmp_path: Path, recorded: Path) -> None:
-    chat = ChatOptions(cassette=recorded / "c.jsonl", mode="strict", max_tokens=7)
+    chat = ChatOptions(
+        cassette=recorded / "c.jsonl", cassette_mode="strict", max_tokens=7
+    )
     with pytest.raises(PlannerUnavailableError, match=r"=1024' became 'max_tokens=7'"):
         evaluate(order(tmp_path, chat, episodes=1), Serial())
     # And no result goes on with answers to other questions.
     with pytest.raises(DatasetError):
-        evaluate(order(recorded, replace(chat, mode="record")), Serial())
+        evaluate(order(recorded, replace(chat, cassette_mode="record")), Serial())
 
 
 def test_a_cassette_that_cannot_be_used_ends_the_run(tmp_path: Path) -> None:
@@ -158,7 +160,7 @@ def test_the_run_goes_on_after_bad_answers(tmp_path: Path) -> None:
     [good] = [row for row in rows if not row["policy_error"]]
     assert good["success"]
     # What failed is on the cassette as well.
-    chat = ChatOptions(cassette=tmp_path / "c.jsonl", mode="strict", tries=1)
+    chat = ChatOptions(cassette=tmp_path / "c.jsonl", cassette_mode="strict", tries=1)
     spec = PolicySpec("llm:rules", chat=chat, timeout_s=0.7)
     again = EvaluationConfig(
         out=tmp_path / "again", policy=spec, tasks=("pass",), episodes=4, split="val"

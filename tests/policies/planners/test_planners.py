@@ -258,7 +258,7 @@ def test_what_cannot_be_asked_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfigError, match="--planning"):
         PolicySpec("llm:m", "multi-step", chat=ChatOptions(base_url=url)).load()
     with pytest.raises(UnknownNameError, match="strict"):
-        ChatOptions(mode="stric")
+        ChatOptions(cassette_mode="stric")
     with pytest.raises(InvalidConfigError, match="at least 1"):
         ChatOptions(tries=0)
 

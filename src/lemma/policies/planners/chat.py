@@ -21,7 +21,7 @@ from html import escape
 from ipaddress import ip_address
 from pathlib import Path
 from threading import BoundedSemaphore
-from typing import Any
+from typing import Any, Literal, get_args, get_type_hints
 from urllib.error import HTTPError, URLError
 from urllib.parse import quote, urlsplit
 from urllib.request import HTTPRedirectHandler, ProxyHandler, Request, build_opener
@@ -33,13 +33,6 @@ from lemma.core.errors import InvalidConfigError, LemmaError
 
 KEY_VARIABLE = "LEMMA_API_KEY"
 """Environment variable with the key of the server."""
-MODES = ("record", "replay", "strict")
-"""Treatment of a request that is not on the cassette: it is sent and kept; it is sent
-and not kept; it is an error."""
-PERCEPTIONS = ("truth", "seen")
-"""Where the text of a scene comes from: the simulation, or ReachNet's perception."""
-TEAMS = ("one", "each")
-"""One planner for the team, or one for each robot, with messages between them."""
 WAITS_S = (1.0, 4.0)
 """Before each further attempt at a request that was not answered [s]."""
 _LONGEST_WAIT_S = 60.0
@@ -77,33 +70,35 @@ class ChatOptions:
     """How a language model is asked; plain data, so that other processes can ask."""
 
     base_url: str = ""
-    """Of an OpenAI-compatible server: ``"http://127.0.0.1:8000/v1"``; empty where a
-    cassette has every answer."""
+    """Of an OpenAI-compatible server, such as http://127.0.0.1:8000/v1. Its key, if it
+    asks for one, is in the environment variable LEMMA_API_KEY."""
     cassette: Path | None = None
-    """File of requests and answers."""
-    mode: str = MODES[0]
-    """One of :data:`MODES`."""
-    perception: str = PERCEPTIONS[0]
-    """One of :data:`PERCEPTIONS`."""
-    team: str = TEAMS[0]
-    """One of :data:`TEAMS`."""
+    """File of requests and answers: requests that are in it are not sent."""
+    cassette_mode: Literal["record", "replay", "strict"] = "record"
+    """Treatment of other requests. record: they are sent and kept; replay: they are
+    sent; strict: they are an error that says what changed."""
+    perception: Literal["truth", "seen"] = "truth"
+    """Source of the text about the table: the simulation, or ReachNet's perception."""
+    team: Literal["one", "each"] = "one"
+    """One planner for the team, or one for each robot, with messages between them."""
     pictures: bool = False
-    """Whether the cameras' images are sent along."""
+    """Send the images of the robots' cameras as well."""
     tries: int = 3
-    """Answers to one question, until one is a sub-task."""
+    """Answers to a question, until one is a sub-task."""
     max_tokens: int = 1024
     """Of an answer."""
     concurrency: int = 8
-    """Requests that the processes of this machine have under way at a time."""
+    """Requests at a time, of all workers of this machine. Each may take --timeout times
+    as long, since the server may answer one after the other."""
     extra_body: str = ""
-    """JSON object with fields of every request, which replace the usual ones; null
-    leaves a field out."""
+    """JSON object with fields of every request that replace the usual ones, for servers
+    that do not know those; null leaves a field out."""
 
     def __post_init__(self) -> None:
         """Check the names and the numbers."""
-        known("mode of a cassette", self.mode, MODES)
-        known("perception", self.perception, PERCEPTIONS)
-        known("kind of team", self.team, TEAMS)
+        hints = get_type_hints(ChatOptions)
+        for name in ("cassette_mode", "perception", "team"):
+            known(name.replace("_", " "), getattr(self, name), get_args(hints[name]))
         for name in ("tries", "max_tokens", "concurrency"):
             whole(name, getattr(self, name), 1)
         reserved = {"model", "messages", "stream"} & self.fields.keys()

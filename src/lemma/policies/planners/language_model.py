@@ -51,7 +51,7 @@ class Asker:
         Raises:
             InvalidConfigError: They can come from nowhere.
         """
-        self.mode = options.mode
+        self.mode = options.cassette_mode
         self.cassette = Cassette(options.cassette) if options.cassette else None
         self.server = None
         if options.base_url:
