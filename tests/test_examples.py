@@ -138,5 +138,5 @@ def test_the_lines_of_the_readme_evaluate_a_policy() -> None:
     code = part.split("```python\n")[1].split("```")[0]
     assert len([line for line in code.splitlines() if line]) <= 15
     with redirect_stdout(io.StringIO()) as out:
-        exec(code.replace("episodes=10", "episodes=2"), {})
+        exec(code.replace("episodes=10", "episodes=2"), {"__name__": "__main__"})
     assert "| mean, lenient | 100.0 |" in out.getvalue()
