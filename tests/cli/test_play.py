@@ -6,8 +6,8 @@ import pytest
 
 from lemma.core.errors import UnknownNameError, WeightsError
 from lemma.policies.spec import ORACLE
+from lemma.viewer.episode.session import choices
 from lemma.viewer.episode.teleoperator import BY_HAND
-from lemma.viewer.policies import choices
 
 
 def test_expert_and_visitors_are_always_offered() -> None:

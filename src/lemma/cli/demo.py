@@ -20,8 +20,7 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE
 from lemma.viewer.episode.reading import hear
 from lemma.viewer.episode.status import say_goal
-from lemma.viz.illustrate import illustrate_all
-from lemma.viz.pages.demo import write_page
+from lemma.viz.pages.demo import illustrate_all, write_page
 from lemma.viz.recording import (
     Line,
     Recording,

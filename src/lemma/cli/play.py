@@ -92,9 +92,8 @@ def play(
                 "--failures takes --policy, no instance and no sentence."
             )
         return _open(_failures(task, policy, at), at)
-    from lemma.viewer.episode.session import Session
+    from lemma.viewer.episode.session import Session, choices
     from lemma.viewer.page import Page
-    from lemma.viewer.policies import choices
 
     split, index, instance = which.split, which.index, which.instance
     own = None

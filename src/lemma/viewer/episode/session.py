@@ -3,14 +3,17 @@
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.util import find_spec
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.core.poses import Pose2
 from lemma.evaluation.run.control.rollout import ControlPlayer
 from lemma.evaluation.run.control.rollout import load_player as load_any
+from lemma.evaluation.run.loading import weights_of
 from lemma.evaluation.run.rollout import Player
 from lemma.policies.control.interfaces import is_model_server
-from lemma.policies.spec import PolicySpec
+from lemma.policies.spec import ORACLE, PolicySpec
+from lemma.policies.weights import are_here
 from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.scene.table import Gap
 from lemma.serve.websocket import is_address
@@ -22,6 +25,9 @@ from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 
 _PATIENCE_S = 1.0
 """Time that a policy gets to stop [s]."""
+
+
+_LEARNED = ("reachnet", "episodic-transformer+cliport", "m-cliport")
 
 
 def load_player(name: str) -> Player:
@@ -172,6 +178,31 @@ class Session:
                 if callable(close):
                     close()
             self._loaded.clear()
+
+
+def choices(wanted: str | None = None) -> tuple[str, ...]:
+    """Return names of policies that can be loaded here, the best one first.
+
+    Args:
+        wanted: One that shall be among them. Its weights are looked for; servers and
+            classes are asked when it is loaded.
+
+    Raises:
+        LemmaError: The name of that one means no policy, or its weights are missing or
+            damaged.
+    """
+    found = [*_installed(), ORACLE, BY_HAND]
+    if wanted is not None and wanted not in found:
+        weights_of(PolicySpec(wanted))
+        found.append(wanted)
+    return tuple(found)
+
+
+def _installed() -> list[str]:
+    """Return learned policies whose weights are on this machine."""
+    if find_spec("torch") is None:
+        return []
+    return [name for name in _LEARNED if all(map(are_here, name.split("+")))]
 
 
 def moved(instance: Instance, name: str, pose: Pose2) -> Instance:
