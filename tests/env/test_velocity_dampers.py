@@ -126,8 +126,8 @@ class Plain:
         for corner in world[CAPSULES:]:
             self.add((0, 6), corner[:3], corner[:3] - down, corner[2])
             for thing in self.beside:
-                gap, *points = closest_points(corner, thing)
-                self.soft(*map(np.array, points), gap)
+                gap, a, b = closest_points(corner, thing)
+                self.soft(np.array(a), np.array(b), gap)
         for thing, end in itertools.product(self.inside, (0, 3)):
             point = thing[end : end + 3]
             half = thing[7] - max(thing[2], thing[5])
@@ -139,8 +139,8 @@ class Plain:
             links = (link[inner], 6)
             self.pair(links, world[corner], world[inner], _SELF_MARGIN_M)
         for i, other in itertools.product(range(1, CAPSULES), self.others):
-            gap, *points = closest_points(world[i], other)
-            self.add((0, link[i]), *map(np.array, points), 0.5 * gap)
+            gap, a, b = closest_points(world[i], other)
+            self.add((0, link[i]), np.array(a), np.array(b), 0.5 * gap)
         tool = self.placed[6, :3, 3] + TCP_OFFSET_M * self.placed[6, :3, 2]
         for thing in self.beside:
             point = np.array([*tool, *tool, 0.0])

@@ -76,6 +76,8 @@ class Scene:
             name: np.array((*pose.position, *pose.quaternion))
             for name, pose in self._fixed_poses.items()
         }
+        self.object_names = spec.object_names
+        """Names of the entities on the table."""
         self._entity_by_body = {
             self.model.body(placed.name).id: placed.name for placed in spec.objects
         }

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from lemma.core.errors import CapacityError
-from lemma.core.kernels import kernel
+from lemma.core.kernels import borrowed, kernel
 from lemma.core.poses import FloatArray
 from lemma.env.control.approach_bounds import (
     CLEARANCE_M,
@@ -102,17 +102,16 @@ def restrain(
     """
     place_and_move(arm, rates)
     most = most_rows(obstacles.shape[0], objects.shape[0] + held.shape[0])
-    rows = np.empty((most, 7))
-    wanted = rates.copy()
+    memory, wanted = np.empty((most, 7)), rates.copy()
+    rows = borrowed(memory)
     count = _constrain(arm, obstacles, objects, held, EXPECTED_RAD_S, rows)
-    if count == 0:
-        return False
     changed, most_changed = _project(rows, count, rates, arm.speeds)
     if most_changed > EXPECTED_RAD_S:
         rates[:] = wanted
         count = _constrain(arm, obstacles, objects, held, _ANY_RAD_S, rows)
         changed, _ = _project(rows, count, rates, arm.speeds)
-    return changed
+    # Numba frees what it does not see in use any more: the rows are borrowed.
+    return changed and memory.size > 0
 
 
 @kernel
