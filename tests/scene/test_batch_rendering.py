@@ -14,8 +14,8 @@ from lemma.scene.rendering.batch import (
     BATCH_RENDERERS,
     OpenGLRenderer,
     choose_renderer,
-    states_at_once,
 )
+from lemma.scene.rendering.pictures import states_at_once
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import load_instance
@@ -84,7 +84,7 @@ def test_renderers_are_chosen_by_name() -> None:
 def test_auto_is_warp_where_there_is_a_gpu_for_it(
     has_gpu: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(batch, "_has_gpu_for_warp", lambda: has_gpu)
+    monkeypatch.setattr(batch, "has_gpu", lambda: has_gpu)
     assert choose_renderer("auto") == ("warp" if has_gpu else "opengl")
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from lemma.core.errors import RenderingError
 from lemma.scene.rendering import gl_backend as opengl
+from lemma.scene.rendering import gl_context
 from lemma.scene.rendering.gl_backend import Backend, choose_backend
 
 PICTURE = """
@@ -193,3 +194,29 @@ sys.exit(os.waitstatus_to_exitcode(status))
 """
     done = run(code)
     assert (done.returncode, done.stderr) == (7, "")
+
+
+def test_a_device_that_does_not_exist_is_the_cause(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    failure = "MUJOCO_EGL_DEVICE_ID must be between 0 and 0, got 1."
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.setenv("MUJOCO_EGL_DEVICE_ID", "1")
+    monkeypatch.setattr(opengl, "_probe", lambda name: ("", failure))
+    with pytest.raises(RenderingError) as raised:
+        choose_backend()
+    assert "unset MUJOCO_EGL_DEVICE_ID, which is '1'" in str(raised.value)
+    assert "apt-get" not in str(raised.value)
+
+
+def test_no_folder_for_temporary_files_is_no_reason_to_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def nowhere() -> None:
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr(gl_context.tempfile, "TemporaryFile", nowhere)
+    messages: list[str] = []
+    with gl_context._silence(messages):
+        os.write(2, b"not collected\n")
+    assert messages == []

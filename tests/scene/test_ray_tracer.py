@@ -11,8 +11,9 @@ from lemma.core.poses import FloatArray
 from lemma.env.camera_rig import CameraRig, camera_names
 from lemma.env.episode import Episode
 from lemma.scene.rendering import ray_tracer
-from lemma.scene.rendering.batch import BATCH_RENDERERS, Pictures
+from lemma.scene.rendering.batch import BATCH_RENDERERS
 from lemma.scene.rendering.gl_backend import choose_backend
+from lemma.scene.rendering.pictures import Pictures
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import load_instance
 

@@ -18,7 +18,8 @@ from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.film import Filming, cameras_of, rig_of, robots_of
 from lemma.dataset.rendered.steps import iterate_steps
-from lemma.scene.rendering.batch import choose_renderer, states_at_once
+from lemma.scene.rendering.batch import choose_renderer
+from lemma.scene.rendering.pictures import states_at_once
 from lemma.tasks.instance import Instance
 
 SIZES = ((128, 128), (224, 224), (640, 480))

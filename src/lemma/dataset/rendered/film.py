@@ -17,7 +17,7 @@ from lemma.core.robot_names import robot_names
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.steps import DenseStep, iterate_steps, ticks_per_step
 from lemma.env.camera_rig import CameraRig, camera_names
-from lemma.scene.rendering.batch import states_at_once
+from lemma.scene.rendering.pictures import states_at_once
 
 
 @dataclass(frozen=True, kw_only=True)

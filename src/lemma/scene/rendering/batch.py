@@ -1,4 +1,4 @@
-"""Color and depth of many states of a scene: one protocol, and who speaks it.
+"""Renderers of color and depth of many states of a scene, by name.
 
 ``opengl`` draws one picture after the other, as environments do. ``warp`` traces the
 rays of hundreds of states at once on an NVIDIA GPU, see
@@ -6,40 +6,21 @@ rays of hundreds of states at once on an NVIDIA GPU, see
 color and a micrometre of depth, except where an edge runs through a pixel.
 """
 
-import importlib.util
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lemma.core.engine import mujoco
-from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray
 from lemma.core.registry import Registry
-from lemma.scene.cameras import Camera
 from lemma.scene.rendering.gl_backend import choose_backend
+from lemma.scene.rendering.pictures import Aim, Pictures
+from lemma.scene.rendering.ray_tracer import RayTracer, has_gpu
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 
 AUTO = "auto"
 """The name that stands for the fastest one that works here."""
-_MOST_STATES = 64
-_MOST_PIXELS = 2**22
-
-Aim = Callable[[mujoco.MjData], Sequence[str | Camera]]
-"""Says which cameras look at a state, whose derived poses are up to date: names in the
-scene, or calibrated cameras, which may move from state to state."""
-
-
-class Pictures(NamedTuple):
-    """What some cameras see in some states."""
-
-    rgb: NDArray[np.uint8]
-    """Color, shape (states, cameras, height, width, 3)."""
-    depth_m: NDArray[np.float32] | None
-    """Distance along the camera's z axis [m], shape (states, cameras, height, width);
-    0: nothing. None if it was not asked for."""
 
 
 class BatchRenderer(Protocol):
@@ -111,17 +92,12 @@ class OpenGLRenderer:
         self._renderer.close()
 
 
-def _make_ray_tracer(width: int, height: int) -> BatchRenderer:
-    from lemma.scene.rendering.ray_tracer import RayTracer  # noqa: PLC0415
-
-    return RayTracer(width, height)
-
-
 MakeRenderer = Callable[[int, int], BatchRenderer]
+
 BATCH_RENDERERS: Registry[MakeRenderer] = Registry("renderer", MakeRenderer)
 """What makes a renderer of pictures of a width and height [px], by name."""
 BATCH_RENDERERS.add("opengl", OpenGLRenderer)
-BATCH_RENDERERS.add("warp", _make_ray_tracer)
+BATCH_RENDERERS.add("warp", RayTracer)
 
 
 def choose_renderer(name: str) -> str:
@@ -136,34 +112,7 @@ def choose_renderer(name: str) -> str:
         RenderingError: It is not installed.
     """
     if name == AUTO:
-        return "warp" if _has_gpu_for_warp() else "opengl"
+        return "warp" if has_gpu() else "opengl"
     # A missing package is known before any worker starts.
     BATCH_RENDERERS[name](1, 1)
     return name
-
-
-def _has_gpu_for_warp() -> bool:
-    if importlib.util.find_spec("mujoco_warp") is None:
-        return False
-    from lemma.scene.rendering.ray_tracer import has_gpu  # noqa: PLC0415
-
-    return has_gpu()
-
-
-def states_at_once(width: int, height: int, cameras: int) -> int:
-    """Return how many states to render together: memory is bounded by pixels.
-
-    Args:
-        width: Of every picture [px].
-        height: Of every picture [px].
-        cameras: How many look at each state.
-
-    Raises:
-        InvalidConfigError: There is nothing to render.
-    """
-    if min(width, height, cameras) < 1:
-        raise InvalidConfigError(
-            f"{cameras} cameras of {width} x {height} pixels see nothing. All three "
-            "must be at least 1."
-        )
-    return max(1, min(_MOST_STATES, _MOST_PIXELS // (width * height * cameras)))

@@ -31,6 +31,7 @@ _REMEDY = {
     "glfw": "needs a display, such as the one of xvfb-run",
     "cgl": "needs macOS",
 }
+_DEVICE_VARIABLE = "MUJOCO_EGL_DEVICE_ID"
 _PROBE_TIMEOUT_S = 60.0
 # Whatever may change which library works, and is set from outside.
 _ENVIRONMENT = (
@@ -153,6 +154,7 @@ def _probe(name: str) -> tuple[str, str | None]:
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
+            errors="replace",
             timeout=_PROBE_TIMEOUT_S,
             check=False,
         )
@@ -176,10 +178,18 @@ def _explain(failures: dict[str, str], asked: str) -> str:
     lines = ["No OpenGL library could render off screen. Tried:"]
     lines += [f"  {name}: {failure}" for name, failure in failures.items()]
     lines.append("To repair one of them:")
-    lines += [f"  {name}: {_REMEDY[name]}" for name in failures]
+    lines += [f"  {name}: {_remedy(name, text)}" for name, text in failures.items()]
     if asked:
         lines.append(f"MUJOCO_GL={asked} is set; unset it to try every library.")
     return "\n".join(lines)
+
+
+def _remedy(name: str, failure: str) -> str:
+    """Return what a user can do about a library that failed."""
+    device = os.environ.get(_DEVICE_VARIABLE)
+    if device is not None and _DEVICE_VARIABLE in failure:
+        return f"unset {_DEVICE_VARIABLE}, which is {device!r}, or set it to 0"
+    return _REMEDY[name]
 
 
 def forget_backend() -> None:

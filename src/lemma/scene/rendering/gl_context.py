@@ -327,18 +327,19 @@ def _silence(messages: list[str]) -> Iterator[None]:
 
     Drivers complain about every device that they cannot use before one that they can.
     """
-    try:
-        saved = os.dup(2)
-    except OSError:
-        # This process has no error stream.
-        yield
-        return
-    with tempfile.TemporaryFile() as collected:
+    with contextlib.ExitStack() as opened:
+        try:
+            saved = os.dup(2)
+            opened.callback(os.close, saved)
+            collected = opened.enter_context(tempfile.TemporaryFile())
+        except OSError:
+            # There is no error stream, or no folder for temporary files.
+            yield
+            return
         os.dup2(collected.fileno(), 2)
         try:
             yield
         finally:
             os.dup2(saved, 2)
-            os.close(saved)
             collected.seek(0)
             messages.append(collected.read().decode(errors="replace").strip())

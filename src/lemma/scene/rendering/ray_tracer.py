@@ -13,6 +13,7 @@ from collections import OrderedDict
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
+from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
@@ -23,7 +24,7 @@ from lemma.core.errors import InvalidConfigError, RenderingError
 from lemma.core.poses import FloatArray, matrix_from_quaternion
 from lemma.scene.cameras import Camera
 from lemma.scene.model_cameras import camera_from_model
-from lemma.scene.rendering.batch import Aim, Pictures, states_at_once
+from lemma.scene.rendering.pictures import Aim, Pictures, states_at_once
 from lemma.scene.scene import Scene
 
 _VISIBLE_GROUPS = [0, 1, 2]
@@ -62,11 +63,9 @@ def _packages() -> tuple[ModuleType, ModuleType]:
 
 
 def has_gpu() -> bool:
-    """Return whether Warp finds a GPU.
-
-    Raises:
-        RenderingError: MuJoCo Warp is not installed.
-    """
+    """Return whether MuJoCo Warp is installed and finds a GPU."""
+    if find_spec("mujoco_warp") is None:
+        return False
     return bool(_packages()[0].is_cuda_available())
 
 
