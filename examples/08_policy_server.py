@@ -16,7 +16,7 @@ import numpy as np
 from lemma.core.poses import Pose2
 from lemma.env.view import View
 from lemma.policies.interfaces import Decision, PolicyInput
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.serve import PolicyServer, serve
 from lemma.tasks.language.bank import parse
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask

@@ -31,7 +31,7 @@ from lemma.policies.models.reachnet.goal_reader import (
 from lemma.policies.text.grammar import Grammar, grammar
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.scene.objects.entity import ENTITIES
-from lemma.scene.palette import BENCHMARK_COLORS
+from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.language.bank import instruct, templates
 from lemma.tasks.language.template import GoalPairs, Template
 from lemma.tasks.suite import SUITE

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lemma.expert.primitives import PRIMITIVES, PrimitiveSpec
     from lemma.robots.ur.arms import ARMS, ArmSpec
     from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
-    from lemma.scene.palette import OBJECT_COLORS
+    from lemma.scene.objects.palette import OBJECT_COLORS
     from lemma.tasks.instance import Instance
     from lemma.tasks.language.bank import LanguageBank
     from lemma.tasks.suite import SUITE, load_instance
@@ -62,7 +62,7 @@ _HOMES = {
     "ExpertPolicy": "lemma.expert.policy",
     "Instance": "lemma.tasks.instance",
     "LanguageBank": "lemma.tasks.language.bank",
-    "OBJECT_COLORS": "lemma.scene.palette",
+    "OBJECT_COLORS": "lemma.scene.objects.palette",
     "OBJECT_KINDS": "lemma.scene.objects.entity",
     "ObjectKind": "lemma.scene.objects.kind",
     "PRIMITIVES": "lemma.expert.primitives",

@@ -7,7 +7,7 @@ import pytest
 
 from lemma.core.seeding import stream
 from lemma.policies.text.grammar import Grammar, grammar, speaks_of
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import words
 from lemma.tasks.language.template import GoalPairs
 

@@ -29,8 +29,8 @@ from lemma.scene.objects.kind import (
     cylinder,
 )
 from lemma.scene.objects.pad import PAD
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.objects.stick import STICK_KIND
-from lemma.scene.palette import OBJECT_COLORS
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, SceneSpec
 

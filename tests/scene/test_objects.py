@@ -12,8 +12,8 @@ from lemma.scene.objects.bodies import add_object, resting_quaternion
 from lemma.scene.objects.cube import CUBE_EDGE_M, CUBE_MASS_KG
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind, Part
 from lemma.scene.objects.pad import PAD_RADIUS_M, PAD_THICKNESS_M
+from lemma.scene.objects.palette import OBJECT_COLORS, STICK
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
-from lemma.scene.palette import OBJECT_COLORS, STICK
 from lemma.scene.spec import ObjectPlacement
 
 POSE = Pose2(0.3, -0.2, 0.7)

@@ -23,7 +23,7 @@ from lemma.policies.entities import BENCHMARK
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.model import Model
 from lemma.scene.objects.entity import ENTITIES
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.raster import Raster
 from lemma.tasks.language.bank import robot_phrases_in_order
 

@@ -15,7 +15,7 @@ from lemma.expert.primitives import PRIMITIVES
 from lemma.motion.skills import SKILLS
 from lemma.robots.ur.arms import ARMS
 from lemma.scene.objects.kind import OBJECT_KINDS
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks import subtask
 from lemma.tasks.suite import TASKS
 

@@ -23,7 +23,7 @@ from lemma.dataset.rendered.keyframes.schema import (
     Header,
 )
 from lemma.scene.objects.entity import ENTITIES
-from lemma.scene.palette import OBJECT_COLORS, STICK, TABLE
+from lemma.scene.objects.palette import OBJECT_COLORS, STICK, TABLE
 from lemma.scene.raster import Raster
 from lemma.tasks.instance import BENCHMARK_VERSION
 from lemma.tasks.language.bank import instruct, robot_phrases_in_order, sub_instruction

@@ -16,13 +16,13 @@ from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import STICK
 from lemma.scene.objects.kind import ObjectKind
 from lemma.scene.objects.pad import PAD
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.objects.stick import (
     HANDLE_LENGTH_M,
     HOOK_LENGTH_M,
     STICK_KIND,
     STICK_SECTION_M,
 )
-from lemma.scene.palette import OBJECT_COLORS
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.tasks.drags import (

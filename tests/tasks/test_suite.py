@@ -12,7 +12,7 @@ import pytest
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.seeding import stream
 from lemma.scene.objects.entity import STICK
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.language.bank import KINDS, parse, words

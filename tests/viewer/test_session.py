@@ -25,7 +25,7 @@ from lemma.core.poses import Pose
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.interfaces import Composite, Decision, PolicyInput
 from lemma.policies.spec import PolicySpec
-from lemma.scene.palette import BENCHMARK_COLORS
+from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE, load_instance, task_named
 from lemma.viewer.episode.play import Play

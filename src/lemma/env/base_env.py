@@ -17,9 +17,8 @@ from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError, ResetNeededError, shown
 from lemma.core.robot_names import robot_names
 from lemma.env.camera_rig import OVERVIEW
-from lemma.env.config import EnvConfig
+from lemma.env.config import EnvConfig, InstanceSource, own_options
 from lemma.env.episode import Episode, EpisodeSnapshot
-from lemma.env.instance_source import InstanceSource, own_options
 from lemma.env.learning.rewards import RewardMeter
 from lemma.env.observation import (
     Observation,

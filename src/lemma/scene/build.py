@@ -14,7 +14,7 @@ from lemma.scene.objects.bodies import (
     OBJECT_FRICTION,
     add_object,
 )
-from lemma.scene.palette import FLOOR, HORIZON, SKY, TABLE, TABLE_EDGE
+from lemma.scene.objects.palette import FLOOR, HORIZON, SKY, TABLE, TABLE_EDGE
 from lemma.scene.spec import SceneSpec
 from lemma.scene.table import (
     FLOOR_Z_M,

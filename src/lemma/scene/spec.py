@@ -11,7 +11,7 @@ from lemma.core.robot_names import robot_names
 from lemma.robots.ur.arms import ARMS
 from lemma.scene.objects.entity import Entity
 from lemma.scene.objects.kind import OBJECT_KINDS
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.table import TABLE_HALF_X_M, Gap
 
 ROBOT_COLORS = ("red", "white")
@@ -51,8 +51,8 @@ class ObjectPlacement:
     kind: str
     """A name in ``lemma.scene.objects.kind.OBJECT_KINDS``: ``"cube"``."""
     color: str
-    """A name in ``lemma.scene.palette.OBJECT_COLORS``. A kind of one color only may
-    have any word: the stick is ``"yellow"``."""
+    """A name in ``lemma.scene.objects.palette.OBJECT_COLORS``. A kind of one color only
+    may have any word: the stick is ``"yellow"``."""
     pose: Pose2
     """World from object, lying on the table."""
 

@@ -15,13 +15,13 @@ from lemma.core.poses import FloatArray, Pose2
 from lemma.core.seeding import ordered_sum
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
+from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.scene.objects.stick import (
     HANDLE_LENGTH_M,
     HOOK_LENGTH_M,
     STICK_KIND,
     STICK_SECTION_M,
 )
-from lemma.scene.palette import BENCHMARK_COLORS
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M, Gap
 from lemma.tasks.drags import (

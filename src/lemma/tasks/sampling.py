@@ -87,9 +87,8 @@ def sample(
             placer.check(goal)
         except PlacementError:
             continue
-        shuffled = [
-            placer.objects[int(i)] for i in rng.permutation(len(placer.objects))
-        ]
+        there = placer.objects
+        shuffled = [there[int(i)] for i in rng.permutation(len(there))]
         instance = Instance(
             task=task.name,
             split=split,

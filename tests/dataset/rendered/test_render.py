@@ -32,7 +32,7 @@ from lemma.env.camera_rig import CameraRig
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.cameras import Camera, CameraImage, CameraIntrinsics
 from lemma.scene.objects.cube import CUBE_EDGE_M
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.raster import decode_depth
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene

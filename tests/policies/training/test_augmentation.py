@@ -21,7 +21,7 @@ from lemma.policies.training.config import Augmentation
 from lemma.policies.training.instructions import with_instructions, with_language
 from lemma.policies.training.recolor import permute_colors
 from lemma.scene.objects.entity import ENTITIES, SHARED
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import parse
 
 COLORS, PLACES = tuple(OBJECT_COLORS), (*ENTITIES, SHARED)

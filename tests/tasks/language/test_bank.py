@@ -12,7 +12,7 @@ from lemma.core.errors import UnknownNameError
 from lemma.core.seeding import stream
 from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.language import bank as language
 from lemma.tasks.language.bank import KINDS, Template
 

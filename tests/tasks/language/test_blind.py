@@ -16,7 +16,7 @@ from lemma.dataset.instructions import TRAINING_KINDS, Language, draw_instructio
 from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.language_controls import control_of
 from lemma.policies.spec import PolicySpec
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language import bank, blind
 from lemma.tasks.language.blind import (
@@ -46,7 +46,6 @@ OTHERS = [
 READ_BY = {
     "src/lemma/env/base_env.py",
     "src/lemma/env/config.py",
-    "src/lemma/env/instance_source.py",
     "src/lemma/env/observation.py",
     "src/lemma/evaluation/run/config.py",
     "src/lemma/evaluation/run/language_controls.py",

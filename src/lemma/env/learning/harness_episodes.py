@@ -7,7 +7,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from lemma.core.errors import InvalidConfigError, shown
 from lemma.env.base_env import LemmaEnv
-from lemma.env.instance_source import RESET_OPTIONS
+from lemma.env.config import RESET_OPTIONS
 from lemma.tasks.instance import SPLITS
 
 FIGURES = ("is_success", "success", "progress", "elapsed_s", "instance")

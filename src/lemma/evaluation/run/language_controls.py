@@ -11,7 +11,7 @@ from lemma.expert.planner import find_plan
 from lemma.expert.symbolic_state import TABLE, SymbolicState
 from lemma.scene.objects.entity import entity_named, kind_of, known_entities
 from lemma.scene.objects.kind import OBJECT_KINDS
-from lemma.scene.palette import BENCHMARK_COLORS
+from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.blind import blind_templates, instruction

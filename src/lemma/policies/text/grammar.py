@@ -17,7 +17,7 @@ from itertools import accumulate
 import numpy as np
 
 from lemma.scene.objects.entity import Entity, entity_named, kind_of
-from lemma.scene.palette import BENCHMARK_COLORS
+from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.language.bank import words
 from lemma.tasks.language.template import GoalPairs
 

@@ -20,7 +20,7 @@ from lemma.policies.text.word_vectors import neighbours, word_vectors
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import entity_named, kind_of
 from lemma.scene.objects.pad import PAD
-from lemma.scene.palette import OBJECT_COLORS
+from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import bank_for, words
 from lemma.tasks.language.template import SLOT, GoalPairs, Template
 from lemma.tasks.suite import SUITE

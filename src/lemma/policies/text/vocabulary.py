@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 from lemma.policies.text.grammar import grammar
-from lemma.scene.palette import BENCHMARK_COLORS
+from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.language.bank import vocabulary, words
 
 PADDING = 0

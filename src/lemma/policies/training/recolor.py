@@ -13,7 +13,7 @@ from torch import Tensor
 from lemma.policies.batch import NOBODY, Batch, Labels
 from lemma.policies.entities import EntitySet, traits_of
 from lemma.scene.objects.kind import Part
-from lemma.scene.palette import OBJECT_COLORS, STICK, TABLE
+from lemma.scene.objects.palette import OBJECT_COLORS, STICK, TABLE
 from lemma.tasks.language.template import GoalPairs
 
 _HEIGHT_TOLERANCE_M = 0.010

@@ -15,8 +15,8 @@ from lemma.core.errors import UnknownNameError
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.pad import PAD
+from lemma.scene.objects.palette import BENCHMARK_COLORS, OBJECT_COLORS, Rgba
 from lemma.scene.objects.stick import STICK_KIND
-from lemma.scene.palette import BENCHMARK_COLORS, OBJECT_COLORS, Rgba
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.core.registry import Registry
 from lemma.robots.gripper import FINGER_OPENING_M, PALM_ABOVE_TCP_M
-from lemma.scene.palette import Rgba
+from lemma.scene.objects.palette import Rgba
 
 if TYPE_CHECKING:
     import mujoco

@@ -15,7 +15,7 @@ from lemma.scene.objects.kind import (
     Part,
     Shell,
 )
-from lemma.scene.palette import STICK as STICK_COLOR
+from lemma.scene.objects.palette import STICK as STICK_COLOR
 
 HANDLE_LENGTH_M = 0.75
 HOOK_LENGTH_M = 0.15

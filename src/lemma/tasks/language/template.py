@@ -15,7 +15,7 @@ import numpy as np
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.scene.objects.entity import Entity, entity_named
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
-from lemma.scene.palette import BENCHMARK_COLORS, OBJECT_COLORS
+from lemma.scene.objects.palette import BENCHMARK_COLORS, OBJECT_COLORS
 
 GoalPairs = tuple[tuple[str, str], ...]
 """One ``(top, bottom)`` pair of entity names for each ``On`` of a goal."""
