@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.policies.batch import Batch
-from lemma.policies.model import MODELS, Model
+from lemma.policies.models.base import MODELS, Model
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.loop import train
 from lemma.policies.weights import load_model

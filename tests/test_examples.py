@@ -13,7 +13,7 @@ import pytest
 from own_plugins import EXAMPLES, loaded
 
 from lemma.core.kernels import NOTICE
-from lemma.policies.model import MODELS
+from lemma.policies.models.base import MODELS
 
 # What it prints, and which arguments make it short.
 CASES: dict[str, tuple[str, tuple[str, ...]]] = {

@@ -21,7 +21,7 @@ from lemma.policies.batch import (
 )
 from lemma.policies.entities import BENCHMARK
 from lemma.policies.interfaces import PolicyInput
-from lemma.policies.model import Model
+from lemma.policies.models.base import Model
 from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.raster import Raster

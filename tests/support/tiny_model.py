@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.policies.batch import PRIMITIVES, Batch
-from lemma.policies.model import MODELS, Model
+from lemma.policies.models.base import MODELS, Model
 from lemma.policies.training.config import TrainingConfig
 
 NAME = "tiny"

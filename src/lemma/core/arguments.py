@@ -4,11 +4,21 @@ import contextlib
 import math
 import operator
 import os
+import re
 from collections.abc import Iterable, Mapping
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from numbers import Real
 from pathlib import Path
-from typing import Annotated, Any, SupportsIndex, TypeVar, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    SupportsIndex,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import msgspec
 import numpy as np
@@ -180,6 +190,40 @@ def decode(kind: type[T], data: Any) -> T:
         raise InvalidConfigError(f"{_name(kind)}: {error}.") from error
     except RecursionError as error:
         raise InvalidConfigError(f"{_name(kind)}: nested too deeply.") from error
+
+
+def check_ranges(config: Any) -> None:
+    """Check the fields of a dataclass by their annotations, as :func:`decode` does.
+
+    Args:
+        config: A dataclass, made by its constructor.
+
+    Raises:
+        InvalidConfigError: A value is of another type or out of its range.
+    """
+    hints = get_type_hints(type(config), include_extras=True)
+    for field in fields(config):
+        value = getattr(config, field.name)
+        if is_dataclass(value):
+            continue
+        try:
+            msgspec.convert(value, hints[field.name], dec_hook=_path)
+        except msgspec.ValidationError as error:
+            choices = _choices(hints[field.name])
+            why = re.sub(r" - at `\$(.*)`$", "", str(error)).replace("`", "")
+            valid = why.replace("Expected", "expected")
+            if choices:
+                valid = f"valid: {', '.join(map(str, choices))}"
+            raise InvalidConfigError(
+                f"{field.name} cannot be {shown(value)}; {valid}."
+            ) from error
+
+
+def _choices(hint: Any) -> tuple[Any, ...]:
+    """Return the values of a ``Literal`` in a type; none if it has none."""
+    if get_origin(hint) is Literal:
+        return get_args(hint)
+    return tuple(choice for part in get_args(hint) for choice in _choices(part))
 
 
 def _check_names(kind: Any, data: Any) -> None:

@@ -5,6 +5,7 @@ make a decision depend on what else is decided at the same time.
 """
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
@@ -83,7 +84,14 @@ class TransformerLayer(nn.Module):
     """Self-attention and two linear layers, each added to what it was given."""
 
     def __init__(
-        self, width: int, heads: int, hidden: int, dropout: float = 0.1
+        self,
+        width: int,
+        heads: int,
+        hidden: int,
+        dropout: float = 0.1,
+        activation: Callable[[Tensor], Tensor] = F.gelu,
+        *,
+        drops_hidden: bool = True,
     ) -> None:
         """Make the weights.
 
@@ -92,6 +100,8 @@ class TransformerLayer(nn.Module):
             heads: Of the attention; they share the width evenly.
             hidden: Width between the two linear layers.
             dropout: Share of values that are left out in training.
+            activation: Between the two linear layers.
+            drops_hidden: Whether values are left out there, too.
 
         Raises:
             InvalidConfigError: The heads cannot share the width.
@@ -106,6 +116,7 @@ class TransformerLayer(nn.Module):
         self.hidden_in = nn.Linear(width, hidden)
         self.hidden_out = nn.Linear(hidden, width)
         self.dropout = nn.Dropout(dropout)
+        self.activation, self.drops_hidden = activation, drops_hidden
 
     def forward(self, tokens: Tensor, attends: Tensor) -> Tensor:
         """Map tokens (B, L, width) to as many.
@@ -119,8 +130,9 @@ class TransformerLayer(nn.Module):
         tokens = tokens + self.dropout(
             self._attention(self.attention_norm(tokens), attends)
         )
-        hidden = F.gelu(self.hidden_in(self.hidden_norm(tokens)))
-        out: Tensor = tokens + self.dropout(self.hidden_out(self.dropout(hidden)))
+        hidden = self.activation(self.hidden_in(self.hidden_norm(tokens)))
+        hidden = self.dropout(hidden) if self.drops_hidden else hidden
+        out: Tensor = tokens + self.dropout(self.hidden_out(hidden))
         return out
 
     def _attention(self, x: Tensor, attends: Tensor) -> Tensor:

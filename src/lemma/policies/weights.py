@@ -15,7 +15,7 @@ from lemma.core.files import read_json, sha256_of
 if TYPE_CHECKING:
     import torch
 
-    from lemma.policies.model import Model
+    from lemma.policies.models.base import Model
 
 LIST = "weights.json"
 """Says which weights are published: file, checksum, where from, and how made."""

@@ -5,6 +5,7 @@ metadata are JSON beside them. A file may come from anybody: nothing in it is ex
 and all of it is checked before memory is taken for it.
 """
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -25,8 +26,8 @@ from torch.overrides import TorchFunctionMode
 from lemma.core.errors import LemmaError, WeightsError
 from lemma.core.files import write_whole
 from lemma.policies.class_path import LEROBOT
-from lemma.policies.model import Model
-from lemma.policies.models.catalog import make_model
+from lemma.policies.models.base import Model
+from lemma.policies.models.catalog import MODELS, make_model
 from lemma.policies.packing import Fineness, PackingError, Rounding, pack, unpack
 
 METADATA_KEY = "lemma"
@@ -184,16 +185,18 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
             f"{LEROBOT!r} before its name."
         )
     try:
+        former = MODELS[metadata.model][0].former_names
         with safe_open(path, "pt") as file:
+            found = {_renamed(name, former): name for name in file.keys()}  # noqa: SIM118
             # First a model that takes no memory: sizes may be anything.
-            with torch.device("meta"), _Unfilled(), _at_most(len(file.keys())):
+            with torch.device("meta"), _Unfilled(), _at_most(len(found)):
                 wanted = make_model(metadata.model, metadata.options).state_dict()
-            _check_shapes(path, metadata, file, wanted)
+            _check_shapes(path, metadata, file, found, wanted)
             with _Unfilled():
                 model = make_model(metadata.model, metadata.options)
             model.load_state_dict(
                 {
-                    name: _read_tensor(file, name, metadata, value)
+                    name: _read_tensor(file, found[name], metadata, value)
                     for name, value in wanted.items()
                 }
             )
@@ -262,19 +265,37 @@ def _at_most(tensors: int) -> Iterator[None]:
         handle.remove()
 
 
+def _renamed(name: str, former: Mapping[str, str]) -> str:
+    """Return the present name of weights."""
+    for pattern, now in former.items():
+        name = re.sub(pattern, now, name)
+    return name
+
+
 def _check_shapes(
-    path: Path, metadata: WeightsMetadata, file: Any, wanted: Mapping[str, Tensor]
+    path: Path,
+    metadata: WeightsMetadata,
+    file: Any,
+    names: Mapping[str, str],
+    wanted: Mapping[str, Tensor],
 ) -> None:
     """Check that a file has the tensors of a model, before any is read.
+
+    Args:
+        path: Of the file.
+        metadata: What it says about itself.
+        file: It, opened.
+        names: Of tensors in the file, by their present names.
+        wanted: Tensors that the model has.
 
     Raises:
         WeightsError: They are of another model, or of other options.
     """
     found = {
-        name: metadata.packed[name].shape
+        now: metadata.packed[name].shape
         if name in metadata.packed
         else tuple(file.get_slice(name).get_shape())
-        for name in file.keys()  # noqa: SIM118 - it is no mapping
+        for now, name in names.items()
     }
     problems = [f"{name} is missing" for name in wanted if name not in found]
     problems += [f"{name} is not known" for name in found if name not in wanted]

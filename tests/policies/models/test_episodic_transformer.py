@@ -13,7 +13,7 @@ from lemma.policies.batch import MAX_PAST, NOBODY, STOP, Batch, Labels
 from lemma.policies.compose import MultiStep
 from lemma.policies.entities import BENCHMARK
 from lemma.policies.interfaces import PastStep, PolicyInput
-from lemma.policies.model import MODELS
+from lemma.policies.models.base import MODELS
 from lemma.policies.models.episodic_transformer.layout import SLOTS, of_batch
 from lemma.policies.models.episodic_transformer.model import (
     PARTS,

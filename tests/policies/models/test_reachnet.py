@@ -11,7 +11,7 @@ from batches import RASTER, drawn_batch, gradients, inputs_of, labels_of, part_o
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import STOP
 from lemma.policies.interfaces import Grounder, PastStep, Planner, Policy
-from lemma.policies.model import MODELS
+from lemma.policies.models.base import MODELS
 from lemma.policies.models.reachnet.goal_reader import ReaderConfig
 from lemma.policies.models.reachnet.model import ReachNet, ReachNetConfig
 from lemma.policies.models.reachnet.perception import PerceptionConfig

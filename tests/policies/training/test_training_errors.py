@@ -69,11 +69,12 @@ def test_options_of_the_model_are_checked(data: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"steps": 0}, "1 or more"),
-        ({"learning_rate": 0.0}, "positive"),
+        ({"steps": 0}, "steps cannot be 0; expected int >= 1"),
+        ({"learning_rate": 0.0}, "expected float > 0"),
         ({"samples": 5}, "twice"),
-        ({"ema": 1.0}, "0.999"),
-        ({"kinds": ("unseen",)}, "Choose some of"),
+        ({"ema": 1.0}, "ema cannot be 1.0; expected float < 1"),
+        ({"kinds": ("unseen",)}, r"\('unseen',\); valid: high_level, human"),
+        ({"kinds": ()}, "high_level, human"),
         ({"episodes": 99}, "has 10"),
         ({"device": "cuda"}, "No GPU"),
     ],

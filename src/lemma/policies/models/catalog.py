@@ -8,7 +8,7 @@ import lemma.policies.models.cliport.model
 import lemma.policies.models.episodic_transformer.model
 import lemma.policies.models.reachnet.model  # noqa: F401
 from lemma.core.arguments import decode
-from lemma.policies.model import MODELS, Model
+from lemma.policies.models.base import MODELS, Model
 
 
 def make_model(name: str, options: dict[str, Any]) -> Model:

@@ -9,17 +9,31 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import msgspec
 import tyro
 
-from lemma.core.arguments import decode
+from lemma.core.arguments import Share, check_ranges, decode
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.instructions import TRAINING_KINDS
 
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+PositiveShare = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
+Level = Annotated[float, msgspec.Meta(ge=0.0)]
+"""0 for none."""
+Whole = Annotated[int, msgspec.Meta(ge=0)]
+"""0 for none."""
 # The hint would repeat "(default: None)" where the help says what happens.
-Count = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
-Amount = Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")]
+Count = Annotated[
+    Annotated[int, msgspec.Meta(ge=1)] | None,
+    tyro.conf.arg(metavar="N", help_behavior_hint=""),
+]
+Amount = Annotated[Positive | None, tyro.conf.arg(metavar="X", help_behavior_hint="")]
+Part = Annotated[
+    PositiveShare | None, tyro.conf.arg(metavar="X", help_behavior_hint="")
+]
 Name = Annotated[str | None, tyro.conf.arg(metavar="WEIGHTS", help_behavior_hint="")]
-Kind = Literal["high_level", "human"]
+Kinds = Annotated[
+    tuple[Literal["high_level", "human"], ...], msgspec.Meta(min_length=1)
+]
 RECOVERY_SHARE = 0.25
 """Share of recovery states, if nothing else is said."""
 LANGUAGES = ("full", "none", "shuffled")
@@ -33,36 +47,25 @@ class Augmentation:
     """Exchange the five colors of cubes and pads, in images, labels and sentences."""
     templates: bool = True
     """Draw a sentence anew each time; else an episode keeps its first one."""
-    paraphrases: float = 0.7
+    paraphrases: Level = 0.7
     """Share of sentences that no template has as they stand: made by rules, or put
     together from parts of templates; 0 for none."""
-    translate_cells: int = 6
+    translate_cells: Whole = 6
     """Move the whole scene by up to so many cells of the map; 0 for never."""
     turn: bool = True
     """Turn the whole scene by half a turn, so that the robots change numbers."""
-    brightness: float = 0.15
+    brightness: Share = 0.15
     """Largest change of brightness and of contrast, as a share; 0 for none."""
-    pixel_noise: float = 0.03
+    pixel_noise: Level = 0.03
     """Largest standard deviation of noise in colors, of 1; 0 for none."""
-    height_noise_m: float = 0.003
+    height_noise_m: Level = 0.003
     """Largest standard deviation of noise in heights [m]; 0 for none."""
-    dropouts: int = 4
+    dropouts: Whole = 4
     """Largest number of small holes in what the cameras see; 0 for none."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        for name in (
-            *("translate_cells", "brightness"),
-            *("pixel_noise", "height_noise_m", "dropouts", "paraphrases"),
-        ):
-            if not getattr(self, name) >= 0:
-                raise InvalidConfigError(
-                    f"{name} is {getattr(self, name)}. It is 0 for none, or more."
-                )
-        if self.brightness >= 1:
-            raise InvalidConfigError(
-                f"brightness is {self.brightness}, a share below 1. Try 0.15."
-            )
+        check_ranges(self)
 
     @classmethod
     def none(cls) -> "Augmentation":
@@ -105,13 +108,13 @@ class TrainingConfig:
     """Frames, or episodes, of a step and GPU. By default the model's own."""
     learning_rate: Amount = None
     """The highest, of AdamW. By default the model's own."""
-    warmup_steps: int = 300
+    warmup_steps: Whole = 300
     """Steps until it is reached; then it falls along a cosine to zero."""
-    weight_decay: float = 0.02
+    weight_decay: Level = 0.02
     """Of AdamW, for matrices and kernels."""
-    clip: float = 1.0
+    clip: Positive = 1.0
     """Largest norm of the gradient."""
-    ema: float = 0.999
+    ema: Share = 0.999
     """Decay of the moving average of the weights, which is what is kept."""
 
     precision: Literal["bf16", "float32"] = "bf16"
@@ -130,7 +133,7 @@ class TrainingConfig:
 
     val_every: Count = None
     """Steps between validations. By default ten in all."""
-    checkpoint_every_s: float = 60.0
+    checkpoint_every_s: Positive = 60.0
     """Seconds between checkpoints."""
     time_limit_s: Amount = None
     """Seconds of training, in all runs, after which it ends, with the learning rate
@@ -146,7 +149,7 @@ class TrainingConfig:
     """Train on so many episodes of the split only, drawn by the seed."""
     episodes_per_task: Count = None
     """Train on the first so many episodes of every task only."""
-    kinds: tuple[Kind, ...] = ("high_level", "human")
+    kinds: Kinds = ("high_level", "human")
     """Kinds of instructions, each as likely."""
     language: Literal["full", "none", "shuffled"] = "full"
     """none: nothing is said; shuffled: what is said belongs to another episode. Both
@@ -158,7 +161,7 @@ class TrainingConfig:
     ] = None
     """Mix in recovery states: rendered keyframes of perturbed executions, which lemma
     generate --perturb made. They are never validated on."""
-    recovery_share: Amount = None
+    recovery_share: Part = None
     """Share of the frames, or episodes, of each batch that are recovery states; 0.25 by
     default."""
     track: bool = False
@@ -166,19 +169,7 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         """Check numbers and names."""
-        for name in (
-            *("steps", "samples", "batch_size", "val_every"),
-            *("episodes", "episodes_per_task"),
-        ):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise InvalidConfigError(f"{name} is {value}. It must be 1 or more.")
-        for name in ("learning_rate", "clip", "time_limit_s", "checkpoint_every_s"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise InvalidConfigError(f"{name} is {value}. It must be positive.")
-        if not 0 <= self.ema < 1:
-            raise InvalidConfigError(f"ema is {self.ema}. Choose 0.999, or 0 for none.")
+        check_ranges(self)
         if self.steps is not None and self.samples is not None:
             raise InvalidConfigError(
                 "steps and samples say the same thing twice. Leave out one of them."
@@ -188,19 +179,10 @@ class TrainingConfig:
                 "episodes and episodes_per_task both say what is trained on. Leave out "
                 "one of them."
             )
-        if self.recovery_share is not None and not 0 < self.recovery_share <= 1:
-            raise InvalidConfigError(
-                f"recovery_share is {self.recovery_share:g}, a share above 0 and up to "
-                f"1. Try {RECOVERY_SHARE}."
-            )
         if self.recovery_share is not None and self.recovery is None:
             raise InvalidConfigError(
                 "recovery_share says how much of each batch are recovery states, but "
                 "there are none. Name them with --recovery DIR."
-            )
-        if not self.kinds or not set(self.kinds) <= set(TRAINING_KINDS):
-            raise InvalidConfigError(
-                f"kinds are {self.kinds}. Choose some of {', '.join(TRAINING_KINDS)}."
             )
 
     def resolved(self, processes: int = 1) -> "TrainingConfig":

@@ -21,7 +21,7 @@ from lemma.dataset.rendered.keyframes.schema import FORM
 from lemma.dataset.rendered.shards import keyframe_shards, read_manifest
 from lemma.policies.batch import Frames
 from lemma.policies.entities import BENCHMARK, EntitySet
-from lemma.policies.model import Model
+from lemma.policies.models.base import Model
 from lemma.policies.models.catalog import MODELS, make_model, options_of
 from lemma.policies.training.config import MAY_CHANGE, TrainingConfig, model_options
 from lemma.policies.training.distributed import ProcessGroup

@@ -12,7 +12,7 @@ from torch.nn.parallel import DistributedDataParallel
 from lemma.core.seeding import stream
 from lemma.policies.batch import Batch
 from lemma.policies.layers import Network
-from lemma.policies.model import Model
+from lemma.policies.models.base import Model
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup
 from lemma.policies.training.validation import autocast

@@ -8,7 +8,7 @@ from torch import Tensor
 from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
 from lemma.policies.batch import Frames
-from lemma.policies.model import Model
+from lemma.policies.models.base import Model
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup
 from lemma.policies.training.instructions import with_instructions, with_language

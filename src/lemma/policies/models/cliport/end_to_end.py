@@ -16,7 +16,7 @@ from lemma.core.arguments import Depth, Share
 from lemma.core.robot_names import robot_name
 from lemma.policies.batch import PRIMITIVES, STOP, Batch, batch_of
 from lemma.policies.interfaces import Decision, PolicyInput
-from lemma.policies.model import MODELS
+from lemma.policies.models.base import MODELS
 from lemma.policies.models.cliport.grid import read_at
 from lemma.policies.models.cliport.heads import Attention, pick_cells
 from lemma.policies.models.cliport.model import (

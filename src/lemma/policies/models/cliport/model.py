@@ -13,9 +13,10 @@ all cells and turns. What differs, to be small and to turn grippers:
 - what lies around the place is seen again, to correct it; an option, on by default.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -35,7 +36,7 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.policies.batch import Batch, batch_of
 from lemma.policies.interfaces import PolicyInput
-from lemma.policies.model import MODELS, Model
+from lemma.policies.models.base import MODELS, Model
 from lemma.policies.models.cliport.heads import HeadsConfig, PickHead, PlaceHead
 from lemma.policies.models.cliport.networks import STRIDE, image_of
 from lemma.policies.models.cliport.poses import (
@@ -131,7 +132,9 @@ class CLIPortConfig:
 
 
 class PickAndPlace(Model):
-    """What CLIPort and its end-to-end sister have in common."""
+    """The common base of CLIPort and M-CLIPort: sentence and map to two poses."""
+
+    former_names: ClassVar[Mapping[str, str]] = {r"_text\.reader\.": "_text."}
 
     def __init__(self, config: CLIPortConfig, extra_channels: int = 0) -> None:
         """Make the weights.

@@ -5,7 +5,7 @@ with the heads of LEMMA. A frame is one token, pooled from a grid of 7 x 7 cells
 is what sets it apart from planners that look at objects.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import ClassVar, Literal
@@ -29,7 +29,7 @@ from lemma.policies.layers import (
     norm,
     sinusoids,
 )
-from lemma.policies.model import MODELS, Model
+from lemma.policies.models.base import MODELS, Model
 from lemma.policies.models.episodic_transformer import layout as episodic_layout
 from lemma.policies.models.episodic_transformer.layout import SLOTS, TokenLayout
 from lemma.policies.models.episodic_transformer.view_cache import ViewCache
@@ -129,6 +129,7 @@ class EpisodicTransformer(Model):
 
     unit: ClassVar[Literal["frame", "episode"]] = "episode"
     selection: ClassVar[str] = "plan"
+    former_names: ClassVar[Mapping[str, str]] = {r"^text\.reader\.": "text."}
     config: EpisodicTransformerConfig
 
     def __init__(self, config: EpisodicTransformerConfig) -> None:

@@ -20,14 +20,13 @@ from lemma.policies.batch import NOBODY
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import TransformerLayer, made_without_numbers
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS
-from lemma.policies.models.reachnet.sentences import (
+from lemma.policies.text.encoder import WordEmbedding
+from lemma.policies.text.sentences import (
     NO_NAME,
     SentenceReader,
     Sentences,
     groups_of,
 )
-from lemma.policies.text.vocabulary import PADDING, UNKNOWN
-from lemma.policies.text.word_vectors import word_vectors
 from lemma.tasks.language.template import GoalPairs
 
 _MENTIONS = 12
@@ -66,10 +65,9 @@ class ReaderConfig:
     nothing: for a reader that is taught without sentences."""
 
 
-class GoalReader(nn.Module):
+class GoalReader(WordEmbedding):
     """Reads goals."""
 
-    vectors: Tensor
     goals: Tensor
     numbers: Tensor
     group: Tensor
@@ -84,17 +82,13 @@ class GoalReader(nn.Module):
             config: Options; the defaults if None.
             entities: What has a number; goals may name all but the stick.
         """
-        super().__init__()
-        self.config = config = config or ReaderConfig()
+        config = config or ReaderConfig()
         width = config.width
+        super().__init__(
+            SentenceReader(config.max_words, entities), width, meaning=True
+        )
+        self.config = config
         self.cargo, self.targets = entities.cargo, entities.stick
-        self.sentences = SentenceReader(config.max_words, entities)
-        self.embedding = nn.Embedding(len(self.sentences), width, PADDING)
-        nn.init.normal_(self.embedding.weight, std=0.5)
-        vectors = torch.from_numpy(word_vectors().vectors).float()
-        self.register_buffer("vectors", vectors, persistent=False)
-        self.meaning = nn.Linear(vectors.shape[1], width, bias=False)
-        nn.init.normal_(self.meaning.weight, std=0.5)
         self.near = nn.Conv1d(width, width, _NEAR, padding="same")
         self.apart = nn.Parameter(_slopes(config.heads))
         self.alike = nn.Parameter(torch.full((config.heads,), 1.0 / _SCALE))
@@ -209,14 +203,11 @@ class GoalReader(nn.Module):
 
     def _encoded(self, told: Sentences) -> tuple[Tensor, Tensor]:
         """Return a token for each word, (B, L, width), and one for all of them."""
-        numbers, mask = told.numbers, told.mask
+        mask = told.mask
         spared = (told.names != NO_NAME) | ~mask
-        dropped = self._drawn(spared, self.config.word_dropout)
-        vectors = self.meaning(self.vectors[told.rows])
-        tokens = vectors.masked_fill(dropped.unsqueeze(2), 0.0)
-        bare = self._drawn(spared, self.config.embedding_dropout) & (told.rows > 0)
-        learned = numbers.masked_fill(dropped | bare, UNKNOWN)
-        tokens = tokens + self.embedding(learned)
+        dropped = self.drawn(spared, self.config.word_dropout)
+        bare = self.drawn(spared, self.config.embedding_dropout) & (told.rows > 0)
+        tokens = self.embedded(told, dropped, bare)
         tokens = tokens.masked_fill(~mask.unsqueeze(2), 0.0)
         tokens = tokens + F.gelu(self.near(tokens.transpose(1, 2)).transpose(1, 2))
         bias = self._bias(told, mask)
@@ -237,12 +228,6 @@ class GoalReader(nn.Module):
         bias = _SCALE * (self.apart[away][None] + same[..., None] * self.alike)
         seen = mask[:, None, :, None] | (place[None, :, None, None] == place[:, None])
         return bias.masked_fill(~seen, _NEVER).permute(0, 3, 1, 2)
-
-    def _drawn(self, spared: Tensor, share: float) -> Tensor:
-        """Return which words are left out, like ``spared``: none but in training."""
-        if not (self.training and share):
-            return torch.zeros_like(spared)
-        return (torch.rand(spared.shape, device=spared.device) < share) & ~spared
 
     def _number(self, goals: Tensor) -> Tensor:
         """Return the numbers of goals, (B,)."""

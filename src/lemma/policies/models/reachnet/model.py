@@ -7,10 +7,10 @@ entities. The last three see no pixels, and so they also learn from labels with 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -27,7 +27,7 @@ from lemma.policies.batch import (
 )
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, Insight, PolicyInput
-from lemma.policies.model import MODELS, Model
+from lemma.policies.models.base import MODELS, Model
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
@@ -123,6 +123,10 @@ class ReachNet(Model):
     """Plans and grounds from images, joints and a sentence."""
 
     selection = "decision"
+    former_names: ClassVar[Mapping[str, str]] = {
+        r"^(planner\.layers\.\d+\.hidden)\.0\.": r"\1_in.",
+        r"^(planner\.layers\.\d+\.hidden)\.2\.": r"\1_out.",
+    }
     reads_outcomes = True
 
     def __init__(self, config: ReachNetConfig | None = None) -> None:

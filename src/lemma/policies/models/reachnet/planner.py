@@ -19,7 +19,7 @@ from lemma.core.robot_names import robot_name
 from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, decision_numbers
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import PolicyInput
-from lemma.policies.layers import check_heads, drawn
+from lemma.policies.layers import TransformerLayer, drawn
 from lemma.policies.models.reachnet.drags import DragUtility
 from lemma.policies.models.reachnet.features import (
     PAIR,
@@ -88,7 +88,15 @@ class ReachNetPlanner(nn.Module):
         self.past_in = nn.Linear(len(PRIMITIVES) + robots, width)
         self.relation = _mlp(RELATIONS, 32, config.heads)
         self.layers = nn.ModuleList(
-            _Layer(width, config.heads, config.dropout) for _ in range(config.layers)
+            TransformerLayer(
+                width,
+                config.heads,
+                4 * width,
+                config.dropout,
+                F.silu,
+                drops_hidden=False,
+            )
+            for _ in range(config.layers)
         )
         self.norm = nn.LayerNorm(width)
         self.move_pick, self.move_place, self.move_robot = (
@@ -222,32 +230,6 @@ class ReachNetPlanner(nn.Module):
 
 def _mlp(wide: int, hidden: int, out: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(wide, hidden), nn.SiLU(), nn.Linear(hidden, out))
-
-
-class _Layer(nn.Module):
-    """Attention that also depends on where things are to one another."""
-
-    def __init__(self, width: int, heads: int, dropout: float) -> None:
-        super().__init__()
-        check_heads(width, heads)
-        self.heads = heads
-        self.attention_norm = nn.LayerNorm(width)
-        self.query_key_value = nn.Linear(width, 3 * width)
-        self.attention_out = nn.Linear(width, width)
-        self.hidden_norm = nn.LayerNorm(width)
-        self.hidden = _mlp(width, 4 * width, width)
-        self.dropout = nn.Dropout(dropout)
-
-    def forward(self, tokens: Tensor, bias: Tensor) -> Tensor:
-        count, length, width = tokens.shape
-        parts = self.query_key_value(self.attention_norm(tokens))
-        parts = parts.view(count, length, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
-        query, key, value = parts
-        mixed = F.scaled_dot_product_attention(query, key, value, attn_mask=bias)
-        joined = mixed.transpose(1, 2).reshape(count, length, width)
-        tokens = tokens + self.dropout(self.attention_out(joined))
-        out: Tensor = tokens + self.dropout(self.hidden(self.hidden_norm(tokens)))
-        return out
 
 
 def number_of(decision: Tensor, robots: int, entities: EntitySet = BENCHMARK) -> Tensor:

@@ -1,19 +1,19 @@
-"""Sentences as ReachNet's reader takes them: words, marks, and which names are alike.
+"""Texts as rows of numbers: words, marks, and which names are of one color.
 
-Colors of things are no words here. All of them are the same token, and what a row says
-besides is which of them are one color: what is learned of red holds for all. What comes
-in one color only is found by its nouns.
+With names, colors of things are no words. All of them are the same token, and a row
+says besides which of them are one color, so that what is learned of red holds for all.
+Things that come in one color only are found by their nouns.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from lemma.policies.entities import BENCHMARK, EntitySet
-from lemma.policies.text.vocabulary import PADDING, Vocabulary
+from lemma.policies.entities import EntitySet
+from lemma.policies.text.vocabulary import PADDING, UNKNOWN, Vocabulary
 from lemma.policies.text.word_vectors import word_vectors
 from lemma.scene.objects.entity import entity_named
 
@@ -65,14 +65,15 @@ def groups_of(entities: EntitySet) -> tuple[list[int], dict[str, int]]:
 class SentenceReader:
     """Turns texts into numbers; typing errors are put right."""
 
-    def __init__(self, longest: int, entities: EntitySet = BENCHMARK) -> None:
+    def __init__(self, longest: int, entities: EntitySet | None = None) -> None:
         """Read the vocabulary.
 
         Args:
             longest: Words behind these are not read.
-            entities: What may be named.
+            entities: Things that may be named. Without them there are words alone: no
+                marks and no names; and a text without words is one unknown word.
         """
-        self.groups = groups_of(entities)[1]
+        self.groups = groups_of(entities)[1] if entities else None
         self.longest = longest
         self.vocabulary = Vocabulary(word_vectors().words)
         self.name = len(self.vocabulary) + _KINDS_OF_MARKS
@@ -80,10 +81,10 @@ class SentenceReader:
 
     def __len__(self) -> int:
         """Return how many numbers there are."""
-        return self.name + 1
+        return len(self.vocabulary) if self.groups is None else self.name + 1
 
     def read(self, texts: Sequence[str], device: torch.device) -> Sentences:
-        """Return texts as numbers; one without words is padding alone."""
+        """Return texts as numbers; with names, one without words is padding alone."""
         told = torch.tensor([self._read(text) for text in texts])
         if device.type == "cpu":
             # Elsewhere one shape for all is faster than a small one.
@@ -94,25 +95,29 @@ class SentenceReader:
     def _read(self, text: str) -> list[tuple[int, int, int]]:
         found = self._known.get(text)
         if found is None:
-            pieces = _PIECE.findall(text.lower())
-            found = [number for piece in pieces for number in self._numbers(piece)][
-                : self.longest
-            ]
+            found = list(self._words(text))[: self.longest]
+            if not found and self.groups is None:
+                found = [(UNKNOWN, 0, NO_NAME)]
             found += [(PADDING, 0, NO_NAME)] * (self.longest - len(found))
             if len(self._known) < _REMEMBERED:
                 self._known[text] = found
         return found
 
-    def _numbers(self, piece: str) -> list[tuple[int, int, int]]:
-        if not piece[0].isalpha():
-            back = piece.startswith("<")
-            mark = _MARKS.get(piece, _BACK if back else _ARROW)
-            return [(len(self.vocabulary) + mark, 0, NO_NAME)]
-        found = []
-        for word in [piece] if piece in self.groups else self.vocabulary.read(piece):
-            group = self.groups.get(word, NO_NAME)
-            number = self.vocabulary.number(word) if group == NO_NAME else self.name
-            found.append(
-                (number, word_vectors().row(word) if group == NO_NAME else 0, group)
-            )
-        return found
+    def _words(self, text: str) -> Iterator[tuple[int, int, int]]:
+        """Yield number, row of its vector and group of each word of a text."""
+        if self.groups is None:
+            yield from map(self._word, self.vocabulary.read(text))
+            return
+        for piece in _PIECE.findall(text.lower()):
+            if not piece[0].isalpha():
+                back = piece.startswith("<")
+                mark = _MARKS.get(piece, _BACK if back else _ARROW)
+                yield len(self.vocabulary) + mark, 0, NO_NAME
+                continue
+            words = [piece] if piece in self.groups else self.vocabulary.read(piece)
+            for word in words:
+                group = self.groups.get(word)
+                yield self._word(word) if group is None else (self.name, 0, group)
+
+    def _word(self, word: str) -> tuple[int, int, int]:
+        return self.vocabulary.number(word), word_vectors().row(word), NO_NAME

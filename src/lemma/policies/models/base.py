@@ -1,6 +1,7 @@
 """What every model that is trained has in common, and the table of all models."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import is_dataclass
 from typing import Any, ClassVar, Literal
 
@@ -27,6 +28,9 @@ class Model(nn.Module, ABC):
     reads_outcomes: ClassVar[bool] = False
     """Whether it looks at how its sub-tasks ended; else another robot tries what one
     was refused (:class:`lemma.policies.compose.RetryingPlanner`)."""
+    former_names: ClassVar[Mapping[str, str]] = {}
+    """Patterns of names of weights in files of earlier releases, and what takes the
+    place of each."""
     config: Any
     """The options; a frozen dataclass whose fields are plain data."""
 
