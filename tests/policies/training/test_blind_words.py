@@ -67,5 +67,5 @@ def test_training_does_without_them(tmp_path: Path) -> None:
 
 
 def test_training_refuses_the_kind(tmp_path: Path) -> None:
-    with pytest.raises(InvalidConfigError, match="Choose some of high_level, human"):
+    with pytest.raises(InvalidConfigError, match="valid: high_level, human"):
         config(tmp_path, tmp_path / "run", kinds=("human", "blind"))

@@ -37,9 +37,9 @@ def test_another_run_in_the_folder_is_not_overwritten(
 ) -> None:
     train(config(data, tmp_path, steps=2))
     kept = (tmp_path / "weights.safetensors").read_bytes()
-    with pytest.raises(InvalidConfigError, match=r"seed was 0 and is 1.*--restart"):
+    with pytest.raises(DatasetError, match=r"seed was 0 and is now 1.*--restart"):
         train(config(data, tmp_path, steps=2, seed=1))
-    with pytest.raises(InvalidConfigError, match="width was 8 and is 9"):
+    with pytest.raises(DatasetError, match="width was 8 and is now 9"):
         train(config(data, tmp_path, steps=2, options=("width=9",)))
     assert (tmp_path / "weights.safetensors").read_bytes() == kept
     report: TrainingReport = train(
@@ -108,7 +108,7 @@ def test_missing_or_foreign_data_are_refused_with_a_remedy(
 def test_other_data_cannot_continue_a_run(data: Path, tmp_path: Path) -> None:
     train(config(data, tmp_path / "out", steps=2))
     other = write_painted(tmp_path / "other", {"train": 9, "val": 4})
-    with pytest.raises(InvalidConfigError, match="digest was"):
+    with pytest.raises(DatasetError, match="digest was"):
         train(config(other, tmp_path / "out", steps=2))
 
 
@@ -175,7 +175,7 @@ def test_the_command_trains_and_reports(
     assert run_command(*words, "--batch-size", 2) == 0
     assert "weights.safetensors" in capsys.readouterr().out
     assert run_command(*words, "--batch-size", 3) == 2
-    assert "batch_size was 2 and is 3" in capsys.readouterr().err
+    assert "batch_size was 2 and is now 3" in capsys.readouterr().err
 
 
 def test_the_command_says_what_is_missing_without_torch(

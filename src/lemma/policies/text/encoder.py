@@ -74,10 +74,12 @@ class WordEmbedding(nn.Module):
             dropped: Those that are unknown, (B, L) bool.
             bare: Those of which the pretrained vector alone is shown, (B, L) bool.
         """
-        learned = self.embedding(told.numbers.masked_fill(dropped | bare, UNKNOWN))
+        learned: Tensor = self.embedding(
+            told.numbers.masked_fill(dropped | bare, UNKNOWN)
+        )
         if self.meaning is None:
             return learned
-        vectors = self.meaning(self.vectors[told.rows])
+        vectors: Tensor = self.meaning(self.vectors[told.rows])
         return vectors.masked_fill(dropped.unsqueeze(2), 0.0) + learned
 
     def drawn(self, spared: Tensor, share: float) -> Tensor:
