@@ -394,11 +394,7 @@ def test_noise_is_as_strong_as_said() -> None:
 
 
 def test_impossible_options_are_refused() -> None:
-    with pytest.raises(
-        InvalidConfigError, match="dropouts cannot be -1; expected int >= 0"
-    ):
+    with pytest.raises(InvalidConfigError, match=r"dropouts .* int >= 0"):
         Augmentation(dropouts=-1)
-    with pytest.raises(
-        InvalidConfigError, match="brightness cannot be 1.0; expected float < 1"
-    ):
+    with pytest.raises(InvalidConfigError, match=r"brightness .* float < 1"):
         Augmentation(brightness=1.0)
