@@ -215,7 +215,7 @@ def test_no_folder_for_temporary_files_is_no_reason_to_stop(
     def nowhere() -> None:
         raise FileNotFoundError("No usable temporary directory found")
 
-    monkeypatch.setattr(gl_context.tempfile, "TemporaryFile", nowhere)
+    monkeypatch.setattr("tempfile.TemporaryFile", nowhere)
     messages: list[str] = []
     with gl_context._silence(messages):
         os.write(2, b"not collected\n")
