@@ -72,11 +72,8 @@ def sample(
     rng = stream(*key, "layout", attempt)
     # Drawn before rejection, which cannot bias them.
     chosen = team or _draw_team(task, stream(*key, "team"))
-    distractors = int(
-        stream(*key, "distractors").integers(
-            task.distractors[0], task.distractors[1] + 1
-        )
-    )
+    least, most = task.distractors
+    distractors = int(stream(*key, "distractors").integers(least, most + 1))
     order = tuple(int(i) for i in stream(*key, "order").permutation(len(chosen)))
     for rejected in range(_ATTEMPTS):
         robots, gap_m = _place_team(task, chosen, order, rng)
