@@ -1,4 +1,4 @@
-"""What comes in is used, or refused with what is valid, and does no harm."""
+"""Input is used, or refused with a list of valid values, and does no harm."""
 
 import math
 import time
@@ -30,7 +30,7 @@ def make(task: str = "stack", **options: Any) -> LemmaEnv:
 
 
 def assert_usable(env: LemmaEnv) -> None:
-    """Whatever happened before, an episode can be begun and played."""
+    """An episode can be begun and played after any input."""
     env.action_space.seed(0)
     observation, info = env.reset(seed=0, options={"split": "test", "index": 0})
     assert observation in env.observation_space

@@ -77,7 +77,7 @@ def bad_data() -> list[Any]:
         with_part(("instructions",), {"human": 5}),
         with_part(("distractors",), ["moon"]),
     ]
-    # What may be there or not, or says nothing about the problem.
+    # Optional keys, or keys that do not describe the problem.
     return [one for one in found if not (isinstance(one, dict) and tolerated(one))]
 
 

@@ -1,4 +1,4 @@
-"""What is observed is what is there."""
+"""Observations agree with the scene."""
 
 from typing import Any
 
@@ -81,7 +81,7 @@ def test_truth_is_complete() -> None:
     assert not absent.any()
     pairs = {(ENTITIES[a], ENTITIES[b]) for a, b in np.argwhere(found["goal"])}
     assert pairs == set(instance.goal.pairs)
-    # What stands first is asked for first; behind the last pair is nothing.
+    # Pairs are in the order of the goal; zeros follow the last.
     asked = [
         [found["objects"][ENTITIES.index(name)] for name in pair]
         for pair in instance.goal.pairs

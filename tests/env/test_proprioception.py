@@ -1,4 +1,4 @@
-"""What is measured in one call is what views and arms say."""
+"""One call measures the same as views and arms do."""
 
 import numpy as np
 import pytest

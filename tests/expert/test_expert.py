@@ -153,7 +153,7 @@ def shove(episode: Episode, name: str, distance_m: float) -> None:
 
 
 def carried(task: str, which: int) -> str:
-    """What the expert's sub-task of that number acts on."""
+    """Object of the expert's sub-task of that number."""
     subtask = recorded(task, TEAM).steps[which].subtask
     return subtask.pick if subtask.primitive is Primitive.MOVE else subtask.place
 

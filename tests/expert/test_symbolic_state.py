@@ -1,4 +1,4 @@
-"""What the planner knows of the world: what lies where and on what."""
+"""The planner's state: poses of objects and their supports."""
 
 import math
 

@@ -165,7 +165,7 @@ def test_lead_moves_the_reference_and_leads_the_servos(arm: ArmMotion) -> None:
     expected = arm.state[0] + arm.robot.arm.lag_s * arm.state[1]
     assert commands[1, arm.robot.ctrl] == pytest.approx(expected, abs=1e-12)
     assert (commands[:, arm.robot.gripper_ctrl] == arm.opening_m).all()
-    # What the other arm's servos are told is not touched.
+    # Commands of the other arm's servos are not touched.
     assert (commands == -1.0).sum() == 2 * 7
     run(arm, 4.0)
     arm.aim(pose, posture)

@@ -1,4 +1,4 @@
-"""What falls off the table is lost: everybody says so, and nothing hangs."""
+"""An object that falls off the table is lost: every layer says so, and nothing hangs."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What an arm keeps clear of: the others and what lies around, not what it works on."""
+"""Obstacles of an arm: other arms and objects around, not the object it works on."""
 
 import numpy as np
 import pytest

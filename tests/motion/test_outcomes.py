@@ -1,4 +1,4 @@
-"""What cannot be done ends typed and explained, and leaves a valid world."""
+"""Impossible sub-tasks end with an outcome and a reason, and leave a valid world."""
 
 from collections.abc import Callable
 from dataclasses import replace

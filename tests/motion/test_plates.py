@@ -1,4 +1,4 @@
-"""What is pushed does not climb a pad, and what is dragged into a gap falls: tried."""
+"""A pushed cube does not climb a pad, and one that is dragged into a gap falls."""
 
 import math
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""What robots could do at most: no posture of any arm breaks the bound."""
+"""Bounds of reach: no posture of any arm breaks them."""
 
 import math
 

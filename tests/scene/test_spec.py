@@ -1,4 +1,4 @@
-"""What a scene may consist of, and what is said of one that may not be."""
+"""Valid scenes, and errors for invalid ones."""
 
 import math
 

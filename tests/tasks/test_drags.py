@@ -46,7 +46,7 @@ def near(a: Pose2, b: Pose2, tolerance: float = 1e-9) -> bool:
 
 
 def robot(arm: str) -> RobotPlacement:
-    """Who drags; the base stands where there is room ahead for the longest drags."""
+    """The robot that drags; its base has room ahead for the longest drags."""
     return RobotPlacement(arm, "red", BASE)
 
 

@@ -35,7 +35,7 @@ ON_PAD = On("red_cube", "white_pad")
 ON_CUBE = On("red_cube", "blue_cube")
 angles = st.floats(-math.pi, math.pi)
 PRESS = 1e-5
-"""What lies on something is so much in it [m]: contacts are soft."""
+"""Depth of an object in its support [m]: contacts are soft."""
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """Sampled tables: nothing overlaps, all is seen, nobody can do another's part.
 
-Who could do what is computed here from the bound alone, without the code that samples.
+Reachable sets are computed here from the bound alone, without the code that samples.
 """
 
 import math
@@ -44,7 +44,7 @@ def of_test_split(task: str) -> list[Instance]:
 
 
 def boxes(placed: ObjectPlacement) -> list[Box]:
-    """What a cube or the stick covers."""
+    """Outline of a cube or the stick."""
     half = STICK_SECTION_M / 2
     if placed.kind == "cube":
         return [(placed.pose, CUBE_EDGE_M / 2, CUBE_EDGE_M / 2)]
@@ -148,7 +148,7 @@ def cannot(robot: RobotPlacement, placed: ObjectPlacement) -> bool:
     """Whether no posture of a robot touches a thing, nor puts anything on it."""
     could = could_of(robot.arm)
     rim = min(math.dist(point, robot.base.xy) for point in outline(placed))
-    # What lies on a pad has its middle above it, on a cube too.
+    # An object on a pad or a cube has its middle above it.
     support = {"pad": PAD_RADIUS_M, "cube": CUBE_EDGE_M / 2, "stick": 0.0}[placed.kind]
     middle = robot.base.distance(placed.pose) if support else math.inf
     # 3 cm of margin, of which discs around what is square take nothing away.

@@ -24,7 +24,7 @@ FROZEN = files("lemma.tasks") / "frozen"
 LISTS = [(task, split) for task in SUITE for split in SPLITS]
 TEAM_TYPES = {"ur5+ur5", "ur5+ur10", "ur10+ur10"}
 TOOL_TASKS = ("poke", "poke_stack", "hook", "hook_stack")
-# What the goal and the tool need, and the most objects that the paper names.
+# Objects of the goal and the tool, and the most objects that the paper names.
 OBJECTS = {
     "pass": (2, 6),
     "pass2": (4, 8),
@@ -222,7 +222,7 @@ def test_instructions_ask_for_the_goal_and_name_no_distractor(
 
 @pytest.mark.parametrize("task", SUITE)
 def test_one_instruction_may_mean_different_roles(task: str) -> None:
-    """Who must do what cannot be told from the words: either robot may begin."""
+    """The words do not tell the allocation: either robot may begin."""
     roles: dict[str, set[bool]] = {}
     for instance in instances(task, "train"):
         first = instance.goal.entities[0]

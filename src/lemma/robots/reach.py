@@ -58,7 +58,7 @@ class Reach:
     def hold_margin(self, base: Pose2, x: float, y: float) -> float:
         """Return how far inside the ring in which it holds things low [m].
 
-        What was lifted elsewhere may be held, pushed and let go there.
+        An object that was lifted elsewhere may be held, pushed and let go there.
         """
         r = math.hypot(x - base.x, y - base.y)
         return min(r - self.inner_m, self.grasp_m - r)

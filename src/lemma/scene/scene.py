@@ -260,7 +260,7 @@ class Scene:
             qpos: The positions of all joints, (nq,).
 
         Returns:
-            What is good until the next call.
+            Value that is good until the next call.
         """
         self._posed.qpos[:] = qpos
         _derive(self.model, self._posed)

@@ -45,7 +45,7 @@ def stands_on_a_face(scene: Scene, name: str) -> bool:
 def carries_alone(scene: Scene, bottom: str, top: str) -> bool:
     """Whether an object lies on another one, and nothing else touches it from anywhere.
 
-    What lies on the upper one in turn may touch it from above. No robot may touch
+    Objects on the upper one may touch it from above. No robot may touch
     either of them; a bottom that is fixed to the table may be touched.
 
     Args:

@@ -1,6 +1,6 @@
 """Blind instructions: sound, drawn for evaluation alone, and read by nothing else.
 
-What fails here prints no sentence: whoever works on a reader may run these tests.
+Failures here print no sentence, so that developers of a reader may run these tests.
 """
 
 import ast

@@ -33,7 +33,7 @@ def resting_quaternion(yaw: float) -> tuple[float, float, float, float]:
 def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBody:
     """Add one object to the world body, lying on the table.
 
-    What is not fixed to the table is a free body with a joint of the same name.
+    An object that is not fixed to the table is a free body with a joint of its name.
 
     Args:
         spec: The scene that is being built, with angles in radians.
