@@ -1,4 +1,4 @@
-"""An object that falls off the table is lost: every layer says so, and nothing hangs."""
+"""An object that falls off the table is lost: all layers say so, and nothing hangs."""
 
 import math
 

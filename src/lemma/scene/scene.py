@@ -260,7 +260,7 @@ class Scene:
             qpos: The positions of all joints, (nq,).
 
         Returns:
-            Value that is good until the next call.
+            Derived poses, valid until the next call.
         """
         self._posed.qpos[:] = qpos
         _derive(self.model, self._posed)
