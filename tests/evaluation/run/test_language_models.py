@@ -72,7 +72,7 @@ def test_counts_stand_in_lines_and_in_the_summary(recorded: Path) -> None:
 
 @pytest.mark.parametrize(("workers", "mode"), [(1, "strict"), (2, "replay")])
 def test_replay_gives_the_same_bytes_without_a_server(
-    tmp_path: Path, recorded: Path, workers: int, mode: str
+    tmp_path: Path, recorded: Path, workers: int, mode: Any
 ) -> None:
     cassette = recorded / "c.jsonl"
     before = cassette.read_bytes()

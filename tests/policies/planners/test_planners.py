@@ -219,7 +219,8 @@ def test_perception_decides_who_needs_the_truth(tmp_path: Path) -> None:
     truth = PolicySpec("llm:m", chat=options)
     assert truth.oracle
     assert truth.blind
-    for perception, oracle in (("truth", True), ("seen", False)):
+    sources: tuple[tuple[Any, bool], ...] = (("truth", True), ("seen", False))
+    for perception, oracle in sources:
         chat = replace(options, perception=perception)
         spec = PolicySpec("llm:m+reachnet", chat=chat)
         assert spec.oracle is oracle
@@ -258,7 +259,7 @@ def test_what_cannot_be_asked_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfigError, match="--planning"):
         PolicySpec("llm:m", "multi-step", chat=ChatOptions(base_url=url)).load()
     with pytest.raises(UnknownNameError, match="strict"):
-        ChatOptions(cassette_mode="stric")
+        ChatOptions(cassette_mode="stric")  # type: ignore[arg-type]
     with pytest.raises(InvalidConfigError, match="at least 1"):
         ChatOptions(tries=0)
 
