@@ -70,7 +70,10 @@ def test_counts_stand_in_lines_and_in_the_summary(recorded: Path) -> None:
     assert "127.0.0.1" not in json.dumps(about)
 
 
-@pytest.mark.parametrize(("workers", "mode"), [(1, "strict"), (2, "replay")])
+@pytest.mark.parametrize(
+    ("workers", "mode"),
+    [(1, "strict"), pytest.param(2, "replay", marks=pytest.mark.slow)],
+)
 def test_replay_gives_the_same_bytes_without_a_server(
     tmp_path: Path, recorded: Path, workers: int, mode: Any
 ) -> None:
