@@ -1,4 +1,5 @@
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -30,12 +31,21 @@ def test_show_writes_one_picture(
     assert len(np.unique(pixels, axis=0)) > 2000
 
 
-@pytest.mark.parametrize("name", ["picture", "picture.xyz", ""])
+@pytest.mark.parametrize("name", ["picture", "picture.xyz", "", "file/x.png"])
 def test_name_that_is_no_picture_is_refused(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    (tmp_path / "file").touch()
     assert lemma("show", "pass", "--out", tmp_path / name) == 2
-    assert "picture" in capsys.readouterr().err
+    assert re.search("picture|is a file", capsys.readouterr().err)
+
+
+def test_demo_needs_a_folder_for_its_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert lemma("demo", "pass", "--out", tmp_path / "file") == 2
+    assert "cannot be a folder" in capsys.readouterr().err
 
 
 @pytest.mark.render
@@ -52,7 +62,7 @@ def test_table_with_one_robot_or_one_sentence_is_shown(
     assert lemma("show", "--instance", own, "--out", path) == 0
     told = capsys.readouterr().out
     assert "Stack [them]" in told
-    assert ("There are 1 robots" in told) == (robots == 1)
+    assert ("this one has 1" in told) == (robots == 1)
     assert str(path) in told
     assert path.exists()
 

@@ -51,7 +51,7 @@ def problems(instance: Instance) -> tuple[str, ...]:
     task = TASKS[instance.task]
     robots = len(instance.scene.robots)
     if robots < 2:
-        return (f"There are {robots} robots, and the sampler sets tables for two.",)
+        return (f"The sampler sets tables for two robots, and this one has {robots}.",)
     crowded = tuple(_crowded(instance))
     found: tuple[str, ...] | None = None
     for placer, goal in _ways(instance, task):

@@ -20,6 +20,9 @@ def check_picture_path(path: Path) -> None:
         raise InvalidConfigError(
             f"{path} is a folder. Name a file, such as {path / 'picture.png'}."
         )
+    above = next(parent for parent in path.absolute().parents if parent.exists())
+    if not above.is_dir():
+        raise InvalidConfigError(f"{above} is a file, so {path} cannot be written.")
     if path.suffix.lower() not in _FORMATS:
         raise InvalidConfigError(
             f"{path} does not end like a picture. Valid endings: {', '.join(_FORMATS)}."

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lemma.core.engine import mujoco
+from lemma.core.files import write_text
 from lemma.core.version import VERSION as __version__
 from lemma.core.workers.pool import ProcessPool
 from lemma.scene.rendering.renderer import Renderer
@@ -59,7 +60,7 @@ def write_page(
         replays=replays or {},
         footer=f"Written by lemma {__version__} with MuJoCo {mujoco.__version__}.",
     )
-    path.write_text(page, encoding="utf-8")
+    write_text(path, page)
 
 
 def _card(recording: Recording, illustration: Illustration) -> dict[str, object]:
@@ -92,11 +93,10 @@ def illustrate_all(
 
     Args:
         recordings: With frames.
-        folder: Where the videos go; made if need be.
+        folder: Where the videos go.
         style: Size and pace of the videos.
         on_video: Called with every video as soon as it is written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     # The longest first, so that no core waits for it at the end.
     order = sorted(recordings, key=lambda recording: -recording.elapsed_s)
     jobs = [(recording, folder, style) for recording in order]
