@@ -1,30 +1,109 @@
-"""Write docs/results.md, and the table in README.md, from the results in results/.
+"""Write the pages and tables of results, and the table in README.md, from results/.
 
-Run from the repository: ``python scripts/results.py``. Without results, the page and
-the README say that nothing was run.
+Run from the repository: ``python scripts/results.py``. It writes docs/results.md with
+its figure, a page for each topic and a CSV file for each table in docs/results/.
+Without results, the page and the README say that nothing was run.
 """
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
+from lemma.core.tables import Table
+from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.experiments.catalog import SUITES
+from lemma.evaluation.report import success_tables
 from lemma.evaluation.report.learning_curves import read_curves
 from lemma.evaluation.report.policy_results import (
     PolicyResults,
     entries_of,
+    mean_cell,
+    pooled,
     read_results,
+    shown,
 )
-from lemma.evaluation.report.sections import HOW, page, protocol_words, sample_words
-from lemma.evaluation.report.success_tables import at_a_glance
+from lemma.evaluation.report.sections import (
+    HOW,
+    TOPICS,
+    Section,
+    protocol_words,
+    sample_words,
+    sections,
+)
+from lemma.evaluation.report.tables import words
+from lemma.tasks.suite import SUITE
+from lemma.viz.pages.report_figures import headline_figure
+from lemma.viz.plots import standalone
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
-PAGE = ROOT / "docs" / "results.md"
+DOCS = ROOT / "docs"
+PAGE = DOCS / "results.md"
+FOLDER = DOCS / "results"
+FIGURE = DOCS / "images" / "results.svg"
 README = ROOT / "README.md"
 BEGIN, END = "<!-- results -->\n", "<!-- /results -->\n"
 NOTHING = (
     "There are no results of this version yet. `lemma reproduce all` makes them from "
     "weights\nthat ship, `lemma reproduce all --print` says how those are trained.\n"
 )
+TITLES = dict(
+    zip(
+        TOPICS,
+        (
+            "Success in all tables",
+            "Controls, control level, ablations",
+            "Why episodes fail",
+            "How each row is made",
+        ),
+        strict=True,
+    )
+)
+BY_TASK = ": losses by task"
+"""Ends the titles of tables that are too long for a page."""
+_PAGE = """\
+# Results
+
+{protocol} {sample}
+
+![Success by task, high-level instructions](images/results.svg)
+
+*High-level instructions, strict: the first sub-task that the chosen robot cannot do
+ends the episode. Whiskers: 95 % intervals of one training seed, else one standard
+deviation over the seeds. Strokes: the figures of the paper, on another simulator.*
+
+## Mean over the tasks
+
+{glance}
+With one training seed: the rate and its 95 % Wilson interval over the episodes. With
+several: mean ± standard deviation over the seeds. *Lenient*: the same episodes, where
+the policy is told that a robot cannot do a sub-task, and goes on. *Paper*: as printed
+there, on Isaac Sim with its own scenes and sentences, so the same row is the same kind
+of policy and not the same experiment. [](evaluation.md) says what a number is.
+
+## Which task is hard for whom
+
+High-level instructions, strict.
+
+{tasks}
+## Why episodes fail
+
+All kinds of instructions and all seeds; strict.
+[](evaluation.md#why-an-episode-failed) defines the causes.
+
+{causes}
+## All tables
+
+{links}
+```{{toctree}}
+:hidden:
+
+{toctree}
+```
+
+This page is written by `python scripts/results.py` from the files in `results/` and
+from nothing else. `lemma reproduce NAME` makes a row.
+"""
 
 
 def entries(results: Path = RESULTS) -> list[PolicyResults]:
@@ -33,26 +112,128 @@ def entries(results: Path = RESULTS) -> list[PolicyResults]:
     return entries_of(found, complete=True)
 
 
-def text(results: Path = RESULTS) -> str:
-    """Return the page."""
-    told = "the files in `results/`"
-    curves = read_curves(results)
-    return page(entries(results), source=told, guide="[](evaluation.md)", curves=curves)
+def pages(results: Path = RESULTS) -> dict[Path, str]:
+    """Return all that is written below docs, by file."""
+    every = entries(results)
+    found = [
+        section
+        for section in sections(every, "[](../evaluation.md)", read_curves(results))
+        if section.table.rows
+    ]
+    played = _headliners(every)
+    written = {PAGE: _front(every, played, found)}
+    for topic in TOPICS:
+        of_topic = [section for section in found if section.topic == topic]
+        written[FOLDER / f"{topic}.md"] = _topic_page(topic, of_topic)
+    for section in found:
+        written[FOLDER / f"{section.name}.csv"] = section.table.csv()
+    if played:
+        figure = standalone(headline_figure(played).svg)
+        # Its words are dark, and pages may be, too.
+        begin, end, rest = figure.partition(">")
+        white = '<rect width="100%" height="100%" fill="#ffffff"/>'
+        written[FIGURE] = f"{begin}{end}{white}{rest}"
+    return written
+
+
+def _front(
+    every: Sequence[PolicyResults],
+    played: Sequence[PolicyResults],
+    found: Sequence[Section],
+) -> str:
+    links = [
+        f"- [](results/{topic}.md): "
+        + "; ".join(
+            f"{section.title} ([CSV](results/{section.name}.csv))"
+            for section in found
+            if section.topic == topic
+        )
+        for topic in TOPICS
+    ]
+    return _PAGE.format(
+        protocol=protocol_words(every, f"[{HOW}](results/rows.md)"),
+        sample=sample_words(played),
+        glance=success_tables.at_a_glance(played).markdown() if played else NOTHING,
+        tasks=_by_task(played).markdown(),
+        causes=_causes(played).markdown(),
+        links="\n".join(links) + "\n",
+        toctree="\n".join(f"results/{topic}" for topic in TOPICS),
+    )
+
+
+def _topic_page(topic: str, found: Sequence[Section]) -> str:
+    text = f"# {TITLES[topic]}\n\n[](../results.md) says how to read these tables.\n"
+    samples = {section.sample for section in found}
+    if len(samples) == 1 and any(samples):
+        text += f"{samples.pop()}\n"
+    for section in found:
+        if section.title.endswith(BY_TASK):
+            continue
+        note = section.note if len(samples) < 2 else section.caption
+        body = "\n\n".join(filter(None, (note, section.table.markdown())))
+        text += f"\n## {section.title}\n\n{body}"
+    long = [section for section in found if section.title.endswith(BY_TASK)]
+    if long:
+        listed = ", ".join(
+            f"[{section.title.removesuffix(BY_TASK)}]({section.name}.csv)"
+            for section in long
+        )
+        text += f"\n## Causes by task\n\nAs CSV: {listed}.\n"
+    return text
+
+
+def _headliners(every: Sequence[PolicyResults]) -> list[PolicyResults]:
+    """Return those that are compared first: rows of the paper, and ours."""
+    return [
+        entry
+        for entry in every
+        if entry.results
+        and (entry.experiment is None or entry.experiment.suite in SUITES[:2])
+    ]
+
+
+def _by_task(played: Sequence[PolicyResults]) -> Table:
+    rows = [
+        (
+            entry.title,
+            *(shown(entry.select("high_level", task=task), pooled) for task in SUITE),
+            mean_cell(entry, "high_level"),
+        )
+        for entry in played
+    ]
+    return Table(("success [%]", *SUITE, "mean"), tuple(rows))
+
+
+def _causes(played: Sequence[PolicyResults]) -> Table:
+    rows = []
+    for entry in played:
+        counted: Counter[str] = Counter()
+        for result in entry.results:
+            for loss in result.losses:
+                counted[loss.cause] += loss.episodes
+        total = sum(c.episodes for result in entry.results for c in result.cells)
+        shares = [f"{100 * counted[cause] / total:.1f}" for cause in Cause]
+        rows.append((entry.title, f"{100 * counted.total() / total:.1f}", *shares))
+    used = [
+        number
+        for number in range(2 + len(Cause))
+        if number < 2 or any(row[number] != "0.0" for row in rows)
+    ]
+    header = ("share of episodes [%]", "failed", *(words(cause) for cause in Cause))
+    return Table(
+        tuple(header[number] for number in used),
+        tuple(tuple(row[number] for number in used) for row in rows),
+    )
 
 
 def headline(results: Path = RESULTS) -> str:
     """Return what the README says of results: rows of the paper, and ours."""
-    played = [
-        entry
-        for entry in entries(results)
-        if entry.results
-        and (entry.experiment is None or entry.experiment.suite in SUITES[:2])
-    ]
+    played = _headliners(entries(results))
     if not played:
         return NOTHING
-    how = f"[{HOW}](docs/results.md#{'-'.join(HOW.lower().split())})"
-    told = f"{protocol_words(played, how)} {sample_words(played)}".strip()
-    return f"{told}\n\n{at_a_glance(played).markdown()}"
+    told = protocol_words(played, f"[{HOW}](docs/results/rows.md)")
+    table = success_tables.at_a_glance(played).markdown()
+    return f"{f'{told} {sample_words(played)}'.strip()}\n\n{table}"
 
 
 def readme(results: Path = RESULTS) -> str:
@@ -64,6 +245,16 @@ def readme(results: Path = RESULTS) -> str:
     return f"{before}{BEGIN}{headline(results)}{END}{after}"
 
 
-if __name__ == "__main__":
-    PAGE.write_text(text(), encoding="utf-8")
+def main() -> None:
+    """Write everything; tables that are no more are removed."""
+    FOLDER.mkdir(exist_ok=True)
+    written = pages()
+    for old in {*FOLDER.glob("*.csv"), *FOLDER.glob("*.md")} - set(written):
+        old.unlink()
+    for path, text in written.items():
+        path.write_text(text, encoding="utf-8")
     README.write_text(readme(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -40,15 +40,15 @@ def test_they_stand_in_a_table_of_their_own_with_what_was_not_run() -> None:
 
 def test_a_result_of_all_their_tasks_is_no_sample() -> None:
     whole = result(3, experiment=NAME, tasks=CONTROL_TASKS, episodes=60)
-    assert not any("ample" in one.note for one in sections(entries_of([whole])))
+    assert not any("ample" in one.caption for one in sections(entries_of([whole])))
     part = result(3, experiment=NAME, tasks=CONTROL_TASKS)
-    assert any("A sample:**" in one.note for one in sections(entries_of([part])))
+    assert any("A sample:**" in one.caption for one in sections(entries_of([part])))
 
 
 def test_a_sample_is_of_their_own_tasks() -> None:
     part = result(3, experiment=NAME, tasks=CONTROL_TASKS)
     whole = result(5, tasks=SUITE, episodes=60)
-    notes = {one.title: one.note for one in sections(entries_of([whole, part]))}
+    notes = {one.title: one.caption for one in sections(entries_of([whole, part]))}
     names = ", ".join(CONTROL_TASKS)
     words = f"10 of 60 episodes of each of 4 of the eight tasks ({names})"
     assert notes.pop(CONTROL).endswith(f"**A sample:** {words}.")

@@ -30,6 +30,14 @@ from lemma.tasks.suite import SUITE
 
 REPORT = "results.md"
 NONE: Mapping[str, LearningCurve] = {}
+SUCCESS, CONTROLS, DIAGNOSES, ROWS = TOPICS = (
+    "success",
+    "controls",
+    "diagnoses",
+    "rows",
+)
+"""Success as in the paper and with other sentences; controls, control level and
+ablations; causes of failure; how rows are made."""
 CONTROL = "Control level"
 """Title of the table of policies that answer motor commands."""
 _LIMITED = " (a time limit ended the training: nobody can repeat it)"
@@ -68,6 +76,15 @@ class Section:
     note: str
     """In Markdown; may be empty."""
     table: Table
+    topic: str
+    """What it is about, one of :data:`TOPICS`."""
+    sample: str = ""
+    """Of how many episodes it is, if not of all; in Markdown."""
+
+    @property
+    def caption(self) -> str:
+        """The note, and of how many episodes the table is."""
+        return f"{self.note} {self.sample}".strip()
 
     @property
     def name(self) -> str:
@@ -115,27 +132,24 @@ def sections(
         guide: The page about evaluation, as notes name it.
         curves: By experiment.
     """
-    every = (
-        *_paper_sections(entries),
-        *_own_sections(entries, guide),
-        *_diagnoses(entries, guide),
-    )
+    every = {
+        SUCCESS: (*_paper_sections(entries), *_unseen_sections(entries)),
+        CONTROLS: _control_sections(entries, guide),
+        DIAGNOSES: _diagnoses(entries, guide),
+    }
     control = [one for one in entries if is_control_level(one)]
     others = [one for one in entries if not is_control_level(one)]
     sample, samples = sample_words(others), {CONTROL: sample_words(control)}
-    return [
-        *(
-            Section(title, f"{note} {samples.get(title, sample)}".strip(), table)
-            for title, note, table in every
-        ),
-        Section(
-            "Learning curves",
-            "Of the policies at control level: checkpoints on episodes of split `val`, "
-            "strict.",
-            learning_curves(curves),
-        ),
-        _provenance(entries),
+    found = [
+        Section(title, note, table, topic, samples.get(title, sample))
+        for topic, listed in every.items()
+        for title, note, table in listed
     ]
+    note = "Of the policies at control level: checkpoints on episodes of split `val`, "
+    curve = Section(
+        "Learning curves", f"{note}strict.", learning_curves(curves), CONTROLS
+    )
+    return [*found, curve, _provenance(entries)]
 
 
 def _paper_sections(
@@ -173,10 +187,10 @@ def _paper_sections(
         )
 
 
-def _own_sections(
-    entries: Sequence[PolicyResults], guide: str
+def _unseen_sections(
+    entries: Sequence[PolicyResults],
 ) -> Iterator[tuple[str, str, Table]]:
-    """Yield title, note and table of what the paper does not have."""
+    """Yield title, note and table of sentences that the paper does not have."""
     yield (
         "Unseen templates",
         "Sentences of templates that training never sees; not in the paper.",
@@ -188,6 +202,12 @@ def _own_sections(
         "results, and which no part of a policy was made with; not in the paper.",
         success_tables.by_task(entries, "blind"),
     )
+
+
+def _control_sections(
+    entries: Sequence[PolicyResults], guide: str
+) -> Iterator[tuple[str, str, Table]]:
+    """Yield title, note and table of controls, control level and ablations."""
     yield (
         "Other sentences",
         "How much a policy needs the sentence: success at the goal of the instance "
@@ -250,9 +270,8 @@ def _diagnoses(
 
 
 def _written(section: Section) -> str:
-    title, note, table = section.title, section.note, section.table
-    body = table.markdown()
-    return f"\n## {title}\n\n{note}\n\n{body}" if note else f"\n## {title}\n\n{body}"
+    body = "\n\n".join(filter(None, (section.caption, section.table.markdown())))
+    return f"\n## {section.title}\n\n{body}"
 
 
 def _is_detailed(entry: PolicyResults) -> bool:
@@ -391,4 +410,5 @@ def _provenance(entries: Iterable[PolicyResults]) -> Section:
         f"Reported models are trained with seeds {', '.join(map(str, SEEDS))}; "
         "the weights of the first ship.",
         Table(header, tuple(rows), labels=3),
+        ROWS,
     )

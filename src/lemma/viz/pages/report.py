@@ -23,6 +23,7 @@ from lemma.evaluation.report.episodes import (
 )
 from lemma.evaluation.report.policy_results import PolicyResults
 from lemma.evaluation.report.sections import (
+    SUCCESS,
     Section,
     protocol_words,
     sample_words,
@@ -112,7 +113,9 @@ def failures_page(found: Findings) -> str:
 
 def glance(entries: Sequence[PolicyResults]) -> Section:
     """Return the mean success of every policy with every kind of instructions."""
-    return Section("At a glance", sample_words(entries), at_a_glance(entries))
+    return Section(
+        "At a glance", "", at_a_glance(entries), SUCCESS, sample_words(entries)
+    )
 
 
 def failures_data(found: Findings) -> dict[str, Any]:

@@ -43,6 +43,11 @@ def figures_of(entries: Sequence[PolicyResults]) -> list[Figure]:
     return [figure for kind in EVALUATION_KINDS for figure in _of_kind(shown, kind)]
 
 
+def headline_figure(entries: Sequence[PolicyResults]) -> Figure:
+    """Return success by task with high-level instructions; at least one has some."""
+    return next(_of_kind(entries, EVALUATION_KINDS[0]))
+
+
 def write_figures(folder: Path, figures: Iterable[Figure]) -> None:
     """Write each figure as an SVG file that needs nothing else."""
     for figure in figures:
