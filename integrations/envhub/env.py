@@ -1,4 +1,4 @@
-"""LEMMA Bench for EnvHub: what a repository on the Hub holds, besides a README.
+"""LEMMA Bench for EnvHub: the code of a repository on the Hub.
 
 It needs ``pip install lemma-bench lerobot_env_lemma``.
 """

@@ -35,18 +35,18 @@ from lemma.tasks.language.vector import sentence_vector
 from lemma.tasks.names import SUITE
 
 STATE = "agent_pos"
-"""What lerobot calls the state in an environment's observation."""
-TOLD = "environment_state"
-"""What lerobot calls what else is told in numbers."""
+"""Key of the state in an observation, by lerobot's convention."""
+ENV_STATE = "environment_state"
+"""Key of the other numbers in an observation, by lerobot's convention."""
 TEAM = robot_names(2)
 MEASURED = ("agent_pos", "tcp_pose", "base_pose")
-"""What a state is computed from."""
+"""Observations that a state is computed from."""
 FIRST_SEED = 1000
-"""With which lerobot-eval begins: there it is the first instance."""
+"""The first seed of lerobot-eval, which is the first instance."""
 
 
 class LeRobotNames(gym.ObservationWrapper):
-    """What a flat view observes, under the names that lerobot looks for."""
+    """A flat view with the names that lerobot looks for."""
 
     def __init__(self, env: gym.Env) -> None:
         """Rename the spaces as well."""
@@ -66,7 +66,7 @@ class LeRobotNames(gym.ObservationWrapper):
         }
         found = {STATE: observation[OBS_STATE]}
         if OBS_ENV_STATE in list(observation):
-            return {**found, TOLD: observation[OBS_ENV_STATE]}
+            return {**found, ENV_STATE: observation[OBS_ENV_STATE]}
         return {**found, "pixels": pixels}
 
 
@@ -83,7 +83,7 @@ class MotorState(gym.ObservationWrapper):
         super().__init__(env)
         self._control = control
         self.state_names = tuple(motor_names(control, TEAM))
-        """What each number of the state is: ``robot_0.gripper``."""
+        """Name of each number of the state: ``robot_0.gripper``."""
         assert isinstance(env.observation_space, gym.spaces.Dict)
         shape = (len(self.state_names),)
         self.observation_space = gym.spaces.Dict(
@@ -94,7 +94,7 @@ class MotorState(gym.ObservationWrapper):
         )
 
     def observation(self, observation: Any) -> dict[str, Any]:
-        """Return what was observed, with that state."""
+        """Return the observation with that state."""
         parts = np.split(observation[OBS_STATE], len(MEASURED))
         measured = dict(zip(MEASURED, parts, strict=True))
         state = motor_state(self._control, measured).ravel()
@@ -110,13 +110,13 @@ class SentenceVector(gym.ObservationWrapper):
         space = gym.spaces.Box(-1.0, 1.0, (SENTENCE_NUMBERS,), np.float32)
         assert isinstance(env.observation_space, gym.spaces.Dict)
         self.observation_space = gym.spaces.Dict(
-            {**env.observation_space.spaces, TOLD: space}
+            {**env.observation_space.spaces, ENV_STATE: space}
         )
 
     def observation(self, observation: Any) -> dict[str, Any]:
-        """Return what was observed, and the sentence."""
-        said = sentence_vector(self.env.get_wrapper_attr("task_description"))
-        return {**observation, TOLD: said}
+        """Return the observation and the sentence."""
+        sentence = self.env.get_wrapper_attr("task_description")
+        return {**observation, ENV_STATE: sentence_vector(sentence)}
 
 
 def make_one(
@@ -130,8 +130,8 @@ def make_one(
     Args:
         task: Name of the task.
         options: Fields of :class:`lemma.env.config.EnvConfig`.
-        environment_state: What else is told in numbers: the sentence, or, instead of
-            pictures, the truth.
+        environment_state: Numbers beside the pictures: the sentence; or instead of
+            pictures: the truth.
         control: The control mode.
     """
     env = lemma.make(
@@ -151,7 +151,7 @@ def make_one(
 @EnvConfig.register_subclass("lemma")
 @dataclass
 class LemmaEnvConfig(EnvConfig):
-    """What ``--env.NAME=...`` sets."""
+    """The options ``--env.NAME=...``."""
 
     task: str | None = "all"
     """Names of tasks, separated by commas, or all."""
@@ -160,7 +160,7 @@ class LemmaEnvConfig(EnvConfig):
     split: str = "test"
     """Where instances come from, one after the other: seed 1000 is the first."""
     instruction: str = "high_level"
-    """Which sentence is said: high_level, human, unseen or blind."""
+    """Kind of sentence: high_level, human, unseen or blind."""
     cameras: str = "robot_0,robot_1"
     """Names of cameras, separated by commas: also overview, robot_0_wrist."""
     width: int = CAMERA_WIDTH_PX
@@ -168,11 +168,9 @@ class LemmaEnvConfig(EnvConfig):
     height: int = CAMERA_HEIGHT_PX
     """Height of camera images [px]."""
     environment_state: str = NONE
-    """What else is told in numbers, none, sentence, or, instead of pictures,
-    privileged: that of the training data."""
+    """As in the training data: none, sentence, or, instead of pictures, privileged."""
     control: str = JOINT_POSITION
-    """What actions command, joint_position or ee_waypoint_rot6d: that of the training
-    data."""
+    """Control mode, as in the training data: joint_position or ee_waypoint_rot6d."""
     render_width: int = 320
     """Width of the pictures of videos [px]; drawn at every step."""
     render_height: int = 180
@@ -180,12 +178,12 @@ class LemmaEnvConfig(EnvConfig):
     horizon_s: float = HORIZON_S
     """Simulated time after which an episode ends [s]."""
     features: dict[str, PolicyFeature] = field(default_factory=dict)
-    """Filled in from what is above."""
+    """Filled in from the fields above."""
     features_map: dict[str, str] = field(default_factory=dict)
     """Filled in as well."""
 
     def __post_init__(self) -> None:
-        """Say what is observed and what an action is."""
+        """Fill in the features."""
         known("environment state", self.environment_state, ENVIRONMENT_STATES)
         known("control mode of data sets", self.control, MOTOR_CONTROLS)
         row = (len(motor_names(self.control, TEAM)),)
@@ -198,14 +196,14 @@ class LemmaEnvConfig(EnvConfig):
             for name in _listed(self.cameras):
                 seen = PolicyFeature(FeatureType.VISUAL, image)
                 self.features[f"{OBS_IMAGES}.{name}"] = seen
-        told = {
+        sizes = {
             SENTENCE: SENTENCE_NUMBERS,
             PRIVILEGED: len(truth_names(TEAM)),
         }
         if self.environment_state != NONE:
-            shape = (told[self.environment_state],)
-            self.features[TOLD] = PolicyFeature(FeatureType.ENV, shape)
-        named = {STATE: OBS_STATE, TOLD: OBS_ENV_STATE}
+            shape = (sizes[self.environment_state],)
+            self.features[ENV_STATE] = PolicyFeature(FeatureType.ENV, shape)
+        named = {STATE: OBS_STATE, ENV_STATE: OBS_ENV_STATE}
         self.features_map = {name: named.get(name, name) for name in self.features}
 
     @property
@@ -232,11 +230,11 @@ class LemmaEnvConfig(EnvConfig):
         """
         found = {}
         for task in SUITE if self.task in (None, "all") else _listed(self.task):
-            told = self.environment_state, self.control
-            maker = partial(make_one, task, self.gym_kwargs, *told)
+            style = self.environment_state, self.control
+            maker = partial(make_one, task, self.gym_kwargs, *style)
             makers = [maker] * n_envs
             if use_async_envs and n_envs > 1:
-                # Processes start when their task's turn comes.
+                # Its processes start when the first episode of the task begins.
                 found[task] = {0: _LazyAsyncVectorEnv(makers)}
             else:
                 frozen = [freeze_after_episode_end(maker) for maker in makers]

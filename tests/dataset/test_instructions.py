@@ -88,7 +88,7 @@ def test_whatever_is_drawn_is_for_training(
 
 @pytest.mark.parametrize("task", SUITE)
 def test_the_check_knows_a_held_out_sentence(task: str) -> None:
-    # So that the tests around this one can fail.
+    # Checks that the tests around this one can fail.
     pairs = load_instance(task, "train", 9).goal.pairs
     for template in templates(task, "unseen"):
         sentence = template.render(pairs)

@@ -108,7 +108,7 @@ def test_frames_are_those_of_a_lerobot_data_set(file: Path) -> None:
 def test_files_of_a_folder_are_found(file: Path, tmp_path: Path) -> None:
     assert files_in(file) == files_in(file.parent) == [file]
     assert files_in(tmp_path) == []
-    # Whatever else is JSON, or is not, is none: results, tables, pages.
+    # Other files are none: results, tables, pages.
     (tmp_path / "seed-0.json").write_text("{}")
     (tmp_path / "page.json").write_bytes(b"\xff")
     assert files_in(tmp_path) == files_in(tmp_path / "page.json") == []

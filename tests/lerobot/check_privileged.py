@@ -26,7 +26,7 @@ from lemma.env.observation import truth_names
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.control.interfaces import ControlInput
 
-TOLD = "observation.environment_state"
+ENV_STATE = "observation.environment_state"
 NAMES = truth_names(("robot_0", "robot_1"))
 
 
@@ -47,13 +47,13 @@ def oracle() -> Path:
 
 def test_it_holds_the_truth_by_name_and_no_pictures() -> None:
     info = json.loads((export() / "meta/info.json").read_text())
-    assert info["features"][TOLD]["names"] == NAMES
+    assert info["features"][ENV_STATE]["names"] == NAMES
     assert not any("images" in name for name in info["features"])
     assert not (export() / "videos").exists()
     module = import_module("lerobot.datasets.lerobot_dataset")
     frames = module.LeRobotDataset("lemma/numbers", root=export())
     assert frames.meta.total_episodes == len(TASKS)
-    assert frames[0][TOLD].shape == (len(NAMES),)
+    assert frames[0][ENV_STATE].shape == (len(NAMES),)
 
 
 def test_lerobot_eval_tells_it_too() -> None:
@@ -99,7 +99,7 @@ def test_nobody_is_told_the_truth_under_the_other_name(
 
 def test_what_has_eyes_as_well_is_refused() -> None:
     module = import_module("lemma.policies.control.lerobot")
-    shapes = STATE_AND_ACTION | {TOLD: (len(NAMES),)}
+    shapes = STATE_AND_ACTION | {ENV_STATE: (len(NAMES),)}
     eyes = {"observation.images.robot_0": (3, 48, 64)}
     options = {
         seen: {

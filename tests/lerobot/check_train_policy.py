@@ -249,13 +249,13 @@ def test_samples_stay_in_their_episode_and_repeat() -> None:
     assert first["action"].shape == (64, 10, 20)
     padded = first["action_is_pad"]
     assert padded.any()
-    # What lies behind the end is the last action again.
+    # Behind the end, the last action repeats.
     rows = first["action"][padded.any(1)]
     ends = padded[padded.any(1)].int().argmax(1)
     for row, end in zip(rows, ends.tolist(), strict=True):
         assert (row[end:] == row[end - 1]).all()
     decisive = seen.decisive()
-    # Of what is drawn anywhere, some is decisive by chance.
+    # Some of the other samples are decisive by chance.
     rows = seen.vectors["observation.state"]
     drawn = [
         int((rows == row).all(1).nonzero()[0]) for row in first["observation.state"]

@@ -37,7 +37,7 @@ EPISODES = 2
 EXPECTED = (
     "Using CPU, this will be slow",
     "No job name provided",
-    # What lerobot decodes videos with, if FFmpeg is not installed.
+    # The decoder of lerobot if FFmpeg is not installed.
     "torchcodec",
     "Auto-detected device",
     "device='cuda' is not available",
@@ -214,7 +214,7 @@ def test_recorded_actions_solve_the_task_in_lerobots_environment(task: str) -> N
     for robot in ("robot_0", "robot_1"):
         theirs = first[f"observation.images.{robot}"].numpy().transpose(1, 2, 0)
         ours = observed["pixels"][robot][0] / 255.0
-        # So small a picture loses much to the encoder, yet less than to a move.
+        # The encoder changes so small a picture much, yet less than a move does.
         assert -10 * math.log10(float(np.mean((ours - theirs) ** 2))) > 27
     said = []
     for number in range(row["dataset_from_index"], row["dataset_to_index"]):

@@ -1,4 +1,4 @@
-"""What is unpacked is what lerobot reads, and groups come to one data set."""
+"""Unpacked samples are those of lerobot, and groups become one data set."""
 
 import re
 import sys
@@ -103,7 +103,7 @@ def losses(told: str) -> list[str]:
 def test_pictures_of_another_export_are_not_taken_for_them(
     tmp_path: Path, pictures: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever exports again into the same folder has other videos of the same names."""
+    """A second export into the same folder has other videos of the same names."""
     root = tmp_path / "set"
     copytree(export(), root)
     first, second = sorted((root / "videos" / CAMERAS[0]).rglob("*.mp4"))[:2]

@@ -42,16 +42,16 @@ class GenerateOptions:
         float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")
     ] = None
     """Make recovery states instead of demonstrations: each sub-task goes wrong with
-    this probability, such as 0.3, and what the expert would do is recorded too."""
+    this probability, such as 0.3, and the expert's decision is recorded too."""
     perturb_seed: int = 0
-    """With --perturb: another one makes other mistakes in the same instances."""
+    """With --perturb: another seed makes other mistakes in the same instances."""
 
     def order(self, out: Path | None) -> GenerateConfig:
-        """Return what is to be written, and where.
+        """Return the settings, with the folder.
 
         Raises:
             InvalidConfigError: A seed has no use.
-            LemmaError: Something is wanted that there is not.
+            LemmaError: A name is unknown.
         """
         perturb = None
         if self.perturb is not None:
@@ -86,14 +86,14 @@ def generate(
 ) -> int:
     """Let the expert solve the frozen instances, and write what it did.
 
-    What is there already is kept, so the same command goes on where it was stopped.
+    Files that exist are kept, so the same command continues an interrupted run.
 
     Args:
         wanted: Which episodes.
         out: Folder of the recipe; data/lemma-v2 by default, and
             data/lemma-v2-recovery with --perturb.
         working: Where to work.
-        resume: Complete what is there; otherwise the folder must be empty.
+        resume: Complete an existing folder; otherwise it must be empty.
         as_json: Print one JSON object instead of a table.
     """
     order = wanted.order(out)
@@ -123,7 +123,7 @@ def generate(
 
 
 def figures(summary: GenerateSummary, workers: int) -> dict[str, float]:
-    """Return what a run came to, with rates."""
+    """Return the outcome of a run, with rates."""
     rate = summary.made / summary.seconds
     found = {**asdict(summary), "workers": workers, "episodes_per_s": rate}
     found["episodes_per_s_and_worker"] = rate / workers
@@ -131,7 +131,7 @@ def figures(summary: GenerateSummary, workers: int) -> dict[str, float]:
 
 
 def _print_comparison(others: list[str] | None) -> None:
-    """Say whether the folder holds what the authors' machine made, if it made it."""
+    """Say whether the episodes are equal to the published ones."""
     if others is None:
         return
     if not others:
@@ -146,7 +146,7 @@ def _print_comparison(others: list[str] | None) -> None:
 
 
 def _print_recovery(found: RecoveryFigures) -> None:
-    """Say what perturbed executions came to."""
+    """Print figures of perturbed executions."""
     mistakes = ", ".join(f"{kind} {count}" for kind, count in found.mistakes.items())
     output().print(
         f"{found.solved} of {found.episodes} episodes were solved in spite of "

@@ -31,13 +31,13 @@ Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
 """A recipe."""
 FormName = Literal["keyframes", "lerobot"]
 Make = Callable[[Engine, Callable[[int], None]], RenderSummary]
-"""Makes what is missing, given where to work and whom to tell how many are done."""
+"""Writes what is missing; the arguments are an engine and a listener for progress."""
 _ROWS = {"keyframes": "keyframes", "lerobot": "frames"}
 
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """What is made of which episodes."""
+    """Episodes and look."""
 
     tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
     """Names of tasks, separated by commas."""
@@ -52,8 +52,8 @@ class RenderOptions:
     no_depth: Flag = False
     """LeRobotDataset: leave depth out."""
     cameras: Annotated[str, tyro.conf.arg(metavar="CAMERA,...")] = ""
-    """LeRobotDataset: which cameras film, such as robot_0,robot_1,robot_0_wrist or
-    overview; each robot's own if none is named."""
+    """LeRobotDataset: cameras, such as robot_0,robot_1,robot_0_wrist or overview; each
+    robot's own by default."""
     instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
     """LeRobotDataset: kinds of instructions, high-level, human, unseen, or all; for
     each of them there is an episode of which it is the task."""
@@ -64,11 +64,11 @@ class RenderOptions:
     text, such as ACT and Diffusion Policy. sentence: the task as numbers; privileged:
     the truth, poses and goal, for oracles."""
     control: MotorControl = "joint_position"
-    """LeRobotDataset: what actions command, and the state measures: joint_position, or
-    ee_waypoint_rot6d, where the tool centre points shall go."""
+    """LeRobotDataset: control mode of actions and state: joint_position, or
+    ee_waypoint_rot6d, the targets of the tool centre points."""
     renderer: str = "auto"
-    """LeRobotDataset: what draws: opengl, or warp, which auto means where MuJoCo Warp
-    is installed and finds a GPU."""
+    """LeRobotDataset: opengl or warp; auto chooses warp where MuJoCo Warp is installed
+    and finds a GPU."""
 
 
 EVERYTHING = RenderOptions()
@@ -83,7 +83,7 @@ _FILMED = (
     "control",
     "renderer",
 )
-"""What is of LeRobotDatasets alone."""
+"""Options of LeRobotDatasets alone."""
 
 LookOptions = Annotated[RenderOptions, tyro.conf.arg(name="")]
 """The fields as options of a verb."""
@@ -99,7 +99,7 @@ def render(
 ) -> int:
     """Make images, or a LeRobotDataset, from a recipe.
 
-    What is there already is kept, so the same command goes on where it was stopped.
+    Files that exist are kept, so the same command continues an interrupted run.
 
     Args:
         data: The recipe: what lemma generate wrote. With --form lerobot also an episode
@@ -127,10 +127,10 @@ def render(
 
 
 def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Make:
-    """Return what makes the form that a user asked for.
+    """Return the function that writes the form.
 
     Raises:
-        InvalidConfigError: Its size or rate is impossible, or an option is not its.
+        InvalidConfigError: Size or rate is impossible, or an option is of another form.
         RenderingError: The renderer that was asked for is not installed.
         UnknownNameError: No such kind of instructions.
     """

@@ -1,4 +1,4 @@
-"""`lemma replay`: do episodes again, and compare their states to the bit."""
+"""`lemma replay`: play episodes again, and compare their states to the bit."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ _WHY = (
 )
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
-"""A recipe, or what was led by hand."""
+"""A recipe, or an episode that was led by hand."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,18 +56,18 @@ def replay(
     validate: Flag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Execute a recipe again, and say where its states cannot be reproduced.
+    """Play a recipe again, and say where its states cannot be reproduced.
 
-    So is an episode that was led by hand on the page of lemma play. With --browser,
-    episodes are done again to be looked at: those, or what lemma evaluate wrote, there
-    beside what the expert would have done.
+    It also plays an episode that was led by hand on the page of lemma play. With
+    --browser, it writes a page to look at episodes: of a recipe, led by hand, or of
+    a result of lemma evaluate, there beside the expert's solution.
 
     Args:
         data: Folder of the recipe, or file of an episode that was led by hand.
         part: Which episodes.
         working: Where to work.
-        browser: Folder for a page that plays them without a server or a network, and
-            a .viser file of each.
+        browser: Folder for a page that needs neither a server nor a network, and a
+            .viser file of each episode.
         validate: Accepted for clarity: every replay validates.
         as_json: Print one JSON object instead of words.
     """
@@ -107,10 +107,10 @@ def _show(data: Path, out: Path, part: Part) -> int:
 
 
 def _again(file: Path, part: Part, *, as_json: bool) -> int:
-    """Do what was led by hand again.
+    """Play an episode again that was led by hand.
 
     Raises:
-        InvalidConfigError: A part of it is asked for, or it cannot be done.
+        InvalidConfigError: A part of it is asked for, or a step is impossible.
     """
     _check_part(file, part)
     done = Teleoperation.load(file)

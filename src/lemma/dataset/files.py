@@ -1,4 +1,4 @@
-"""What the folder of a data set says of its files: the manifest and its checksums."""
+"""The manifest of a data set, and its checksums."""
 
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -9,13 +9,13 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, sha256_of
 
 MANIFEST = "manifest.json"
-"""What a dataset's folder says of its files."""
+"""File of a data set that lists its files."""
 CARD = "README.md"
-"""What a dataset's folder says to people."""
+"""File of a data set for people."""
 
 
 class _Entry(msgspec.Struct):
-    """What must be so in the entry of a file; it may say more."""
+    """The required fields in the entry of a file."""
 
     sha256: str
     digests: tuple[str, ...] = ()
@@ -24,7 +24,7 @@ class _Entry(msgspec.Struct):
 
 
 def check_free(folder: Path, *, begun: bool) -> None:
-    """Check that a card can be written without writing over somebody else's.
+    """Check that the card of a data set overwrites nobody else's.
 
     Args:
         folder: Where a dataset is to be written.
@@ -44,12 +44,11 @@ def check_files(folder: Path, *, partial: bool = False) -> None:
     """Check the files of a dataset against its manifest.
 
     Args:
-        folder: A recipe, or what was rendered from one.
+        folder: A recipe, or rendered data.
         partial: Whether files may be missing.
 
     Raises:
-        DatasetError: One is missing, or not the one that was written, or there is no
-            manifest.
+        DatasetError: A file is missing or changed, or there is no manifest.
     """
     manifest = read_json(folder / MANIFEST)
     files = listed_files(folder)
@@ -69,7 +68,7 @@ def check_files(folder: Path, *, partial: bool = False) -> None:
 
 
 def listed_files(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return what the manifest of a dataset says of each file.
+    """Return the entry of each file in the manifest.
 
     Raises:
         DatasetError: It is missing or damaged.
@@ -86,7 +85,7 @@ def listed_files(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def listed_versions(folder: Path) -> dict[str, str]:
-    """Return what the manifest of a recipe says that its bits depend on.
+    """Return the versions in the manifest of a recipe.
 
     Raises:
         DatasetError: It is missing or damaged.
@@ -106,15 +105,15 @@ def _damaged(folder: Path, why: str) -> str:
 
 
 def check_sum(path: Path, entry: dict[str, Any], written: str) -> None:
-    """Check that a file is the one that was written.
+    """Check that a file is unchanged.
 
     Args:
         path: The file.
-        entry: What the manifest says of it.
+        entry: Its entry in the manifest.
         written: The command that writes it.
 
     Raises:
-        DatasetError: It is another one.
+        DatasetError: It was changed.
     """
     if sha256_of(path) != entry["sha256"]:
         raise DatasetError(

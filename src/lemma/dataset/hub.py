@@ -13,12 +13,12 @@ from lemma.dataset.files import MANIFEST, check_files, listed_files
 
 _KIND = "dataset"
 _HIDDEN = [".*", ".*/**", "**/.*"]
-"""What never leaves this machine: drafts, parts, caches."""
+"""Files that are never uploaded: drafts, parts, caches."""
 _TRANSPORTS = ("httpx", "httpcore", "requests", "urllib3")
 
 
 def push(folder: Path, repository: str, *, private: bool = False) -> str:
-    """Upload a dataset: a recipe, or what was rendered from one.
+    """Upload a dataset: a recipe, or rendered data.
 
     Args:
         folder: The dataset.
@@ -26,7 +26,7 @@ def push(folder: Path, repository: str, *, private: bool = False) -> str:
         private: Whether others may not see it, if it is made.
 
     Returns:
-        The address of what was uploaded.
+        The address of the upload.
 
     Raises:
         DatasetError: The dataset is incomplete or damaged, or the Hub cannot be
@@ -54,10 +54,10 @@ def pull(
     revision: str | None = None,
     splits: Sequence[str] = (),
 ) -> Path:
-    """Download a dataset, and check what came.
+    """Download a dataset, and check its files.
 
-    What is there already is not fetched again, so a second call goes on where the first
-    was interrupted.
+    Files that exist are not fetched again, so a second call continues an interrupted
+    one.
 
     Args:
         repository: ``"owner/name"``.
@@ -101,8 +101,8 @@ def _fetch(
     client = _client()
     patterns = ["*.json", "*.md", *(f"{split}/*" for split in splits)]
     with _explained(repository):
-        # Asked for by name, because the download falls back to what is there already
-        # where the Hub cannot be reached, as if that were what the Hub has.
+        # The commit is asked for because the download, where the Hub cannot be reached,
+        # silently returns the files that exist.
         commit = client.dataset_info(repository, revision=revision).sha
         out.mkdir(parents=True, exist_ok=True)
         fetch = partial(
@@ -113,7 +113,7 @@ def _fetch(
             local_dir=out,
         )
         fetch(allow_patterns=patterns if splits else None)
-        # The client compares sizes only, and takes for good what it has fetched once.
+        # The client compares sizes only, and never fetches a file twice.
         if not (damaged := _damaged(out)):
             return []
         fetch(allow_patterns=damaged, force_download=True)
@@ -121,7 +121,7 @@ def _fetch(
 
 
 def _damaged(folder: Path) -> list[str]:
-    """Return the files that are not what the manifest says; missing ones not."""
+    """Return the files whose checksum is wrong; missing ones are left out."""
     if not (folder / MANIFEST).exists():
         return []
     return [
@@ -151,7 +151,7 @@ def check(folder: Path, *, partial: bool = False) -> None:
             f"There is no dataset in {folder}. 'lemma generate' and 'lemma render' "
             "write some."
         )
-    # A dataset in the format of others, LeRobot's, has no manifest of ours.
+    # A LeRobotDataset has no such manifest.
     if (folder / MANIFEST).exists():
         check_files(folder, partial=partial)
 
@@ -182,10 +182,10 @@ def _client() -> Any:
 
 @contextmanager
 def _explained(repository: str) -> Iterator[None]:
-    """Turn what the client raises into one sentence that says what to do.
+    """Turn an error of the client into one sentence that says what to do.
 
     Raises:
-        DatasetError: What went wrong.
+        DatasetError: The sentence.
     """
     try:
         yield
@@ -196,7 +196,7 @@ def _explained(repository: str) -> Iterator[None]:
 
 
 def _words(error: Exception, repository: str) -> str | None:
-    """Return what to say, or None if it is not about the Hub."""
+    """Return the sentence, or None if the error is not about the Hub."""
     chain = list(_chain(error))
     answers = (getattr(link, "response", None) for link in chain)
     found = (getattr(answer, "status_code", None) for answer in answers)
@@ -230,7 +230,7 @@ def _words(error: Exception, repository: str) -> str | None:
 
 
 def _chain(error: BaseException) -> Iterator[BaseException]:
-    """Yield an error and what led to it."""
+    """Yield an error and its causes."""
     link: BaseException | None = error
     while link is not None:
         yield link
@@ -238,7 +238,7 @@ def _chain(error: BaseException) -> Iterator[BaseException]:
 
 
 def _is_transport(error: BaseException) -> bool:
-    """Whether an error says that nobody answered."""
+    """Return whether an error means that the Hub did not answer."""
     if isinstance(error, ConnectionError | TimeoutError):
         return True
     names = {

@@ -33,8 +33,8 @@ def draw_instruction(
     Args:
         task: Name of the task.
         goal_pairs: The (top, bottom) entities of the goal.
-        key: What the sentence is for. The same key, seed and epoch give the same
-            sentence, so that all keyframes of an episode agree.
+        key: Of the episode. The same key, seed and epoch give the same sentence, so
+            that all keyframes of an episode agree.
         seed: Seeds all draws.
         epoch: A new one gives new sentences.
         kinds: Kinds to draw from, each as likely.
@@ -80,7 +80,7 @@ def check_recorded(kind: str, splits: Sequence[str]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Language:
-    """Which sentence an episode is given as its instruction."""
+    """The source of an episode's instruction."""
 
     instructions: str = "recorded"
     """``"recorded"``: the episode's own. ``"resampled"``: drawn from the templates for

@@ -1,4 +1,4 @@
-"""What goes into a LeRobotDataset; `make test-lerobot` looks at what comes out."""
+"""Frames that go into a LeRobotDataset; `make test-lerobot` reads them back."""
 
 import math
 from functools import cache
@@ -75,7 +75,7 @@ def test_features_are_what_frames_hold(depth: bool) -> None:
             kind = "uint8" if is_color else feature["dtype"]
             assert frame[name].dtype == kind.replace("video", "float32")
     assert (len(holds) == 17) == depth
-    # What learners take for observed, or for what is to be done, is one row of each.
+    # State and action are one row of each robot.
     rows = {name for name in holds if name.startswith(("observation.", "action"))}
     assert {name for name in rows if "images" not in name} == {
         "observation.state",

@@ -230,7 +230,7 @@ def test_processes_share_maps_in_a_file(tmp_path: Path) -> None:
         assert found.columns.keys() == alone.columns.keys()
         for name, values in alone.columns.items():
             assert repr(values.tolist()) == repr(found.columns[name].tolist())
-    # What one of them writes, nobody else sees.
+    # Others do not see what one of them writes.
     second.rgb[0] = 0
     assert np.array_equal(MapsInMemory.load(folder, SPLIT, shared=True).rgb, alone.rgb)
 
@@ -258,7 +258,7 @@ def test_shared_maps_are_those_of_the_files_that_are_there_now(tmp_path: Path) -
 
 def open_files(folder: Path) -> int:
     """Return how many descriptors of this process lead into a folder."""
-    # What was opened to look at it is closed when it is collected.
+    # Collected files are closed.
     gc.collect()
     inside = f"{folder.resolve()}{os.sep}"
     found = [os.path.realpath(link) for link in DESCRIPTORS.iterdir()]

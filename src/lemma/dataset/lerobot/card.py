@@ -5,7 +5,7 @@ from typing import Any
 from lemma.dataset.recipe.card import head
 
 EXTRAS = "extras"
-"""Folder of what the format has no place for."""
+"""Folder of facts that the format has no place for."""
 _CARD = """
 # LEMMA Bench demonstrations
 

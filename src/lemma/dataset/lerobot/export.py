@@ -34,14 +34,12 @@ from lemma.dataset.lerobot.frames import (
     features,
     frames,
 )
-from lemma.dataset.lerobot.shortcuts import take_shortcuts
 from lemma.dataset.lerobot.sources import (
     check_source,
     keep_source,
     name_in_source,
     read_records,
 )
-from lemma.dataset.lerobot.video_encoder import encode_whole_videos
 from lemma.dataset.recipe.files import versions
 from lemma.dataset.rendered.film import rig_of, robots_of
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
@@ -50,7 +48,7 @@ from lemma.tasks.names import task_rank
 
 INFO = "meta/info.json"
 EPISODES = f"{EXTRAS}/episodes.json"
-"""What is known of every episode beside the format."""
+"""Facts about every episode that the format has no place for."""
 _EXPORT = f"{EXTRAS}/export.json"
 _WHOLE = ".whole"
 _PARTS = ("data", "videos", "meta")
@@ -61,7 +59,7 @@ DEPTH_LARGEST_M = 4.095
 
 @dataclass(frozen=True, kw_only=True)
 class LeRobotConfig:
-    """What to export."""
+    """The settings of an export."""
 
     source: RenderConfig
     """Which episodes of which recipe, and the folder to write."""
@@ -90,7 +88,7 @@ class LeRobotConfig:
         """
         groups = sorted(self.source.groups(), key=lambda group: _rank(*group[:2]))
         every = [
-            # Absolute, because a worker may be at home elsewhere.
+            # Absolute, because workers of a cluster have another working folder.
             (path.absolute(), group, rows[first : first + self.per_shard])
             for path, group, rows in groups
             for first in range(0, len(rows), self.per_shard)
@@ -112,7 +110,7 @@ class Shard:
     rows: tuple[int, ...]
     """Rows of the group."""
     folder: Path
-    """Where they are until all are there."""
+    """Where they are until all exist."""
 
 
 def _rank(path: Path, group: int) -> tuple[int, tuple[int, str], str, int]:
@@ -131,16 +129,15 @@ def write_dataset(
     engine: Engine,
     advance: Callable[[int], None] = lambda count: None,
 ) -> RenderSummary:
-    """Write what is missing of a LeRobotDataset.
+    """Write the shards that a LeRobotDataset lacks, and assemble it.
 
     Args:
-        order: What is wanted.
+        order: The settings.
         engine: Where to work.
-        advance: Told how many episodes were there at the beginning, and then of those
-            of every shard that is done.
+        advance: Is told how many episodes are done already, then of each further one.
 
     Returns:
-        What it came to.
+        The outcome.
 
     Raises:
         DatasetError: The lerobot package is not installed, the recipe cannot be read
@@ -198,7 +195,7 @@ def check_installed() -> None:
 
 
 def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
-    """Note what is written into the folder, or check that it is the same.
+    """Write the record of the export, or check that it is the same.
 
     Raises:
         DatasetError: Something else was begun there.
@@ -241,7 +238,8 @@ def write_shard(shard: Shard, style: Style) -> None:
         for frame in frames(record, style, kind):
             dataset.add_frame(frame)
             length += 1
-        dataset.save_episode()
+        # Workers may not start further processes.
+        dataset.save_episode(parallel_encoding=False)
         known.append(describe_episode(record, style, kind, length))
     dataset.finalize()
     write_json(draft / EPISODES, {"episodes": known})
@@ -249,18 +247,19 @@ def write_shard(shard: Shard, style: Style) -> None:
 
 
 def _create(folder: Path, holds: dict[str, dict[str, Any]], style: Style) -> Any:
-    """Return a new LeRobotDataset that encodes what it is given at once."""
+    """Return a new LeRobotDataset.
+
+    It does not encode frames as they come: lerobot's streaming encoder drops frames
+    that it has no time for, as cameras of real robots do not wait.
+    """
     silence()
-    take_shortcuts()
-    encode_whole_videos()
     from lerobot.configs import DepthEncoderConfig, RGBEncoderConfig  # noqa: PLC0415
     from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: PLC0415
 
-    # A frame is found and decoded at little cost: every fifth needs no other one, and
-    # none a later one.
-    # Without macroblock trees 27 looks like 23 with them, at the same size.
+    # For cheap random access, every fifth frame needs no other one, and none a later
+    # one. Without macroblock trees crf 27 looks like 23 with them, at the same size.
     color = {"bf": "0", "x264-params": "mbtree=0"}
-    # Nothing is lost; one thread, and no word on the processor.
+    # Lossless, one thread, no messages.
     x265 = "lossless=1:pools=none:frame-threads=1:log-level=none"
     levels = {"bf": "0", "x265-params": x265}
     return LeRobotDataset.create(
@@ -281,7 +280,6 @@ def _create(folder: Path, holds: dict[str, dict[str, Any]], style: Style) -> Any
             preset="superfast",
             extra_options=levels,
         ),
-        streaming_encoding=True,
         encoder_threads=1,
     )
 
@@ -292,7 +290,7 @@ def _assemble(
     files: Sequence[Path],
     engine: Engine,
 ) -> None:
-    """Aggregate the shards, and add what the format has no place for.
+    """Aggregate the shards, and add the files beside the format.
 
     Raises:
         DatasetError: They have different numbers of robots.

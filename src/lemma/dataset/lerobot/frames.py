@@ -1,4 +1,4 @@
-"""What a frame of a LeRobotDataset holds: states, commands, images and sentences.
+"""Frames of a LeRobotDataset: states, commands, images and sentences.
 
 Nothing here needs the lerobot package.
 """
@@ -43,13 +43,13 @@ from lemma.tasks.language.template import KINDS
 from lemma.tasks.language.vector import NUMBERS, sentence_vector
 
 AGENT_PARTS = ("state", "action")
-"""What of each robot has a column of its own: ``robot_0.state``."""
+"""Columns of each robot: ``robot_0.state``."""
 ENVIRONMENT_STATE = "observation.environment_state"
-"""What is told in numbers, under the name that policies of LeRobot take vectors by."""
+"""Name of the numbers beside the pictures, which policies of LeRobot look for."""
 EnvironmentState = Literal["none", "sentence", "privileged"]
 NONE, SENTENCE, PRIVILEGED = ENVIRONMENT_STATES = get_args(EnvironmentState)
-"""What that may be: nothing; :func:`lemma.tasks.language.vector.sentence_vector`; or
-the truth, :func:`lemma.env.observation.truth_vector`."""
+"""Nothing; :func:`lemma.tasks.language.vector.sentence_vector`; or the truth,
+:func:`lemma.env.observation.truth_vector`."""
 _SMALLEST_PX = 32
 _NO_PICTURES = np.zeros((0, 0, 0, 3), np.uint8)
 
@@ -74,16 +74,15 @@ class Style:
     images: bool = True
     """Whether cameras film at all."""
     environment_state: str = NONE
-    """What frames hold as the state of the environment, of
-    :data:`ENVIRONMENT_STATES`."""
+    """Content of ``observation.environment_state``, of :data:`ENVIRONMENT_STATES`."""
     control: str = JOINT_POSITION
-    """The control mode that actions are of, and whose numbers the state has, of
+    """Control mode of actions and state, of
     :data:`lemma.env.learning.motor_state.MOTOR_CONTROLS`."""
     renderer: str = "opengl"
     """A name in :data:`lemma.scene.rendering.batch.BATCH_RENDERERS`."""
 
     def __post_init__(self) -> None:
-        """Check that it can be done."""
+        """Check the options."""
         ticks_per_step(self.fps)
         sides = (self.width_px, self.height_px)
         if min(sides) < _SMALLEST_PX or any(side % 2 for side in sides):
@@ -114,7 +113,7 @@ class Style:
 
     @property
     def rig(self) -> tuple[int, int, str]:
-        """What :func:`lemma.dataset.rendered.film.rig_of` is asked for."""
+        """Arguments of :func:`lemma.dataset.rendered.film.rig_of`."""
         return self.width_px, self.height_px, self.renderer
 
     def filming(self) -> Filming:
@@ -140,11 +139,11 @@ def depth_key(camera: str) -> str:
 
 
 def features(robots: tuple[str, ...], style: Style) -> dict[str, dict[str, Any]]:
-    """Return what a frame consists of, in the words of the format.
+    """Return the features of a frame, as the format describes them.
 
     Args:
         robots: Names of the robots.
-        style: How they are filmed.
+        style: The style.
 
     Raises:
         UnknownNameError: They have no such camera.
@@ -225,7 +224,7 @@ def _filmed(record: EpisodeRecord, style: Style) -> Iterator[Frame]:
 def _teller(
     record: EpisodeRecord, style: Style, task: str
 ) -> Callable[[DenseStep], dict[str, Any]]:
-    """Return what says the state of the environment at a step."""
+    """Return a function from a step to its environment state."""
     if style.environment_state == SENTENCE:
         said = {ENVIRONMENT_STATE: sentence_vector(task)}
         return lambda step: said
@@ -286,7 +285,7 @@ def _images(cameras: tuple[str, ...], frame: Frame) -> dict[str, Any]:
 def describe_episode(
     record: EpisodeRecord, style: Style, kind: str, length: int
 ) -> dict[str, Any]:
-    """Return what the format has no place for: where an episode comes from, cameras.
+    """Return facts that the format has no place for: origin, sentences, cameras.
 
     Args:
         record: The episode.

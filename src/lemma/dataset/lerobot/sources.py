@@ -1,4 +1,4 @@
-"""What is exported: episodes of a recipe, or those that were led by hand."""
+"""Sources of an export: recipes, and episodes that were led by hand."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -45,12 +45,12 @@ def read_records(
 
 
 def check_source(source: Path, files: Sequence[Path], style: Style) -> None:
-    """Check that episodes can be exported here and as it was asked for.
+    """Check that episodes can be exported here, with these options.
 
     Args:
-        source: A recipe, or what was led by hand.
-        files: What is read of it.
-        style: How they are exported.
+        source: A recipe, or episodes that were led by hand.
+        files: The files to read.
+        style: The style.
 
     Raises:
         DatasetError: They cannot.
@@ -75,7 +75,7 @@ def check_source(source: Path, files: Sequence[Path], style: Style) -> None:
 
 
 def _check_led(files: Sequence[Path], style: Style) -> None:
-    """Check that episodes that were led by hand can be exported as it was asked for.
+    """Check that episodes that were led by hand can be exported with these options.
 
     Raises:
         DatasetError: They cannot.
@@ -105,7 +105,7 @@ def _check_led(files: Sequence[Path], style: Style) -> None:
 
 
 def name_in_source(path: Path) -> str:
-    """Return what a file is called within its folder: ``"train/stack.parquet"``."""
+    """Return the name of a file within its folder: ``"train/stack.parquet"``."""
     return f"{path.parent.name}/{path.name}"
 
 

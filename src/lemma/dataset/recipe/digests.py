@@ -1,4 +1,4 @@
-"""What every episode of the suite must come to, written down: 128 bits each.
+"""The digest of every episode of the suite, 128 bits each.
 
 A recipe that anybody generates from the frozen lists can be compared with what the
 authors' came to, episode by episode, without fetching anything.

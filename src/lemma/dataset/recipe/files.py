@@ -22,13 +22,13 @@ METADATA_KEY = b"lemma"
 REVISION_VARIABLE = "LEMMA_REVISION"
 """Environment variable that says the git revision where the checkout has no .git."""
 ROW_GROUP = 20
-"""Episodes that are read together: what random access costs."""
+"""Episodes that are read together."""
 WRITTEN_BY = "lemma generate"
 """The command that writes them."""
 
 
 def versions(benchmark: str) -> dict[str, str]:
-    """Return what the bits of a recipe depend on.
+    """Return the versions that the bits of a recipe depend on.
 
     Args:
         benchmark: Version of the benchmark's instances.
@@ -72,9 +72,9 @@ def _revision() -> str:
 
 
 def write_table(path: Path, table: pa.Table, about: dict[str, str]) -> None:
-    """Write a table of a recipe to Parquet, with what it says about itself."""
+    """Write a table of a recipe to Parquet, with a record of versions and settings."""
     metadata = {METADATA_KEY: json.dumps(about, sort_keys=True).encode()}
-    # In one piece, because where pieces begin shows in the bytes.
+    # In one piece: the borders of pieces would change the bytes.
     table = table.replace_schema_metadata(metadata).combine_chunks()
 
     def write(draft: Path) -> None:
@@ -93,7 +93,7 @@ def open_table(path: Path) -> tuple[pq.ParquetFile, dict[str, str]]:
     """Open a Parquet file of a recipe.
 
     Returns:
-        The file, and what it says about itself.
+        The file, and its record of versions and settings.
 
     Raises:
         DatasetError: It is truncated, or not of this format.

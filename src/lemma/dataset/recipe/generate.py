@@ -1,8 +1,8 @@
 """Write a recipe: resumable at any moment, the same bytes however it was interrupted.
 
 Every episode is first written as a part of its own, whole or not at all. When all parts
-of a file are there, they are put together in order, and the parts go. What a killed run
-leaves behind is therefore always a prefix of work, never a wrong file.
+of a file exist, they are put together in order and deleted: a killed run never leaves a
+wrong file.
 """
 
 from collections import Counter
@@ -55,7 +55,7 @@ _SHOWN = 5
 
 @dataclass(frozen=True, kw_only=True)
 class GenerateConfig:
-    """What to generate."""
+    """The settings of a recipe."""
 
     out: Path
     """Folder of the recipe."""
@@ -96,10 +96,10 @@ class GenerateConfig:
 
 @dataclass(frozen=True, slots=True)
 class GenerateSummary:
-    """What a run came to."""
+    """The outcome of a run."""
 
     episodes: int
-    """Episodes of the order; all are there."""
+    """Episodes of the order; all exist now."""
     made: int
     """Those that this run made."""
     seconds: float
@@ -123,7 +123,7 @@ class _File:
     wanted: int
 
     def part(self, index: int) -> Path:
-        """Return where one episode is until all are there."""
+        """Return the file of one episode until all exist."""
         return part_file(self.parts, index)
 
 
@@ -137,16 +137,15 @@ def generate(
     engine: Engine,
     advance: Callable[[int], None] = lambda count: None,
 ) -> GenerateSummary:
-    """Write what is missing of a recipe.
+    """Write the episodes that a recipe lacks.
 
     Args:
-        order: What is wanted.
+        order: The settings.
         engine: Where to work.
-        advance: Told how many episodes were there at the beginning, and then of every
-            one that is done.
+        advance: Is told how many episodes are done already, then of each further one.
 
     Returns:
-        What it came to.
+        The outcome.
 
     Raises:
         DatasetError: Something cannot be written, or what is there is damaged or of
@@ -221,12 +220,12 @@ def _work(
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """What a worker says of one episode that it made."""
+    """The answer of a worker about one episode."""
 
     task: str
     split: str
     failure: str | None
-    """Which episode failed, and why; None where it was written."""
+    """The episode that failed, and why; None if it was written."""
     worker_mb: float
     """Most memory that the worker ever held [MB]."""
 
@@ -249,7 +248,7 @@ def generate_part(
         record = record_perturbed(instance, perturbation)
     else:
         record = record_episode(instance)
-        # Frozen instances are those that the expert solves; sampled ones are as drawn.
+        # The expert solves every frozen instance, but not every sampled one.
         if not record.success and split != FREE_SPLIT:
             failure = f"{record.key} ({record.failure})"
     if failure is None:
@@ -258,12 +257,12 @@ def generate_part(
 
 
 def part_file(parts: Path, index: int) -> Path:
-    """Return where one episode is until all of its file are there."""
+    """Return the file of one episode until all of its list exist."""
     return parts / f"{index:05d}.parquet"
 
 
 def _look(order: GenerateConfig, split: str, task: str, about: dict[str, str]) -> _File:
-    """Look at what is there of a file.
+    """Look at a file and its parts.
 
     Raises:
         DatasetError: It is of another version, or holds more than is wanted.
@@ -284,10 +283,10 @@ def _look(order: GenerateConfig, split: str, task: str, about: dict[str, str]) -
 
 
 def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
-    """Return what the manifest says of files, if there is one.
+    """Return the entries of the manifest, if there is one.
 
     Raises:
-        DatasetError: The folder holds something else than such a recipe.
+        DatasetError: The folder holds something other than such a recipe.
     """
     begun = (folder / PARTS).exists() or any(folder.glob("*/*.parquet"))
     check_free(folder, begun=begun)

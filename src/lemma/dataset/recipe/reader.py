@@ -19,7 +19,7 @@ _HEADER = ("key", "task", "split", "index", "team", "distractors")
 
 @dataclass(frozen=True, slots=True)
 class EpisodeHeader:
-    """What is known of an episode before it is read."""
+    """The columns that name an episode."""
 
     key: str
     task: str
@@ -45,7 +45,7 @@ class _Place:
 class Recipe(Sequence[EpisodeRecord]):
     """The episodes of a recipe, in the order of its files; read when asked for.
 
-    Can be sent to the workers of a data loader: what was read stays behind.
+    It can be sent to the workers of a data loader, without the episodes read so far.
     """
 
     def __init__(self, folder: Path, places: list[_Place]) -> None:
@@ -88,7 +88,7 @@ class Recipe(Sequence[EpisodeRecord]):
         return self._groups[key][place.row]
 
     def __reduce__(self) -> tuple[type["Recipe"], tuple[Path, list[_Place]]]:
-        """Leave behind what was read."""
+        """Leave out what was read."""
         return Recipe, (self.folder, self._places)
 
     def files(self) -> list[Path]:
@@ -103,7 +103,7 @@ class Recipe(Sequence[EpisodeRecord]):
         return [(*key, tuple(found)) for key, found in rows.items()]
 
     def headers(self) -> Iterator[EpisodeHeader]:
-        """Yield what is known of every episode, without reading its states."""
+        """Yield the header of every episode, without reading its states."""
         for place in self._places:
             if place.path not in self._headers:
                 table = read_table(place.path, list(_HEADER))

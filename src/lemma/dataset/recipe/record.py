@@ -1,4 +1,4 @@
-"""From an instance to a record: the expert works, the keyframes are kept."""
+"""Record an instance: the expert works, and keyframes are kept."""
 
 import json
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from lemma.tasks.subtask import SubTask
 
 
 def record_episode(instance: Instance) -> EpisodeRecord:
-    """Let the expert solve an instance and return what happened.
+    """Let the expert solve an instance, and return the record.
 
     Args:
         instance: The problem.
@@ -30,7 +30,7 @@ def record_episode(instance: Instance) -> EpisodeRecord:
 
 
 class EpisodeRecorder:
-    """Keeps the keyframes of an episode, and what was done between them."""
+    """Keeps the keyframes of an episode, and the sub-tasks between them."""
 
     def __init__(self, episode: Episode) -> None:
         """Watch an episode.
@@ -83,7 +83,7 @@ class EpisodeRecorder:
 
 
 def in_words(instance: Instance, subtask: SubTask) -> str:
-    """Return the sentence that says a sub-task."""
+    """Return a sub-task as a sentence."""
     if not subtask.robot:
         return sub_instruction("", str(subtask.primitive))
     names: Sequence[str] = robot_phrases(instance.scene.robots)

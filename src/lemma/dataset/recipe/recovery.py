@@ -1,7 +1,7 @@
-"""Recovery states: perturbed executions, with what the expert would do in each.
+"""Recovery states: perturbed executions, labelled with the expert's decisions.
 
-What was executed and what would have been right are kept apart. The first is what is
-replayed, and what a policy remembers; the second is what it shall learn.
+Executed sub-tasks are replayed, and are the memory of a policy. The expert's decisions
+are the labels that it learns.
 """
 
 from collections import Counter
@@ -37,9 +37,9 @@ MAX_STEPS = 30
 def record_perturbed(instance: Instance, perturbation: Perturbation) -> PerturbedRecord:
     """Let the expert work on an instance while some of its sub-tasks go wrong.
 
-    At each keyframe an expert that knows nothing of the past says what to do. The
-    episode ends where it says ``stop``, where it has no plan, where it fails without
-    having been perturbed, and when the time is up.
+    At each keyframe an expert without memory decides. The episode ends where it says
+    ``stop``, where it has no plan, where it fails without a perturbation, and when the
+    time is up.
 
     Args:
         instance: The problem.
@@ -73,7 +73,7 @@ def record_perturbed(instance: Instance, perturbation: Perturbation) -> Perturbe
         if episode.is_over:
             break
         if done.kind == NONE and not result.ok:
-            # Nobody shall learn what does not work.
+            # The expert failed: no label.
             expert[-1] = None
             break
     expert += [None] * (len(kinds) + 1 - len(expert))
@@ -84,7 +84,7 @@ def record_perturbed(instance: Instance, perturbation: Perturbation) -> Perturbe
 
 
 def described(perturbation: Perturbation | None) -> dict[str, str]:
-    """Return what files say of a perturbation; nothing where there is none."""
+    """Return the entries of a record for a perturbation; none without one."""
     if perturbation is None:
         return {}
     values = (f"{perturbation.probability:g}", str(perturbation.seed))
@@ -92,7 +92,7 @@ def described(perturbation: Perturbation | None) -> dict[str, str]:
 
 
 def perturbation_of(about: dict[str, str]) -> Perturbation | None:
-    """Return the perturbation that files say; None where there is none."""
+    """Return the perturbation that a record names; None if none."""
     if not perturbed_as(about):
         return None
     probability, seed = (about[name] for name in PERTURB_KEYS)
@@ -101,21 +101,21 @@ def perturbation_of(about: dict[str, str]) -> Perturbation | None:
 
 @dataclass(frozen=True, slots=True)
 class RecoveryFigures:
-    """What perturbed executions came to."""
+    """Figures of perturbed executions."""
 
     episodes: int
     solved: int
-    """Episodes in which the goal was reached in spite of all."""
+    """Episodes in which the goal was reached nevertheless."""
     subtasks: int
     """Sub-tasks that were executed."""
     mistakes: dict[str, int]
     """Those that were perturbed, by kind."""
     keyframes: int
-    """Keyframes that have a label: what can be learned from."""
+    """Keyframes that have a label."""
     after: int
-    """Those of them that come after a mistake, which demonstrations never show."""
+    """Those of them that come after a mistake."""
     unlabelled: int
-    """Keyframes that are left out: no plan, a failure of the expert, no time."""
+    """Keyframes without a label: no plan, a failure of the expert, no time."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""

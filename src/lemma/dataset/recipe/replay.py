@@ -1,4 +1,4 @@
-"""Do again what a recipe says, and compare every state to the bit."""
+"""Play a recipe again, and compare every state to the bit."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _BINDING = ("format", "benchmark", "mujoco")
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """How a replay went."""
+    """The outcome of a replay."""
 
     key: str
     drift_at: int | None
@@ -76,9 +76,9 @@ def replay_all(
     """Replay the episodes of a recipe.
 
     Args:
-        recipe: What to replay, or a selection of it.
+        recipe: The recipe, or a selection of it.
         engine: Where to work.
-        advance: Told how many episodes were done since it was last told.
+        advance: Is told how many further episodes are done.
 
     Returns:
         The episodes that drift; empty if all is well.

@@ -1,8 +1,8 @@
-"""The recipe: what one episode on disk consists of. The only place that says so.
+"""Columns of a recipe: the only place that defines them.
 
-A recipe holds no pictures. It holds the instance, what was done, the full integration
-state of the physics at every keyframe, from which anything can be rendered again, and
-a hash of each state, by which a replay proves itself.
+A recipe holds no pictures. It holds the instance, the executed sub-tasks, the full
+integration state of the physics at every keyframe, from which anything can be rendered,
+and a hash of each state, which a replay is compared with.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 FORMAT_VERSION = "1"
 PERTURB_KEYS = ("perturb", "perturb_seed")
-"""What recipes of perturbed executions say of themselves, beside their versions."""
+"""Entries of a record that only recipes of perturbed executions have."""
 
 _TEXT = {
     "key": "Unique name: benchmark version, task, split, index.",
@@ -100,8 +100,8 @@ _EXPERT = pa.struct(
         pa.field("pick", pa.string(), nullable=False),
         pa.field("place", pa.string(), nullable=False),
         pa.field("instruction", pa.string(), nullable=False),
-        # Of any length, though they have three numbers: Parquet files in which a list
-        # of fixed length is null cannot be read by every pyarrow.
+        # Of any length: not every pyarrow reads Parquet files in which a list of fixed
+        # length is null.
         pa.field("pick_pose", pa.list_(pa.float64())),
         pa.field("place_pose", pa.list_(pa.float64())),
     ]
@@ -124,7 +124,7 @@ PERTURBED_SCHEMA = pa.schema(
         ),
     ]
 )
-"""What recipes of perturbed executions hold; see :class:`PerturbedRecord`."""
+"""Columns of recipes of perturbed executions; see :class:`PerturbedRecord`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ class SubTaskRecord:
 
     @property
     def grounded(self) -> GroundedSubTask:
-        """What was executed."""
+        """The executed sub-task, ready to be executed again."""
         who = self.robot, Primitive(self.primitive)
         return GroundedSubTask(*who, Pose2(*self.pick_pose), Pose2(*self.place_pose))
 
@@ -215,7 +215,7 @@ class EpisodeRecord:
 
 @dataclass(frozen=True, slots=True)
 class ExpertRecord:
-    """What the expert would do at a keyframe."""
+    """The expert's decision at a keyframe."""
 
     robot: str
     """Empty for ``stop``, as are what to pick and where to place."""
@@ -238,8 +238,8 @@ class PerturbedRecord(EpisodeRecord):
     """
 
     expert: tuple[ExpertRecord | None, ...]
-    """What the expert would do at each keyframe; None where it has no plan, where its
-    own sub-task failed, and behind the last one if the time was up."""
+    """The expert's decision at each keyframe; None where it has no plan, where its own
+    sub-task failed, and behind the last one if the time was up."""
     perturbation: tuple[str, ...]
     """Of each sub-task; see :data:`lemma.expert.disturbances.KINDS`."""
 
@@ -264,7 +264,7 @@ class PerturbedRecord(EpisodeRecord):
 
 
 def perturbed_as(about: dict[str, str]) -> dict[str, str]:
-    """Return what a file says of the perturbation of its episodes; empty if none."""
+    """Return the entries of a record about a perturbation; empty if none."""
     return {name: about[name] for name in PERTURB_KEYS if name in about}
 
 

@@ -1,4 +1,4 @@
-"""What is in a recipe, in numbers; states are not read."""
+"""Figures of a recipe; states are not read."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ _COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Where a number lies."""
+    """Range and mean of a number."""
 
     least: float
     mean: float
@@ -40,7 +40,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class GroupSummary:
-    """What a group of episodes has in common, in numbers."""
+    """Figures of a group of episodes."""
 
     episodes: int
     solved: int
@@ -95,7 +95,7 @@ def summarize(recipe: Recipe) -> RecipeSummary:
 
 
 def _counted(row: dict[str, Any]) -> dict[str, Any]:
-    """Return a row with what its instance says."""
+    """Return a row with figures of its instance."""
     instance = parse_json(row["instance"], Path(f"the instance of {row['key']}"))
     margins = []
     for step in row["subtasks"]:

@@ -1,1 +1,1 @@
-"""What is rendered from recipes: keyframes, dense steps."""
+"""Renderings of recipes: keyframes and dense steps."""

@@ -1,7 +1,7 @@
-"""An episode as a film: every step with what cameras see, many states at a time.
+"""An episode as a film: every step with pictures, many states rendered at a time.
 
-Nothing is kept but the states that are rendered together, so memory is bounded whatever
-the length of an episode.
+Only states that are rendered together are kept, so memory does not grow with the length
+of an episode.
 """
 
 from collections.abc import Iterator
@@ -38,14 +38,14 @@ class Filming:
     """A name in :data:`lemma.scene.rendering.batch.BATCH_RENDERERS`."""
 
     def __post_init__(self) -> None:
-        """Check that it can be done."""
+        """Check the rate and the size."""
         ticks_per_step(self.hz)
         states_at_once(self.width, self.height, 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A step, and what cameras see of it."""
+    """A step, and its pictures."""
 
     step: DenseStep
     """The step. Its ``scene`` has gone on to a later one."""

@@ -1,4 +1,4 @@
-"""What rendered data say of the sub-task that comes next, and of the objects."""
+"""Labels of rendered data: the next sub-task, and poses of objects."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from lemma.tasks.subtask import STOP
 
 
 def expert_label(record: PerturbedRecord, keyframe: int) -> dict[str, Any]:
-    """Return what the expert would do at a keyframe that has a label: with poses.
+    """Return the expert's sub-task at a keyframe that has a label, with poses.
 
     Args:
         record: The episode, perturbed.

@@ -1,8 +1,8 @@
-"""From a recipe to what is computed from it: images of its keyframes.
+"""Render a recipe: images of its keyframes.
 
-The work is cut along the row groups of the recipe. A group's files are written by one
-job, each whole or not at all, so nothing has to be put together: a run that was killed
-loses what was being worked on, and the next one goes on there. The same recipe gives
+The work is divided by the row groups of the recipe. One job writes the files of a
+group, each whole or not at all. A run that was killed loses the groups it was working
+on, and the next run continues there. The same recipe gives
 the same bytes, wherever it was interrupted; for images, on machines that draw alike.
 """
 
@@ -45,7 +45,7 @@ what the expert would do in each state; what was done is in the columns `execute
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What is known of a file that is there already."""
+    """A file that exists already."""
 
     about: dict[str, Any]
     """Versions and settings that decide its bytes."""
@@ -64,15 +64,15 @@ class Form(Protocol):
         ...
 
     def paths(self, split: str, name: str) -> tuple[str, ...]:
-        """Return the files, relative to the folder, of a row group of the recipe."""
+        """Return the files of a row group of the recipe, relative to the folder."""
         ...
 
     def about(self, versions: dict[str, str]) -> dict[str, Any]:
-        """Return what decides the bytes, beside the episodes."""
+        """Return the settings and versions that decide the bytes."""
         ...
 
     def look(self, path: Path) -> Found:
-        """Return what a file says about itself.
+        """Return the record that a file holds.
 
         Raises:
             DatasetError: It is damaged, or of another form or version.
@@ -97,19 +97,19 @@ class Form(Protocol):
         ...
 
     def card(self) -> str:
-        """Return what the folder's README says about its columns."""
+        """Return the README of the folder."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderConfig:
-    """What to render."""
+    """The settings of a rendering."""
 
     recipe: Path
-    """Folder of the recipe; or, for what films whole episodes, a file of an episode
-    that was led by hand, or a folder of such files."""
+    """Folder of the recipe. An export to LeRobot also takes a file of an episode that
+    was led by hand, or a folder of such files."""
     out: Path
-    """Folder of what is made."""
+    """Folder to write."""
     tasks: tuple[str, ...] = ()
     """Names of tasks; all of the recipe if empty."""
     splits: tuple[str, ...] = ()
@@ -165,10 +165,10 @@ class _Chunk:
 
 @dataclass(frozen=True, slots=True)
 class RenderSummary:
-    """What a run came to."""
+    """The outcome of a run."""
 
     episodes: int
-    """Episodes of the order; all are there."""
+    """Episodes of the order; all exist now."""
     rows: int
     """Keyframes, steps or frames of the whole folder."""
     made: int
@@ -185,17 +185,16 @@ def render(
     engine: Engine,
     advance: Callable[[int], None] = lambda count: None,
 ) -> RenderSummary:
-    """Make what is missing.
+    """Write the files that are missing.
 
     Args:
         order: What is wanted.
         form: In which form.
         engine: Where to work.
-        advance: Told how many episodes were there at the beginning, and then of those
-            that are done.
+        advance: Is told how many episodes are done already, then of each further one.
 
     Returns:
-        What it came to.
+        The outcome.
 
     Raises:
         DatasetError: The recipe cannot be read here, what is there was made from
@@ -251,14 +250,14 @@ def render_chunk(form: Form, chunk: _Chunk, about: dict[str, Any]) -> None:
 def _chunks(
     order: RenderConfig, form: Form, groups: list[tuple[Path, int, tuple[int, ...]]]
 ) -> Iterator[_Chunk]:
-    """Yield what is to be made of each row group.
+    """Yield the work of each row group.
 
     Raises:
         DatasetError: The recipe is not complete.
     """
     files = listed_files(order.recipe)
     taken: dict[Path, int] = {}
-    # Groups are numbered from the first of their file, whose rows come before.
+    # Groups of a file come in order, so their rows are counted from the first one.
     for source, group, rows in groups:
         name = source.relative_to(order.recipe).as_posix()
         first = taken.get(source, 0)
@@ -275,10 +274,10 @@ def _chunks(
 
 
 def _look(folder: Path, form: Form, about: dict[str, Any]) -> dict[Path, Found]:
-    """Return what is there already, and check that it was made alike.
+    """Return the files that exist, and check that this job would write the same.
 
     Raises:
-        DatasetError: It was made otherwise, or is damaged.
+        DatasetError: One is of another job, or damaged.
     """
     there = {}
     for pattern in form.paths("*", "*"):
@@ -296,7 +295,7 @@ def _is_there(chunk: _Chunk, there: dict[Path, Found]) -> bool:
     """
     found = [there[path].digests for path in chunk.paths if path in there]
     for path, digests in zip(chunk.paths, found, strict=False):
-        # A recipe may have grown since.
+        # The recipe may have grown since the file was written.
         if digests != chunk.digests[: len(digests)]:
             raise DatasetError(
                 f"{path} was made from other episodes. Choose a new folder, or delete "
@@ -306,7 +305,7 @@ def _is_there(chunk: _Chunk, there: dict[Path, Found]) -> bool:
 
 
 def _known_files(folder: Path, form: Form) -> dict[str, dict[str, Any]]:
-    """Return what the manifest of an earlier run says of its files, if there is one.
+    """Return the entries of the manifest of an earlier run, if there is one.
 
     Raises:
         DatasetError: The folder holds something else.

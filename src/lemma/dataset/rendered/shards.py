@@ -1,4 +1,4 @@
-"""Which files a rendered data set consists of, and whether they are what was written.
+"""The files of a rendered data set, and whether they are unchanged.
 
 Neither MuJoCo nor torch is needed.
 """
@@ -31,7 +31,7 @@ def keyframe_shards(folder: Path, split: str, tasks: Sequence[str] = ()) -> list
     """Return the files of a split of rendered keyframes.
 
     Args:
-        folder: What ``lemma render --form keyframes`` made.
+        folder: Written by ``lemma render --form keyframes``.
         split: Name of a split.
         tasks: Names of tasks; all if empty.
 
@@ -117,7 +117,7 @@ def verify(folder: Path, form: str = FORM) -> int:
 
 
 def changed(path: Path) -> str:
-    """Return what to say about a file whose checksum is wrong."""
+    """Return the message about a file whose checksum is wrong."""
     return (
         f"{path} has another checksum than {MANIFEST} says: it was changed or "
         "damaged. Delete it and run 'lemma render' again: it makes what is missing."

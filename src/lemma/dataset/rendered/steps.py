@@ -1,8 +1,8 @@
 """An episode step by step, at any rate: the recipe's sub-tasks are executed again.
 
-A recipe holds keyframes only. What lies between them is computed: the same sub-tasks
+A recipe holds keyframes only. The motion between them is computed: the same sub-tasks
 from the same start give the same motion to the bit, and the hashes of the keyframes
-prove it for every episode that is read in this way.
+prove it for every episode.
 """
 
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ _TICKS_PER_S = round(1.0 / TICK_S)
 
 @dataclass(frozen=True, slots=True)
 class DenseStep:
-    """One moment of an episode, and what was commanded from then on."""
+    """One moment of an episode, and the command that follows."""
 
     index: int
     """Number of the step, from 0."""
@@ -49,12 +49,11 @@ class DenseStep:
     tcp_poses: FloatArray
     """World from gripper at each tool centre point, shape (robots, 4, 4) [m]."""
     action: FloatArray
-    """What was commanded by the next step, shape (robots, 7): the joint angles that the
-    servos were led to [rad] and the opening of the gripper [m]. At the last step, what
-    still is."""
+    """Command that leads to the next step, shape (robots, 7): targets of the joints
+    [rad] and opening of the gripper [m]. At the last step, the command in force."""
     waypoints: FloatArray
-    """Where each tool centre point was being led by the next step, shape (robots, 4,
-    4): the end of a motion, or how far it was on a straight line [m]."""
+    """Targets of the tool centre points at the next step, shape (robots, 4, 4): the end
+    of a motion, or a point on a straight line [m]."""
     subtask: int
     """Which of the record's sub-tasks is executed next; -1 at the end."""
     progress: float
@@ -67,7 +66,7 @@ class DenseStep:
 
 @dataclass(frozen=True, slots=True)
 class _Sample:
-    """What the simulation was like at a step."""
+    """The simulation at a step."""
 
     state: FloatArray
     command: FloatArray
@@ -109,10 +108,10 @@ def count_steps(record: EpisodeRecord, hz: int = 10) -> int:
 def iterate_steps(record: EpisodeRecord, hz: int = 10) -> Iterator[DenseStep]:
     """Yield an episode step by step, from its first state to its end.
 
-    The episode is executed as a whole first, then its scene is set to one step after
-    the other: whoever takes long to look, or changes the scene, does not disturb the
-    motion. Steps are evenly spaced; the last one is the first at which the episode is
-    over, up to one step later than the last keyframe, with the robots at rest.
+    The whole episode is executed first. Then the scene is set to one step after the
+    other, so that changing it does not disturb the motion. Steps are evenly spaced. The
+    last one is the first at which the episode is over, up to one step later than the
+    last keyframe, with the robots at rest.
 
     Args:
         record: The episode.

@@ -1,4 +1,4 @@
-"""A thing laid elsewhere by hand while an episode goes on."""
+"""An object moved by hand during an episode."""
 
 import math
 
@@ -11,15 +11,15 @@ from lemma.scene.overlaps import check_place
 
 
 def nudge(simulation: Simulation, name: str, pose: Pose2) -> None:
-    """Lay an object elsewhere on the table, at rest, between two steps of physics.
+    """Move an object on the table, at rest, between two steps of physics.
 
     Args:
-        simulation: Nothing of it runs meanwhile.
+        simulation: Between two ticks.
         name: Of the object.
-        pose: Where it shall lie.
+        pose: Where to put it.
 
     Raises:
-        InvalidConfigError: It cannot be taken, or not be laid there; nothing has moved.
+        InvalidConfigError: It cannot be moved, or not there; nothing has moved.
     """
     scene = simulation.scene
     _check_free(simulation, name)

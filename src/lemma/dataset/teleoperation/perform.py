@@ -1,4 +1,4 @@
-"""A teleoperated episode done again: the same commands at the same times."""
+"""A teleoperated episode played again: the same commands at the same times."""
 
 from lemma.dataset.teleoperation.nudge import nudge
 from lemma.dataset.teleoperation.schema import (
@@ -14,11 +14,11 @@ _EARLY_S = 0.5 * TICK_S
 
 
 class _ReachedError(Exception):
-    """The time has come at which something was broken off."""
+    """The time is reached at which a step was broken off."""
 
 
 class _Clock:
-    """Lets happen what happened between two steps of physics."""
+    """Moves objects and ends steps at the recorded times, between ticks."""
 
     def __init__(self, simulation: Simulation, done: Teleoperation) -> None:
         self._simulation = simulation
@@ -28,12 +28,12 @@ class _Clock:
         simulation.observers.append(self._look)
 
     def stop(self) -> None:
-        """Let everything happen that comes now."""
+        """Do so no longer."""
         self._simulation.observers.remove(self._look)
 
     @property
     def at_end(self) -> bool:
-        """Whether the episode has been done as far as it was kept."""
+        """Whether the end of the recording is reached."""
         return self._simulation.time_s >= self._end_s - _EARLY_S
 
     def _look(self) -> None:
@@ -53,12 +53,12 @@ def perform(
     """Play a teleoperated episode again, up to the end of what was kept.
 
     Args:
-        done: What was done.
+        done: The recording.
         episode: Of its instance, just begun; at the end it needs not be over.
         before: Is told of each part.
 
     Raises:
-        LemmaError: What was done cannot be: the file was changed.
+        LemmaError: A step is impossible: the file was changed.
     """
     clock = _Clock(episode.simulation, done)
     try:
@@ -95,5 +95,5 @@ def _perform(
 
 
 def is_same(done: Teleoperation, episode: Episode) -> bool:
-    """Whether an episode that was done again has come to the same, to the bit."""
+    """Return whether the end of an episode is the recorded one, to the bit."""
     return joints_sha256(episode.simulation.scene.data.qpos) == done.end_sha256

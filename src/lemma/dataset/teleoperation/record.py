@@ -1,4 +1,4 @@
-"""Teleoperated episodes as records: what is filmed like the episodes of a recipe."""
+"""Teleoperated episodes as records, which are filmed like those of a recipe."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,28 +21,28 @@ _NOWHERE = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class TeleoperatedRecord(EpisodeRecord):
-    """An episode whose sub-tasks are not all that was done; see ``done``."""
+    """An episode with steps that are no sub-tasks; see ``done``."""
 
     done: Teleoperation = field(repr=False)
-    """What was."""
+    """All steps."""
 
 
 def files_in(place: Path) -> list[Path]:
     """Return the files of teleoperated episodes: one, or those of a folder.
 
     Args:
-        place: A file or a folder; what else lies there is passed over.
+        place: A file or a folder; other files there are ignored.
     """
     found = [place] if place.is_file() else sorted(place.glob("*.json"))
     return [path for path in found if is_teleoperated(path)]
 
 
 def read_record(path: Path) -> TeleoperatedRecord:
-    """Read a file, and do what it says to know the states in between.
+    """Read a file, and play it again to get its states.
 
     Raises:
-        DatasetError: It comes to another state here.
-        LemmaError: It cannot be read, or not be done.
+        DatasetError: It leads to another state here.
+        LemmaError: It cannot be read, or a step is impossible.
     """
     done = Teleoperation.load(path)
     episode = Episode(done.instance)

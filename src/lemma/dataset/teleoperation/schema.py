@@ -1,9 +1,8 @@
-"""What was done at a table, by a policy and by somebody's hand, and its file.
+"""Teleoperated episodes: sub-tasks of a policy, motor commands by hand, and their file.
 
-A recipe keeps sub-tasks, which are what its episodes are replayed from; motor commands
-are none. So a teleoperated episode is kept beside its instance, in a file of its own:
-whatever reads an instance reads it too, and
-:func:`lemma.dataset.teleoperation.perform.perform` does it again, to the bit.
+Motor commands have no place in a recipe. The file of a teleoperated episode holds the
+instance and all steps, and :func:`lemma.dataset.teleoperation.perform.perform` plays it
+again, to the bit. Readers of instances read it, too.
 """
 
 import json
@@ -24,11 +23,11 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 KEY = "done"
-"""Under which it is what was done, beside the fields of the instance."""
+"""Key of the steps, beside the fields of the instance."""
 LED = "Led by hand"
-"""What was done, in words, where somebody gave motor commands."""
+"""Words for motor commands that were given by hand."""
 LONGEST_S = HORIZON_S + STILL_S + TICK_S
-"""How long an episode can go on, until it has been judged, and a tick [s]."""
+"""The longest episode, with its verdict and a tick [s]."""
 _Pose = tuple[float, float, float]
 
 
@@ -88,7 +87,7 @@ class Commanded(MotorCommands):
 
 @dataclass(frozen=True, slots=True)
 class Nudged:
-    """A thing that somebody laid elsewhere, as no robot can."""
+    """An object that somebody moved by hand."""
 
     time_s: float
     """Simulated time [s]."""
@@ -98,15 +97,15 @@ class Nudged:
 
 @dataclass(frozen=True)
 class Teleoperation:
-    """What was done at a table, by a policy and by somebody who took over."""
+    """An episode of a policy and of somebody who took over."""
 
     instance: Instance
     instruction: str
-    """What was said."""
+    """The spoken sentence."""
     parts: tuple[Executed | Commanded, ...]
-    """What the robots did, in order."""
+    """Steps of the robots, in order."""
     nudged: tuple[Nudged, ...]
-    """What somebody did meanwhile, in order."""
+    """Objects that somebody moved meanwhile, in order."""
     end_s: float
     """Simulated time to which it goes [s]."""
     end_sha256: str
@@ -215,7 +214,7 @@ def _executed(part: _Executed) -> Executed:
 
 
 def is_teleoperated(path: Path) -> bool:
-    """Whether a file means to be that of a teleoperated episode."""
+    """Return whether a file claims to be a teleoperated episode."""
     try:
         data = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError):

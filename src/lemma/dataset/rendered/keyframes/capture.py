@@ -1,4 +1,4 @@
-"""What the cameras see at the keyframes of an episode: the form ``keyframes``.
+"""Pictures and labels at the keyframes of an episode: the form ``keyframes``.
 
 Nothing is simulated: the recipe holds the state of every keyframe.
 """
@@ -69,7 +69,7 @@ class KeyframeForm:
         return tuple(f"{part}/{split}/{name}{SUFFIX}" for part in PARTS)
 
     def about(self, versions: dict[str, str]) -> dict[str, Any]:
-        """Return what decides the bytes, beside the episodes."""
+        """Return the settings and versions that decide the bytes."""
         header = asdict(self._header(versions, choose_backend().renderer))
         return {name: header[name] for name in header if name not in _PER_FILE}
 
@@ -88,7 +88,7 @@ class KeyframeForm:
         )
 
     def look(self, path: Path) -> Found:
-        """Return what a file says about itself.
+        """Return the record that a file holds.
 
         Raises:
             DatasetError: It is damaged, or of another form or version.

@@ -40,14 +40,14 @@ LABELS = (
     *("key", "task", "index", "keyframe", "keyframes"),
     *("robot", "primitive", "pick", "place", "pick_pose", "place_pose"),
 )
-"""Columns that say what a policy should do."""
+"""Labels of a policy's decision."""
 POLICY_COLUMNS = (*LABELS, "arms", "bases", "joints", "opening_m", "sub_instruction")
 """Columns that a policy needs beside its images and the instruction."""
 MAP_COLUMNS = ("map_rgb", "map_height")
 CAMERA_COLUMNS = ("intrinsics", "world_from_camera", "rgb", "depth")
 
 _OPEN_FILES = 600
-"""What is open at most: each file takes a descriptor, of which systems allow 1024."""
+"""Files open at a time: each takes a descriptor, and systems allow 1024."""
 
 
 class KeyframeDataset:
@@ -66,14 +66,14 @@ class KeyframeDataset:
         columns: Sequence[str] = (*MAP_COLUMNS, *POLICY_COLUMNS),
         language: Language = RECORDED,
     ) -> None:
-        """Look at what is there; no keyframe is read.
+        """Open the data set; no keyframe is read.
 
         Args:
-            folder: What ``lemma render --form keyframes`` made.
+            folder: Written by ``lemma render --form keyframes``.
             split: Name of a split.
             tasks: Names of tasks; all if empty.
-            columns: What samples hold; see ``docs/rendered_format.md``.
-            language: What their instructions are.
+            columns: Contents of a sample; see ``docs/rendered_format.md``.
+            language: Source of the instructions.
 
         Raises:
             DatasetError: Files are missing, cut short, or of another version.
@@ -161,7 +161,7 @@ class KeyframeDataset:
         return [range(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave behind what is open, which belongs to a thread, and what was drawn."""
+        """Leave out open files, which belong to a thread, and drawn sentences."""
         return {**self.__dict__, "_local": None, "_sources": {}, "_drawn": {}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

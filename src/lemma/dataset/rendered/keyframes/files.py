@@ -52,7 +52,7 @@ def write_keyframes(files: Sequence[tuple[Path, Header]], rows: Iterable[Row]) -
         def write(draft: Path) -> None:
             options = pa.ipc.IpcWriteOptions(
                 compression=_CODECS[header.part],
-                # Many processes write at once.
+                # Many processes write at the same time.
                 use_threads=False,
             )
             with (
@@ -186,5 +186,5 @@ class _Tensor:
         buffer = column.storage.values.buffers()[1]
         array = np.frombuffer(buffer, self.dtype, math.prod(self.shape))
         array = array.reshape(self.shape)
-        # What was decompressed is ours; what was not is the file.
+        # Uncompressed buffers are the file itself: copy them.
         return array if array.flags.writeable else array.copy()

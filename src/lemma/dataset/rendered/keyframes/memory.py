@@ -104,7 +104,7 @@ class MapsInMemory:
             del sample["map_coverage"]
             return sample
 
-        # Most of the time goes into new memory and decompression, without the lock.
+        # Allocation and decompression take most of the time, and release the lock.
         with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
             for sample in pool.map(read, range(count)):
                 for name, value in sample.items():
@@ -123,8 +123,7 @@ class MapsInMemory:
         labels = KeyframeDataset(folder, split, tasks, columns, language)
         place = folder / SHARED
         stem = "-".join((split, *tasks))
-        # The maps belong to the content, not to the names: other files may lie in the
-        # folder by now.
+        # Named by content: the files of the folder may have been replaced.
         content = _content(folder, labels.shards)
         paths = [place / f"{stem}.{content}.{name}.npy" for name in ("rgb", "height")]
         try:
@@ -136,7 +135,7 @@ class MapsInMemory:
                     maps = cls.load(folder, split, tasks, ())
                     _save(paths[0], maps.rgb)
                     _save(paths[1], maps.height)
-                # Copied when written to, which nobody does: torch wants it writable.
+                # Writable, as torch asks; a page that is written to is copied.
                 rgb, height = (np.load(path, mmap_mode="c") for path in paths)
         except (OSError, ValueError) as error:
             raise DatasetError(

@@ -1,4 +1,4 @@
-"""What files of rendered keyframes hold: the only place that says so.
+"""Columns of rendered keyframes: the only place that defines them.
 
 An Arrow file holds the keyframes of some episodes, one record batch for each, so that
 any keyframe is found at once. Images are Arrow tensors: any Arrow library reads them.
@@ -32,21 +32,21 @@ PARTS = ("maps", "cameras")
 SUFFIX = ".arrow"
 
 EXECUTED = "executed_"
-"""What names of columns begin with that say what was done in perturbed executions."""
+"""Prefix of columns with the executed sub-task of perturbed executions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a file says about itself."""
+    """The record in a file."""
 
     form: str
     part: str
     """One of :data:`PARTS`."""
     version: str
     versions: dict[str, str]
-    """Versions of what made it; see :func:`lemma.dataset.recipe.files.versions`."""
+    """See :func:`lemma.dataset.recipe.files.versions`."""
     renderer: str
-    """What drew the images: other software may draw other pixels."""
+    """Software that drew the images; another one may draw other pixels."""
     robots: int
     """Robots, and cameras, of every episode."""
     width: int
@@ -73,7 +73,7 @@ class Header:
 
     @classmethod
     def from_json(cls, path: Path, text: bytes | None) -> "Header":
-        """Read what a file says about itself.
+        """Read the record of a file.
 
         Raises:
             DatasetError: It is no such file, or of another version.
