@@ -12,8 +12,8 @@ from clumsy import EPISODES, FAILED, Clumsy, play_clumsily
 from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.workers.serial import Serial
+from lemma.dataset.playback import FrameTaker
 from lemma.dataset.recipe.generate import GenerateConfig, generate
-from lemma.env.playback import FrameTaker
 from lemma.evaluation.records import SUMMARY
 from lemma.evaluation.report.episodes import Case
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out

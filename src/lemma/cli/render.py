@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lemma.cli.options import Flag, JsonFlag, output, print_json
+from lemma.cli.options import Flag, JsonFlag, output, print_json, words
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import Engine
@@ -113,7 +113,7 @@ def render(
         as_json: Print one JSON object instead of words.
     """
     order = RenderConfig(
-        recipe=data, out=out, tasks=words(look.tasks), splits=words(look.splits)
+        recipe=data, out=out, tasks=_chosen(look.tasks), splits=_chosen(look.splits)
     )
     make = choose_form(form, order, look)
     engine = working.make_engine()
@@ -155,7 +155,7 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
         height_px=height,
         depth=not look.no_depth,
         cameras=words(look.cameras) if look.cameras else (),
-        instructions=words(look.instructions.replace("-", "_")) or KINDS,
+        instructions=_chosen(look.instructions.replace("-", "_")) or KINDS,
         images=not look.no_images,
         environment_state=look.environment_state,
         control=look.control,
@@ -164,11 +164,9 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
     return partial(write_dataset, LeRobotConfig(source=order, style=style))
 
 
-def words(listed: str) -> tuple[str, ...]:
-    """Return names that a user typed, separated by commas; none means all."""
-    if listed == _ALL:
-        return ()
-    return tuple(dict.fromkeys(word.strip() for word in listed.split(",")))
+def _chosen(listed: str) -> tuple[str, ...]:
+    """Return names that a user typed, separated by commas; none if all are meant."""
+    return () if listed == _ALL else words(listed)
 
 
 def parse_size(text: str) -> tuple[int, int]:

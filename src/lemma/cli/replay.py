@@ -2,6 +2,7 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from shlex import quote
 from time import perf_counter
 from typing import Annotated, Any
 
@@ -158,7 +159,8 @@ def choose(
     if not len(chosen):
         raise InvalidConfigError(
             f"{recipe.folder} has no episodes of task {task or 'any'} and split "
-            f"{split or 'any'}. 'lemma inspect {recipe.folder}' says what it has."
+            f"{split or 'any'}. 'lemma inspect "
+            f"{quote(str(recipe.folder))}' says what it has."
         )
     return chosen
 

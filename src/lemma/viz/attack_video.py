@@ -7,8 +7,8 @@ from lemma.audit.attack import ATTACKS
 from lemma.audit.control_trial import control_config
 from lemma.audit.run import Found
 from lemma.core.errors import InvalidConfigError
+from lemma.dataset.playback import FrameTaker, MotorCommands, Step, play_steps
 from lemma.env.episode import Episode
-from lemma.env.playback import FrameTaker, MotorCommands, Step, play_steps
 from lemma.tasks.instance import Instance
 from lemma.viz.recording import Line, Recording, robot_titles
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from lemma.core.poses import FloatArray
-from lemma.env.playback import FrameTaker
+from lemma.dataset.playback import FrameTaker
 from lemma.env.simulation import HORIZON_S
 from lemma.evaluation.report.episodes import Case, subtask_words
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out

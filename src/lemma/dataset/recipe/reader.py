@@ -4,6 +4,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any, overload
 
 import pyarrow as pa
@@ -146,7 +147,7 @@ class Recipe(Sequence[EpisodeRecord]):
                 return chosen[place]
         raise InvalidConfigError(
             f"{self.folder} has no episode {task}/{split}/{index}. 'lemma inspect "
-            f"{self.folder}' says what it has."
+            f"{quote(str(self.folder))}' says what it has."
         )
 
 
@@ -164,7 +165,7 @@ def load(folder: str | Path) -> Recipe:
     if not paths:
         raise DatasetError(
             f"There is no recipe in {folder}. Write one with 'lemma generate --out "
-            f"{folder}'."
+            f"{quote(str(folder))}'."
         )
     places = []
     for path in paths:

@@ -10,11 +10,11 @@ import numpy as np
 from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import Engine
 from lemma.dataset.files import check_files
+from lemma.dataset.playback import play_steps
 from lemma.dataset.recipe.files import open_table, versions
 from lemma.dataset.recipe.reader import Recipe, read_group
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.env.episode import Episode
-from lemma.env.playback import play_steps
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 
 _BINDING = ("format", "benchmark", "mujoco")

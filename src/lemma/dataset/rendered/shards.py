@@ -6,6 +6,7 @@ Neither MuJoCo nor torch is needed.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from lemma.core.errors import DatasetError, UnknownNameError
@@ -84,7 +85,8 @@ def read_manifest(folder: Path, form: str) -> dict[str, dict[str, Any]]:
     if not (folder / MANIFEST).exists():
         raise DatasetError(
             f"{folder} has no {MANIFEST}: nothing was rendered there, or not to the "
-            f"end. Run 'lemma render --form {form} --out {folder}' (again)."
+            f"end. Run 'lemma render --form {form} --out {quote(str(folder))}' "
+            "(again)."
         )
     manifest = read_json(folder / MANIFEST)
     if manifest.get("form") != form:

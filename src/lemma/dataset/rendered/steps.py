@@ -12,12 +12,12 @@ import numpy as np
 
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.poses import FloatArray
+from lemma.dataset.playback import play_steps
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation.perform import perform
 from lemma.dataset.teleoperation.record import TeleoperatedRecord
 from lemma.env.episode import Episode
 from lemma.env.observation import object_poses
-from lemma.env.playback import play_steps
 from lemma.env.simulation import TICK_S
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance

@@ -1,5 +1,6 @@
 """A teleoperated episode played again: the same commands at the same times."""
 
+from lemma.dataset.playback import Watcher, carry_out, unwatched
 from lemma.dataset.teleoperation.nudge import nudge
 from lemma.dataset.teleoperation.schema import (
     Executed,
@@ -7,7 +8,6 @@ from lemma.dataset.teleoperation.schema import (
     joints_sha256,
 )
 from lemma.env.episode import Episode
-from lemma.env.playback import Watcher, carry_out, unwatched
 from lemma.env.simulation import TICK_S, Simulation
 
 _EARLY_S = 0.5 * TICK_S

@@ -16,8 +16,8 @@ import numpy as np
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray, Pose2
+from lemma.dataset.playback import MotorCommands
 from lemma.env.episode import STILL_S
-from lemma.env.playback import MotorCommands
 from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from lemma.dataset.playback import FrameTaker, play_steps
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation.perform import is_same, perform
 from lemma.dataset.teleoperation.schema import LED, Commanded, Teleoperation
 from lemma.env.episode import Episode, EpisodeSnapshot
-from lemma.env.playback import FrameTaker, play_steps
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation
 from lemma.evaluation.run.replay import differences, play_again

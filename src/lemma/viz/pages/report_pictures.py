@@ -9,8 +9,8 @@ from PIL import Image
 
 from lemma.core.poses import FloatArray
 from lemma.core.workers.pool import ProcessPool
+from lemma.dataset.playback import FrameTaker
 from lemma.env.episode import Episode
-from lemma.env.playback import FrameTaker
 from lemma.evaluation.report.episodes import Case
 from lemma.evaluation.run.replay import differences, play_again
 from lemma.expert.grounding import GeometricGrounder
