@@ -215,8 +215,11 @@ def test_page_is_there_at_the_width_of_a_phone(
     wide = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
     browser.wait_for("document.querySelector('canvas').clientWidth <= 390")
     assert not browser.run(wide)
-    panel = "document.querySelector('.mantine-Paper-root').getBoundingClientRect()"
-    assert browser.run(f"{panel}.width") == 390
+    panel = (
+        "document.getElementById('lemma-style')?.closest('.mantine-Paper-root')"
+        ".getBoundingClientRect()"
+    )
+    browser.wait_for(f"{panel}.width == 390")
     assert browser.run(f"{panel}.top") > 300
     place = f"{BUTTON.format('Do it')}.getBoundingClientRect()"
     assert browser.run(f"{place}.bottom") <= 640
