@@ -1,21 +1,15 @@
-import io
 import json
 from dataclasses import replace
 from functools import partial
 
-import av
-import numpy as np
 import pytest
 
-from lemma.bench import filming
 from lemma.bench.expert_loop import measure_expert_loop, record_loop, time_loop
 from lemma.bench.speed import Trial, expert_figures, measure_speed, run_trials
 from lemma.cli import bench as bench_verb
 from lemma.cli.main import main
 from lemma.core.errors import PhysicsError
-from lemma.core.workers.serial import Serial
 from lemma.scene.build import TIME_STEP_S
-from lemma.tasks.instance import Instance
 from lemma.tasks.suite import load_instance
 
 SPEED = {
@@ -35,7 +29,7 @@ EXPERT = {
 
 def test_one_thing_is_measured_at_a_time(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
-        main(["bench", "--play", "--rendering"])
+        main(["bench", "--policy", "oracle", "--expert"])
     assert end.value.code == 2
     assert "Name one of them" in " ".join(capsys.readouterr().err.split())
 
@@ -122,54 +116,3 @@ def test_figures_of_a_policy(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["look_ms"] == 0.0
     assert found["success_rate"] == 1.0
     assert found["peak_mb"] > 50
-
-
-FIGURES = filming.FilmingFigures(
-    *("opengl", "llvmpipe", 128, 96, 2),
-    *(0.5, 2.0, 0.25, 800.0, 62.5),
-)
-
-
-@pytest.mark.parametrize("as_json", [True, False])
-def test_bench_of_rendering(
-    as_json: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    asked: list[tuple[int, int]] = []
-
-    def measure(instances: list[Instance], workers: int) -> list[object]:
-        asked.append((len(instances), workers))
-        return [FIGURES]
-
-    monkeypatch.setattr(bench_verb, "measure_filming", measure)
-    words = ["bench", "pass", "stack", "--rendering", "--workers", "2"]
-    with pytest.raises(SystemExit) as end:
-        main([*words, *["--json"] * as_json])
-    assert end.value.code == 0
-    assert asked == [(2, 2)]
-    out = capsys.readouterr().out
-    if as_json:
-        assert json.loads(out)["rendering"] == [FIGURES.to_dict()]
-    else:
-        assert "128x96" in out
-        assert "opengl: llvmpipe" in out
-
-
-@pytest.mark.render
-def test_filming_is_timed_by_stages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(filming, "ProcessPool", lambda workers: Serial())
-    instances = [load_instance("pass", "val", 0)]
-    (found,) = filming.measure_filming(instances, 1, ((16, 16),), least_s=0.01)
-    stages = found.replay_ms / 2 + found.render_ms + found.encode_ms
-    assert found.images_per_s == pytest.approx(1000.0 / stages)
-    assert found.all_minutes == pytest.approx(5e4 / found.images_per_s)
-    assert (found.renderer, found.width, found.height) == ("opengl", 16, 16)
-
-
-def test_videos_hold_what_was_encoded() -> None:
-    rng = np.random.default_rng(0)
-    frames = np.repeat(rng.integers(0, 255, (5, 1, 1, 3), np.uint8), 32, axis=1)
-    frames = np.repeat(frames, 48, axis=2)
-    with av.open(io.BytesIO(filming.encode(frames, 10)), "r") as container:
-        images = [one.to_ndarray(format="rgb24") for one in container.decode(video=0)]
-    assert np.shape(images) == frames.shape
-    assert np.abs(np.array(images, np.int16) - frames).max() < 12

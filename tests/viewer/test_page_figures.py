@@ -1,7 +1,7 @@
-"""What `lemma bench --play` measures; how fast that is, is no matter of tests."""
+"""`scripts/measure_page.py`: the page shows the same episode; speed is not tested."""
 
-from lemma.bench.page import measure_page
 from lemma.tasks.suite import load_instance
+from measure_page import measure_page
 
 
 def test_a_visitor_sees_an_episode_that_is_the_same_without_one() -> None:

@@ -1,6 +1,5 @@
 """`lemma bench`: the benchmark's own figures, measured here."""
 
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 import tyro
@@ -9,7 +8,6 @@ from rich.table import Table
 
 from lemma.bench.control import HZ, ControlFigures, measure_control
 from lemma.bench.expert_loop import ExpertLoopFigures, measure_expert_loop
-from lemma.bench.filming import FilmingFigures, measure_filming
 from lemma.bench.machine import describe_machine
 from lemma.bench.policy import PolicyFigures, measure_policy
 from lemma.bench.speed import (
@@ -68,32 +66,6 @@ _POLICY_TARGETS = {
     "success_rate": ("success in these episodes", "{:.0%}", ""),
     "peak_mb": ("memory of a process that plays", "{:.0f} MB", "< 1500 MB"),
 }
-_PAGE_TARGETS = {
-    "up_s": ("until the page answers", "{:.1f} s", "< 10 s"),
-    "first_scene_s": ("until a visitor has the scene", "{:.1f} s", ""),
-    "updates_hz": ("moves of the scene a second", "{:.1f}", "≥ 20"),
-    "slowest_ms": ("between two messages, 99 of 100", "{:.0f} ms", ""),
-    "realtime": ("simulated seconds shown a second", "{:.2f}", "1"),
-    "kb_s": ("sent to a visitor a second", "{:.0f} kB", ""),
-    "same_state": ("last state as without a page", "{}", "True"),
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Instead:
-    """What is measured instead of speed and memory."""
-
-    policy: Annotated[
-        str | None, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")
-    ] = None
-    """Measure instead how fast this policy decides, and how much memory it needs."""
-    rendering: Flag = False
-    """Measure instead how fast recorded episodes become pictures."""
-    play: Flag = False
-    """Measure instead how the page of lemma play keeps up."""
-
-
-_NOTHING_ELSE = Instead()
 
 
 def bench(
@@ -101,7 +73,9 @@ def bench(
     expert: Flag = False,
     episodes: int = SPLITS[_SPLIT],
     workers: Number = None,
-    instead: Annotated[Instead, tyro.conf.arg(name="")] = _NOTHING_ELSE,
+    policy: Annotated[
+        str | None, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Measure speed, memory and, if asked to, the expert's success.
@@ -110,8 +84,9 @@ def bench(
         tasks: Tasks to measure with; all eight if none is named.
         expert: Measure the expert's success as well, which takes minutes.
         episodes: Frozen instances per task, and as many fresh ones, for the expert.
-        workers: Processes for the expert and for --rendering; one per core by default.
-        instead: What to measure instead.
+        workers: Processes for the expert; one per core by default.
+        policy: Measure instead how fast this policy decides, and how much memory it
+            needs.
         as_json: Print one JSON object on the output, and the progress elsewhere.
     """
     names = tuple(task_named(name).name for name in dict.fromkeys(tasks)) or SUITE
@@ -123,15 +98,12 @@ def bench(
     each = min(episodes, _SPEED_EPISODES)
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
-    _check_one(instead, expert=expert)
-    if instead.policy is not None:
-        _bench_policy(machine, instead.policy, instances, as_json)
-        return 0
-    if instead.rendering:
-        _bench_rendering(machine, instances[::each], workers, as_json)
-        return 0
-    if instead.play:
-        _bench_page(machine, instances[0], as_json)
+    if policy is not None:
+        if expert:
+            raise InvalidConfigError(
+                "--policy and --expert measure different things. Name one of them."
+            )
+        _bench_policy(machine, policy, instances, as_json)
         return 0
     with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
         speed = measure_speed(instances)
@@ -156,15 +128,6 @@ def bench(
     return 0
 
 
-def _check_one(instead: Instead, *, expert: bool) -> None:
-    chosen = (instead.policy is not None, instead.rendering, instead.play, expert)
-    if sum(chosen) > 1:
-        raise InvalidConfigError(
-            "--policy, --rendering, --play and --expert measure different things. Name "
-            "one of them."
-        )
-
-
 def _bench_policy(
     machine: dict[str, Any], policy: str, instances: list[Instance], as_json: bool
 ) -> None:
@@ -174,33 +137,6 @@ def _bench_policy(
         print_json({"machine": machine, "policy": found.to_dict()})
     else:
         _print_policy(machine, found, policy)
-
-
-def _bench_rendering(
-    machine: dict[str, Any], instances: list[Instance], asked: Number, as_json: bool
-) -> None:
-    workers = asked or usable_cores()
-    with messages().status(f"Filming with {workers} processes ..."):
-        found = measure_filming(instances, workers)
-    if as_json:
-        rows = [figures.to_dict() for figures in found]
-        print_json({"machine": machine, "rendering": rows})
-    else:
-        _print_machine(machine)
-        _print_rendering(found)
-
-
-def _bench_page(machine: dict[str, Any], instance: Instance, as_json: bool) -> None:
-    from lemma.bench.page import measure_page
-
-    with messages().status("Watching an episode at real time ..."):
-        found = measure_page(instance)
-    if as_json:
-        print_json({"machine": machine, "play": found.to_dict()})
-    else:
-        _print_machine(machine)
-        title = f"The page of lemma play, one visitor, {instance.key}"
-        output().print(_figures(title, found, _PAGE_TARGETS))
 
 
 def report(
@@ -254,31 +190,6 @@ def _print_expert(figures: dict[str, ExpertFigures]) -> None:
 def _print_policy(machine: dict[str, Any], found: PolicyFigures, policy: str) -> None:
     _print_machine(machine)
     output().print(_figures(f"Policy {policy}", found, _POLICY_TARGETS))
-
-
-def _print_rendering(found: list[FilmingFigures]) -> None:
-    title = f"Episodes at 10 Hz, two cameras, color; {found[0].workers} processes"
-    table = Table(title=title, title_justify="left")
-    for heading in ("renderer", "size"):
-        table.add_column(heading)
-    for heading in (
-        *("replay, ms a state", "render, ms a picture", "encode, ms a picture"),
-        *("pictures/s of all", "min for all episodes"),
-    ):
-        table.add_column(heading, justify="right")
-    for one in found:
-        table.add_row(
-            one.renderer,
-            f"{one.width}x{one.height}",
-            f"{one.replay_ms:.2f}",
-            f"{one.render_ms:.2f}",
-            f"{one.encode_ms:.2f}",
-            f"{one.images_per_s:.0f}",
-            f"{one.all_minutes:.0f}",
-        )
-    output().print(table)
-    for name, drawn_by in {one.renderer: one.drawn_by for one in found}.items():
-        output().print(f"{name}: {drawn_by}")
 
 
 def _print_machine(machine: dict[str, Any]) -> None:

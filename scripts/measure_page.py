@@ -1,6 +1,11 @@
-"""The figures of `lemma bench --play`: how the page of `lemma play` keeps up."""
+"""Measure how the page of ``lemma play`` keeps up with an episode at real time.
 
+python scripts/measure_page.py pass
+"""
+
+import json
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +22,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.tasks.instance import Instance
+from lemma.tasks.suite import load_instance
 from lemma.viewer.episode.request import EpisodeRequest
 from lemma.viewer.episode.session import Session
 from lemma.viewer.episode.status import Phase
@@ -160,3 +166,8 @@ def _free_port() -> int:
         found.bind((HOST, 0))
         port: int = found.getsockname()[1]
         return port
+
+
+if __name__ == "__main__":
+    instance = load_instance(sys.argv[1] if len(sys.argv) > 1 else "pass", "test", 0)
+    print(json.dumps(measure_page(instance).to_dict()))

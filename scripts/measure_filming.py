@@ -1,10 +1,14 @@
-"""The figures of `lemma bench --rendering`: how fast episodes become pictures.
+"""Measure how fast episodes become pictures, with each renderer and at three sizes.
+
+    python scripts/measure_filming.py --workers 16
 
 Worker processes do what an export does, all at the same time: execute an episode again,
 render its states, encode a video of each camera. Each stage is timed by itself.
 """
 
+import argparse
 import io
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -13,7 +17,9 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
+from lemma.bench.machine import describe_machine
 from lemma.core.workers.pool import ProcessPool
+from lemma.core.workers.resources import usable_cores
 from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.film import Filming, cameras_of, rig_of, robots_of
@@ -21,6 +27,7 @@ from lemma.dataset.rendered.steps import iterate_steps
 from lemma.scene.rendering.batch import choose_renderer
 from lemma.scene.rendering.pictures import states_at_once
 from lemma.tasks.instance import Instance
+from lemma.tasks.suite import SUITE, load_instance
 
 SIZES = ((128, 128), (224, 224), (640, 480))
 """Width and height of the pictures [px]."""
@@ -185,3 +192,18 @@ def encode(frames: NDArray[np.uint8], hz: int) -> bytes:
             container.mux(stream.encode(image))
         container.mux(stream.encode())
     return file.getvalue()
+
+
+def main() -> None:
+    """Print the figures, one JSON object a line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--workers", type=int, default=usable_cores())
+    workers = parser.parse_args().workers
+    print(json.dumps(describe_machine()))
+    instances = [load_instance(task, "test", 0) for task in SUITE]
+    for figures in measure_filming(instances, workers):
+        print(json.dumps(figures.to_dict()))
+
+
+if __name__ == "__main__":
+    main()
