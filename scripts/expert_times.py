@@ -17,8 +17,8 @@ import numpy as np
 from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
 from lemma.core.workers.pool import Engine, ProcessPool
-from lemma.evaluation.run.expert_times import TIMED_SPLITS, TIMES
-from lemma.evaluation.run.perturbed_starts import APART_M, FROM_STICK_M, perturbed
+from lemma.evaluation.protocol.expert_times import TIMED_SPLITS, TIMES
+from lemma.evaluation.protocol.perturbed_starts import APART_M, FROM_STICK_M, perturbed
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.scene.camera_mounts import CameraFootprint
@@ -31,7 +31,7 @@ from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.suite import SUITE, load_instance, task_named
 from lemma.tasks.zones import Territory
 
-TABLE = Path(__file__).parents[1] / "src" / "lemma" / "evaluation" / "run" / TIMES
+TABLE = Path(__file__).parents[1] / "src" / "lemma" / "evaluation" / "protocol" / TIMES
 _PLACES = 3
 """Decimals of times [s]: milliseconds, as in results."""
 _DRAWS = 200

@@ -1,7 +1,7 @@
 """Freeze the protocol, and write docs/protocol.md from it.
 
 Run from the repository: ``python scripts/protocol.py``. A protocol that has results is
-changed under a new name, ``NAME`` in ``lemma.evaluation.run.protocol``.
+changed under a new name, ``NAME`` in ``lemma.evaluation.protocol.rules``.
 """
 
 import json
@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.workers.resumable import flat
-from lemma.evaluation.run.protocol import PROTOCOL, in_force, sha256_of_protocol
+from lemma.evaluation.protocol.rules import PROTOCOL, in_force, sha256_of_protocol
 
 ROOT = Path(__file__).parents[1]
-FILE = ROOT / "src" / "lemma" / "evaluation" / "run" / PROTOCOL
+FILE = ROOT / "src" / "lemma" / "evaluation" / "protocol" / PROTOCOL
 PAGE = ROOT / "docs" / "protocol.md"
 _INTRODUCTION = """\
 # Protocol
 
 Everything that fixes a number, as one frozen file: `protocol.json` in
-`lemma.evaluation.run`. This page is written from it, by `python scripts/protocol.py`.
+`lemma.evaluation.protocol`. `python scripts/protocol.py` writes this page from it.
 
 | protocol | SHA-256 |
 |:---|:---|

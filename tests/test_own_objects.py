@@ -19,8 +19,8 @@ from lemma.dataset.rendered.labels import entity_poses
 from lemma.env.action_spaces import PICKS, PLACES, decode_plan, encode_plan, plan_space
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.env.observation import object_poses
+from lemma.evaluation.protocol.language_controls import control_of
 from lemma.evaluation.run.fault_isolation import check
-from lemma.evaluation.run.language_controls import control_of
 from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.obstacles import around
 from lemma.policies.batch import decision_numbers

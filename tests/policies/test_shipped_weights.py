@@ -17,7 +17,7 @@ from lemma.evaluation.experiments.catalog import (
     TRAININGS,
     selected,
 )
-from lemma.evaluation.run.language_controls import LanguageControl
+from lemma.evaluation.protocol.language_controls import LanguageControl
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.class_path import LEROBOT, privileged
 from lemma.policies.control.checkpoint_file import MODEL, unpack_checkpoint

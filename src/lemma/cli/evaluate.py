@@ -125,10 +125,10 @@ def evaluate(
     """
     # Imported here, so that help does not wait for it.
     from lemma.evaluation.analysis.result import summarise
+    from lemma.evaluation.protocol.rules import NAME, departures
     from lemma.evaluation.records import SUMMARY, read_about
     from lemma.evaluation.report.success_tables import rates
     from lemma.evaluation.run.evaluate import evaluate as run
-    from lemma.evaluation.run.protocol import NAME, departures
 
     config = _config(policy, out, ask, model)
     for departure in departures():

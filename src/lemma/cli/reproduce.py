@@ -23,9 +23,9 @@ from lemma.evaluation.experiments.reproduction import (
     Reproduction,
     commands,
 )
+from lemma.evaluation.protocol.rules import check_protocol, quote
 from lemma.evaluation.report.policy_results import entries_of, read_results
 from lemma.evaluation.report.sections import REPORT, page
-from lemma.evaluation.run.protocol import check_protocol, quote
 
 _AT_INTERRUPT = (
     "{done} of {total} episodes of this experiment are kept. The same command goes on "

@@ -20,10 +20,10 @@ from lemma.env.control.modes import CONTROLS
 from lemma.env.control_env import ControlEnv
 from lemma.env.learning.flat_view import FlatView
 from lemma.evaluation.experiments.published import compared, published_sample
+from lemma.evaluation.protocol.rules import NAME, departures
 from lemma.evaluation.records import Row, key_of
 from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate, start_of
-from lemma.evaluation.run.protocol import NAME, departures
 from lemma.evaluation.run.replay import differences, play_again
 from lemma.policies.spec import CONTROL, ORACLE, PolicySpec
 

@@ -21,11 +21,11 @@ from lemma.env.simulation import HORIZON_S
 from lemma.evaluation.analysis.result import Result, check_lines, read_result
 from lemma.evaluation.experiments.catalog import EXPERIMENTS
 from lemma.evaluation.lines import lines_at, lines_in, read_lines, result_beside
+from lemma.evaluation.protocol.rules import NAME, quote
 from lemma.evaluation.records import SUMMARY, Row, check_about, key_of, read_about
 from lemma.evaluation.run.config import VERDICTS
 from lemma.evaluation.run.evaluate import start_of
 from lemma.evaluation.run.loading import learned_parts
-from lemma.evaluation.run.protocol import NAME, quote
 from lemma.evaluation.run.replay import differences, play_again
 from lemma.policies.class_path import privileged
 from lemma.policies.planners.registry import is_planner

@@ -19,10 +19,10 @@ from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.intervals import rates_by, wilson_interval
 from lemma.evaluation.analysis.result import cells_of
 from lemma.evaluation.lines import read_rows
+from lemma.evaluation.protocol.rules import quote
 from lemma.evaluation.records import ABOUT, EPISODES, Row
 from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate
-from lemma.evaluation.run.protocol import quote
 from lemma.policies.planners.chat import ChatOptions
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.suite import load_instance

@@ -13,8 +13,8 @@ import pytest
 import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.dataset.instructions import TRAINING_KINDS, Language, draw_instruction
+from lemma.evaluation.protocol.language_controls import control_of
 from lemma.evaluation.run.config import EvaluationConfig
-from lemma.evaluation.run.language_controls import control_of
 from lemma.policies.spec import PolicySpec
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.instance import SPLITS, Instance
@@ -48,8 +48,8 @@ READ_BY = {
     "src/lemma/env/config.py",
     "src/lemma/env/observation.py",
     "src/lemma/evaluation/run/config.py",
-    "src/lemma/evaluation/run/language_controls.py",
-    "src/lemma/evaluation/run/protocol.py",
+    "src/lemma/evaluation/protocol/language_controls.py",
+    "src/lemma/evaluation/protocol/rules.py",
     "src/lemma/evaluation/run/rollout.py",
     "src/lemma/cli/evaluate.py",
 }

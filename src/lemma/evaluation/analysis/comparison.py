@@ -8,8 +8,8 @@ from typing import Any
 from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.intervals import mcnemar_p, paired_interval
 from lemma.evaluation.lines import lines_at, read_lines
+from lemma.evaluation.protocol.rules import check_protocol
 from lemma.evaluation.records import EpisodeKey, Row, key_of, read_about
-from lemma.evaluation.run.protocol import check_protocol
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import in_order
 

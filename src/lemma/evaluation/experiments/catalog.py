@@ -51,7 +51,8 @@ class Experiment:
     kinds: tuple[str, ...] = EVALUATION_KINDS
     """Of instructions."""
     language: str = "full"
-    """What is said, one of :data:`lemma.evaluation.run.language_controls.LANGUAGES`."""
+    """What is said, one of
+    :data:`lemma.evaluation.protocol.language_controls.LANGUAGES`."""
     perturb_start: bool = False
     """Whether objects begin a little elsewhere."""
     tasks: tuple[str, ...] = SUITE

@@ -17,9 +17,9 @@ from lemma.evaluation.experiments.catalog import (
     Experiment,
 )
 from lemma.evaluation.lines import is_lines, lines_beside, read_lines, result_beside
+from lemma.evaluation.protocol.language_controls import FULL
+from lemma.evaluation.protocol.rules import check_protocol
 from lemma.evaluation.records import SUMMARY
-from lemma.evaluation.run.language_controls import FULL
-from lemma.evaluation.run.protocol import check_protocol
 from lemma.tasks.names import SUITE, in_order
 
 NOTHING = "–"

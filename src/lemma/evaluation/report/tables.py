@@ -9,6 +9,7 @@ from lemma.core.tables import Table
 from lemma.evaluation.analysis.coordination import Coordination
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.analysis.result import Result
+from lemma.evaluation.protocol.language_controls import FULL, LANGUAGES
 from lemma.evaluation.report.policy_results import (
     NOTHING,
     PolicyResults,
@@ -22,7 +23,6 @@ from lemma.evaluation.report.policy_results import (
     starts_perturbed,
     tasks_of,
 )
-from lemma.evaluation.run.language_controls import FULL, LANGUAGES
 from lemma.tasks.language.template import EVALUATION_KINDS
 
 

@@ -10,14 +10,14 @@ from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.plugins import plugin_words
 from lemma.dataset.recipe.files import versions
+from lemma.evaluation.protocol.expert_times import TIMED_SPLITS
+from lemma.evaluation.protocol.language_controls import FULL, LANGUAGES
+from lemma.evaluation.protocol.rules import GROUP, quote
 from lemma.evaluation.records import (
     PROTOCOL_VERSION,
     EpisodeKey,
 )
-from lemma.evaluation.run.expert_times import TIMED_SPLITS
-from lemma.evaluation.run.language_controls import FULL, LANGUAGES
 from lemma.evaluation.run.loading import served_parts, weights_of
-from lemma.evaluation.run.protocol import GROUP, quote
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.interfaces import TIMEOUT_S
 from lemma.policies.spec import PLANNINGS, PolicySpec
@@ -47,10 +47,11 @@ class EvaluationConfig:
     episodes: int | None = None
     """Only the first so many of every task; all if None. Split ``"free"`` needs it."""
     language: str = FULL
-    """What is said, one of :data:`lemma.evaluation.run.language_controls.LANGUAGES`."""
+    """What is said, one of
+    :data:`lemma.evaluation.protocol.language_controls.LANGUAGES`."""
     perturb_start: bool = False
     """Whether objects begin a little elsewhere, see
-    :mod:`lemma.evaluation.run.perturbed_starts`."""
+    :mod:`lemma.evaluation.protocol.perturbed_starts`."""
     verdicts: str = VERDICTS[0]
     """One of :data:`VERDICTS`; strictly alone, an episode ends where the other would go
     on after a protective stop."""

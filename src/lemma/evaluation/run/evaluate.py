@@ -20,6 +20,9 @@ from lemma.core.files import only_writer, read_json
 from lemma.core.workers.pool import Engine, report
 from lemma.core.workers.resumable import PARTS, Part, begin, do_missing
 from lemma.evaluation.lines import read_lines, read_rows, write_rows
+from lemma.evaluation.protocol.expert_times import expert_s, perturbed_start
+from lemma.evaluation.protocol.language_controls import control_of
+from lemma.evaluation.protocol.rules import check_protocol
 from lemma.evaluation.records import (
     ABOUT,
     EPISODES,
@@ -32,10 +35,7 @@ from lemma.evaluation.records import (
 from lemma.evaluation.run.config import VERDICTS, EvaluationConfig
 from lemma.evaluation.run.control.rollout import load_player
 from lemma.evaluation.run.expert_feedback import count_steps
-from lemma.evaluation.run.expert_times import expert_s, perturbed_start
-from lemma.evaluation.run.language_controls import control_of
 from lemma.evaluation.run.loading import hang_up
-from lemma.evaluation.run.protocol import check_protocol
 from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
 from lemma.policies.interfaces import keeps_state
 from lemma.policies.spec import GivenPolicy, PolicySpec

@@ -5,10 +5,10 @@ from typing import Any
 
 from lemma.core.errors import PhysicsError
 from lemma.env.episode import Episode
+from lemma.evaluation.protocol.language_controls import FULL, control_of
 from lemma.evaluation.records import STATE, WALL_CLOCK, Row
 from lemma.evaluation.run.evaluate import line_of
 from lemma.evaluation.run.fault_isolation import Fault, check
-from lemma.evaluation.run.language_controls import FULL, control_of
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.interfaces import Decision
 from lemma.serve.faults import FaultKind

@@ -19,11 +19,12 @@ from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import LEAST_STEP_S, Episode
 from lemma.env.simulation import HORIZON_S
 from lemma.env.view import View
+from lemma.evaluation.protocol.language_controls import OWN_SENTENCE, LanguageControl
+from lemma.evaluation.protocol.rules import REFUSAL_S
 from lemma.evaluation.records import POLICY_ERROR, PROTECTIVE_STOP
 from lemma.evaluation.run.clearance import ClearanceWatch
 from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise, left_in
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
-from lemma.evaluation.run.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.run.loading import load_policy
 from lemma.expert.grounding import GeometricGrounder, ground_or_refuse
 from lemma.expert.symbolic_state import SymbolicState
@@ -44,11 +45,6 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.language.blind import instruction
 from lemma.tasks.subtask import GroundedSubTask, SubTask
-
-REFUSAL_S = 5.0
-"""Simulated time that a sub-task takes at least which its robot cannot do [s]: as long
-as an arm needs to where its fingers would close, and back. The expert's arms close
-their fingers 2.2 s after a sub-task began (30 of them, 1.7 to 2.9 s)."""
 
 _BLIND = View(
     np.zeros((0, 0, 3), np.uint8),

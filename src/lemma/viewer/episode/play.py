@@ -18,8 +18,8 @@ from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.poses import Pose2
 from lemma.dataset.teleoperation.nudge import nudge
 from lemma.dataset.teleoperation.schema import Teleoperation
+from lemma.evaluation.protocol.language_controls import LanguageControl
 from lemma.evaluation.run.control.rollout import ControlPlayer
-from lemma.evaluation.run.language_controls import LanguageControl
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
 from lemma.policies.control.interfaces import Actions
 from lemma.policies.interfaces import Decision, Insight

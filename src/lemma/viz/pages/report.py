@@ -14,6 +14,7 @@ from lemma.core.tables import Table
 from lemma.core.version import VERSION as __version__
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.lines import result_beside
+from lemma.evaluation.protocol.language_controls import FULL
 from lemma.evaluation.records import Departure
 from lemma.evaluation.report.episodes import (
     DEPARTURES,
@@ -31,7 +32,6 @@ from lemma.evaluation.report.sections import (
 )
 from lemma.evaluation.report.success_tables import at_a_glance
 from lemma.evaluation.report.tables import words
-from lemma.evaluation.run.language_controls import FULL
 from lemma.policies.spec import PLANNINGS
 from lemma.serve.websocket import is_address
 from lemma.tasks.language.template import EVALUATION_KINDS

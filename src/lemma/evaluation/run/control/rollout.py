@@ -19,9 +19,9 @@ from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
 from lemma.env.observation import OBSERVATIONS, Observer, write_text
+from lemma.evaluation.protocol.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.run.control.handling import HandlingWatch
 from lemma.evaluation.run.fault_isolation import Fault
-from lemma.evaluation.run.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.run.loading import load_policy
 from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.policies.control.interfaces import (

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lemma.evaluation.run.language_controls import (
+from lemma.evaluation.protocol.language_controls import (
     FULL,
     LANGUAGES,
     OWN_SENTENCE,

@@ -3,7 +3,8 @@
 Each object is moved by up to 3 cm and turned by up to 15 degrees. A draw counts only if
 every robot reaches what it reached before and nothing else, objects keep apart and in
 sight, and the expert solves it with as many sub-tasks as the task promises. Which draw
-counts is frozen with the expert's times (:mod:`lemma.evaluation.run.expert_times`);
+counts is frozen with the expert's times
+(:mod:`lemma.evaluation.protocol.expert_times`);
 ``scripts/expert_times.py`` chooses it.
 """
 

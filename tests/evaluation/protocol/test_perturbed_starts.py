@@ -7,12 +7,12 @@ import pytest
 from expert_times import is_alike, time_expert
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2, wrap
-from lemma.evaluation.run.expert_times import (
+from lemma.evaluation.protocol.expert_times import (
     TIMED_SPLITS,
     expert_s,
     perturbed_start,
 )
-from lemma.evaluation.run.perturbed_starts import SHIFT_M, TURN_RAD, perturbed
+from lemma.evaluation.protocol.perturbed_starts import SHIFT_M, TURN_RAD, perturbed
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.suite import SUITE, load_instance
 

@@ -11,8 +11,8 @@ from lemma.cli.evaluate import EvaluateOptions, evaluate
 from lemma.cli.reproduce import reproduce
 from lemma.cli.workers import Workers
 from lemma.core.errors import DatasetError
-from lemma.evaluation.run import protocol
-from lemma.evaluation.run.protocol import (
+from lemma.evaluation.protocol import rules as protocol
+from lemma.evaluation.protocol.rules import (
     check_protocol,
     departures,
     frozen,

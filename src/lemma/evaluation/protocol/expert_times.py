@@ -12,7 +12,7 @@ from importlib.resources import files
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError
-from lemma.evaluation.run.perturbed_starts import perturbed
+from lemma.evaluation.protocol.perturbed_starts import perturbed
 from lemma.tasks.instance import Instance
 
 TIMES = "expert_times.json"
@@ -62,7 +62,7 @@ def times_sha256() -> str:
 
 @cache
 def _bytes() -> bytes:
-    return (files("lemma.evaluation.run") / TIMES).read_bytes()
+    return (files("lemma.evaluation.protocol") / TIMES).read_bytes()
 
 
 @cache

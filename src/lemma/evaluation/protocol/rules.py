@@ -17,20 +17,19 @@ from lemma.core.errors import DatasetError
 from lemma.core.workers.resumable import flat
 from lemma.env.episode import LEAST_STEP_S, STILL_S
 from lemma.env.simulation import HORIZON_S, TICK_S
-from lemma.evaluation.records import (
-    POSE_TOLERANCE_MM,
-    PROTOCOL_VERSION,
-    RESULT_VERSION,
-)
-from lemma.evaluation.run.expert_times import times_sha256
-from lemma.evaluation.run.language_controls import LANGUAGES
-from lemma.evaluation.run.perturbed_starts import (
+from lemma.evaluation.protocol.expert_times import times_sha256
+from lemma.evaluation.protocol.language_controls import LANGUAGES
+from lemma.evaluation.protocol.perturbed_starts import (
     APART_M,
     FROM_STICK_M,
     SHIFT_M,
     TURN_RAD,
 )
-from lemma.evaluation.run.rollout import REFUSAL_S
+from lemma.evaluation.records import (
+    POSE_TOLERANCE_MM,
+    PROTOCOL_VERSION,
+    RESULT_VERSION,
+)
 from lemma.motion.outcome import REFUSED
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.objects.cube import CUBE
@@ -45,6 +44,10 @@ from lemma.tasks.support import REST_M_S, REST_RAD_S, TILT_RAD
 PROTOCOL = "protocol.json"
 """File in the package."""
 NAME = "lemma-v2"
+REFUSAL_S = 5.0
+"""Simulated time that a sub-task takes at least which its robot cannot do [s]: as long
+as an arm needs to where its fingers would close, and back. The expert's arms close
+their fingers 2.2 s after a sub-task began (30 of them, 1.7 to 2.9 s)."""
 GROUP = 10
 """Episodes that are played together."""
 
@@ -113,7 +116,7 @@ def in_force() -> dict[str, Any]:
 @cache
 def frozen() -> dict[str, Any]:
     """Return the protocol that ships."""
-    text = (files("lemma.evaluation.run") / PROTOCOL).read_text("utf-8")
+    text = (files("lemma.evaluation.protocol") / PROTOCOL).read_text("utf-8")
     told: dict[str, Any] = json.loads(text)
     return told
 
