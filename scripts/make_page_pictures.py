@@ -37,8 +37,8 @@ RESULTS = Path(__file__).parents[1] / "results"
 HOST, PORT = "127.0.0.1", 18280
 SETTLES_S = 3.0
 """For how long browsers draw on after the last change [s]."""
-LATER_S = 14.0
-"""When failures are looked at beside the expert [s]."""
+LATER_S = 3.0
+"""Simulated time in the picture of a failure [s]."""
 COLORS = 256
 DESK, PHONE = (1100, 640), (390, 760)
 _CANVAS = "document.querySelector('canvas').getBoundingClientRect()"
@@ -177,6 +177,8 @@ def shoot_failures(browser: Browser, path: Path) -> None:
         browser.wait_for("document.querySelector('.case .replay button')")
         browser.run("document.querySelector('.case .replay button').click()")
         browser.wait_for(f"{_INNER}?.body?.dataset.at > {LATER_S}")
+        # The scene fades in, slowly where software draws it.
+        time.sleep(4.0 * SETTLES_S)
         browser.run("document.querySelector('.case').scrollIntoView(); 0")
         take(browser, path)
 

@@ -81,7 +81,7 @@ def test_thing_is_moved_while_an_episode_waits(session: Session) -> None:
     found = play.rollout.episode.simulation.scene.pose2(TOP)
     assert found.distance(FREE) < 1e-3
     assert not play.transport.playing
-    # What is looked at is what was done.
+    # The page shows the changed state.
     assert play.scene is not None
     play.transport.play()
     until(lambda: play.transport.cursor_s > 1.5, play)

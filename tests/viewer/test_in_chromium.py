@@ -48,7 +48,7 @@ def page() -> Iterator[Page]:
 @pytest.fixture(scope="module")
 def browser(page: Page, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with page_in_chromium(tmp_path_factory.mktemp("profile")) as found:
-        # What is drawn in software costs time by its size.
+        # Software draws large pictures slowly.
         found.resize(900, 320)
         found.open(page.address)
         found.wait_for(SHOWS.format("Ready"))

@@ -241,7 +241,7 @@ def test_table_is_saved_and_opened_again(page: Page) -> None:
     page.panel.table.read(content)
     until_phase(page, Phase.READY)
     assert page.session.play.instance == own
-    # Whoever chooses another table means one of the list.
+    # Another choice means a table of the list.
     page.panel.index.value = 3
     page.panel.chosen(VISITOR)
     until_phase(page, Phase.READY)
@@ -261,7 +261,7 @@ def test_visitor_takes_over_and_hands_back(page: Page) -> None:
     page.panel.act()
     until_true(page, lambda: pilot.take.visible)
     assert not pilot.grips.visible
-    # Nothing was done by hand that could be saved.
+    # There is nothing to save yet.
     assert not pilot.save.visible
     pilot.take_over()
     until_true(page, lambda: pilot.back.visible)

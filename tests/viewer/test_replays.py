@@ -1,4 +1,4 @@
-"""Episodes done again, and the page that plays them from the disk."""
+"""Episodes played again, and the page that plays them from the disk."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -50,7 +50,7 @@ def test_line_gives_the_very_episode(
     assert found.differs == ""
     if played.protective_stop is None:
         assert found.state_hash == played.episode.simulation.scene.state_hash()
-    # What was played goes on after a protective stop, for the lenient verdict.
+    # The rollout goes on after a protective stop, for the lenient verdict.
     for (time_s, qpos), (was_s, was) in zip(
         found.recording.frames, taker.frames, strict=False
     ):
@@ -116,7 +116,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
             downloadThroughput=0,
             uploadThroughput=0,
         )
-        # What is drawn in software costs time by its size.
+        # Software draws large pictures slowly.
         found.resize(320, 400)
         yield found
 

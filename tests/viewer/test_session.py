@@ -174,7 +174,7 @@ def test_expert_says_when_it_knows_no_way() -> None:
     simulation = Rollout(INSTANCE).episode.simulation
     pairs = INSTANCE.goal.pairs
     assert check_plan(Reading(pairs), simulation.scene, needed=True) == Reading(pairs)
-    # What has fallen off the table is lost.
+    # A cube that fell off the table is lost.
     simulation.scene.set_pose(pairs[0][0], Pose((0.0, 3.0, -0.5), (1.0, 0.0, 0.0, 0.0)))
     for needed in (True, False):
         found = check_plan(Reading(pairs), simulation.scene, needed=needed)

@@ -1,4 +1,4 @@
-"""What is drawn of a model: whole, where it is, and seen from outside."""
+"""Meshes of a model: complete, in place, and with faces outwards."""
 
 import numpy as np
 import pytest

@@ -99,7 +99,7 @@ def test_saved_episode_repeats_to_the_bit(session: Session, file: Path) -> None:
 
 @pytest.fixture(scope="module")
 def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the expert began, a visitor went on with, and the expert brought to an end.
+    """Return an episode of the expert in which a visitor led for a while.
 
     Meanwhile the visitor laid the cube elsewhere, as no robot could.
     """

@@ -62,7 +62,7 @@ def test_saved_at_any_moment_repeats_to_the_bit(seed: int, tmp_path: Path) -> No
     session.ask(session.play.request, acts=True)
     play = session.play
     until(lambda: play.transport.latest is not None, play)
-    # So that something is done by hand.
+    # At least one thing is done by hand.
     deeds = ["wait", "take over", "lead", "wait"]
     for deed in deeds + luck.choices(list(WHAT), (3, 2, 1, 4, 1, 4), k=DEEDS):
         try:

@@ -57,7 +57,7 @@ def replays_in(
     if not found:
         raise InvalidConfigError(
             f"{folder} has no episodes of task {task or 'any'} and split "
-            f"{split or 'any'} that can be done again."
+            f"{split or 'any'} that can be played again."
         )
     return len(found), (make() for make in found)
 

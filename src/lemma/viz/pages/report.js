@@ -221,9 +221,9 @@ function card(c) {
   if (!c.steps.length) box.append(make("p", { class: "faint" }, "It did nothing."));
   if (c.differs)
     box.append(make("p", { class: "warning" },
-      "Done again here, the episode went differently, as with other versions or machines. " + c.differs));
+      "Played again here, the episode went differently, as with other versions or machines. " + c.differs));
   const more = make("details", {}, make("summary", {}, "See it move"));
-  if (!c.video) more.append(command("A video of this very episode, done again from its line:", c.film));
+  if (!c.video) more.append(command("A video of this episode, played again from its line:", c.film));
   if (c.demo)
     more.append(command("The policy itself, asked again. It is alone then, not one of ten; a network's " +
       "last bits may differ, and now and then decide otherwise:", c.demo));
