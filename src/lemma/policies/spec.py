@@ -1,10 +1,9 @@
-"""Policies by name: what ``--policy`` takes."""
+"""Policies by name, as ``--policy`` takes them."""
 
 import re
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +45,18 @@ from lemma.policies.weights import load_model, published_weights
 
 ORACLE = "oracle"
 FOREVER_S = 1e6
-"""What stands for any time [s]."""
+"""Stands for no limit [s]."""
 PLANNINGS = ("single-step", "multi-step")
 LEVELS = ("plan", "skill", "control")
-"""What a policy decides: sub-tasks in symbols, or with poses, or motor commands."""
+"""A policy decides on sub-tasks in symbols, on sub-tasks with poses, or on motor
+commands."""
 CONTROL = LEVELS[2]
 _CLASS = re.compile(r"[\w.]+:[^\W\d][\w.<>]*")
 """``package.module:Class``, also of a class within a function."""
+
+
+Load = Callable[[str], Any]
+"""Returns the planner, grounder or policy of a name."""
 
 
 def parts_of(name: str) -> tuple[str, ...]:
@@ -236,13 +240,13 @@ class PolicySpec:
             return True
         if self._is_planner(part):
             return is_oracle(self._planner(part))
-        # The truth travels to no other process.
+        # Other processes get no privileged state.
         if ":" not in part or "://" in part or self.timeout_s > 0.0:
             return False
         found = class_of(part)
         return isinstance(found, type) and issubclass(found, Oracle)
 
-    def load(self, load: Callable[[str], Any] | None = None) -> Any:
+    def load(self, load: Load | None = None) -> Any:
         """Return the policy, ready to act.
 
         It is a :class:`Policy`; at control level, a
@@ -257,57 +261,79 @@ class PolicySpec:
                 the way that is asked for.
             LemmaError: Its weights are missing or damaged.
         """
-        load = load or partial(load_part, arguments=dict(self.arguments))
+        first, *more = self.parts
         if self.controls:
             return self._controller(load)
-        first, *more = self.parts
-        second = more[0] if more else ""
         if self._is_planner(first):
-            return self._with_planner(first, second or ORACLE, load)
+            planner = self._registered(first)
+            return self._compose(planner, self._grounder(*more or [ORACLE], load=load))
         if not more:
-            whole = load(first)
-            if has_options(whole):
-                raise InvalidConfigError(f"{self.name} {IS_CONTROL}")
-            if first == ORACLE:
-                return self._compose(OraclePlanner(), OracleGrounder())
-            if _can(whole, Planner) and _can(whole, Grounder):
-                if self.gta or self.planning != PLANNINGS[0]:
-                    return self._compose(whole, whole)
-            elif self.gta or self.planning != PLANNINGS[0]:
-                raise InvalidConfigError(
-                    f"{self.name} does not plan in symbols, so neither multi-step "
-                    "planning nor ground-truth allocation applies to it."
-                )
-            if _can(whole, Policy):
-                found: Policy = whole
-                return found if _reads_outcomes(whole) else RetryingPolicy(found)
-            raise InvalidConfigError(
-                f"{self.name} is no whole policy: it has no act(inputs). Combine a "
-                "planner with a grounder, as in episodic-transformer+cliport."
-            )
-        planner = OraclePlanner() if first == ORACLE else load(first)
+            return self._whole(load)
+        planner = OraclePlanner() if first == ORACLE else self._part(first, load)
         if not _can(planner, Planner):
             raise InvalidConfigError(f"{first} cannot plan; it has no plan(inputs).")
-        return self._compose(planner, _grounder(second, load))
+        return self._compose(planner, self._grounder(*more, load=load))
 
-    def _controller(self, load: Callable[[str], Any]) -> Any:
-        found = ExpertControl() if self.name == ORACLE else load(self.name)
+    def _part(self, name: str, load: Load | None) -> Any:
+        """Return the planner, grounder or policy of a name."""
+        return load(name) if load else load_part(name, dict(self.arguments))
+
+    def _controller(self, load: Load | None) -> Any:
+        found = ExpertControl() if self.name == ORACLE else self._part(self.name, load)
         if not _can(found, Policy):
             raise InvalidConfigError(
                 f"{self.name} is no policy at control level: it has no act(inputs)."
             )
         return found
 
-    def _with_planner(
-        self, first: str, second: str, load: Callable[[str], Any]
-    ) -> Policy:
-        planner = self._planner(first)
+    def _registered(self, name: str) -> Any:
+        """Return a planner that is registered.
+
+        Raises:
+            InvalidConfigError: It cannot plan from the first image alone.
+        """
+        planner = self._planner(name)
         if self.planning != PLANNINGS[0] and is_oracle(planner):
             raise InvalidConfigError(
-                f"{first} is told how the table is before each sub-task, so it cannot "
+                f"{name} is told how the table is before each sub-task, so it cannot "
                 "plan from the first image alone. Leave out --planning."
             )
-        return self._compose(planner, _grounder(second, load))
+        return planner
+
+    def _grounder(self, name: str, load: Load | None) -> Grounder:
+        grounder = OracleGrounder() if name == ORACLE else self._part(name, load)
+        if not _can(grounder, Grounder):
+            raise InvalidConfigError(
+                f"{name} cannot ground; it has no ground(inputs, subtasks)."
+            )
+        found: Grounder = grounder
+        return found
+
+    def _whole(self, load: Load | None) -> Policy:
+        """Return a policy that is one part: an oracle, or an object that can act.
+
+        Raises:
+            InvalidConfigError: It cannot act, or not in the way that is asked for.
+        """
+        if self.name == ORACLE:
+            return self._compose(OraclePlanner(), OracleGrounder())
+        whole = self._part(self.name, load)
+        if has_options(whole):
+            raise InvalidConfigError(f"{self.name} {IS_CONTROL}")
+        if self.gta or self.planning != PLANNINGS[0]:
+            if _can(whole, Planner) and _can(whole, Grounder):
+                return self._compose(whole, whole)
+            raise InvalidConfigError(
+                f"{self.name} does not plan in symbols, so neither multi-step "
+                "planning nor ground-truth allocation applies to it."
+            )
+        if not _can(whole, Policy):
+            raise InvalidConfigError(
+                f"{self.name} is no whole policy: it has no act(inputs). Combine a "
+                "planner with a grounder, as in episodic-transformer+cliport."
+            )
+        found: Policy = whole
+        return found if _reads_outcomes(whole) else RetryingPolicy(found)
 
     def _compose(self, planner: Planner, grounder: Grounder) -> Policy:
         reads = _reads_outcomes(planner)
@@ -372,9 +398,9 @@ class GivenPolicy(PolicySpec):
         """Whether some part of it is given the truth: results say so."""
         return is_oracle(self.load())
 
-    def load(self, load: Callable[[str], Any] | None = None) -> Any:
-        """Return the policy, ready to act; names are not looked up."""
-        return super().load(lambda name: self._held)
+    def _part(self, name: str, load: Load | None) -> Any:
+        """Return the object: names are not looked up."""
+        return self._held
 
     def renew(self) -> None:
         """Hold a policy that remembers nothing: the first time itself, then copies.
@@ -419,26 +445,13 @@ class GivenPolicy(PolicySpec):
         return self is other
 
 
-def _grounder(name: str, load: Callable[[str], Any]) -> Grounder:
-    grounder = OracleGrounder() if name == ORACLE else load(name)
-    if not _can(grounder, Grounder):
-        raise InvalidConfigError(
-            f"{name} cannot ground; it has no ground(inputs, subtasks)."
-        )
-    found: Grounder = grounder
-    return found
-
-
 def _reads_outcomes(part: object) -> bool:
-    """Whether a planner or policy makes something of how its sub-tasks ended.
-
-    Who says nothing does: what other people make is left as it is.
-    """
+    """Whether a planner or policy looks at how its sub-tasks ended; by default, yes."""
     return bool(getattr(part, "reads_outcomes", True))
 
 
 _VERBS = {Planner: ("plan", 1), Grounder: ("ground", 2), Policy: ("act", 1)}
-"""What each interface asks for, and how many arguments that takes."""
+"""The method of each interface, and how many arguments it takes."""
 
 
 def _can(part: Any, interface: type[Any]) -> bool:
