@@ -39,7 +39,7 @@ COARSE = 64.0
 
 @pytest.fixture
 def checkpoint(tmp_path: Path) -> Path:
-    """What lerobot saves, in small."""
+    """A small checkpoint as lerobot saves it."""
     folder = tmp_path / "runs/act/checkpoints" / f"{STEPS:06d}" / "pretrained_model"
     folder.mkdir(parents=True)
     torch.manual_seed(0)

@@ -59,7 +59,7 @@ def test_every_rule_can_be_followed() -> None:
             if isinstance(part, re.Match) and part["name"]:
                 known = {*grammar().rules, "wcube", "wcubes", "wbottom", "wbottoms"}
                 assert part["name"] in known, part.string
-        # What stands in another's place would never come to an end.
+        # Rules that refer to each other would never end.
         place = name.removesuffix("_cubes").removesuffix("_pad")
         for part in (part for option in rule.options for part in option):
             if place != name and isinstance(part, re.Match):

@@ -1,4 +1,4 @@
-"""What the pages about policies and training say of models is true."""
+"""The pages about policies and training tell the truth about models."""
 
 import re
 from pathlib import Path

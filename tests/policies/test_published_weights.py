@@ -234,7 +234,7 @@ def test_the_list_and_the_command_are_what_the_metadata_say(name: str) -> None:
         return
     assert words[:2] == ["lemma", "train"]
     typed = tyro.cli(TrainingConfig, args=words[2:])
-    # Who types this command trains with just these options.
+    # This command trains with these very options.
     made = TrainingConfig.from_dict(metadata.training)
     assert typed.resolved() == made
     if entry["ended"] == "steps":

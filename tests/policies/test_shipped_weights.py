@@ -1,4 +1,4 @@
-"""What every set of weights that ships must do."""
+"""Requirements of all weights that ship."""
 
 import sys
 from pathlib import Path

@@ -54,7 +54,7 @@ BETWEEN: tuple[Callable[[Spy], Planner], ...] = (
     RetryingPlanner,
     GroundTruthAllocation,
 )
-"""What may stand between a planner and the oracle that grounds its sub-tasks."""
+"""Wrappers between a planner and the oracle that grounds its sub-tasks."""
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ def train(
         Exit code: 130 if it was interrupted.
     """
     try:
-        # What trains takes torch with it.
+        # Training imports torch, which is an extra.
         from lemma.policies.training import loop
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] not in _EXTRA:

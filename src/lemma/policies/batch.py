@@ -59,9 +59,9 @@ class Batch:
     """The next sub-task in words; in use, that which shall be grounded."""
     raster: Raster
     entities: EntitySet = BENCHMARK
-    """What has a number in decisions and labels; E of them."""
+    """Entities that have a number in decisions and labels; E of them."""
     labels: "Labels | None" = None
-    """What the expert did, and the truth; None when a policy is used."""
+    """Decisions of the expert, and the truth; None when a policy is used."""
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -70,7 +70,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """What the expert does next, and where everything is."""
+    """The expert's next decision, and where everything is."""
 
     episode: Tensor
     """Number of the episode in the data set, (B,)."""

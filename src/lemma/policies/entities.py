@@ -1,7 +1,7 @@
 """The entities that a learned policy has numbers for: registered kinds by colors.
 
 A model is made for a set of entities, by default all that are known when its training
-begins, and its weights name them. What it needs to know of a thing, such as its
+begins, and its weights name them. Properties of a thing, such as its
 height, is read from the record of its kind.
 """
 
@@ -136,7 +136,7 @@ BENCHMARK = EntitySet.of(ENTITIES)
 
 @dataclass(frozen=True, eq=False)
 class Traits:
-    """What records of kinds say of each of E entities; tensors of shape (E,)."""
+    """Properties of the kinds of E entities; tensors of shape (E,)."""
 
     height_m: Tensor
     """Of its top above what it lies on [m]."""
@@ -170,7 +170,7 @@ def traits_of(entities: EntitySet, device: torch.device) -> Traits:
     def column(values: Iterable[float]) -> Tensor:
         return torch.tensor(list(values), device=device)
 
-    # What is kept may be used in training, wherever it was first asked for.
+    # Cached, so they must not be inference tensors.
     with torch.inference_mode(False):
         return Traits(
             height_m=column(kind.height_m for kind in kinds),

@@ -1,4 +1,4 @@
-"""What a policy is given and what it answers; the interfaces of planners and grounders.
+"""Inputs and answers of policies; the interfaces of planners and grounders.
 
 A decision is a pure function of a :class:`PolicyInput`, which holds all that was seen
 and done since the episode began. Policies keep no state, so that many episodes can be
@@ -6,9 +6,9 @@ decided at once, in any order, and again from the middle. Evaluation makes a pol
 for each kind of sentence, because all kinds are played on the same tables, unless the
 policy says ``keeps_state = True``.
 
-The truth is not among it: what a policy is given is plain frozen data, copied out of
-the simulation, and no attribute of it leads back. Who needs the truth is an
-:class:`Oracle` by type, and results say so.
+The truth is no part of it: an input is plain frozen data, copied out of the
+simulation, and no attribute of it leads back. A policy that needs the truth is
+an :class:`Oracle` by type, and results say so.
 """
 
 import math
@@ -33,7 +33,7 @@ class PastStep:
     """One decision of the past."""
 
     view: View
-    """What was seen before it."""
+    """The view before it."""
     subtask: SubTask
     outcome: str = "success"
     """How it went: a value of :class:`lemma.motion.outcome.Outcome`."""
@@ -50,7 +50,7 @@ class PolicyInput:
     """How people name the robots, from the first to the last: ``"red robot"``."""
     view: View
     past: tuple[PastStep, ...] = ()
-    """What was decided before, oldest first."""
+    """Decisions before this one, oldest first."""
 
     def words_for(self, subtask: SubTask) -> str:
         """Return a sub-task of this scene as a sub-instruction.
@@ -73,7 +73,7 @@ class PolicyInput:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OracleInput(PolicyInput):
-    """What an oracle is given: the truth as well."""
+    """Input of an oracle, with the truth."""
 
     episode: "Episode" = field(repr=False)
     """The episode itself, with its simulation."""
@@ -96,7 +96,7 @@ class Composite:
 
     @property
     def parts(self) -> tuple[object, ...]:
-        """What it is made of."""
+        """Its parts."""
         return tuple(vars(self).values())
 
 
@@ -131,7 +131,7 @@ def keeps_state(part: object) -> bool:
 def told(part: object, inputs: Sequence[PolicyInput]) -> list[PolicyInput]:
     """Return inputs as a part of a policy may see them: the truth for oracles alone.
 
-    Whoever passes inputs on to a part passes these.
+    A policy that passes inputs on to a part passes these.
     """
     if is_oracle(part):
         return list(inputs)
@@ -143,7 +143,7 @@ def told(part: object, inputs: Sequence[PolicyInput]) -> list[PolicyInput]:
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """What a decision took that was asked of a language model."""
+    """Cost of a decision of a language model."""
 
     calls: int = 0
     """Requests, also those that were answered with nonsense or not at all."""
@@ -155,7 +155,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class Decision:
-    """What shall be done next."""
+    """The next sub-task, or a reason for there being none."""
 
     subtask: SubTask
     """In symbols."""
@@ -167,7 +167,7 @@ class Decision:
     """A kind of fault where there is no decision, which costs this episode alone; then
     the sub-task is ``STOP``."""
     effort: Effort | None = None
-    """What it took, where that is counted."""
+    """Its cost, where that is counted."""
 
     @property
     def stops(self) -> bool:

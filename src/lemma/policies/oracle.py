@@ -22,7 +22,7 @@ from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 @dataclass
 class _Answer:
-    """What was decided for an episode, and when."""
+    """The last decision for an episode, and when it was made."""
 
     expert: Expert
     executed: int = -1

@@ -64,8 +64,8 @@ def parts_of(name: str) -> tuple[str, ...]:
 
     They are joined by a plus sign. A path, or the name of a language model, may have
     one of its own, so the name is parted where both sides are known; else where one
-    side is; else where a single plus sign stands. What exists as a path, a checkpoint
-    of LeRobot, and the name of a language model before anything unknown, stay whole.
+    side is; else where a single plus sign stands. An existing path, a checkpoint of
+    LeRobot, and the name of a language model before anything unknown stay whole.
 
     Args:
         name: As ``--policy`` takes it.
@@ -83,7 +83,7 @@ def parts_of(name: str) -> tuple[str, ...]:
     for one in ((False, True), (True, False)):
         if one in known:
             return parted[known.index(one)]
-    # What is not on this machine: two plus signs in a row are of one name.
+    # Names from other machines: two plus signs in a row belong to one name.
     plain = [both for both in parted if both[0][-1:] != "+" and both[1][:1] != "+"]
     return (plain or [(name,)])[0]
 
@@ -265,14 +265,14 @@ class PolicySpec:
         if self.controls:
             return self._controller(load)
         if self._is_planner(first):
-            planner = self._registered(first)
-            return self._compose(planner, self._grounder(*more or [ORACLE], load=load))
+            grounder = self._grounder(more[0] if more else ORACLE, load)
+            return self._compose(self._registered(first), grounder)
         if not more:
             return self._whole(load)
         planner = OraclePlanner() if first == ORACLE else self._part(first, load)
         if not _can(planner, Planner):
             raise InvalidConfigError(f"{first} cannot plan; it has no plan(inputs).")
-        return self._compose(planner, self._grounder(*more, load=load))
+        return self._compose(planner, self._grounder(more[0], load))
 
     def _part(self, name: str, load: Load | None) -> Any:
         """Return the planner, grounder or policy of a name."""
@@ -437,7 +437,7 @@ class GivenPolicy(PolicySpec):
     def _object(self, part: str) -> object:
         return self._held
 
-    # Of two objects of one class, each is itself.
+    # Two objects of one class are two policies.
     __hash__ = object.__hash__
 
     def __eq__(self, other: object) -> bool:

@@ -40,7 +40,7 @@ _LONGEST = 2**20
 
 @dataclass(frozen=True)
 class WeightsMetadata:
-    """What a file of weights says about itself."""
+    """Metadata of a file of weights."""
 
     model: str
     """Its name, as ``lemma train`` knows it."""
@@ -55,10 +55,10 @@ class WeightsMetadata:
     training: dict[str, Any] = field(default_factory=dict)
     """All options of the run."""
     ended: Literal["", "steps", "time limit"] = ""
-    """What ended the run: all of its steps, or a time limit, after which other machines
-    have done other steps. Empty while it goes on, and where nobody wrote it down."""
+    """Why the run ended: all steps were done, or a time limit, after which other
+    machines have done other steps. Empty while it goes on, or if it is unknown."""
     steps: int | None = None
-    """That were done when it ended."""
+    """Steps that were done when it ended."""
     packed: dict[str, Rounding] = field(default_factory=dict)
     """How the tensors were rounded that are not in 16 bits, by name."""
     lemma: str = ""
@@ -124,7 +124,7 @@ def _write(path: Path, tensors: dict[str, Tensor], metadata: WeightsMetadata) ->
 
     def write(draft: Path) -> None:
         save_file(tensors, draft, {METADATA_KEY: text})
-        # Else nobody but the owner may read them.
+        # Without it only the owner may read them.
         draft.chmod(0o644)
 
     write_whole(path, write)

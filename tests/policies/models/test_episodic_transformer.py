@@ -176,7 +176,7 @@ def test_a_frame_does_not_see_what_comes_after_it() -> None:
     with torch.inference_mode():
         whole = model(batch)
         early = model(rows(batch, [0, 1]))
-        # What it saw before does matter.
+        # Earlier views do matter.
         single = model(rows(batch, [1]))
     for a, b, c in zip(whole, early, single, strict=True):
         assert torch.allclose(a[:2], b, atol=1e-4)

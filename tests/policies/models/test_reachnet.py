@@ -200,7 +200,7 @@ def test_what_keeps_failing_is_tried_less(expert: ReachNet) -> None:
     failed = PastStep(given.view, wanted, "unreachable")
     [other] = expert.plan([given.with_past((failed,) * 40)])
     assert other != wanted
-    # What failed before the last success is forgiven.
+    # Failures before the last success do not count.
     done = PastStep(given.view, wanted)
     [again] = expert.plan([given.with_past((*(failed,) * 40, *(done,) * 12))])
     assert [again] == expert.plan([given.with_past((done,) * 12)])

@@ -106,7 +106,7 @@ def can_drag(now: SymbolicState) -> Tensor:
 
 
 def test_it_knows_who_can_do_what() -> None:
-    """What is moved next may be moved by the robots that the expert says, alone."""
+    """The next object may be moved by the robots that the expert names, alone."""
     same, wrong = 0, []
     for now, done in (found for task in SUITE for found in states(task)):
         grounder, table = GeometricGrounder(now.spec), table_of(now)

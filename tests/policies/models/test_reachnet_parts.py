@@ -280,7 +280,7 @@ def test_goals_are_read_after_some_practice_in_any_colors() -> None:
         CPU,
     )
     reader = practised(texts, goals)
-    # What is named first comes first.
+    # Pairs come in the order in which they are named.
     want = [*goals[:2].tolist(), goals[2].flip(0).tolist()]
     assert reader.read(texts).tolist() == want
     other = [text.replace("white", "green").upper() for text in texts]

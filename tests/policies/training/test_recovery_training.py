@@ -116,7 +116,7 @@ def test_the_episodic_transformer_remembers_what_was_executed(recovery: Path) ->
     assert (done[..., 3] == GREEN_PAD).all()
     assert (layout.actions[:, 2:] == NOBODY).all()
     assert done.shape[1] < MAX_PAST
-    # What it shall say is the expert's word.
+    # Its target is the expert's decision.
     assert not (labels_of(batch).decision[:2, 3] == GREEN_PAD).all()
     assert not layout.foreseeable.any()
 
@@ -189,7 +189,7 @@ def test_processes_together_draw_what_one_does(config: TrainingConfig) -> None:
 def test_two_processes_learn_what_one_does_with_twice_the_batch(
     config: TrainingConfig, tmp_path: Path
 ) -> None:
-    # What is drawn at random belongs to a process, so nothing is.
+    # Random draws belong to a process, so there are none.
     options = ("dropout=0.0",)
     share, steps = 0.5, 8
     one = replace(config, out=tmp_path / "one", options=options, batch_size=8,

@@ -50,7 +50,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_batch_is_wholly_on_the_device_that_is_asked_for(
     data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # What stands in for a GPU has no memory to be copied from.
+    # The stand-in for a GPU has no memory to copy from.
     monkeypatch.setattr(torch.Tensor, "pin_memory", lambda tensor: tensor)
     frames = Frames.load(data)
     here = frames.batch([0, 2])
@@ -229,7 +229,7 @@ def start(
 def test_two_processes_do_what_one_does_with_twice_the_batch(
     data: Path, tmp_path: Path
 ) -> None:
-    # What is drawn at random belongs to a process, so nothing is.
+    # Random draws belong to a process, so there are none.
     calm = Augmentation.none()
     options = ("dropout=0.0",)
     train(config(data, tmp_path / "one", batch_size=8, steps=10, val_every=5,

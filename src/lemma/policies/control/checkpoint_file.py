@@ -34,7 +34,7 @@ _FILE = "file:"
 """Begins the name of what is a file of the folder, byte by byte."""
 _NAME = re.compile(r"[a-z0-9_]+\.(json|safetensors)")
 _PLACES = ("pretrained_path", "device")
-"""Of a configuration: what says where something was."""
+"""Entries of a configuration that hold places of the machine."""
 
 
 def is_checkpoint(folder: Path) -> bool:
@@ -54,7 +54,7 @@ def pack_checkpoint(
         fineness: How finely weights are rounded.
 
     Returns:
-        What the file says about itself.
+        The metadata of the file.
 
     Raises:
         WeightsError: A weight does not fit into 16 bits, or lerobot-train has not

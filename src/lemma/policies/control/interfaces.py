@@ -1,8 +1,8 @@
 """The interface of policies at control level: camera images in, motor commands out.
 
-What a policy is given is what its environment observes, :class:`ControlEnv` with the
-options that the policy asks for, and the cameras' calibration. It answers one action or
-a chunk of them, and whatever it wants to remember of the episode.
+The input is the observation of :class:`ControlEnv`, with the options that the policy
+asks for, and the cameras' calibration. The answer is one action or a chunk of them, and
+anything that the policy wants to remember of the episode.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,14 +20,14 @@ CONTROL_OPTIONS = (
 )
 """Options of :class:`~lemma.env.config.EnvConfig` that a policy chooses."""
 MODEL_SERVER = "vla-eval"
-"""What the address of a model server of vla-eval begins with, before ``://``."""
+"""Scheme of the address of a model server of vla-eval, before ``://``."""
 
 
 IS_CONTROL = (
     "decides by motor commands: it has control_options. Say --level control, or "
     'level="control" in Python.'
 )
-"""What is told whoever plays such a policy at another level."""
+"""Error message for such a policy at another level."""
 
 
 def has_options(policy: object) -> bool:
@@ -48,7 +48,7 @@ class ControlInput:
     robots: tuple[str, ...]
     """How people name the robots, in the order of an action's rows."""
     observation: Mapping[str, Any]
-    """What :class:`~lemma.env.control_env.ControlEnv` observes with the policy's
+    """Observation of :class:`~lemma.env.control_env.ControlEnv` with the policy's
     options: ``agent_pos`` and more, ``pixels`` and ``depth`` by camera. Copies."""
     cameras: Mapping[str, Camera] = field(default_factory=dict)
     """Intrinsics and extrinsics of the cameras in ``observation``, by name."""
@@ -57,12 +57,12 @@ class ControlInput:
     time_s: float = 0.0
     """Simulated time since then [s]."""
     memory: Any = None
-    """What the policy returned for this episode last time; None at the beginning."""
+    """The policy's last memory of this episode; None at the beginning."""
 
 
 @dataclass(frozen=True, eq=False)
 class Actions:
-    """What a policy answers for one episode."""
+    """Answer of a policy for one episode."""
 
     rows: ArrayLike
     """One action, (robots, numbers), or a chunk of them, (steps, robots, numbers), all

@@ -34,9 +34,9 @@ _CONTROLS: Mapping[tuple[int, ...], str] = {
 }
 """Control modes by the shape of a state and of an action."""
 TRUTH = truth_names(TEAM)
-"""What the numbers are that an oracle is told."""
+"""Names of the numbers of the true state."""
 _SHARED = ("_parameters", "_buffers", "_modules")
-"""What all episodes have in common of a policy: its network."""
+"""Attributes that all episodes share: those of the network."""
 _DRAWS_ONCE = ("diffusion", "DDIM")
 """Type and scheduler of a policy in which nothing is random but its first noise."""
 
@@ -83,7 +83,7 @@ class LeRobotPolicy:
             )
         self._control = self.control_options["control"]
         ensembles = getattr(config, "temporal_ensemble_coeff", None) is not None
-        # Of one observation too, lerobot makes a history.
+        # lerobot makes a history even of one observation.
         self._queues = OBS_STATE in (getattr(self._policy, "_queues", None) or {})
         self._looks_on = config.n_obs_steps > 1 or ensembles
         # Others draw between the steps of denoising, for all of a batch at once.
@@ -94,9 +94,8 @@ class LeRobotPolicy:
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
         """Return the next action or chunk of actions for each episode.
 
-        What a policy draws, as Diffusion Policy does, depends on the step alone, not on
-        who was asked before or is asked at the same time: the same batch has the same
-        answer.
+        Random numbers of a policy, such as Diffusion Policy, depend on the step alone,
+        not on other episodes: the same batch has the same answer.
         """
         if self._one_by_one:
             return [self._alone(given) for given in inputs]
@@ -136,7 +135,7 @@ class LeRobotPolicy:
 
     @contextmanager
     def _drawing(self, seed: int) -> Iterator[None]:
-        """Draw random numbers by a seed; who else draws notices nothing."""
+        """Draw random numbers by a seed, without an effect on other draws."""
         device = torch.device(self._config.device)
         with torch.random.fork_rng([] if device.type == "cpu" else [device]):
             torch.manual_seed(seed)
@@ -179,7 +178,7 @@ class LeRobotPolicy:
 class PrivilegedLeRobotPolicy(LeRobotPolicy, Oracle):
     """A checkpoint that was trained on the truth: poses and goal, and no pictures.
 
-    It shows what a policy can do whose eyes and ears make no mistakes.
+    It shows what a policy can do without errors of perception and language.
     """
 
     def _environment_state(self, given: ControlInput) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ from lemma.policies.interfaces import Oracle
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OracleControlInput(ControlInput):
-    """What an oracle is given: the truth as well."""
+    """Input of an oracle, with the truth."""
 
     env: ControlEnv = field(repr=False)
     """The environment itself, with its simulation."""

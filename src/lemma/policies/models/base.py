@@ -1,4 +1,4 @@
-"""What every model that is trained has in common, and the table of all models."""
+"""The base class of trained models, and the registry of all models."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -21,13 +21,13 @@ class Model(nn.Module, ABC):
     """
 
     unit: ClassVar[Literal["frame", "episode"]] = "frame"
-    """What training draws at random: single frames, or whole episodes, whose frames
-    then follow one another in the batch."""
+    """Training draws single frames at random, or whole episodes, whose frames then
+    follow one another in the batch."""
     selection: ClassVar[str]
     """Name of the score by which the best weights are chosen, in validation."""
     reads_outcomes: ClassVar[bool] = False
-    """Whether it looks at how its sub-tasks ended; else another robot tries what one
-    was refused (:class:`lemma.policies.compose.RetryingPlanner`)."""
+    """Whether it looks at how its sub-tasks ended; otherwise another robot tries a
+    sub-task that one was refused (:class:`lemma.policies.compose.RetryingPlanner`)."""
     former_names: ClassVar[Mapping[str, str]] = {}
     """Patterns of names of weights in files of earlier releases, and what takes the
     place of each."""
@@ -36,7 +36,7 @@ class Model(nn.Module, ABC):
 
     @property
     def entities(self) -> EntitySet:
-        """What has a number in its batches: all that is known, or its own choice."""
+        """Entities with a number in its batches: all that are known, or its choice."""
         return EntitySet.of(getattr(self.config, "entities", ()))
 
     @abstractmethod
@@ -59,7 +59,7 @@ class Model(nn.Module, ABC):
 
 
 def _check_model(name: str, record: tuple[type[Any], type[Any]]) -> None:
-    """Check what no type says: that the options are a dataclass with defaults.
+    """Check that the options are a dataclass with defaults.
 
     Raises:
         InvalidConfigError: They are not.

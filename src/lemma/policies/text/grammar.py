@@ -50,7 +50,7 @@ _Part = str | re.Match[str]
 
 @dataclass(frozen=True)
 class _Rule:
-    """What a name may become."""
+    """Alternative texts for a name."""
 
     options: tuple[tuple[_Part, ...], ...]
     upto: tuple[float, ...]
@@ -186,7 +186,7 @@ class _Speaker:
         pair = int(of) - 1 if of else pair
         if tag is None:
             return self.make(name, pair, _FORMS.get(form, 0))
-        # What is on top of the first is on top of the second in the same words.
+        # Both relations are said in the same words.
         key = (name, form, tag)
         if key not in self.chosen:
             self.chosen[key] = self.make(name, pair, _FORMS.get(form, 0))

@@ -1,4 +1,4 @@
-"""What English words mean: vectors that stay as they are, made beforehand.
+"""Meanings of English words: vectors made beforehand, which training does not change.
 
 ``scripts/make_word_vectors.py`` made them: all-MiniLM-L6-v2 on single words, in the
 space that the words of training span. There a word that training never sees lies near

@@ -63,7 +63,7 @@ def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
     """Return a batch in which whole scenes are turned by half a turn, then shifted.
 
     Where a scene is turned the robots change numbers, because the first one is at -x.
-    What comes in at the border was not seen.
+    Cells that enter at the border count as not seen.
 
     Args:
         batch: With labels.

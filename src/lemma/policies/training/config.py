@@ -1,4 +1,4 @@
-"""What a training run is: every option, and what each model is trained with.
+"""Options of a training run, and the defaults of each model.
 
 Plain data that needs no torch, so that the command line can show it at once.
 """
@@ -41,7 +41,7 @@ LANGUAGES = ("full", "none", "shuffled")
 
 @dataclass(frozen=True, kw_only=True)
 class Augmentation:
-    """What is changed at random in what a model is trained on, each on its own."""
+    """Random changes of training frames; each can be left out."""
 
     palette: bool = True
     """Exchange the five colors of cubes and pads, in images, labels and sentences."""
@@ -155,7 +155,7 @@ class TrainingConfig:
     """none: nothing is said; shuffled: what is said belongs to another episode. Both
     are controls."""
     augmentation: Augmentation = field(default_factory=Augmentation)
-    """What is changed at random."""
+    """Random changes of frames."""
     recovery: Annotated[
         Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
     ] = None
@@ -225,7 +225,7 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class Defaults:
-    """What a model is trained with, if nothing else is said."""
+    """Defaults of a model."""
 
     samples: int = 320_000
     """Frames, or episodes, in all."""

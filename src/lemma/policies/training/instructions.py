@@ -1,4 +1,4 @@
-"""What episodes are told in training: sentences drawn anew, or controls."""
+"""Sentences of training episodes: drawn anew, or controls."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,6 +1,6 @@
 """Batches for training, prepared while the model works on the one before.
 
-What a step is given is a function of the seed and of the step's number, so that a run
+The input of a step is a function of the seed and of the step's number, so that a run
 that was stopped goes on as if it had not been.
 """
 
@@ -179,7 +179,7 @@ class BatchLoader:
                 now = torch.cuda.current_stream(self._device)
                 now.wait_event(ready)
                 for tensor in _tensors(batch):
-                    # Else its memory would be given away while it is in use here.
+                    # Otherwise its memory would be reused while it is in use here.
                     tensor.record_stream(now)
             yield batch
 

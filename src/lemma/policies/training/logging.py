@@ -1,4 +1,4 @@
-"""What a training run says while it works: on the terminal, and in logs."""
+"""Messages of a training run, on the terminal and in logs."""
 
 import time
 from collections.abc import Mapping

@@ -65,7 +65,7 @@ class TrainingError(LemmaError, RuntimeError):
 
 @dataclass
 class _Progress:
-    """What a checkpoint keeps beside the weights."""
+    """Contents of a checkpoint beside the weights."""
 
     elapsed_s: float = 0.0
     samples: int = 0

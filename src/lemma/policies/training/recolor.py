@@ -111,7 +111,7 @@ def _painted(batch: Batch, labels: Labels, permutation: Tensor) -> Tensor:
     high = (above_m > top_m - height_m / 2) & (height_m > 2 * _HEIGHT_TOLERANCE_M)
     inside &= _shows_own_color(old, light[..., 0], high, entities)
     new = (light * target * 255.0).round().clamp(0, 255).to(torch.uint8)
-    # What is not painted is written to a cell behind the last one.
+    # Cells that are not painted are written behind the last cell.
     height, width = batch.coverage.shape[1:]
     flat = (frames * height + rows) * width + columns
     count = len(batch) * height * width

@@ -1,4 +1,4 @@
-"""What a training run begins with: its data, its first weights, its folder."""
+"""The beginning of a training run: its data, its first weights, its folder."""
 
 import hashlib
 import json
@@ -40,7 +40,7 @@ _BYTES_PER_CELL = 5
 
 @dataclass(frozen=True)
 class Data:
-    """What is trained on, and what the best weights are chosen by."""
+    """Training data, and validation data to choose the best weights by."""
 
     train: Frames
     val: Frames

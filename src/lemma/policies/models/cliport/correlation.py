@@ -21,7 +21,7 @@ def correlate(key: Tensor, kernels: Tensor) -> Tensor:
     """
     rows, columns = key.shape[-2:]
     half = kernels.shape[-1] // 2
-    # What wraps around must fall where the map is padded.
+    # Values that wrap around must fall into the padding.
     size = (_fast(rows + half), _fast(columns + half))
     with torch.autocast(key.device.type, enabled=False):
         key_spectrum = torch.fft.rfft2(key.float(), s=size)

@@ -54,7 +54,7 @@ class MCLIPortConfig(CLIPortConfig):
 
 @dataclass(frozen=True)
 class _Answer:
-    """What shall be done: (B,) each, and poses."""
+    """Decisions: (B,) each, and poses."""
 
     stop: Tensor
     robot: Tensor

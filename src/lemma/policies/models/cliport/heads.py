@@ -49,12 +49,12 @@ class HeadsConfig:
     crop_m: float
     """Side of the crop [m]."""
     extra_channels: int = 0
-    """What else the pick head says of each cell."""
+    """More channels of the pick head."""
 
 
 @dataclass(frozen=True)
 class Attention:
-    """What the pick head saw."""
+    """Output of the pick head."""
 
     maps: Tensor
     """(B, 1 + extra, rows, columns): first how much to pick there."""
@@ -71,7 +71,7 @@ class Attention:
 
 @dataclass(frozen=True)
 class Fit:
-    """What the place head saw."""
+    """Output of the place head."""
 
     logits: Tensor
     """How well what is picked fits, (B, bins, rows, columns), float32."""
@@ -147,7 +147,7 @@ class PlaceHead(nn.Module):
         width, channels = self.key.width, config.kernel_channels
         self.to_key = nn.Conv2d(width, channels, 1)
         self.to_kernel = nn.Conv2d(self.query.width, channels, 1)
-        # What speaks for a place whatever is brought there.
+        # Scores of places that do not depend on the held object.
         self.alone = nn.Conv2d(width, config.bins, 1)
         self.scale = nn.Parameter(torch.tensor(_FIRST_SCALE))
         query = self.query.context_width

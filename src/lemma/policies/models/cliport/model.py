@@ -4,7 +4,7 @@ After Shridhar et al., *CLIPort: What and Where Pathways for Robotic Manipulatio
 (CoRL 2021), written anew. As there: two streams, of which one hears the sentence;
 connections from one to the other wherever they decode; a pick by attention; a place by
 correlating what lies around the pick, turned in all ways, with the table; softmax over
-all cells and turns. What differs, to be small and to turn grippers:
+all cells and turns. The differences make it small and turn grippers:
 
 - networks of a few millions of weights learn from the start; CLIP's trunk is an option;
 - cells of the output are 16 and 32 mm wide, and a regression says where in them;
@@ -97,7 +97,7 @@ class CLIPortConfig:
     cell_m: Size = RASTER.cell_m
     """Side of a cell of the map [m]."""
     floor_m: Height = RASTER.floor_m
-    """What the map shows as its lowest [m]."""
+    """Lowest height of the map [m]."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""

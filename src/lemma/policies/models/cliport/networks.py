@@ -1,8 +1,8 @@
 """The two-stream networks of CLIPort, slim: where things are, and what they are.
 
-The spatial stream sees color and height and hears nothing; the semantic stream sees
-color and hears the sentence, which scales and shifts its features wherever it decodes.
-What the spatial stream decodes flows into it at every level.
+The spatial stream sees color and height and not the sentence; the semantic stream sees
+color and the sentence, which scales and shifts its features at every level of decoding.
+Features of the spatial stream are added to it at every level of decoding.
 """
 
 from collections.abc import Sequence

@@ -202,7 +202,7 @@ def score_poses(
     pick_m = (found.pick[:, :2] - pick[:, :2]).norm(dim=1)
     pick_yaw = _apart(found.pick[:, 2] - pick[:, 2], turns)
     place_m = (found.place[:, :2] - place[:, :2]).norm(dim=1)
-    # What is held turns by the difference.
+    # The held object turns by the difference.
     turn = (found.place[:, 2] - found.pick[:, 2]) - (place[:, 2] - pick[:, 2])
     held = torch.where(is_stick, 2 * math.pi, turns)
     place_yaw = _apart(turn, held) + torch.where(is_stick, pick_yaw, 0.0)

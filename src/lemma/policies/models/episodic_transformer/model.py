@@ -38,7 +38,7 @@ from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
 
 PARTS = ("robot", "primitive", "pick", "place")
-"""What a decision is made of, in the order of its numbers."""
+"""Parts of a decision, in the order of its numbers."""
 _IMAGE_CHANNELS = 5
 _HEIGHT_SCALE = 5.0
 """Makes heights of up to 20 cm as large as colors are."""
@@ -51,7 +51,7 @@ class EpisodicTransformerConfig:
     robots: Depth = 2
     """Robots of a team."""
     entities: tuple[str, ...] = ()
-    """What it can name; all that is known when it is made, if empty."""
+    """Entities that it can name; all that are known when it is made, if empty."""
     text: TextKind = "words"
     """Kind of the text encoder: see ``TextConfig``."""
     width: Width = 384
@@ -277,7 +277,7 @@ class EpisodicTransformer(Model):
         firsts = torch.cumsum(counts, 0) - counts
         chosen = torch.rand(len(firsts), device=cells.device)
         frozen = (chosen < self.config.first_view_only) & (layout.slot[firsts] == 0)
-        # What to do after a mistake cannot be told without having seen it.
+        # The first frame does not show what to do after a mistake.
         frozen &= layout.foreseeable
         shown = cells[firsts[layout.episode]]
         return torch.where(frozen[layout.episode].unsqueeze(1), shown, cells)

@@ -11,7 +11,7 @@ from lemma.env.view import View
 
 
 class ViewCache:
-    """What a network makes of views; forgets a view when nobody else knows it.
+    """A network's features of views; forgets a view that nobody else refers to.
 
     A closed loop looks at each view again at every later decision. A copy starts empty.
     """

@@ -60,10 +60,10 @@ class Drags:
     """All drags of C things: T turns, L lengths, S primitives, R robots."""
 
     constraints: Tensor
-    """What must be large enough, (B, R, S, C, T, L, 9): margins of the gripper at both
-    ends, of the cube's end, and of the gripper when the stick is freed; room for stick,
-    for cube, for the hand, and around bases [m]; and how surely there is a table under
-    the cube."""
+    """Constraints, each of which must be large enough, (B, R, S, C, T, L, 9): margins
+    of the gripper at both ends, of the cube's end, and of the gripper when the stick is
+    freed; room for stick, for cube, for the hand, and around bases [m]; and how surely
+    there is a table under the cube."""
     bearings: Tensor
     """Of the stick [rad], (B, R, S, C, T)."""
     prepared: Tensor
@@ -93,7 +93,7 @@ class Tuned(nn.Module):
 
 
 class DragUtility(nn.Module):
-    """What drags are worth: the paper's u = q - c, with soft edges."""
+    """Utility of drags: the paper's u = q - c, with soft edges."""
 
     def __init__(self, use_reach: bool = True) -> None:
         """Make the weights.
@@ -254,7 +254,7 @@ def _room(
     stick = torch.where(own, _FAR_M, stick)
     cube = torch.where(own, _FAR_M, cube)
     bases = torch.minimum(stick, cube)[..., stick_number:].amin(-1)
-    # What is dragged lies before the stick, far from the hand.
+    # The dragged object lies before the stick, far from the hand.
     hand = beyond(u, back, forth).hypot(v) - radii
     rooms = (stick, cube, torch.where(own, _FAR_M, hand))
     found = [room[..., :stick_number].amin(-1) for room in rooms]

@@ -1,6 +1,6 @@
-"""What ReachNet's planner knows of each entity and each robot: features of a table.
+"""Features of each entity and each robot of a table, for ReachNet's planner.
 
-None of them says which color a thing has.
+They do not depend on the colors of things.
 """
 
 import torch

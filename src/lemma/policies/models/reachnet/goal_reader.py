@@ -33,7 +33,7 @@ _MENTIONS = 12
 """Names in a sentence that are looked at."""
 _NEVER = -30.0
 _ABSENT = -6.0
-"""What a goal loses, in log-probability, for each thing that is not seen."""
+"""Loss of log-probability of a goal for each thing that is not seen."""
 _FAR = 24
 """Words further apart than this are all the same."""
 _NEAR = 5
@@ -134,8 +134,7 @@ class GoalReader(WordEmbedding):
         Args:
             texts: Sentences.
             present: Which entities are seen, (B, entities) bool. Goals that need
-                others are less likely: who says "on the red one" means one that is
-                there.
+                others are less likely: "on the red one" means one that is there.
         """
         return self.weigh(texts, present)[0]
 

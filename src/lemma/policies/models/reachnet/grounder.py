@@ -32,11 +32,11 @@ _ENOUGH_M = 0.008
 _FLAT_M = 0.01
 """Fingers that grasp something come down over what is lower than this."""
 _SAFE_M = 0.008
-"""So far inside its reach a robot shall be, which is seen with some error."""
+"""Margin inside a robot's reach, which is seen with some error."""
 _OUTSIDE = 1e4
 """Cost of a metre outside."""
 _STICK_SHARE = 8
-"""Of so many frames one may lay the stick down; more are not looked at."""
+"""At most one in so many frames lays the stick down; more are not looked at."""
 
 
 class ReachNetGrounder(nn.Module):
@@ -199,7 +199,7 @@ class ReachNetGrounder(nn.Module):
         at, traits = table.xy[rows, cube], table.traits
         turned = table.yaw[rows, cube] + traits.grasp_yaw[cube]
         natural = _bearing(table, at, robot)
-        # What is held from any side is turned as the arm comes, or across.
+        # Things without a preferred grasp are held along the arm, or across.
         turn = torch.where(traits.faceted[cube], traits.turn_rad[cube], _QUARTER_RAD)
         faced = turned + turn * torch.round((natural - turned) / turn)
         first = torch.where(traits.faceted[cube], faced, natural)

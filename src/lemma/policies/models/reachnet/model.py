@@ -85,13 +85,13 @@ class ReachNetConfig:
     robots: Depth = 2
     """Robots of a team."""
     entities: tuple[str, ...] = ()
-    """What it can name; all that is known when it is made, if empty."""
+    """Entities that it can name; all that are known when it is made, if empty."""
     eye: PerceptionConfig = field(default_factory=PerceptionConfig)
-    """What sees."""
+    """Options of perception."""
     reader: ReaderConfig = field(default_factory=ReaderConfig)
-    """What reads."""
+    """Options of the reader."""
     planner: PlannerConfig = field(default_factory=PlannerConfig)
-    """What decides."""
+    """Options of the planner."""
     noise: Noise = field(default_factory=Noise)
     """Of tables that are made from labels."""
     draws: Depth = 2
@@ -99,7 +99,7 @@ class ReachNetConfig:
     perceived: bool = True
     """Whether the planner also learns from what the eye sees."""
     failure_cost: Cost = 4.0
-    """What a sub-task loses, in log-probability, each time it fails in a row."""
+    """Loss of log-probability of a sub-task for each failure in a row."""
     cell_m: Size = RASTER.cell_m
     """Side of a cell of the map [m]."""
     floor_m: Height = RASTER.floor_m
@@ -256,7 +256,7 @@ class ReachNet(Model):
                 told = self.grounding(table, labels.decision)
                 goal = goal_numbers(labels.goals, self.device, batch.entities)
                 read = self.reader.read(batch.instructions, table.present)
-                # Which of two pairs is said first is no matter.
+                # The order of the two pairs does not matter.
                 orders = torch.stack([goal, goal.flip(1)])
                 right = (orders == read).flatten(2).all(2).any(0)
                 known = self._true_rings(labels)

@@ -39,7 +39,7 @@ _NEAR_HEIGHT_CELLS = 1
 
 @dataclass(frozen=True)
 class PerceptionConfig:
-    """Options of the eye."""
+    """Options of perception."""
 
     widths: Widths = (64, 96, 160, 224)
     """Channels at a quarter of the map's resolution, an eighth, and so on."""
@@ -54,7 +54,7 @@ class PerceptionConfig:
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """What the U-Net says of B maps; H x W cells, N points: entities, stick's end."""
+    """Output of the U-Net for B maps; H x W cells, N points: entities, stick's end."""
 
     points: Tensor
     """Log-probability of each cell, the last one for none, (B, N + R, H * W + 1)."""

@@ -32,13 +32,13 @@ _LEAST_RAD = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class SceneTable:
-    """What is known of B scenes with R robots; tensors on one device, float32.
+    """State of B scenes with R robots; tensors on one device, float32.
 
     Of E entities the first C are there to be moved, and the last is the stick.
     """
 
     present: Tensor
-    """Which entities are seen, (B, E) bool. What lies under another is not."""
+    """Which entities are seen, (B, E) bool. Covered ones are not."""
     xy: Tensor
     """Positions [m], (B, E, 2); ``FAR_M`` where nothing is seen."""
     yaw: Tensor
@@ -56,7 +56,7 @@ class SceneTable:
     half_x_m: float = RASTER.size_m[0] / 2
     """From the middle of the map to these edges."""
     entities: EntitySet = BENCHMARK
-    """What has a number."""
+    """Entities with a number."""
 
     @property
     def cargo(self) -> int:
@@ -70,7 +70,7 @@ class SceneTable:
 
     @property
     def traits(self) -> Traits:
-        """What is known of the entities' kinds."""
+        """Properties of the entities' kinds."""
         return traits_of(self.entities, self.xy.device)
 
     def __len__(self) -> int:
@@ -222,7 +222,7 @@ def _covered(xyz: Tensor, top_m: Tensor, traits: Traits, cargo: int) -> Tensor:
 
 @dataclass(frozen=True)
 class Noise:
-    """How far tables in training differ from the truth, as eyes err."""
+    """How far tables in training differ from the truth, as perception errs."""
 
     position_m: Deviation = 0.003
     """Standard deviation of positions."""

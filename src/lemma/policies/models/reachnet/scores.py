@@ -147,7 +147,7 @@ def demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
     ends = ends.nan_to_num()
     drags = dragged(labels.decision[:, 1])[:, None]
     margins = seen.margins(ends)
-    # What was lifted elsewhere is let go of low.
+    # An object that was lifted elsewhere is released low.
     held = seen.margins(ends[:, 1], low=True)
     margins = torch.stack(
         [margins[..., 0], torch.where(drags, held, margins[..., 1])], -1
