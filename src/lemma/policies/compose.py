@@ -1,7 +1,7 @@
 """Policies from parts: any planner with any grounder, closed or open loop.
 
-Here is also the one rule of what becomes of a refused sub-task where a model does not
-read outcomes itself: another robot of the team tries the same.
+If a model does not read outcomes itself, another robot of the team tries a sub-task that
+was refused.
 """
 
 from collections.abc import Sequence

@@ -162,7 +162,7 @@ class Decision:
     grounded: GroundedSubTask | None
     """With poses; None to stop, or where no pose was found."""
     explanation: str = ""
-    """Why there is no pose, or whatever else its maker wants to say."""
+    """Why there is no pose, or any other remark."""
     failed: str = ""
     """A kind of fault where there is no decision, which costs this episode alone; then
     the sub-task is ``STOP``."""

@@ -80,7 +80,7 @@ def pack(
 def unpack(coded: Tensor, rounding: Rounding) -> Tensor:
     """Return the values of a packed tensor, float32.
 
-    No more memory is taken than the shape needs, whatever was coded.
+    It takes no more memory than the shape needs, even for damaged codes.
 
     Args:
         coded: (bytes,) uint8.

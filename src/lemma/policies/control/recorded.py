@@ -9,7 +9,7 @@ from lemma.policies.control.interfaces import Actions, ControlInput
 
 
 class Recorded:
-    """Gives the commands of a file again, whatever happens; then the last one."""
+    """Repeats the commands of a file, then the last one, without looking."""
 
     def __init__(self, file: str) -> None:
         """Read them.

@@ -1,10 +1,9 @@
-"""More ways to say what the training templates say.
+"""Paraphrases of the training templates.
 
-Eighty-odd templates are few: a network learns them by heart, and takes the first
-words of a new sentence for those of an old one. Here their parts are mixed anew:
-another template's way to name a cube, two short sentences for a goal of two towers,
-clauses that say nothing of the goal left out or added. Other sentences are made by
-rules, see :mod:`lemma.policies.text.grammar`. None is a held-out template.
+Some eighty templates are few: a network memorises them and does not understand others.
+So their parts are recombined: another template's name for a cube, two short sentences
+for a goal of two towers, clauses without meaning added or left out. Other sentences are
+made by rules, see :mod:`lemma.policies.text.grammar`. None is a held-out template.
 """
 
 import re

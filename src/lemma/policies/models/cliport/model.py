@@ -159,13 +159,13 @@ class PickAndPlace(Model):
         self.zoom = Zoom(heads) if config.zoom else None
 
     def sentences(self, batch: Batch) -> list[str]:
-        """Return what the model is told."""
+        """Return the sentences that the model reads."""
         raise NotImplementedError
 
     def look(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Return the picture, and the sentence as read for the pick and the place."""
         texts = self.sentences(batch)
-        # Means of many words are faint; of full strength, they are heard sooner.
+        # Means of many words are small; normalised, they have an effect sooner.
         to_pick, to_place = (
             F.layer_norm(encoder.pooled(texts), (self.config.text_width,))
             for encoder in (self.pick_text, self.place_text)

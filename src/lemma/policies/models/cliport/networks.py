@@ -22,8 +22,8 @@ _SEMANTIC = (0, 1, 2, 6, 7)
 _HEIGHT_SCALES_M = (0.3, 0.05)
 _HEIGHT_LIMIT = 2.0
 _LOUDNESS = 3.0
-"""How much louder than usual sentences are at first. Spoken softly, they were not heard
-for thousands of steps: a network that picks any cube is hard to teach colors."""
+"""First scale of the sentence's effect. With a scale of 1 it stayed without effect for
+thousands of steps: a network that picks any cube hardly learns colors any more."""
 
 
 def image_of(batch: Batch) -> Tensor:

@@ -15,7 +15,7 @@ _RECENT = 2
 _DISTANCES_M = (0.0, 0.03, 0.07, 0.12, 0.25, 0.5, 1.0)
 _SUPPORTS_M = 0.035
 _UNIT_M = 0.05
-"""Heights and radii of things are told in this."""
+"""Unit of heights and radii of things [m]."""
 _KIND = 8
 
 ROBOT_FEATURES = 9

@@ -1,10 +1,9 @@
 """ReachNet's reader: from a sentence to the (top, bottom) pairs that it asks for.
 
-It looks at the places where a color is named, or what comes in one color only. For
-every two of them it says how likely the one shall lie on the other, and for each of
-which kind it is. A goal is worth what its pairs are worth, and all goals that there are
-compete. So which color, and which place in the sentence, is nothing that it could learn
-by heart.
+It looks at the places where a color is named, or a thing of one color only. For every
+two of them it scores that the one shall lie on the other, and for each its kind. The
+score of a goal is the sum over its pairs, and all possible goals compete. So it cannot
+memorise colors or places in a sentence.
 """
 
 from collections.abc import Sequence

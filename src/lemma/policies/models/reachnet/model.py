@@ -97,7 +97,7 @@ class ReachNetConfig:
     draws: Depth = 2
     """Tables that are made from the labels of each frame; half of them are turned."""
     perceived: bool = True
-    """Whether the planner also learns from what the eye sees."""
+    """Whether the planner also learns from what perception finds."""
     failure_cost: Cost = 4.0
     """Loss of log-probability of a sub-task for each failure in a row."""
     cell_m: Size = RASTER.cell_m
@@ -173,7 +173,7 @@ class ReachNet(Model):
         return terms
 
     def _seen(self, marks: Marks, coarse: Tensor, batch: Batch) -> SceneTable | None:
-        """Return what the eye sees, for the planner to learn from."""
+        """Return what perception finds, for the planner to learn from."""
         if not self.config.perceived:
             return None
         with torch.no_grad():

@@ -1,4 +1,4 @@
-"""ReachNet's eye: from a top-down map to where everything is.
+"""ReachNet's perception: from a top-down map to where everything is.
 
 A U-Net marks the cell of each entity, of the far end of the stick and of each robot's
 base, says where in the cell it is, and how cubes are turned. One cell more in each of
@@ -26,8 +26,8 @@ STRIDE = 4
 _IMAGE, _INPUTS = 5, 5 * STRIDE**2 + 2
 _HEIGHT_M = 0.1
 _RING_M = ((0.05, 0.35), (0.4, 1.8), (0.0, 0.2))
-"""Bounds of what is told of reach: the inner radius, the outer one, and how much
-farther things are held low."""
+"""Bounds of the radii of reach: the inner one, the outer one, and how much farther
+things are held low [m]."""
 _PROFILE = 3
 _PROFILE_WIDTH, _PROFILE_KERNEL = 16, 7
 _TABLE_M = 0.05

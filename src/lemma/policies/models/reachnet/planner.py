@@ -201,9 +201,10 @@ class ReachNetPlanner(nn.Module):
     def _reachable(
         self, table: SceneTable, moves: Tensor, tools: Tensor, hands: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Add what is the same for every model: nobody moves what is not there.
+        """Exclude sub-tasks that are impossible for every model.
 
-        Nor what no gripper holds, nor onto what bears nothing.
+        Things that are not there or that no gripper holds are not moved, nor onto
+        things that bear nothing.
         """
         cargo, stick, traits = table.cargo, table.stick, table.traits
         there = torch.where(table.present, 0.0, _ABSENT)

@@ -177,7 +177,7 @@ def folded(yaw: Tensor, turn_rad: Tensor | float) -> Tensor:
 def true_table(
     labels: Labels, rings: Tensor, raster: Raster, entities: EntitySet = BENCHMARK
 ) -> SceneTable:
-    """Return what a perfect eye would see.
+    """Return the table of perfect perception.
 
     Args:
         labels: Where everything is.
@@ -237,7 +237,7 @@ class Noise:
 
 
 def disturbed(table: SceneTable, noise: Noise, needed: Tensor) -> SceneTable:
-    """Return a table as an eye that errs would see it.
+    """Return a table with the errors of perception.
 
     Args:
         table: The truth.

@@ -139,8 +139,8 @@ def demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
     """Return how unlikely it is, by reach alone, that these robots did it.
 
     The robot that acted reached both ends, and of the robots it was the likelier one.
-    Where else a robot reaches nobody shows: the smallest ring that holds all that was
-    done is the likeliest, as of points drawn evenly from it.
+    Demonstrations do not show where else a robot reaches: the smallest ring that holds
+    all that was done is the likeliest, as if points were drawn evenly from it.
     """
     robot = labels.decision[:, 0].clamp(min=0)
     ends = torch.stack([labels.pick_pose[:, :2], labels.place_pose[:, :2]], 1)
