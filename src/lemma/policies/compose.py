@@ -1,7 +1,7 @@
 """Policies from parts: any planner with any grounder, closed or open loop.
 
-If a model does not read outcomes itself, another robot of the team tries a sub-task that
-was refused.
+If a model does not read outcomes itself, another robot of the team tries a sub-task
+that was refused.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """Sentences that ask for a goal, made by rules: ``data/grammar.toml``.
 
 The rules are about roles. A verb, a preposition or its inverse, a passive, or the order
-of a tower says which of two things is the top, in one sentence or in several. Things are
-named in full, by their color alone or as *the other one*.
+of a tower says which of two things is the top, in one sentence or in several. Things
+are named in full, by their color alone or as *the other one*.
 """
 
 import re
