@@ -29,7 +29,8 @@ PYTHON_FILES = SOURCES + sorted(
     for folder in ("tests", "examples", "scripts", "docs", "integrations")
     for path in (ROOT / folder).rglob("*.py")
 )
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+"""Pages that describe the present; the changelog names what is gone, too."""
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 MAX_FILE_LINES = 520
