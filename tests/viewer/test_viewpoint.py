@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lemma.viewer.scene.viewpoint import SETTLES, Viewpoint, eye_for
+from lemma.viewer.scene.viewpoint import Viewpoint, eye_for
 
 HALF_M = 3.0
 NARROW = (812, 660)
@@ -87,17 +87,3 @@ def test_a_visitor_who_returns_is_placed_anew(server: Server, view: Viewpoint) -
     view.step_back()
     # As wide as without the panel, which docks later.
     assert np.array_equal(camera.position, eye_for((812 - 390) / 660, HALF_M))
-
-
-def test_a_panel_that_was_docked_before_is_not_counted_twice(
-    server: Server, view: Viewpoint
-) -> None:
-    # The page took the panel off its width before it said so for the first time.
-    camera = server.enter(0, *NARROW)
-    for _ in range(SETTLES + 1):
-        view.step_back()
-    assert np.array_equal(camera.position, eye_for(812 / 660, HALF_M))
-    # Afterwards the visitor's camera is left alone.
-    camera.image_width = 400
-    view.step_back()
-    assert np.array_equal(camera.position, eye_for(812 / 660, HALF_M))

@@ -1,7 +1,7 @@
 """The first viewpoint of visitors: it shows all robots, however narrow the window."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import viser
@@ -20,8 +20,6 @@ _HALF_HEIGHT_M = 0.9
 """Half the height of the smallest view [m]."""
 _MUCH_M = 0.5
 _SAME_M = 1e-3
-SETTLES = 50
-"""Calls of :meth:`Viewpoint.step_back` until a page is taken to have its layout."""
 
 
 class Viewpoint:
@@ -64,10 +62,7 @@ class Viewpoint:
             elif _is_at(client, self._start) and not _is_at(client, place.eye):
                 # A slow page reports its first camera after it was placed.
                 _put(client, place)
-            elif place.calls == SETTLES and _is_at(client, place.eye):
-                place = self._place_for(client, new=False)
-                _put(client, place)
-            places[number] = replace(place, calls=place.calls + 1)
+            places[number] = place
         self._places = places
 
     def _place_for(self, client: viser.ClientHandle, *, new: bool) -> "_Place":
@@ -94,7 +89,6 @@ class _Place:
     """Half the width in view [m]."""
     eye: FloatArray
     target: FloatArray
-    calls: int = 0
 
 
 def _put(client: viser.ClientHandle, place: _Place) -> None:
