@@ -6,6 +6,9 @@ A run that was stopped loses the shards that were being written; the next one go
 """
 
 import importlib
+import logging
+import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
@@ -26,7 +29,6 @@ from lemma.core.files import (
 from lemma.core.workers.pool import Engine
 from lemma.core.workers.resumable import NEW_FOLDER, PARTS, Part, begin, do_missing
 from lemma.dataset.files import CARD
-from lemma.dataset.lerobot.aggregation import REPO_ID, aggregate_in_groups, silence
 from lemma.dataset.lerobot.card import EXTRAS, card
 from lemma.dataset.lerobot.frames import (
     Style,
@@ -46,6 +48,11 @@ from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.names import task_rank
 
+REPO_ID = "lemma/export"
+"""Name of the data sets, which lerobot asks for."""
+_GROUP = ".group"
+_FEW = 4
+"""Data sets that are never divided into groups."""
 INFO = "meta/info.json"
 EPISODES = f"{EXTRAS}/episodes.json"
 """Facts about every episode that the format has no place for."""
@@ -329,3 +336,56 @@ def _splits(episodes: Sequence[dict[str, Any]]) -> Iterator[tuple[str, str]]:
     for name in dict.fromkeys(names):
         first = names.index(name)
         yield name, f"{first}:{first + names.count(name)}"
+
+
+def aggregate_in_groups(folders: Sequence[Path], whole: Path, engine: Engine) -> None:
+    """Write one LeRobotDataset that holds the episodes of others, in their order.
+
+    Args:
+        folders: Of the others; groups of them are written beside them.
+        whole: Folder to write; what is there is replaced.
+        engine: Where to work.
+    """
+    size = max(_FEW, math.isqrt(len(folders)))
+    if len(folders) > size:
+        groups = [
+            folders[first : first + size] for first in range(0, len(folders), size)
+        ]
+        folders = [group[0].with_suffix(_GROUP) for group in groups]
+        for _ in engine.run(aggregate, [*zip(groups, folders, strict=True)]):
+            pass
+    aggregate(folders, whole)
+
+
+def aggregate(folders: Sequence[Path], whole: Path) -> None:
+    """Write one LeRobotDataset that holds the episodes of others, in their order.
+
+    Args:
+        folders: Of the others.
+        whole: Folder to write; what is there is replaced.
+    """
+    silence()
+    from lerobot.datasets.aggregate import aggregate_datasets  # noqa: PLC0415
+
+    rmtree(whole, ignore_errors=True)
+    aggregate_datasets(
+        [REPO_ID] * len(folders),
+        REPO_ID,
+        roots=[*folders],
+        aggr_root=whole,
+        # Joined videos would be longer than readers can look frames up in, and of a
+        # table that grows all rows would be written again for every shard.
+        concatenate_videos=False,
+        concatenate_data=False,
+    )
+
+
+def silence() -> None:
+    """Keep encoders and tables from talking over the progress bar."""
+    os.environ.setdefault("TQDM_DISABLE", "1")
+    logging.getLogger("lerobot").setLevel(logging.ERROR)
+    import av  # noqa: PLC0415
+    import datasets  # noqa: PLC0415
+
+    av.logging.set_libav_level(av.logging.ERROR)
+    datasets.disable_progress_bars()

@@ -16,7 +16,7 @@ from enum import Enum, auto
 
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.poses import Pose2
-from lemma.dataset.teleoperation.nudge import nudge
+from lemma.dataset.teleoperation.perform import nudge
 from lemma.dataset.teleoperation.schema import Teleoperation
 from lemma.evaluation.protocol.language_controls import LanguageControl
 from lemma.evaluation.run.control.rollout import ControlPlayer
