@@ -42,7 +42,7 @@ class FilmingFigures:
 
     renderer: str
     drawn_by: str
-    """What draws, and on what."""
+    """The software and the device that draw."""
     width: int
     height: int
     workers: int
@@ -67,7 +67,7 @@ class FilmingFigures:
 
 @dataclass(slots=True)
 class _Times:
-    """What one worker needed for each stage [s]."""
+    """Time that one worker needed for each stage [s]."""
 
     drawn_by: str = ""
     states: int = 0
@@ -139,7 +139,7 @@ def time_filming(
     """
     rig = rig_of(how.width, how.height, how.renderer)
     times = _Times(drawn_by=rig.describe())
-    # What is compiled or started once is no part of it.
+    # Compilation and start-up are not measured.
     _film_once(records[0], how, _Times())
     number = 0
     while times.total_s < least_s:

@@ -49,7 +49,7 @@ class PageFigures:
     realtime: float
     """Simulated seconds that were shown a second."""
     kb_s: float
-    """What a visitor was sent a second [kB]."""
+    """Data sent to a visitor a second [kB]."""
     same_state: bool
     """Whether the episode ended in the same state as without a page."""
 

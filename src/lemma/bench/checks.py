@@ -1,6 +1,6 @@
-"""What `lemma doctor` looks at, one function per question.
+"""The checks of `lemma doctor`, one function per question.
 
-Each imports what it looks at, so that what cannot even be imported is an answer too.
+Each imports the package that it checks, so that a failed import is an answer too.
 """
 
 import os
@@ -33,9 +33,9 @@ class Check:
     name: str
     ok: bool
     found: str
-    """What there is, for people."""
+    """The finding, for people."""
     advice: str = ""
-    """What to do about it, if it is not well."""
+    """What to do if the check failed."""
     essential: bool = True
     """Whether the benchmark cannot be used without it."""
 
@@ -104,7 +104,7 @@ def _extra(name: str, packages: list[str]) -> Check:
 
 
 class _NotWellError(Exception):
-    """Carries what there is instead, and what to do about it."""
+    """Carries the finding and the advice of a check that failed."""
 
     def __init__(self, found: str, advice: str) -> None:
         super().__init__(found)
@@ -112,7 +112,7 @@ class _NotWellError(Exception):
 
 
 def _attempt(name: str, question: Callable[[], str], essential: bool = True) -> Check:
-    """Answer with what a function returns, or with what it raises."""
+    """Return the answer of a function, or its error as an answer."""
     try:
         return Check(name, True, question(), essential=essential)
     except _NotWellError as error:
@@ -192,7 +192,7 @@ def _cache() -> str:
     from lemma.core.kernels import cache_folder
     from lemma.robots.ur.kinematics import frames
 
-    # Where one kernel is kept, all are.
+    # All kernels are kept in the same way as this one.
     path = cache_folder(frames)
     if path is None or not os.access(path, os.W_OK):
         raise _NotWellError(

@@ -42,7 +42,7 @@ class ExpertLoopFigures:
 
 @dataclass(frozen=True, slots=True)
 class RecordedLoop:
-    """What the motors were told in one episode of the expert."""
+    """Motor commands of one episode of the expert."""
 
     start: FloatArray
     """The full integration state before the first step."""
@@ -59,7 +59,7 @@ def measure_expert_loop(
     """Measure the expert's loop and bare physics.
 
     Args:
-        instances: What the expert works on.
+        instances: The problems.
         turns: How often both do each instance.
 
     Raises:
@@ -82,7 +82,7 @@ def measure_expert_loop(
 
 
 def record_loop(instance: Instance) -> RecordedLoop:
-    """Let the expert solve an instance, noting what the motors are told."""
+    """Let the expert solve an instance; record its motor commands."""
     episode = Episode(instance)
     scene = episode.simulation.scene
     start = scene.snapshot()
@@ -104,8 +104,8 @@ def time_loop(instance: Instance, recorded: RecordedLoop) -> list[tuple[float, f
     """Return how long the loop took for each sub-task, and bare physics [s].
 
     Args:
-        instance: What the expert works on.
-        recorded: What it did when it worked on it before.
+        instance: The problem.
+        recorded: The expert's earlier run of it.
 
     Raises:
         PhysicsError: The same commands did not lead to the same state.

@@ -1,4 +1,4 @@
-"""What this machine is, in words that belong beside every measurement."""
+"""Description of this machine, to be printed beside every measurement."""
 
 import os
 import platform
@@ -13,7 +13,7 @@ from lemma.scene.rendering.gl_backend import choose_backend
 
 
 def describe_machine() -> dict[str, Any]:
-    """Return system, processor, memory, versions and what renders, ready for JSON."""
+    """Return system, processor, memory, versions and renderer, ready for JSON."""
     try:
         backend = choose_backend()
         renderer = f"{backend.name}: {backend.renderer}"

@@ -36,7 +36,7 @@ _DIGITS = 16
 
 
 class Case(NamedTuple):
-    """What is played; the instance is the first of the test split."""
+    """A control mode and a task; the instance is the first of the test split."""
 
     mode: str
     """Name of a control mode, or :data:`SKILL`."""

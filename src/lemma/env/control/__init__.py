@@ -1,1 +1,1 @@
-"""Control modes, and what keeps motors inside their limits."""
+"""Control modes, and the safety filter that keeps motors inside their limits."""

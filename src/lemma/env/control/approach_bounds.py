@@ -1,4 +1,4 @@
-"""Bounds of how fast parts of an arm approach anything, for less than it takes to know.
+"""Upper bounds, cheap to compute, of how fast parts of an arm approach anything.
 
 Two capsules are no nearer than balls around them, and no point of a rigid part is
 faster than the faster of its ends.
@@ -21,9 +21,9 @@ CLEARANCE_M = 0.003
 DECELERATION_M_S2 = 2.0
 """How hard an approach can be braked by any arm in any posture."""
 RANGE_M = 0.8
-"""What is further away than this never matters."""
+"""Things further apart than this never matter."""
 ROUNDING = 1e-9
-"""More than what is lost by rounding, in any unit here."""
+"""More than any rounding error here, in any unit."""
 
 
 @kernel

@@ -1,18 +1,20 @@
-"""What drives the arms from numbers sent 20 times a second.
+"""Controllers: they drive the arms by the actions of an environment.
 
-Whatever is asked for, a motor stays inside the limits of its robot. References move at
-no more than 95% of a joint's velocity limit and with a bounded acceleration, servos are
-never told to catch up faster than that, and torques that would make a joint too fast
-within a physics step are replaced by those that make it just as fast as it may be. The
-same holds for what would ram an arm into something, see
-:mod:`lemma.env.control.safety_filter`. A real robot would stop for protection instead.
+A motor stays inside the limits of its robot for every action. References move at no
+more than 95% of a joint's velocity limit and with a bounded acceleration, and servos
+catch up no faster. Torques that would make a joint too fast within a physics step are
+reduced to those that make it just as fast as it may be. The safety filter
+(:mod:`lemma.env.control.safety_filter`) does the same for motions that would ram an arm
+into something. A real robot would make a protective stop instead.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lemma.core.engine import mujoco
 from lemma.core.poses import FloatArray
@@ -28,7 +30,7 @@ from lemma.motion.arm_motion import ArmMotion
 
 @dataclass(frozen=True, kw_only=True)
 class StepSize:
-    """What 1 means in an action that moves poses step by step."""
+    """How far 1 goes in an action that moves poses step by step."""
 
     position_m: float = 0.05
     """Along each axis [m]."""
@@ -36,52 +38,74 @@ class StepSize:
     """About each axis [rad]."""
 
 
+class SharedArrays(NamedTuple):
+    """First arguments of each kernel in :mod:`lemma.env.control.motor_commands`.
+
+    Kernels read and write them in place: they belong to the arms, the safety filter and
+    the simulation.
+    """
+
+    records: NDArray[np.void]
+    """One for each arm; see :data:`~lemma.env.control.guarded_arm.ARM`."""
+    states: FloatArray
+    """The references of all arms, (n, 2, 6) [rad, rad/s]."""
+    openings: FloatArray
+    """Commanded openings of the grippers, (n,) [m]."""
+    obstacles: FloatArray
+    """See :class:`~lemma.env.control.safety_filter.SafetyFilter`."""
+    objects: FloatArray
+    """The same."""
+    qpos: FloatArray
+    """Positions of the simulation."""
+    control: FloatArray
+    """Motor commands of the simulation."""
+
+
 class Controller(ABC):
-    """Drives the arms of a scene from what an action says, one row for each."""
+    """Drives the arms of a scene by actions, which have one row for each arm."""
 
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
         """Take over the arms where they are.
 
         Args:
             arms: All arms of a scene, in the order of an action's rows.
-            step: For who moves poses step by step.
+            step: For controllers that move poses step by step.
         """
         self.arms = arms
         self.step = step
         self.scene = arms[0].scene
         self.guard = SafetyFilter(arms)
         self.openings = np.array([arm.opening_m for arm in arms])
-        """What the grippers shall open to, (n,) [m]."""
+        """Commanded openings of the grippers, (n,) [m]."""
         self.states = np.stack([arm.state for arm in arms])
         """The references of all arms, (n, 2, 6) [rad, rad/s]."""
         for arm, state in zip(arms, self.states, strict=True):
-            # The same memory: whoever moves or restores an arm moves it here.
+            # The same memory: an arm that is moved or restored is moved here too.
             arm.state = state
         data = self.scene.data
         self.qvel: FloatArray = data.qvel
-        self.given = (
-            *(self.guard.records, self.states, self.openings),
-            *(self.guard.obstacles, self.guard.objects),
-            *(data.qpos, data.ctrl),
+        guard = self.guard
+        self.shared = SharedArrays(
+            *(guard.records, self.states, self.openings),
+            *(guard.obstacles, guard.objects, data.qpos, data.ctrl),
         )
-        """What every kernel of :mod:`lemma.env.control.motor_commands` takes first."""
         self._busy_ticks = np.zeros(len(arms), np.int64)
 
     def check(self, rows: FloatArray) -> None:  # noqa: B027 - bounds are mostly enough
-        """Raise what is wrong with an action; changes nothing.
+        """Check an action; changes nothing.
 
         Raises:
-            InvalidActionError: It is in bounds, and still makes no sense.
+            InvalidActionError: It is in bounds, but makes no sense.
         """
 
     def command(self, rows: FloatArray) -> None:
-        """Take note of an action, (n, k); last in a row is the gripper's opening."""
+        """Set the next action, (n, k); last in a row is the opening of the gripper."""
         self.openings[:] = rows[:, -1]
         for arm, opening_m in zip(self.arms, self.openings.tolist(), strict=True):
             arm.opening_m = opening_m
 
     def look(self) -> None:
-        """Look around, at the beginning of a servo tick."""
+        """Update obstacles and objects, at the beginning of a servo tick."""
         self.guard.look()
 
     def count_busy(self) -> None:
@@ -104,7 +128,7 @@ class Controller(ABC):
 
 
 class JointController(Controller):
-    """Takes a number for each joint."""
+    """Takes one number for each joint."""
 
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
         """Take over the arms where they are; every number is 0."""
@@ -112,7 +136,7 @@ class JointController(Controller):
         self.wanted = np.zeros((len(arms), 6))
 
     def command(self, rows: FloatArray) -> None:
-        """Take note of joint angles [rad], speeds [rad/s] or torques [N m]."""
+        """Set joint angles [rad], speeds [rad/s] or torques [N m]."""
         super().command(rows)
         self.wanted[:] = rows[:, :6]
 
@@ -122,7 +146,7 @@ class PositionController(JointController):
 
     def drive(self) -> None:
         """Advance the references."""
-        drive_positions(*self.given, self.wanted)
+        drive_positions(*self.shared, self.wanted)
 
 
 class VelocityController(JointController):
@@ -130,7 +154,7 @@ class VelocityController(JointController):
 
     def drive(self) -> None:
         """Advance the reference speeds; their angles are the measured."""
-        drive_velocities(*self.given, self.wanted)
+        drive_velocities(*self.shared, self.wanted)
 
 
 class TorqueController(JointController):
@@ -152,7 +176,9 @@ class TorqueController(JointController):
     def drive(self) -> None:
         """Command what the joints' speeds allow."""
         self._update_dynamics()
-        drive_torques(*self.given, self.wanted, self.qvel, self._inertia, *self._forces)
+        drive_torques(
+            *self.shared, self.wanted, self.qvel, self._inertia, *self._forces
+        )
 
     def _update_dynamics(self) -> None:
         """Compute inertias and bias forces of the present state."""

@@ -33,7 +33,7 @@ _PARTS = CAPSULES + CORNERS
 
 ARM = np.dtype(
     [
-        # What the arm is.
+        # Constants of the arm.
         ("dh", np.float64, 6),
         ("world_from_base", np.float64, (4, 4)),
         # Capsules, then corners: ends and radius in the frame of a link, the link, and
@@ -43,7 +43,7 @@ ARM = np.dtype(
         ("range", np.float64, 6),
         ("efforts", np.float64, 6),
         ("lag_s", np.float64),
-        # Where it is in the arrays of the simulation.
+        # Its indices in the arrays of the simulation.
         ("qpos", np.int64),
         ("dof", np.int64),
         ("ctrl", np.int64),
@@ -52,7 +52,7 @@ ARM = np.dtype(
         # How many objects are beside the hand and in it.
         ("beside", np.int64),
         ("inside", np.int64),
-        # Where its links are, and how they move: angular velocity, and velocity of
+        # Poses of its links, and how they move: angular velocity, and velocity of
         # what is at the origin of the world.
         ("placed", np.float64, (7, 4, 4)),
         ("twists", np.float64, (7, 6)),
@@ -91,7 +91,7 @@ def _parts(spec: ArmSpec) -> FloatArray:
     rows[CAPSULES:, :3] = rows[CAPSULES:, 3:6] = corners
     rows[CAPSULES:, 7] = 6.0
     for row in rows:
-        # From an axis no further than along the links between.
+        # An upper bound of the distance from an axis: the sum of the links between.
         span = max(math.hypot(*row[:3]), math.hypot(*row[3:6]))
         levers = []
         for length in np.abs(spec.dh[: int(row[7])])[::-1]:

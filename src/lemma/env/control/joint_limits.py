@@ -1,4 +1,4 @@
-"""What a joint may do within a physics step: speeds, accelerations and torques.
+"""Limits of a joint within a physics step: speeds, accelerations and torques.
 
 Plain loops, compiled: the same numbers on every machine.
 """
@@ -87,7 +87,7 @@ def predict(
 
     Args:
         inertia: (6, 6) [kg m2].
-        bias: What it takes not to accelerate, (6,) [N m].
+        bias: Torques that keep the joints from accelerating, (6,) [N m].
         torques: (6,) [N m].
         rates: Joint speeds now, (6,) [rad/s].
         out: Written.
@@ -107,7 +107,7 @@ def steer(
 ) -> None:
     """Write the torques, (6,), that change the joint speeds within a physics step.
 
-    Where a motor is too weak, all joints change less, in proportion.
+    If a motor is too weak, all joints change less, in proportion.
     """
     scale = 1.0
     for i in range(6):

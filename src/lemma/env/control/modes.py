@@ -1,4 +1,4 @@
-"""Control modes: what the numbers of an action mean, and who drives arms by them."""
+"""Control modes: the meaning of an action's numbers, and the controller for them."""
 
 from dataclasses import dataclass
 
@@ -32,14 +32,14 @@ from lemma.scene.build import ACTUATIONS
 
 @dataclass(frozen=True, kw_only=True)
 class ControlMode:
-    """What an action commands."""
+    """Meaning of the numbers of an action, and the controller that obeys them."""
 
     summary: str
     """One line for people."""
     actuation: str
     """How the motors are driven; see :data:`lemma.scene.build.ACTUATIONS`."""
     columns: tuple[str, ...]
-    """Names of one robot's numbers; what the gripper shall do is last."""
+    """Names of one robot's numbers; the gripper's is last."""
     low: tuple[float, ...]
     """Smallest values."""
     high: tuple[float, ...]

@@ -1,10 +1,11 @@
-"""What the motors are told before a physics step, in one call for all arms.
+"""Commands to the motors before a physics step, in one call for all arms.
 
 A kernel for each control mode: it advances references, has the safety filter bound them
 and writes the commands. Each takes the records of n arms
 (:data:`~lemma.env.control.guarded_arm.ARM`), their references (n, 2, 6), the openings
-of their grippers (n,) [m], what :class:`~lemma.env.control.safety_filter.SafetyFilter`
-saw, positions and commands of the simulation, and then what is asked for.
+of their grippers (n,) [m], obstacles and objects of the safety filter
+(:class:`~lemma.env.control.safety_filter.SafetyFilter`), positions and commands of the
+simulation, and then the action.
 """
 
 import numpy as np
@@ -86,7 +87,7 @@ def drive_poses(  # noqa: PLR0913
     workspaces: np.ndarray,
     spheres: FloatArray,
 ) -> None:
-    """Go where RMPflow leads, whose records (n,) and spheres (n, m, 6) are given."""
+    """Follow RMPflow, by its records (n,) and spheres (n, m, 6)."""
     states, spheres = borrowed(states), borrowed(spheres)
     obstacles, objects = borrowed(obstacles), borrowed(objects)
     before, rates = np.empty(6), np.empty(6)
@@ -156,8 +157,7 @@ def _send_reference(
     """Send a reference to position servos, led by their lag.
 
     They are kept from catching up faster than the joints may turn: a servo's torque is
-    zero where ``(control - q) / lag`` is the speed, so bounding that bounds the speed,
-    whatever held the arm back.
+    zero where ``(control - q) / lag`` is the speed, so bounding that bounds the speed.
     """
     for i in range(6):
         command = state[0, i] + arm.lag_s * state[1, i]

@@ -47,7 +47,7 @@ class Rotation:
     quaternion: Callable[[Sequence[float]], Quaternion | None]
     """Returns the quaternion ``wxyz``, or None if there is no such rotation."""
     hint: str = ""
-    """What to try then."""
+    """Advice for a user whose numbers are no rotation."""
 
 
 def _as_it_is(quaternion: Sequence[float]) -> Quaternion | None:
@@ -128,7 +128,7 @@ class PoseController(Controller):
 
     def drive(self) -> None:
         """Advance the references."""
-        drive_poses(*self.given, self._workspaces, self._spheres)
+        drive_poses(*self.shared, self._workspaces, self._spheres)
 
 
 class AxisAnglePoseController(PoseController):

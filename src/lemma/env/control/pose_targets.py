@@ -1,4 +1,4 @@
-"""Where arms shall go that are commanded by poses, in one call for all of them."""
+"""Postures for arms that are commanded by poses, in one call for all arms."""
 
 import math
 

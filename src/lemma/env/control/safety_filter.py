@@ -3,8 +3,8 @@
 A hand that is rammed into the table throws the wrist's joints far beyond their limits.
 :mod:`lemma.env.control.velocity_dampers` says how that is prevented.
 
-Covered are the table, the arm itself and the other arms. Objects are there to be
-touched by hands, but not at speed, and not by the rest of an arm.
+The filter covers the table, the arm itself and the other arms. A hand may touch
+objects, but gently; the rest of an arm may not touch them.
 """
 
 import math
@@ -28,14 +28,14 @@ from lemma.scene.scene import Scene
 ARM_RANGE_M = 0.15
 """From where on RMPflow feels the other arms, as in skills."""
 
-# What is held is nearer to the tool centre point than the one, and the fingers are as
-# far apart as it is wide, give or take the other.
+# An object is held if it is nearer to the tool centre point than the first, and its
+# width differs from the opening of the fingers by less than the second.
 _HELD_M = 0.03
 _GRIPPED_M = 0.006
 
 
 class SafetyFilter:
-    """What the arms of a scene must keep clear of, for the kernels that drive them."""
+    """Obstacles of the arms of a scene, for the kernels that drive them."""
 
     def __init__(self, arms: Sequence[ArmMotion]) -> None:
         """Begin to watch.
@@ -58,7 +58,7 @@ class SafetyFilter:
         self._qpos: FloatArray = scene.data.qpos
 
     def look(self) -> None:
-        """See where arms and objects are now."""
+        """Read the present poses of arms and objects."""
         _look(
             self.records,
             self._owners,
@@ -81,7 +81,7 @@ def keep_clear(
 
     Args:
         arm: The arm; see :data:`~lemma.env.control.guarded_arm.ARM`.
-        obstacles: What :class:`SafetyFilter` saw for this arm.
+        obstacles: Those of :class:`SafetyFilter` for this arm.
         objects: The same.
         q: Joint angles, (6,) [rad].
         rates: Joint speeds, (6,) [rad/s]; changed in place.
@@ -159,7 +159,7 @@ def _look_for_objects(
     qpos: FloatArray,
     objects: FloatArray,
 ) -> None:
-    """Write what is beside the hand and what is in it."""
+    """Write the objects beside the hand and those in it."""
     tcp = np.zeros(7)
     for i in range(3):
         tcp[i] = arm.placed[6, i, 3] + TCP_OFFSET_M * arm.placed[6, i, 2]

@@ -1,13 +1,13 @@
 """Velocity dampers: the nearer two things come, the slower they may approach.
 
-At every distance they can still stop in time (Faverjon and Tournassoud, 1987). What
-remains of a command is a nearby motion that obeys; sliding along the table stays
-possible. Plain loops, compiled: the same numbers on every machine.
+At every distance they can still stop in time (Faverjon and Tournassoud, 1987). A
+command becomes a nearby motion that obeys; sliding along the table stays possible.
+Plain loops, compiled: the same numbers on every machine.
 
-Of hundreds of pairs few are near and fast enough to matter. The others are left out by
-bounds that hold as long as joint speeds are changed by no more than
-:data:`EXPECTED_RAD_S`. Where they had to be changed by more, all is done again and
-nothing is left out. So the result is the same to the bit as if nothing ever were.
+Few of the hundreds of pairs are near and fast enough to matter. The others are left out
+by bounds that hold while joint speeds change by no more than :data:`EXPECTED_RAD_S`. If
+they change by more, everything is computed again without leaving any pair out. The
+result is therefore the same to the bit as if no pair were ever left out.
 """
 
 import math
@@ -44,7 +44,7 @@ _HAND = 6
 _TOUCH_M_S = 0.25
 """How fast a hand may touch an object, and put one down."""
 _IN_HAND_M = 0.10
-"""What is nearer to the tool centre point than this is being handled."""
+"""An object nearer to the tool centre point than this is being handled."""
 _SELF_MARGIN_M = 0.007
 """How much thicker the housings are than the capsules that stand for them."""
 # Parts of an arm that may come near each other.
@@ -91,7 +91,7 @@ def restrain(
         obstacles: Capsules of the other arms, (m, 12); see
             :data:`~lemma.env.control.approach_bounds.ROW`.
         objects: Of objects, (k, 12).
-        held: Of what the hand holds, (l, 12).
+        held: Of objects in the hand, (l, 12).
         rates: Joint speeds, (6,) [rad/s].
 
     Returns:

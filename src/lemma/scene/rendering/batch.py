@@ -20,7 +20,7 @@ from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 
 AUTO = "auto"
-"""The name that stands for the fastest one that works here."""
+"""Stands for the fastest renderer that works here."""
 
 
 class BatchRenderer(Protocol):
@@ -44,7 +44,7 @@ class BatchRenderer(Protocol):
         ...
 
     def describe(self) -> str:
-        """Return what draws, and on what: part of what decides the bytes."""
+        """Return the software and the device that draw; both decide the bytes."""
         ...
 
     def close(self) -> None:
@@ -53,7 +53,7 @@ class BatchRenderer(Protocol):
 
 
 class OpenGLRenderer:
-    """One picture after the other; on a GPU where EGL finds one, else in software."""
+    """Draws picture after picture, on a GPU if EGL finds one, else in software."""
 
     def __init__(self, width: int, height: int) -> None:
         """Prepare; OpenGL is started by the first picture.
@@ -84,7 +84,7 @@ class OpenGLRenderer:
         )
 
     def describe(self) -> str:
-        """Return the name of what draws."""
+        """Return the name that the OpenGL library gives itself."""
         return choose_backend().renderer
 
     def close(self) -> None:
@@ -95,7 +95,7 @@ class OpenGLRenderer:
 MakeRenderer = Callable[[int, int], BatchRenderer]
 
 BATCH_RENDERERS: Registry[MakeRenderer] = Registry("renderer", MakeRenderer)
-"""What makes a renderer of pictures of a width and height [px], by name."""
+"""Makers of renderers by name; each takes the width and height of pictures [px]."""
 BATCH_RENDERERS.add("opengl", OpenGLRenderer)
 BATCH_RENDERERS.add("warp", RayTracer)
 

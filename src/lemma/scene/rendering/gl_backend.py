@@ -33,7 +33,7 @@ _REMEDY = {
 }
 _DEVICE_VARIABLE = "MUJOCO_EGL_DEVICE_ID"
 _PROBE_TIMEOUT_S = 60.0
-# Whatever may change which library works, and is set from outside.
+# Prefixes of variables that may change which library works.
 _ENVIRONMENT = (
     *("DISPLAY", "EGL_", "GALLIUM_", "LD_LIBRARY_PATH", "LIBGL_", "MESA_", "MUJOCO_"),
     *("NVIDIA_", "PYOPENGL_", "WAYLAND_", "__EGL", "__GLX", "__NV"),
@@ -87,7 +87,7 @@ class Backend:
     name: str
     """MuJoCo's name of it: ``egl``, ``osmesa``, ``glfw`` or ``cgl``."""
     renderer: str
-    """What draws, in the library's words: ``llvmpipe (LLVM 15.0.6, 256 bits)``."""
+    """Name that the library gives itself: ``llvmpipe (LLVM 15.0.6, 256 bits)``."""
     detail: str
     """Why it was chosen, for people."""
 
@@ -205,7 +205,7 @@ def _cache_path() -> Path:
 
 
 def _machine_state() -> str:
-    """Return a digest of what decides which library works."""
+    """Return a digest of all facts that decide which library works."""
     facts: list[object] = [sys.prefix, tuple(os.uname())]
     facts.append(importlib.metadata.version("mujoco"))
     variables = sorted(os.environ.items())

@@ -64,7 +64,7 @@ class Upload:
 
 @dataclass(slots=True)
 class _Process:
-    """What this process holds of OpenGL."""
+    """OpenGL in this process."""
 
     pid: int
     backend: Backend

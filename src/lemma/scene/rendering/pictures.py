@@ -19,7 +19,7 @@ scene, or calibrated cameras, which may move from state to state."""
 
 
 class Pictures(NamedTuple):
-    """What some cameras see in some states."""
+    """Pictures of some cameras in some states."""
 
     rgb: NDArray[np.uint8]
     """Color, shape (states, cameras, height, width, 3)."""

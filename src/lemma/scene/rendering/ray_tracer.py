@@ -1,7 +1,7 @@
 """MuJoCo Warp's ray tracer: hundreds of states of a scene in one launch on a GPU.
 
-The optional packages ``mujoco-warp`` and ``warp-lang`` are imported by whoever makes
-one. They also run on a CPU, slower than OpenGL, for tests.
+The optional packages ``mujoco-warp`` and ``warp-lang`` are imported by the first
+renderer. They also run on a CPU, slower than OpenGL, for tests.
 
 MuJoCo itself computes the poses, in double precision; the GPU gets where every geom,
 camera and lamp is and traces one ray per pixel. That keeps the simulation of MuJoCo
@@ -31,7 +31,7 @@ _VISIBLE_GROUPS = [0, 1, 2]
 _KEPT_CONTEXTS = 4
 """Kept on the GPU: their meshes and trees serve every scene of the same shapes."""
 _LARGEST_PX = 8192
-# What a context is made of, beside what is handed over with every launch.
+# Arrays of a model that a context is made of; others are passed with each launch.
 _SHAPES = (
     *("geom_type", "geom_group", "light_type", "light_attenuation"),
     *("mesh_vert", "mesh_face", "mesh_faceadr", "mesh_vertadr"),
@@ -71,7 +71,7 @@ def has_gpu() -> bool:
 
 @dataclass(slots=True)
 class _Poses:
-    """Where everything is in each state: what a launch reads of MuJoCo Warp's data."""
+    """Poses in each state: the part of MuJoCo Warp's data that a launch reads."""
 
     nworld: int
     geom_xpos: Any
@@ -129,7 +129,7 @@ class RayTracer:
                 for camera in aim(data)
             ]
             places.append(_places(data))
-            cameras.append([_eye(camera) for camera in seen])
+            cameras.append([_camera_row(camera) for camera in seen])
         eyes = np.array(cameras)
         together = states_at_once(*self._size, eyes.shape[1])
         try:
@@ -234,7 +234,7 @@ class RayTracer:
                 self._scene.model,
                 nworld=states_at_once(*self._size, cameras),
                 cam_res=[self._size] * cameras,
-                # Which one is no matter: poses and lenses come with every launch.
+                # Any camera will do: poses and lenses come with every launch.
                 cam_active=[0] * cameras,
                 render_rgb=[True] * cameras,
                 render_depth=[depth] * cameras,
@@ -260,7 +260,7 @@ def _places(data: mujoco.MjData) -> tuple[FloatArray, ...]:
     )
 
 
-def _eye(camera: Camera) -> FloatArray:
+def _camera_row(camera: Camera) -> FloatArray:
     """Return position, rotation (as MuJoCo's: y up, z backward) and field of view.
 
     Returns:

@@ -22,7 +22,7 @@ from lemma.scene.rendering.gl_context import (
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 _NEAR_M = 0.02
-"""What a calibrated camera does not see is nearer than this: fingers are near."""
+"""Near plane of a calibrated camera. Small, because fingers are near wrist cameras."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class Renderer:
     ) -> CameraImage:
         """Render color and depth of a camera, in one pass.
 
-        What is transparent (alpha below 1) has color but no depth.
+        Transparent things (alpha below 1) have color but no depth.
 
         Args:
             model: The scene.
@@ -309,7 +309,7 @@ def depth_from_buffer(buffer: DepthImage, near_m: float, far_m: float) -> DepthI
     1 at the near plane and 0 at the far plane; solved for z below.
 
     Args:
-        buffer: What ``mjr_readPixels`` returned.
+        buffer: Depth as ``mjr_readPixels`` returns it.
         near_m: Near clipping plane [m].
         far_m: Far clipping plane [m].
 

@@ -76,7 +76,7 @@ class Window:
         if ahead_s > 0.0:
             time.sleep(ahead_s)
         else:
-            # Whoever thinks between two steps is not hurried afterwards.
+            # After a pause between two steps, do not catch up.
             self._at = (time.perf_counter(), now_s)
         if self._handle.is_running():
             self._handle.sync()
@@ -86,6 +86,6 @@ class Window:
         if self._handle is not None:
             self._handle.close()
             self._handle = None
-            # Who ends the process before the window is gone ends it with a crash.
+            # A process that ends before the window is gone crashes.
             for thread in self._threads:
                 thread.join(_CLOSE_S)
