@@ -211,7 +211,7 @@ def _machine_state() -> str:
     variables = sorted(os.environ.items())
     facts += [item for item in variables if item[0].startswith(_ENVIRONMENT)]
     with contextlib.suppress(OSError):
-        facts.append(Path("/proc/sys/kernel/random/boot_id").read_text())
+        facts.append(Path("/proc/sys/kernel/random/boot_id").read_text("utf-8"))
     with contextlib.suppress(OSError):
         # The loader's cache is rewritten whenever a package brings a library.
         loader = os.stat("/etc/ld.so.cache")
@@ -224,7 +224,7 @@ def _machine_state() -> str:
 
 def _remembered() -> Backend | None:
     try:
-        record = json.loads(_cache_path().read_text())
+        record = json.loads(_cache_path().read_text("utf-8"))
         if record.pop("machine") != _machine_state():
             return None
         return Backend(**record)
