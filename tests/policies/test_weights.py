@@ -14,7 +14,7 @@ from lemma.core.errors import DatasetError, WeightsError
 from lemma.policies import packing, weights_file
 from lemma.policies.models.catalog import MODELS
 from lemma.policies.packing import Fineness, PackingError, Rounding, pack, unpack
-from lemma.policies.training.checkpoint import read_state, write_state
+from lemma.policies.training.step import read_state, write_state
 from lemma.policies.weights import load_model
 from lemma.policies.weights_file import (
     METADATA_KEY,

@@ -7,8 +7,8 @@ import torch
 from batches import RASTER
 from torch.nn import functional as F
 
-from lemma.policies.models.cliport.correlation import correlate
 from lemma.policies.models.cliport.grid import Cells, read_at
+from lemma.policies.models.cliport.heads import correlate
 from lemma.policies.models.cliport.rotations import (
     bin_yaws,
     crop_about,

@@ -27,7 +27,6 @@ from lemma.core.errors import LemmaError
 from lemma.core.files import only_writer, write_json
 from lemma.core.version import VERSION as __version__
 from lemma.policies.models.catalog import options_of
-from lemma.policies.training.checkpoint import read_state, write_state
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup, processes
 from lemma.policies.training.loader import BatchLoader, FrameSource, Sampler
@@ -45,7 +44,7 @@ from lemma.policies.training.run import (
     recovery_units,
     training_units,
 )
-from lemma.policies.training.step import Trainer
+from lemma.policies.training.step import Trainer, read_state, write_state
 from lemma.policies.training.validation import Scores, validate
 from lemma.policies.weights_file import (
     TIME_LIMIT,

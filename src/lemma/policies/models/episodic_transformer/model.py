@@ -31,8 +31,11 @@ from lemma.policies.layers import (
 )
 from lemma.policies.models.base import MODELS, Model
 from lemma.policies.models.episodic_transformer import layout as episodic_layout
-from lemma.policies.models.episodic_transformer.layout import SLOTS, TokenLayout
-from lemma.policies.models.episodic_transformer.view_cache import ViewCache
+from lemma.policies.models.episodic_transformer.layout import (
+    SLOTS,
+    TokenLayout,
+    ViewCache,
+)
 from lemma.policies.text.encoder import TextConfig, TextEncoder, TextKind
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
