@@ -141,7 +141,7 @@ $(VENV)/core.stamp: $(INPUTS)
 	@$(INSTALL) -e .
 	@touch $@
 
-# What replays are made with: a page, without what reads sentences.
+# The page and replays, without the packages of models that read sentences.
 $(VENV)/page.stamp: $(VENV)/core.stamp
 	@$(INSTALL) -e '.[play]'
 	@touch $@

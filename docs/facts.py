@@ -258,7 +258,7 @@ def _value(path: str, unit: str) -> str:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directives."""
-    # What makes replays would tell of every one.
+    # viser's server would log every connection.
     logging.getLogger("websockets").setLevel(logging.WARNING)
     app.add_config_value("replays", False, "env", types=(bool, int, str))
     app.add_directive("task-facts", TaskFacts)

@@ -20,7 +20,7 @@ from lemma.dataset.rendered.render import RenderConfig, render
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "out/first-data")
 engine = Serial()
 
-# The expert solves the first instances of two splits. What is there is not made again.
+# The expert solves the first instances of two splits; existing episodes are kept.
 recipe = folder / "recipe"
 generate(
     GenerateConfig(out=recipe, tasks=("pass",), splits=("train", "val"), episodes=2),
@@ -34,7 +34,7 @@ for episode in lemma.load(recipe):
     # Executed again, every state is the recorded one, to the bit.
     print("  exact:", replay(episode).is_exact)
 
-# What a policy sees before each sub-task, and what it should decide.
+# The view before each sub-task, and the decision that a policy should make.
 keyframes = folder / "keyframes"
 render(RenderConfig(recipe=recipe, out=keyframes), KeyframeForm(), engine)
 frames = KeyframeDataset(keyframes, split="train")

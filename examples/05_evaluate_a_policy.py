@@ -31,7 +31,7 @@ class TriesEachRobot:
         if goal is None or len(done) == 2:
             return STOP
         [(cube, pad)] = goal
-        # Who could not do the last one leaves it to the other; who did it, too.
+        # After each sub-task, whether it succeeded or not, it is the other's turn.
         robot = "robot_0"
         if given.past and given.past[-1].subtask.robot == "robot_0":
             robot = "robot_1"

@@ -75,7 +75,7 @@ def find(view: View, color: str) -> Pose2 | None:
 
 def ask(url: str) -> None:
     """Play one episode with the policy that answers at an address."""
-    # What asks is the benchmark, which has the simulator.
+    # The benchmark, which has the simulator, asks.
     from lemma.evaluation.run.rollout import Player, Rollout, roll_out  # noqa: PLC0415
     from lemma.policies.spec import PolicySpec  # noqa: PLC0415
     from lemma.tasks.suite import load_instance  # noqa: PLC0415

@@ -53,7 +53,7 @@ Run = tuple[str, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is wanted."""
+    """The options of the command."""
 
     out: Path
     film: Path

@@ -1,4 +1,4 @@
-"""What is seen in demonstrations, as arrays, and samples of it for learning.
+"""Pictures of demonstrations as arrays, and samples of them for learning.
 
 :func:`film` executes a recipe again and writes what ``lemma render --form lerobot``
 would, frame by frame, as arrays instead of videos; :class:`Film` holds all of it on the

@@ -56,7 +56,7 @@ _SCROLL = (
 
 @dataclass(frozen=True)
 class Shot:
-    """What is seen in one picture."""
+    """One picture."""
 
     request: EpisodeRequest
     show: Callable[[Page, Browser], None]

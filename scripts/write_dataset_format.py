@@ -12,7 +12,7 @@ from lemma.dataset.recipe.schema import describe
 
 PAGE = Path(__file__).parents[1] / "docs" / "dataset_format.md"
 BLOCKS = {"columns": describe(), "perturbed columns": describe(perturbed=True)}
-"""What is written where, by the name in the marks around it."""
+"""Generated texts, by the name in the marks around them."""
 
 
 def with_columns(page: str) -> str:

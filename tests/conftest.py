@@ -16,7 +16,7 @@ IN_CI = os.environ.get("CI", "").lower() == "true"
 
 # Fixed examples in CI: a failure there is always the change's own. No deadline: the
 # first call of a Numba function compiles it.
-# Neither does it matter how slowly examples are made beside other work.
+# Examples may be made slowly beside other work, too.
 SLOW = [HealthCheck.too_slow]
 settings.register_profile(
     "local", deadline=None, max_examples=50, suppress_health_check=SLOW

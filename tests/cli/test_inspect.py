@@ -1,4 +1,4 @@
-"""What `lemma inspect` prints, writes and draws."""
+"""`lemma inspect`: its output and pictures."""
 
 import json
 import re

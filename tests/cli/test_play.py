@@ -1,4 +1,4 @@
-"""What `lemma play` offers, and what it refuses before a page opens."""
+"""`lemma play`: its options, and refusals before a page opens."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What `lemma render` does with its options, whatever the form."""
+"""`lemma render`: its options, for every form."""
 
 import sys
 from pathlib import Path

@@ -13,7 +13,7 @@ from lemma.core.plugins import ENVIRONMENT, load_plugins, split_names
 from lemma.core.workers.pool import ProcessPool
 
 came: list[str] = []
-"""What plugins of these tests add to when they are imported."""
+"""The plugins of these tests add to this when they are imported."""
 CODE = f"import {__name__}\n{__name__}.came.append(__name__)\n"
 
 

@@ -24,7 +24,7 @@ _START_S, _WAIT_S = 60.0, 180.0
 _FLAGS = (
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"),
     *("--no-first-run", "--disable-extensions", "--disable-background-networking"),
-    # Whatever a page asks the network for fails at once; this machine is none.
+    # Requests to the network fail at once; those to this machine do not.
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     # WebGL, in software.
     *("--disable-dev-shm-usage", "--enable-unsafe-swiftshader"),

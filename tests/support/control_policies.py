@@ -39,7 +39,7 @@ class Stays:
 
 
 def bad(rows: Any, says: str) -> Any:
-    """What is wrong with actions, by one word."""
+    """The fault of the actions, in one word."""
     wrong = {
         "nan": rows * np.nan,
         "shape": rows[:, :1],

@@ -16,7 +16,7 @@ COMMIT = "c0ffee" * 6 + "c0ff"
 
 @dataclass
 class FakeHub:
-    """What the hub knows, and how it behaves."""
+    """The contents and the behavior of the hub."""
 
     url: str = ""
     files: dict[str, bytes] = field(default_factory=dict)
@@ -98,7 +98,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif hub.refuses_uploads and path.startswith("/upload/"):
             self._json({"error": "no"}, 400)
         elif not self._is_known():
-            # What is private looks to strangers as if it were not there.
+            # To strangers, a private repository looks like a missing one.
             self._answer(b"{}", 401, {"X-Error-Code": "RepoNotFound"})
         elif path == "/api/repos/create":
             hub.exists = True

@@ -1,4 +1,4 @@
-"""What can be reached from an object by its attributes, by anybody's code.
+"""Objects that any code can reach from an object by its attributes.
 
 Attributes, items, closures, bound objects, what wrappers wrap, what an object would be
 pickled as, and the modules of the package behind the globals of its functions. What is
@@ -52,7 +52,7 @@ _HOMES = {"lemma", __name__, "builtins", "functools", "itertools", "mujoco"}
 _MOST = 200_000
 """Objects that are looked at before the search is called endless."""
 _LOADED_BY = ("__loader__", "__spec__")
-"""What imported a module; the tests' own importer knows of all tests."""
+"""Loaders of modules; the loader of the tests knows all tests."""
 _HIDDEN = (
     *("__wrapped__", "__func__", "__self__", "__closure__", "__defaults__"),
     *("__kwdefaults__", "__dict__"),
@@ -62,7 +62,7 @@ _HIDDEN = (
 
 def secrets_within(*roots: object) -> list[str]:
     """Return the ways from some objects to what knows the truth; none is good."""
-    # Whoever keeps all that it sees leaves nothing to collect.
+    # A policy that keeps all its inputs leaves nothing to collect.
     gc.disable()
     try:
         return list(find_secrets(*roots))

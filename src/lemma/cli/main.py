@@ -43,7 +43,7 @@ VERBS = {
     "Markdown.",
     "reproduce": "Evaluate every row of the tables, and write the tables.",
 }
-"""What each verb does, in the first sentence of its help.
+"""The first sentence of each verb's help.
 
 A verb is a function of the same name in a module of the same name in this package, with
 underscores for dashes. It is imported when it is called, and when it is asked for help:
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         complain(str(interrupt) or "Interrupted: nothing is kept.")
         code = INTERRUPTED
     except BrokenPipeError:
-        # Whoever read our output has seen enough; closing it must not fail as well.
+        # The reader of our output has closed it; closing it here must not fail as well.
         sys.stderr.close()
         code = 0
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What the verbs share: where they print, and how flags look."""
+"""Types of options, and consoles, that verbs share."""
 
 import codecs
 import io
@@ -36,7 +36,7 @@ MaybeTask = Annotated[
 Word = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 """An optional name."""
 Arguments = Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")]
-"""What a policy is called with; see :func:`arguments`."""
+"""Arguments of a policy's class; see :func:`arguments`."""
 Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
 """An optional number."""
 Team = Annotated[str | None, tyro.conf.arg(metavar="ARM,ARM", help_behavior_hint="")]

@@ -1,4 +1,4 @@
-"""Who does the work of the verbs that work on many episodes, and how it is watched."""
+"""Options for worker processes, and the progress bar of verbs with many episodes."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

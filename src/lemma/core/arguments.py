@@ -1,4 +1,4 @@
-"""What callers pass: numbers, names and dataclasses, checked where they come in."""
+"""Checks of numbers, names and dataclasses that callers pass."""
 
 import contextlib
 import math

@@ -2,7 +2,7 @@
 
 Numba keeps compiled code until the file that holds it changes. Kernels take in kernels
 and constants of other files, though: after a change of one of those, the kept code
-would go on computing the old numbers. So what is kept here belongs to every source that
+would go on computing the old numbers. So kept code belongs to every source that
 can go into a kernel.
 
 Processes that start together compile each kernel once, and one of them says so.
@@ -101,7 +101,7 @@ def cache_folder(function: Callable[..., Any]) -> str | None:
 
 
 class _KernelCache(FunctionCache):
-    """What is kept of one kernel: a file for every signature, and an index."""
+    """Kept code of one kernel: a file for every signature, and an index."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)

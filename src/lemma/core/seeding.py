@@ -29,7 +29,7 @@ def ordered_sum(values: Iterable[float]) -> float:
     """Return the sum of numbers, added one after the other from the first on.
 
     Since Python 3.12 the built-in ``sum`` compensates for rounding when it adds floats,
-    so its last bits differ from those of Python 3.11. Whatever reaches the simulation
+    so its last bits differ from those of Python 3.11. The simulation
     uses this function instead.
     """
     total = 0.0

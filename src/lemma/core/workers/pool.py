@@ -65,7 +65,7 @@ def ignore(message: Any) -> None:
 
 
 _listener: Listener = ignore
-"""Who hears what the job in this process reports."""
+"""The listener to reports of the job in this process."""
 
 
 def report(message: Any) -> None:
@@ -335,7 +335,7 @@ def _work(pipe: "Connection[Any, Any]") -> None:
     """Do jobs until nobody asks any more."""
     become_worker()
     threading.Thread(target=_die_with_parent, daemon=True).start()
-    # What says that there is no more is a pipe that was closed.
+    # A closed pipe means that there is no more.
     gone = suppress(EOFError, ConnectionResetError, BrokenPipeError)
     with gone, heard_by(lambda message: pipe.send(("report", message))):
         pipe.send(("begun", None))
