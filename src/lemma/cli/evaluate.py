@@ -52,10 +52,10 @@ class EvaluateOptions:
     episodes: Number = None
     """Only the first so many of every task."""
     level: Literal["auto", "plan", "skill", "control"] = "auto"
-    """What the policy decides: sub-tasks in symbols, which get the expert's poses, or
+    """Kind of decision: sub-tasks in symbols, which get the expert's poses, or
     with poses, which auto tells by its name; or motor commands."""
     policy_args: Arguments = ""
-    """What a class of your own is called with, or the environment of a model server;
+    """Arguments of a class of your own, or the environment of a model server;
     values are numbers, true, false or text."""
     planning: Literal["single-step", "multi-step"] = "single-step"
     """Look before every sub-task, or plan from the first image alone."""

@@ -1,8 +1,8 @@
 """Lines of episodes in files: read, written, packed, and found beside their results.
 
-What plays writes ``episodes.jsonl`` into a folder of its own. Beside a result that is
-committed, ``seed-0.json``, lie the same lines packed, ``seed-0.jsonl.xz``: without what
-depends on the machine, so the same episodes are the same lines.
+An evaluation writes ``episodes.jsonl`` into a folder of its own. Beside a published
+result, ``seed-0.json``, lie the same lines packed, ``seed-0.jsonl.xz``. Fields that
+depend on the machine are left out, so the same episodes are the same lines.
 """
 
 import json
@@ -28,8 +28,8 @@ MOST_LINE = 1 << 21
 """Length of the line of an episode [bytes]. 100 sub-tasks take 0.1 MB; a gripper that
 grasps and lets go in every control step takes most."""
 MOST_UNPACKED = 100_000_000
-"""What a packed file may hold [bytes], since a small one can unpack to anything. The
-1,920 episodes of a published result take up to 10 MB."""
+"""Most that a packed file may hold [bytes], since a small one can unpack to anything.
+The 1,920 episodes of a published result take up to 10 MB."""
 
 
 def read_rows(folder: Path) -> list[Row]:
@@ -144,7 +144,7 @@ def packed_beside(result: Path) -> Path:
 def lines_beside(result: Path) -> list[Path]:
     """Return the file with the lines of a result: one or none.
 
-    Packed lines come first, which were written with the result. What was played may
+    Packed lines come first, which were written with the result. The evaluation may
     have gone on since then.
 
     Args:
@@ -222,7 +222,7 @@ def lines_at(path: Path) -> Path:
 _MOST_NAMED = 3
 _PIECE = 1 << 16
 _MOST_MEMORY = 128 << 20
-"""What unpacking may take [bytes]; files of ours need 65 MB."""
+"""Memory for unpacking [bytes]; published files need 65 MB."""
 
 
 def _text(rows: Iterable[Row]) -> str:

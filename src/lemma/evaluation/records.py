@@ -2,7 +2,7 @@
 
 ``episodes.jsonl`` holds one line per episode, ``about.json`` what decides them, and
 ``summary.json`` what was counted of them; :mod:`lemma.evaluation.lines` reads and
-writes the lines. What is read is checked: it may come from anywhere.
+writes the lines. Files may come from anywhere, so their content is checked.
 """
 
 from collections.abc import Mapping
@@ -142,7 +142,7 @@ class _Event(_Strict):
 
 
 class _Control(_Strict):
-    """What is told of an episode at control level."""
+    """The record of an episode at control level."""
 
     mode: str
     hz: float
@@ -157,7 +157,7 @@ class _Control(_Strict):
 
 
 class _Lenient(_Strict):
-    """What became of an episode that went on after its strict end."""
+    """The verdict of an episode that went on after its strict end."""
 
     success: bool
     progress: float

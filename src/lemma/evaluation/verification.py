@@ -43,7 +43,7 @@ _MOST_SUMMARY_MB = 10.0
 
 @dataclass(frozen=True)
 class Verification:
-    """What became of one result."""
+    """Whether a result stands, and why not."""
 
     lines: Path
     """The file of its episodes."""

@@ -9,11 +9,12 @@ import pytest
 from lemma.core.errors import DatasetError
 from lemma.core.poses import Pose2
 from lemma.core.workers.serial import Serial
+from lemma.evaluation.protocol.rules import REFUSAL_S
 from lemma.evaluation.records import PROTECTIVE_STOP, Row
 from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate
 from lemma.evaluation.run.replay import differences, play_again
-from lemma.evaluation.run.rollout import REFUSAL_S, Player, Rollout, roll_out
+from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import Decision, Oracle, OracleInput, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner

@@ -14,7 +14,7 @@ from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import in_order
 
 _SAME = ("split", "lemma")
-"""What decides the episodes and the world, and not the policy."""
+"""Fields that decide the episodes and the world, and not the policy."""
 
 
 @dataclass(frozen=True, slots=True)

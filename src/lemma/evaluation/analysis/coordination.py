@@ -15,7 +15,7 @@ allocation          share of sub-tasks whose robot could do them, as the expert 
                     of the sub-tasks that are in its plan, now or later, with any robot.
 order violation     a sub-task that is in the expert's plan, but further on, which could
                     not be done yet, or was done and left as many sub-tasks to do as
-                    before. What may come in any order is none.
+                    before. Sub-tasks in any order are none.
 clearance           smallest distance between the two arms, looked at ten times in a
                     simulated second (:mod:`lemma.evaluation.run.clearance`).
                     Signed: 0 or less is touching.

@@ -1,4 +1,4 @@
-"""What planners took that ask language models, counted from the lines of episodes."""
+"""Requests of planners to language models, counted from the lines of episodes."""
 
 from collections import Counter
 from collections.abc import Sequence

@@ -79,7 +79,7 @@ class Precision:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What became of other goals that controls of language asked for."""
+    """How often other goals held that controls of language asked for."""
 
     kind: str
     task: str
@@ -91,7 +91,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class Result:
-    """What one policy, trained with one seed, made of the episodes of a split."""
+    """Counts of the episodes of a split, played by one policy of one training seed."""
 
     about: dict[str, Any]
     """Policy, split, horizon, versions and weights: what decides the result."""

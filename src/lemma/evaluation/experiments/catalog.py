@@ -51,7 +51,7 @@ class Experiment:
     kinds: tuple[str, ...] = EVALUATION_KINDS
     """Of instructions."""
     language: str = "full"
-    """What is said, one of
+    """The sentence, one of
     :data:`lemma.evaluation.protocol.language_controls.LANGUAGES`."""
     perturb_start: bool = False
     """Whether objects begin a little elsewhere."""
@@ -220,14 +220,14 @@ _add(
 )
 
 CONTROL_TASKS = ("pass", "stack", "poke", "hook")
-"""What policies at control level are trained on, one for all of them."""
+"""Tasks of the policies at control level; one policy for all of them."""
 _BASELINES = "python scripts/control_baselines.py --policies"
 _AS_TRAINED = (
     f"{_BASELINES} act,diffusion "
     "--cameras robot_0,robot_1,robot_0_wrist,robot_1_wrist --size 128x96 "
     "--batch 128 --train-s 651"
 )
-"""What made the weights that see camera images: both at a time, on one GPU."""
+"""The command that trained on camera images: both at a time, on one GPU."""
 for _learner, _called in (("act", "ACT"), ("diffusion", "Diffusion Policy")):
     _add(
         Experiment(
@@ -277,7 +277,7 @@ _AUGMENTATIONS = {
     "no-height-noise": ("no height noise", "--augmentation.height-noise-m 0"),
     "no-dropouts": ("no holes", "--augmentation.dropouts 0"),
 }
-"""What can be left out: title and arguments of the training."""
+"""Parts that can be left out: title and arguments of the training."""
 
 
 def _add_ablation(

@@ -1,4 +1,4 @@
-"""What the paper reports (arXiv 2308.00937, on Isaac Sim): all of its tables.
+"""All tables of the paper (arXiv 2308.00937, on Isaac Sim).
 
 Success rates [%] on its test split, mean ± standard deviation over ten runs of the same
 weights, whose physics and rendering are not deterministic. The robots' names, tasks and

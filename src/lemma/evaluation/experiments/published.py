@@ -1,4 +1,4 @@
-"""What policies do now, compared with published lines: sub-tasks, outcomes and poses.
+"""Policies compared with published lines: sub-tasks, outcomes and poses.
 
 Pictures of another renderer move the poses of a network by some millimetres, and a few
 decisions with them, so poses have a tolerance; all else must be equal.

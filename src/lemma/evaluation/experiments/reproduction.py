@@ -186,7 +186,7 @@ def _as_it_was(name: str) -> list[str]:
     how = "ended by its time limit" if entry["ended"] else "how it ended is not known"
     if entry["steps"]:
         how += f" after {entry['steps']} steps"
-    return [f"# What is published of {name}: {entry['command']} ({how})"]
+    return [f"# The published weights of {name}: {entry['command']} ({how})"]
 
 
 def _needed(experiments: list[Experiment]) -> list[Training]:

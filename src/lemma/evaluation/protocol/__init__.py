@@ -1,1 +1,1 @@
-"""What fixes a number: the protocol, its controls and the expert's times."""
+"""The protocol, which fixes a number: rules, controls and the expert's times."""

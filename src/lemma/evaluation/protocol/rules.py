@@ -1,8 +1,8 @@
 """The protocol: everything that fixes a number, in one frozen file with a hash.
 
-``protocol.json`` ships with the package. What is in force here and now is computed from
-the code, the data and the versions; where that is the file, results quote the file's
-hash, and otherwise their own. Results of different protocols are never mixed.
+``protocol.json`` ships with the package. The protocol in force is computed from the
+code, the data and the versions. Results quote its hash, which is that of the file
+unless something differs. Results of different protocols are never mixed.
 """
 
 import hashlib

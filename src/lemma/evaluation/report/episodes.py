@@ -24,7 +24,7 @@ class Case:
     """One episode of one policy."""
 
     policy: str
-    """What tables call the policy, and its training seed if there are several."""
+    """The policy's title in tables, and its training seed if there are several."""
     row: Row
     about: Mapping[str, Any]
     """Of the result that counts it."""
@@ -50,7 +50,7 @@ class Case:
 
     @cached_property
     def instance(self) -> Instance:
-        """What was to be done, as this installation has it."""
+        """The problem, as this installation has it."""
         row, own = self.row, self.about.get("instance")
         if own is not None:
             return Instance.from_dict(own)

@@ -73,7 +73,7 @@ def _nearest(first: FloatArray, second: FloatArray, least: float) -> float:
     """Return the smallest gap between capsules of two arms, if below ``least`` [m]."""
     for i in range(first.shape[0]):
         for j in range(second.shape[0]):
-            # What a ball around each segment says is cheaper, and mostly enough.
+            # The bound from balls around the segments is cheaper, and mostly enough.
             gap = _ball_gap(first[i], second[j])
             if gap < least:
                 radii = first[i, 6] + second[j, 6]

@@ -1,4 +1,4 @@
-"""What an evaluation is of: a policy, episodes, and what is said."""
+"""The configuration of an evaluation: policy, episodes and sentences."""
 
 import shlex
 from collections.abc import Iterator
@@ -47,7 +47,7 @@ class EvaluationConfig:
     episodes: int | None = None
     """Only the first so many of every task; all if None. Split ``"free"`` needs it."""
     language: str = FULL
-    """What is said, one of
+    """The sentence, one of
     :data:`lemma.evaluation.protocol.language_controls.LANGUAGES`."""
     perturb_start: bool = False
     """Whether objects begin a little elsewhere, see

@@ -1,4 +1,4 @@
-"""What the expert would do in the state that a policy is in, and how far off it is.
+"""The expert's choice in the state that a policy is in, and how far off the policy is.
 
 The expert plans anew from the true state before every sub-task of a policy, which takes
 some milliseconds and changes nothing. The length of its plan measures whether a

@@ -68,7 +68,7 @@ class TakenStep:
     advice: ExpertFeedback
     """What the expert said of it."""
     fell: tuple[str, ...] = ()
-    """What fell off the table meanwhile."""
+    """Names of the objects that fell off the table meanwhile."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -363,7 +363,7 @@ class _Play:
             try:
                 step = rollout.take(given, decision)
             except PhysicsError as error:
-                # Judged is the last state that means something.
+                # Judge the state before physics failed.
                 rollout.episode.restore(before)
                 rollout.fail(Fault(FaultKind.UNSTABLE, str(error)))
                 continue

@@ -1,4 +1,4 @@
-"""What hands did to things, as far as contacts and grasps tell."""
+"""Records of contacts and grasps in an episode at control level."""
 
 from typing import Any
 
