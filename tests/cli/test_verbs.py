@@ -1,3 +1,4 @@
+import errno
 import io
 import json
 import re
@@ -245,6 +246,27 @@ def test_a_locale_that_lacks_letters_gets_others(
         assert json.loads(text)
     else:
         assert "?" in text
+
+
+class Full(io.StringIO):
+    """A stream to a disk without space."""
+
+    def write(self, text: str) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("words", [["--help"], ["tasks", "--help"]])
+def test_an_output_that_is_closed_or_full_is_no_traceback(
+    words: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    assert run(*words) == 0
+    sys.stdout.close()
+    monkeypatch.setattr(sys, "stdout", Full())
+    assert run(*words) == 2
+    assert "No space left" in capsys.readouterr().err
 
 
 def test_brackets_of_a_path_are_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -264,6 +264,23 @@ def test_a_hub_in_trouble(
     assert "Try again later" in text
 
 
+def test_no_secret_is_printed(
+    hub: FakeHub,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    hub.status = 500
+    point_at(hub.url.replace("//", "//me:password@"), monkeypatch)
+    text = complaint(capsys, "pull", NAME, tmp_path)
+    assert "answered 500" in text
+    assert "password" not in text
+    monkeypatch.setenv("HF_TOKEN", "hf_ours\N{RIGHT DOUBLE QUOTATION MARK}")
+    text = complaint(capsys, "pull", NAME, tmp_path)
+    assert "Set HF_TOKEN again" in text
+    assert "hf_ours" not in text
+
+
 def test_an_upload_that_breaks_goes_on_later(
     hub: FakeHub, recipe: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

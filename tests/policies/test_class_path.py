@@ -37,7 +37,7 @@ def test_a_class_that_is_not_there_is_said_to_be_missing(name: str) -> None:
         class_of(name)
 
 
-@pytest.mark.parametrize("name", ["api_key", "HUB_TOKEN", "password"])
+@pytest.mark.parametrize("name", ["openaiApiKey", "HUB_TOKEN", "password"])
 def test_results_hold_no_secret_arguments(name: str) -> None:
     arguments = ((name, "sk-secret"),)
     with pytest.raises(InvalidConfigError, match="environment variable") as caught:

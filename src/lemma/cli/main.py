@@ -8,7 +8,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from lemma.cli.options import complain, output, replace_what_cannot_be_printed
+from lemma.cli.options import complain, output, prepare_streams
 from lemma.core.errors import LemmaError, UnknownNameError
 from lemma.core.plugins import load_plugins, split_names
 from lemma.core.version import VERSION as __version__
@@ -69,22 +69,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Raises:
         SystemExit: Always.
     """
-    replace_what_cannot_be_printed()
+    prepare_streams()
     words, plugins = split_plugins(sys.argv[1:] if arguments is None else arguments)
-    if words == ["--version"]:
-        output().print(f"lemma {__version__}")
-        raise SystemExit(0)
-    if not words or words[0] in ("-h", "--help"):
-        _print_help()
-        raise SystemExit(0)
     try:
-        load_plugins(plugins)
-        code = tyro.extras.subcommand_cli_from_dict(
-            _functions(words),
-            prog="lemma",
-            description=_DESCRIPTION,
-            args=words,
-        )
+        code = _run(words, plugins)
     except LemmaError as error:
         complain(str(error))
         code = BAD_INPUT
@@ -104,6 +92,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         complain(str(error))
         code = BAD_INPUT
     raise SystemExit(code)
+
+
+def _run(words: list[str], plugins: list[str]) -> int:
+    if words == ["--version"]:
+        output().print(f"lemma {__version__}")
+        return 0
+    if not words or words[0] in ("-h", "--help"):
+        _print_help()
+        return 0
+    load_plugins(plugins)
+    code: int = tyro.extras.subcommand_cli_from_dict(
+        _functions(words), prog="lemma", description=_DESCRIPTION, args=words
+    )
+    return code
 
 
 def split_plugins(words: Sequence[str]) -> tuple[list[str], list[str]]:

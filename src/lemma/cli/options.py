@@ -3,6 +3,7 @@
 import codecs
 import io
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -72,10 +73,16 @@ def print_json(document: Any) -> None:
     sys.stdout.write(f"{text}\n")
 
 
-def replace_what_cannot_be_printed() -> None:
-    """Let both streams print a question mark for letters that their locale lacks."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+def prepare_streams() -> None:
+    """Let both streams print a question mark for letters that their locale lacks.
+
+    A stream that the caller has closed prints nowhere.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
             stream.reconfigure(errors="replace")
 
 

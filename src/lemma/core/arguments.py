@@ -156,6 +156,11 @@ def secret_of(variable: str) -> str:
     return secret
 
 
+def without_passwords(text: str) -> str:
+    """Return a text in which no address has a user's name and a password."""
+    return re.sub(r"\S+@(?=\S)", "***@", text)
+
+
 def _within(number: float, low: float | None, high: float | None) -> bool:
     return (low is None or number >= low) and (high is None or number <= high)
 

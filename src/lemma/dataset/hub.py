@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from lemma.core.arguments import without_passwords
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import sha256_of
 from lemma.core.workers.resumable import PARTS
@@ -213,13 +214,19 @@ def _words(error: Exception, repository: str) -> str | None:
             "the name."
         )
     if status is not None:
-        why = " ".join(str(error).split())
+        why = without_passwords(" ".join(str(error).split()))
         return f"The Hub answered {status} about {repository}. Try again later. ({why})"
     if any(_is_transport(link) for link in chain):
         return (
             f"The Hub could not be reached ({type(error).__name__}). Check the "
             "network, the proxy, and HF_ENDPOINT and HF_HUB_OFFLINE if they are set. "
             "The same command goes on where it was stopped."
+        )
+    if isinstance(error, UnicodeEncodeError):
+        return (
+            "The token of the Hub cannot be sent: it holds a curly quotation mark or "
+            "another character that is not ASCII. Set HF_TOKEN again, or log in with: "
+            "hf auth login"
         )
     if type(error).__name__ == "HFValidationError":
         why = " ".join(str(error).split())

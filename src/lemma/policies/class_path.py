@@ -11,7 +11,10 @@ LEROBOT = "lerobot:"
 """Begins the name of a checkpoint of LeRobot, ``"lerobot:CHECKPOINT"``."""
 LEROBOT_PRIVILEGED = "lerobot-privileged:"
 """Begins the name of one that gets the simulation's state: an oracle."""
-_SECRET = re.compile(r"(?i)(^|_)(api_?key|token|secret|passw(or)?d|credentials?)$")
+_SECRET = re.compile(
+    r"(?i)((api|access|auth|private|secret)_?key|token|secret|passw(or)?d|passphrase|"
+    r"credentials?|authorization|bearer)$"
+)
 _MODULE = "lemma.policies.control.lerobot"
 _LEROBOT_CLASSES = {
     LEROBOT: f"{_MODULE}:LeRobotPolicy",

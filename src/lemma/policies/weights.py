@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lemma.core.arguments import without_passwords
 from lemma.core.errors import UnknownNameError, WeightsError
 from lemma.core.files import read_json, sha256_of
 
@@ -170,4 +171,4 @@ def _fetch(
 
 def _first_line(error: Exception) -> str:
     lines = str(error).strip().splitlines() or [type(error).__name__]
-    return json.dumps(lines[0])
+    return json.dumps(without_passwords(lines[0]))

@@ -1,6 +1,7 @@
 """Faults of policies, and trouble that is no fault of theirs."""
 
 import errno
+import re
 from enum import StrEnum
 
 from lemma.core.errors import (
@@ -20,6 +21,8 @@ _MACHINE = frozenset(
     for name in ("ENOSPC", "EDQUOT", "EIO", "EROFS", "EMFILE", "ENFILE", "ENOMEM")
     if hasattr(errno, name)
 )
+_NO_MEMORY = re.compile(r"(?i)can't allocate memory|out of memory|start new thread")
+"""Messages of plain RuntimeErrors where memory, or room for threads, is missing."""
 
 
 class FaultKind(StrEnum):
@@ -88,9 +91,11 @@ def trouble_of(error: BaseException) -> LemmaError | None:
     """
     if isinstance(error, _TROUBLE):
         return error
-    # torch raises an error of its own where a GPU has no memory left.
-    memory = isinstance(error, MemoryError) or (
-        type(error).__name__ == "OutOfMemoryError"
+    # torch raises errors of its own where a GPU or the machine has no memory left.
+    memory = (
+        isinstance(error, MemoryError)
+        or type(error).__name__ == "OutOfMemoryError"
+        or (isinstance(error, RuntimeError) and _NO_MEMORY.search(str(error)))
     )
     if memory or (isinstance(error, OSError) and error.errno in _MACHINE):
         return PolicyUnreachableError(
@@ -99,7 +104,8 @@ def trouble_of(error: BaseException) -> LemmaError | None:
             "of the policy. Free disk space, memory or files; the same command then "
             "goes on."
         )
-    return None
+    # A policy may have wrapped it in an error of its own.
+    return None if error.__cause__ is None else trouble_of(error.__cause__)
 
 
 class ProtocolError(LemmaError, RuntimeError):

@@ -159,9 +159,13 @@ def test_a_job_that_always_dies_is_given_up(engine: RayCluster) -> None:
 def test_no_cluster_is_explained(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = (*GENERATE[:-1], "127.0.0.1:1", "--out", tmp_path / "recipe")
-    assert lemma(*words) == 2
-    assert "There is no Ray cluster at '127.0.0.1:1'" in capsys.readouterr().err
+    for address in ("127.0.0.1:1", "ray://me:password@127.0.0.1:1"):
+        words = (*GENERATE[:-1], address, "--out", tmp_path / "recipe")
+        assert lemma(*words) == 2
+        said = capsys.readouterr().err
+        assert "There is no Ray cluster at '" in said
+        assert "127.0.0.1:1'" in said
+        assert "password" not in said
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")
     assert lemma(*GENERATE, "--out", tmp_path / "recipe") == 2
     assert "There is no Ray cluster at 'auto'" in capsys.readouterr().err

@@ -373,6 +373,12 @@ def test_a_run_goes_on_and_names_the_faults(tmp_path: Path) -> None:
     assert [json.loads(line) for line in lines] == rows
 
 
+def wrapped(cause: Exception) -> Exception:
+    error = ValueError("no decision")
+    error.__cause__ = cause
+    return error
+
+
 TROUBLE: dict[str, tuple[Exception, type[LemmaError]]] = {
     "cassette": (DatasetError("Line 2 cannot be read."), DatasetError),
     "weights": (WeightsError("They are damaged."), WeightsError),
@@ -380,6 +386,11 @@ TROUBLE: dict[str, tuple[Exception, type[LemmaError]]] = {
     "disk": (OSError(errno.ENOSPC, "No space left"), PolicyUnreachableError),
     "files": (OSError(errno.EMFILE, "Too many open files"), PolicyUnreachableError),
     "memory": (MemoryError(), PolicyUnreachableError),
+    "allocator": (
+        RuntimeError("DefaultCPUAllocator: can't allocate memory"),
+        PolicyUnreachableError,
+    ),
+    "wrapped": (wrapped(MemoryError()), PolicyUnreachableError),
     "gpu": (type("OutOfMemoryError", (RuntimeError,), {})(), PolicyUnreachableError),
 }
 

@@ -90,13 +90,14 @@ def test_a_line_that_a_killed_writer_began_is_written_over(tmp_path: Path) -> No
     [
         b"no JSON\n",
         b"[]\n",
+        b'{"another": "file"}',
         b'{"key": "a"}\n',
         b"[" * 100_000 + b"\n",
         json.dumps({"key": "0", "request": {}, "reply": {"content": "x"}}).encode()
         + b"\n",
         b"\xff\xfe\n",
     ],
-    ids=["text", "list", "fields", "deep", "edited", "bytes"],
+    ids=["text", "list", "another", "fields", "deep", "edited", "bytes"],
 )
 def test_a_damaged_line_is_named(tmp_path: Path, line: bytes) -> None:
     path = tmp_path / "c.jsonl"

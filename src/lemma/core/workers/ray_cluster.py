@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from lemma.core.arguments import without_passwords
 from lemma.core.errors import WorkerError
 from lemma.core.plugins import load_plugins
 from lemma.core.workers.pool import (
@@ -47,8 +48,9 @@ class RayCluster:
                 _check_reachable(address)
                 ray.init(address=address, log_to_driver=False, logging_level="warning")
         except (OSError, ValueError, ray.exceptions.RayError) as error:
+            where = without_passwords(address)
             raise WorkerError(
-                f"There is no Ray cluster at {address!r}: {str(error).rstrip('.')}. "
+                f"There is no Ray cluster at {where!r}: {_first_line(error)}. "
                 "Start one with 'ray start --head', or use --engine processes."
             ) from error
 
@@ -143,4 +145,4 @@ def _check_reachable(address: str) -> None:
 
 
 def _first_line(error: Exception) -> str:
-    return str(error).strip().partition("\n")[0].rstrip(".")
+    return without_passwords(str(error).strip().partition("\n")[0].rstrip("."))

@@ -24,6 +24,8 @@ from lemma.core.errors import DatasetError
 from lemma.policies.planners.chat import PlannerUnavailableError, Reply
 
 _LOCK = ".lock"
+_BEGIN = b'{"key": "'
+"""First bytes of every line."""
 _SHOWN = 90
 _MOST = 3
 
@@ -140,7 +142,8 @@ class Cassette:
                 try:
                     line = self._parsed(data, each) if data.strip() else None
                 except DatasetError:
-                    if data.endswith(b"\n"):
+                    is_begun = _BEGIN.startswith(data[: len(_BEGIN)])
+                    if data.endswith(b"\n") or not is_begun:
                         raise
                     # A writer that was killed has begun it.
                     return

@@ -7,7 +7,6 @@ The key, if the server asks for one, is in the environment variable
 import http.client
 import json
 import os
-import re
 import shlex
 import tempfile
 import time
@@ -28,7 +27,7 @@ from urllib.request import HTTPRedirectHandler, ProxyHandler, Request, build_ope
 
 from filelock import FileLock, Timeout
 
-from lemma.core.arguments import known, secret_of, whole
+from lemma.core.arguments import known, secret_of, whole, without_passwords
 from lemma.core.errors import InvalidConfigError, LemmaError
 
 KEY_VARIABLE = "LEMMA_API_KEY"
@@ -341,7 +340,7 @@ class ChatServer:
 
     def _hidden(self, text: str) -> str:
         """Return a message without the key and without passwords in addresses."""
-        return _without(self._key, re.sub(r"\S+@(?=\S)", "***@", text))
+        return _without(self._key, without_passwords(text))
 
 
 class _Slots:
