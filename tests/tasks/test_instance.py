@@ -132,12 +132,15 @@ def test_a_spoilt_line_is_refused() -> None:
         ObjectPlacement("cube", color, Pose2(x, 0.0))
         for color, x in (("red", 0.0), ("blue", 0.3))
     )
-    scene = SceneSpec((), cubes)
+    robots = (RobotPlacement("ur5", "red", Pose2(-1.0, 0.0)),)
+    scene = SceneSpec(robots, cubes)
     goal = Goal.from_pairs((("red_cube", "blue_cube"),))
     data = Instance("stack", "free", 0, scene, goal, {}, ()).to_dict()
     data["objects"][0][1] = "purple"
     with pytest.raises(UnknownNameError, match="object color 'purple'"):
         Instance.from_dict(data)
+    with pytest.raises(InvalidConfigError, match=r"length >= 1 - at `\$\.robots"):
+        Instance.from_dict(data | {"robots": []})
 
 
 @given(instances())

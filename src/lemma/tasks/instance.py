@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Annotated, Any, TypedDict
 
 import msgspec
 
@@ -42,7 +42,7 @@ class _Data(TypedDict):
     task: str
     split: str
     index: int
-    robots: list[_Placed]
+    robots: Annotated[list[_Placed], msgspec.Meta(min_length=1)]
     objects: list[_Placed]
     gap_m: tuple[float, float] | None
     goal: list[tuple[str, str]]
