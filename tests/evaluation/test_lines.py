@@ -168,7 +168,9 @@ def test_python_without_lzma_is_told(
         read_results([path])
 
 
-def test_packed_lines_come_before_those_that_went_on(tmp_path: Path) -> None:
+def test_packed_lines_come_before_those_that_went_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = kept(tmp_path / "reachnet" / "seed-0.json")
     played = tmp_path / "reachnet" / "seed-0"
     played.mkdir()
@@ -181,6 +183,9 @@ def test_packed_lines_come_before_those_that_went_on(tmp_path: Path) -> None:
     packed_beside(path).unlink()
     assert lines_in(tmp_path) == lines_beside(path) == [played / EPISODES]
     assert result_beside(played / EPISODES) == path
+    monkeypatch.chdir(played)
+    assert lines_in(Path()) == [Path(EPISODES)]
+    assert result_beside(Path(EPISODES)).samefile(path)
 
 
 def test_one_result_is_meant(tmp_path: Path) -> None:

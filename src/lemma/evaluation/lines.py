@@ -162,6 +162,9 @@ def result_beside(lines: Path) -> Path:
     if lines.name.endswith(PACKED):
         return lines.with_name(lines.name.removesuffix(PACKED) + ".json")
     own, folder = lines.with_name(SUMMARY), lines.parent
+    if folder.name in ("", ".."):
+        # The current folder and the one above are written without their names.
+        folder = folder.resolve()
     # A reproduction keeps its summary beside the folder.
     return own if own.is_file() else folder.with_name(f"{folder.name}.json")
 
