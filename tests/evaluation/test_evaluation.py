@@ -133,6 +133,7 @@ def test_printed_it_is_a_table_and_says_what_went_wrong() -> None:
         (Silent(), {"level": "plan"}, InvalidConfigError, "cannot plan"),
         (Silent(), {"level": "motor"}, UnknownNameError, "plan, skill"),
         (Silent(), {"workers": 2}, InvalidConfigError, "package.module:Class"),
+        (Silent(), {"workers": 0}, InvalidConfigError, "at least 1"),
         (Silent(), {"planning": "multi-step"}, InvalidConfigError, "multi-step"),
         (Silent(), {"kinds": ("rude",)}, UnknownNameError, "high_level"),
         (Silent(), {"tasks": ("pas",)}, UnknownNameError, "pass"),

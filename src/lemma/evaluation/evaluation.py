@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from lemma.core.arguments import known
+from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import Engine, ProcessPool
 from lemma.core.workers.serial import Serial
@@ -107,6 +107,7 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         LemmaError: There is no such policy, task, split or kind, or it is none.
     """
     tasks, kinds = _names(tasks), _names(kinds)
+    workers = whole("workers", workers, 1)
     spec, engine = _policy(policy, level, planning, gta=gta, workers=workers)
     if out is not None and isinstance(spec, GivenPolicy):
         _check_new(Path(out))

@@ -82,8 +82,8 @@ class Session:
         if is_oracle(policy):
             raise ProtocolError(
                 f"A {type(policy).__name__} needs the simulation's state, which is "
-                "sent to no other process. An oracle has to live in the process that "
-                "evaluates it: --timeout 0."
+                "sent to no other process. Evaluate it where it lives: lemma "
+                "evaluate --timeout 0."
             )
         self._policy: Any = policy
         self._about = {"name": type(policy).__name__, **(about or {})}

@@ -68,10 +68,13 @@ def test_the_same_twice_does_not_differ(tmp_path: Path) -> None:
     assert low <= 0.0 <= high
 
 
-@pytest.mark.parametrize("name", ["split", "lemma", "protocol"])
-def test_other_worlds_are_refused(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("split", "other"), ("lemma", "other"), ("protocol", "other"), ("protocol", 7)],
+)
+def test_other_worlds_are_refused(tmp_path: Path, name: str, value: object) -> None:
     first = written(tmp_path / "a", {1})
-    second = written(tmp_path / "b", {1}, **{name: "other"})
+    second = written(tmp_path / "b", {1}, **{name: value})
     with pytest.raises(DatasetError, match=name):
         compare(first, second)
 

@@ -169,5 +169,5 @@ def check_protocol(
         )
 
 
-def _short(sha256: str | None) -> str:
-    return "none" if sha256 is None else sha256[:12]
+def _short(sha256: object) -> str:
+    return "none" if sha256 is None else str(sha256)[:12]
