@@ -55,6 +55,7 @@ def test_one_evaluation_is_reported_and_compared(
     [
         (["reproduce", "papr"], "Did you mean 'paper'?"),
         (["report", "nowhere"], "There is no nowhere"),
+        (["report"], "Name a result"),
         (["compare", "nowhere", "nowhere"], "no episodes in nowhere"),
     ],
 )

@@ -87,9 +87,11 @@ def report(
         raise InvalidConfigError(
             f"--failures is 0 or more per policy, not {wishes.failures}."
         )
+    if not (results or complete):
+        raise InvalidConfigError("Name a result, such as results/reachnet/seed-0.json.")
     read = read_results(results)
     if not read and not complete:
-        named = ", ".join(map(str, results)) or "nothing"
+        named = ", ".join(map(str, results))
         raise DatasetError(
             f"There are no results in {named}. Name what 'lemma evaluate' or 'lemma "
             "reproduce' wrote; what was not finished has no result yet."
