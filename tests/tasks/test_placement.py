@@ -87,7 +87,7 @@ def test_between_what_works_and_what_could_lies_a_wide_strip(
         assert territory.cannot(robot, kind, *at).tolist() == [outside]
         assert not (inside and outside)
         if inside:
-            # A robot that works here must move this far before another is in reach.
+            # The bound of touch lies at least this far outside of the works-set.
             away = could_of(TEAM[robot].arm).touch_m - distance(robot, pose)
             assert away > 0.25
 
