@@ -24,7 +24,8 @@ from lemma.core.workers.resumable import (
 )
 from lemma.core.workers.serial import Serial
 
-COUNT = 12
+COUNT = 30
+"""More parts than are done before the third of three kills."""
 RECORD: dict[str, Any] = {
     "size": [2, 3],
     "versions": {"format": "1", "revision": "here"},

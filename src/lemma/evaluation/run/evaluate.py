@@ -9,6 +9,7 @@ again, so that a run that goes on gives what an undisturbed one gives.
 import sys
 from collections import Counter
 from collections.abc import Callable
+from functools import cache
 from math import inf
 from multiprocessing import parent_process
 from pathlib import Path
@@ -139,8 +140,14 @@ def play_group(
     write_rows(path, sorted(even, key=place_of))
 
 
-_playing: list[tuple[PolicySpec, str, Player]] = []
-"""The policy of this process, if there is one yet, and a kind of sentence."""
+@cache
+def _playing() -> list[tuple[PolicySpec, str, Player]]:
+    """Return the policy of this process, if there is one yet, and its kind of sentence.
+
+    A function, because a variable of the module would lead a policy from its own
+    attributes to the cameras, and so to the true state.
+    """
+    return []
 
 
 def _player(config: EvaluationConfig, kind: str) -> Player:
@@ -153,12 +160,12 @@ def _player(config: EvaluationConfig, kind: str) -> Player:
         config: Names the policy. Loading it takes long, so it plays all of a kind.
         kind: Which of an instance's sentences it is given.
     """
-    spec = config.policy
-    if _playing:
-        last, its_kind, player = _playing[0]
+    spec, playing = config.policy, _playing()
+    if playing:
+        last, its_kind, player = playing[0]
         if last == spec and (kind == its_kind or keeps_state(player.policy)):
             return player
-        del _playing[:]
+        playing.clear()
         if not isinstance(last, GivenPolicy):
             hang_up(player.policy)
     if isinstance(spec, GivenPolicy) and len(config.kinds) > 1:
@@ -167,7 +174,7 @@ def _player(config: EvaluationConfig, kind: str) -> Player:
     if parent_process() is not None and "torch" in sys.modules:
         # There is a process per core; more threads would fight for them.
         sys.modules["torch"].set_num_threads(1)
-    _playing.append((spec, kind, player))
+    playing.append((spec, kind, player))
     return player
 
 
