@@ -2,7 +2,7 @@
 
 python examples/03_data.py [FOLDER]
 
-From a shell: lemma generate, lemma inspect, lemma render. What was done is a few kB an
+From a shell: lemma generate, lemma inspect, lemma render. A recipe takes a few kB an
 episode; pictures are drawn from it.
 """
 

@@ -4,7 +4,7 @@ python examples/08_policy_server.py         both in one process, for one episode
 python examples/08_policy_server.py 8000    serve until Ctrl-C; then, elsewhere:
 lemma evaluate --policy http://127.0.0.1:8000 --tasks stack --out out/by_color
 
-What serves needs NumPy, Gymnasium, msgspec and websockets, and neither MuJoCo nor
+A server needs NumPy, Gymnasium, msgspec and websockets, and neither MuJoCo nor
 torch. It may run in another environment, in a container, or on another machine.
 """
 

@@ -9,7 +9,7 @@ In an environment with lerobot, such as the one that ``make test-lerobot`` makes
 It runs the commands that it prints: demonstrations, what cameras see of them, as arrays
 in memory; one training for each policy and seed, all at the same time, each GPU in
 turn; meanwhile, on the processors, every checkpoint on split val, which is the learning
-curve, and the last one of each training on split test. What is there already is kept:
+curve, and the last one of each training on split test. Finished parts are kept:
 the same command goes on where it was stopped, but a training that was not done begins
 again. ``--phases`` does a part of it, ``--train-s`` and ``--stop-s`` end it in time.
 
@@ -106,8 +106,8 @@ class Plan:
         long = f"--steps {self.steps}"
         if self.train_s:
             long = f"--train-s {self.train_s:g}"
-        # Who is told where a hand is reads off its way where it goes, and looks no
-        # more.
+        # A policy that knows where a hand is infers its goal from its way, and ignores
+        # the pictures.
         state = "grippers" if self.observation == OBSERVATIONS[0] else "full"
         return (
             f"python {TRAINER} train {self.film} {self.run(name, seed)} "
@@ -170,7 +170,7 @@ def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) 
     """Train, and evaluate what is there meanwhile, until all is done.
 
     Args:
-        plan: What is wanted.
+        plan: The baselines to make.
         runs: Trainings.
         phases: Some of :data:`PHASES`.
         stop_s: All that still goes on after this time is ended.
@@ -202,8 +202,8 @@ def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) 
             time.sleep(LOOK_S)
     finally:
         for process in going.values():
-            # An evaluation keeps what it has played. Whatever is started in the
-            # background of a shell ignores SIGINT.
+            # An evaluation keeps what it has played. Processes that a shell
+            # starts in the background ignore SIGINT.
             process.terminate()
             process.wait()
     if failed:

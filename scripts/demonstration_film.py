@@ -45,7 +45,7 @@ AROUND = (-1, 1)
 ARRIVED = 0.05
 """A tool is where it was sent if all numbers of its pose are this near [m, 1]."""
 UNSEEN = 1e6
-"""Who normalizes a number by this range does not see it."""
+"""A policy that normalizes a number by this range does not see it."""
 STATISTICS_OF = 5_000
 """So many pictures tell mean and deviation."""
 DRAWS_ON = "MUJOCO_EGL_DEVICE_ID"
@@ -113,7 +113,7 @@ def film(
 
     Raises:
         DatasetError: They cannot be learned from, or not be done again here.
-        SystemExit: What is there was filmed otherwise.
+        SystemExit: The folder holds a film with other options.
     """
     folder.mkdir(parents=True, exist_ok=True)
     source = RenderConfig(recipe=recipe, out=folder, tasks=tasks, splits=(split,))
@@ -237,7 +237,7 @@ class Film:
         frames = found.nonzero().ravel()
         for steps in AROUND:
             beside = (frames + steps).clamp(0, len(found) - 1)
-            # What is beside a frame of one episode may be a frame of another.
+            # The neighbor of a frame may be a frame of another episode.
             found[beside[self.last[beside] == self.last[frames]]] = True
         return found
 

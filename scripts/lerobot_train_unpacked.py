@@ -81,7 +81,7 @@ def read_unpacked(folder: Path) -> None:
     """Replace the reader of the lerobot package in this process.
 
     Args:
-        folder: What :func:`unpack` wrote, of the data set that will be read.
+        folder: Output of :func:`unpack`, of the data set that will be read.
     """
     module = import_module("lerobot.datasets.lerobot_dataset")
     kind = module.DatasetReader
@@ -94,7 +94,7 @@ def unpacked(kind: type, folder: Path) -> type:
 
     Args:
         kind: The one of lerobot. Items are the same, to the bit.
-        folder: What :func:`unpack` wrote.
+        folder: Output of :func:`unpack`.
     """
 
     class Unpacked(kind):

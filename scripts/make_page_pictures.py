@@ -64,7 +64,7 @@ class Shot:
     size: tuple[int, int] = DESK
     """Of the window [px]."""
     scroll_to: str = ""
-    """What the panel is scrolled to, by its words; not at all if empty."""
+    """Words that the panel is scrolled to; it is not scrolled if empty."""
     overlays: tuple[str, ...] = ("names",)
 
 

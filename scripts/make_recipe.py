@@ -2,7 +2,7 @@
 
     python scripts/make_recipe.py OUT --workers 16 [--digests FOLDER] [--only STEP]
 
-Steps: generate, replay, digests; all three by default. What was generated is kept, so a
+Steps: generate, replay, digests; all three by default. Generated files are kept, so a
 second run goes on where the first was stopped. Figures go to the output as one JSON
 object, progress to the error stream. Without --digests, the digests are written to
 OUT/digests; those of the package are in src/lemma/dataset/digests.

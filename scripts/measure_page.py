@@ -85,7 +85,7 @@ def measure_page(instance: Instance, speed: float = 1.0) -> PageFigures:
     """Open a page, let somebody look at it, and let the expert act there.
 
     Args:
-        instance: What is played.
+        instance: The instance to play.
         speed: How many times real time.
 
     Raises:

@@ -31,7 +31,7 @@ def errors_m(film: Film, checkpoint: str) -> dict[int, torch.Tensor]:
     """Return how far the worse robot's waypoint is off over the table, by frame.
 
     Args:
-        film: What demonstrations show.
+        film: The filmed demonstrations.
         checkpoint: A folder, or the name of published weights.
 
     Returns:

@@ -25,13 +25,13 @@ Everything that fixes a number, as one frozen file: `protocol.json` in
 |:---|:---|
 | `{name}` | `{sha256}` |
 
-- **Results quote it.** What is in force is computed from the code, the data and the
+- **Results quote it.** The protocol in force is computed from the code, the data and the
   version of MuJoCo when an evaluation begins; `about.json` and every summary hold the
   hash. With another release of MuJoCo it is another one.
 - **Protocols are not mixed.** `lemma evaluate` refuses a folder of another protocol;
   `lemma report`, `lemma reproduce` and `lemma compare` refuse results of different
   ones.
-- **What is free** stands beside it in `about.json`: the policy with its weights, the
+- **Free choices** stand beside it in `about.json`: the policy with its weights, the
   split, what is said (`--language`), and where objects begin (`--perturb-start`).
 - **Skills are held by their effect.** The expert's time for every frozen instance of
   val and test is part of the protocol: whoever changes skills, physics or the expert

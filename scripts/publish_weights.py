@@ -58,10 +58,10 @@ def pack(
     Args:
         source: A file of weights in 16 bits, the folder of a run, or a checkpoint of
             LeRobot, ``.../checkpoints/last/pretrained_model``.
-        name: What they shall be called.
+        name: Their new name.
         fineness: How finely they are rounded.
         folder: Where published weights lie.
-        command: What trained a checkpoint of LeRobot.
+        command: The command that trained a checkpoint of LeRobot.
 
     Returns:
         The file.

@@ -5,7 +5,7 @@
 
 Does what ``lemma reproduce all --print`` prints, in less time: several trainings share
 a GPU, since none fills it, and rows are played on the processors as soon as their
-weights are there. What is there already is kept, so the same command goes on where it
+weights are there. Finished parts are kept, so the same command goes on where it
 was stopped. It needs the rendered data, see ``--print``.
 """
 
@@ -135,7 +135,7 @@ class Machine:
         if self.playing is not None and self.playing.poll() is None:
             going.append(self.playing)
         for process in going:
-            # Whatever is started in the background of a shell ignores SIGINT.
+            # Processes that a shell starts in the background ignore SIGINT.
             process.terminate()
         for process in going:
             process.wait()

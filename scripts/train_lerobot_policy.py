@@ -51,7 +51,7 @@ POLICIES: dict[str, dict[str, Any]] = {
         "num_inference_steps": 10,
     },
 }
-"""What is not LeRobot's default. Demonstrations are deterministic, so ACT needs no
+"""Options other than LeRobot's defaults. Demonstrations are deterministic, so ACT needs no
 latent variable."""
 WARMUP_STEPS = 500
 LONGEST_GRADIENT = 10.0
@@ -59,8 +59,8 @@ STEPS_BEFORE_CAPTURE = 3
 """So that libraries have chosen their kernels, and the optimizer has its state."""
 
 FULL, GRIPPERS = STATES = ("full", "grippers")
-"""What a policy is told of its own arms: the poses of their hands too, or only how far
-these are open."""
+"""State of its own arms that a policy sees: with the poses of their hands, or only
+how far these are open."""
 NO_END = 10**9
 """Steps that are asked for where a time ends the training: weights tell so."""
 
@@ -83,8 +83,8 @@ def make_policy(
     )
     if name == "act":
         # LeRobot's ACT has the normalization of its ResNet frozen, as it comes with
-        # weights of ImageNet; without these it would be none at all. What is learned
-        # here is saved under the same names, and frozen from then on.
+        # weights of ImageNet; without these it would be none at all. The one that is
+        # learned here is saved under the same names, and frozen from then on.
         act = import_module("lerobot.policies.act.modeling_act")
         vars(act)["FrozenBatchNorm2d"] = torch.nn.BatchNorm2d
     policy = get_policy_class(name)(config).to(device)
@@ -107,7 +107,7 @@ def save(
     Args:
         folder: Of the training.
         made: The policy, and what comes before and after it.
-        asked: What the training was asked for.
+        asked: Options of the training.
         step: After how many steps this is.
         share: Of the whole training; 1 at its end.
     """

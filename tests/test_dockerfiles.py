@@ -1,4 +1,4 @@
-"""What images are built from is there; building them takes Docker, which tests lack."""
+"""The files that images are built from exist; tests lack the Docker to build them."""
 
 import json
 import re

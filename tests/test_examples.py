@@ -15,7 +15,7 @@ from own_plugins import EXAMPLES, loaded
 from lemma.core.kernels import NOTICE
 from lemma.policies.models.base import MODELS
 
-# What it prints, and which arguments make it short.
+# A text that each example prints, and arguments that make it short.
 CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     "00_first_scene.py": ("depth from", ()),
     "01_gymnasium.py": ("four at once: (4, 14)", ()),

@@ -29,7 +29,7 @@ SMALL = {"width": 48, "height": 32}
 
 
 class Registry:
-    """What the plugin's configuration is derived from, without lerobot's fields."""
+    """The base of the plugin's configuration, without lerobot's fields."""
 
     @staticmethod
     def register_subclass(name: str) -> Callable[[type], type]:
@@ -162,7 +162,7 @@ def test_states_and_actions_are_those_of_a_data_set(plugin: Any, control: str) -
     assert list(env.envs[0].env.state_names) == held["names"]
     shape = (1, *held["shape"])
     assert observation["agent_pos"].shape == env.action_space.shape == shape
-    # What is measured, commanded, is to stay where one is.
+    # A robot that is commanded to its measured positions stays where it is.
     moved, *_ = env.step(observation["agent_pos"])
     assert np.abs(moved["agent_pos"] - observation["agent_pos"]).max() < 2e-3
     env.close()

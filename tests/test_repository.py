@@ -1,4 +1,4 @@
-"""What holds for the repository as a whole: budgets, imports, pins, documentation."""
+"""Rules for the repository as a whole: budgets, imports, pins, documentation."""
 
 import ast
 import io

@@ -1,4 +1,4 @@
-"""What is installed from a wheel works, and is small."""
+"""The package that a wheel installs works, and is small."""
 
 import os
 import shutil

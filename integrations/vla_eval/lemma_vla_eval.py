@@ -1,6 +1,6 @@
 """LEMMA Bench as a benchmark of vla-eval, at control level.
 
-What is sent and what is taken is described in docs/vla_eval.md.
+docs/vla_eval.md describes observations and actions.
 """
 
 import os
@@ -59,12 +59,12 @@ class LemmaBenchmark(StepBenchmark):
         Args:
             tasks: Names of tasks.
             split: Frozen list of instances.
-            control: What an action commands, see ``lemma.env.control.modes.CONTROLS``.
+            control: Meaning of an action, see ``lemma.env.control.modes.CONTROLS``.
             control_hz: Actions per simulated second [Hz].
             cameras: Names of the cameras; each robot's own if None.
             width: Of images [px].
             height: Of images [px].
-            state: What the state consists of, see
+            state: Parts of the state, see
                 ``lemma.env.learning.flat_view.STATES``.
             send_state: Whether the state is sent.
             options: Other options of :class:`lemma.env.config.EnvConfig`, such as

@@ -24,7 +24,7 @@ from lemma.evaluation.verification import Verification, copies, verify
 
 RESULTS = Path(__file__).parents[2] / "results"
 SOLVED, EARLY, MISSED, STOPPED = range(EPISODES)
-"""What the policy made of each instance."""
+"""The outcome that the policy reached on each instance."""
 Data = dict[str, Any]
 
 
@@ -35,7 +35,7 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @dataclass
 class Forgery:
-    """What somebody changed of a result before it was handed in."""
+    """A change that somebody made to a result before it was handed in."""
 
     line: Callable[[Data], object] = lambda row: None
     """Changes the line of one episode."""
@@ -46,7 +46,7 @@ class Forgery:
     command: str = ""
     """Of the summary; none is handed in where this is empty."""
     why: str = "when played again"
-    """What the refusal says."""
+    """Words of the refusal."""
 
     def write(self, honest: Path, folder: Path) -> Path:
         rows = [deepcopy(dict(row)) for row in read_lines(honest / LINES)]

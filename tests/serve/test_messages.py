@@ -1,4 +1,4 @@
-"""What is said arrives as it was said, to the bit; what is no message is refused."""
+"""Messages arrive as they were sent, to the bit; other bytes are refused."""
 
 import math
 import time

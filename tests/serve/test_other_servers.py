@@ -33,7 +33,7 @@ PATIENT = ProtocolMode(60.0, 60.0, 10.0)
 def answering(*answers: Any) -> Iterator[str]:
     """Run a server of somebody's own that says the same to everybody.
 
-    Whoever asked it has to hang up in the end, whatever was answered.
+    The client has to hang up in the end, whatever was answered.
     """
     left = threading.Event()
 

@@ -1,4 +1,4 @@
-"""What docs/serving.md says of the protocol is what the code does."""
+"""The code follows the protocol that docs/serving.md describes."""
 
 import json
 import re

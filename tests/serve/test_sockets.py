@@ -247,7 +247,7 @@ def test_a_server_that_hangs_costs_its_episode_alone() -> None:
         assert [isinstance(a, Decision) for a in answers] == [True, False, True]
         assert isinstance(answers[1], Fault)
         assert answers[1].kind is FaultKind.TIMEOUT
-        # Whoever else asks the same server is answered.
+        # Other clients of the same server are answered.
         other: Any = connect(server.url, PATIENT)
         assert other.act([given()]) == [moved()]
         other.close()

@@ -30,7 +30,7 @@ class RuleServer(ThreadingHTTPServer):
         """Listen at a free port.
 
         Args:
-            faults: What goes wrong with the first requests, one each: ``"hang"``,
+            faults: Trouble with the first requests, one each: ``"hang"``,
                 ``"drip"``, ``"html"``, ``"prose"``, ``"list"``, ``"name"``,
                 ``"impossible"``, or a status, such as ``"500"``; ``""`` for none.
                 Empty questions, which test the server, do not count as requests.

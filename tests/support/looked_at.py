@@ -98,7 +98,7 @@ def seen_at(
 ) -> tuple[float, float]:
     """Return where a visitor sees a point of the world, in a picture of a size [px].
 
-    What is drawn may have fewer pixels than the page.
+    The picture may have fewer pixels than the page.
     """
     camera = client.camera
     eye, target, up = (

@@ -78,7 +78,7 @@ def model_server(
 
     Args:
         predict: Answers observations.
-        hello: What it says of itself.
+        hello: Its description of itself.
         on_start: Told of every episode.
         log: Gets every message that comes in.
     """

@@ -1,8 +1,8 @@
 """Objects that any code can reach from an object by its attributes.
 
 Attributes, items, closures, bound objects, what wrappers wrap, what an object would be
-pickled as, and the modules of the package behind the globals of its functions. What is
-outside: frames of the stack, the garbage collector's list of all objects, what modules
+pickled as, and the modules of the package behind the globals of its functions. Not
+followed: frames of the stack, the garbage collector's list of all objects, what modules
 are imported by, and Numba's own objects: a compiled function holds the compiler, with
 all types of the process.
 """
@@ -197,7 +197,7 @@ class Spy:
         methods = [given.with_past for given in inputs]
         self.found += secrets_within(self, inputs, methods)
         if any(given.past for given in inputs) and not self.found:
-            # What the package keeps: once something has happened, because it is much.
+            # The whole package, once something has happened, because it takes long.
             self.found += secrets_within(sys.modules["lemma"])
         return [STOP if given.past else HOPELESS for given in inputs]
 

@@ -127,7 +127,7 @@ def write_recipe(
     Args:
         folder: The recipe.
         records: The episodes.
-        about: What the file says about itself; the present versions if None.
+        about: The file's description of itself; the present versions if None.
     """
     about = about or versions(BENCHMARK_VERSION)
     path = recipe_file(folder, records[0].split, records[0].task)

@@ -21,7 +21,7 @@ def facing(arm: str, *objects: ObjectPlacement, gap_m: float = -0.25) -> SceneSp
 
     Args:
         arm: Type of both arms.
-        *objects: What lies on the table.
+        *objects: Objects on the table.
         gap_m: Distance between their reaches; less than zero for a shared region [m].
     """
     away = reach_of(arm).travel_m + 0.5 * gap_m

@@ -198,7 +198,7 @@ def test_its_servers_play_episodes_of_lemma_evaluate() -> None:
     with serve_background(server) as handle:
         url = handle.url.replace("ws://", "vla-eval://")
         found = lemma.evaluate(url, tasks=["pass"], episodes=2)
-    # What opens one door does not open the next.
+    # The expert's commands for the first episode do not solve the second.
     assert [row["success"] for row in found.rows] == [True, False]
     assert found.errors == ()
     assert found.rows[0]["control"]["asked"] == found.rows[0]["control"]["actions"]

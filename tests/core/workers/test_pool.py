@@ -207,7 +207,7 @@ def test_workers_are_gone_when_the_iteration_ends() -> None:
     start = time.monotonic()
     results.close()  # type: ignore[attr-defined]
     assert time.monotonic() - start < 1.0
-    # What keeps account of semaphores stays.
+    # The process that tracks semaphores stays.
     assert len(children(os.getpid()) - before) <= 1
 
 

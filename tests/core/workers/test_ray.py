@@ -47,7 +47,7 @@ def cluster() -> Iterator[Cluster]:
 def start(cluster: Cluster, *words: object, cwd: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-c", COMMAND, *map(str, words)],
-        # What "auto" means, in case that somebody has a cluster here.
+        # The meaning of "auto", in case that somebody has a cluster here.
         env={**os.environ, "RAY_ADDRESS": cluster.address},
         cwd=cwd,
         stdout=subprocess.PIPE,

@@ -64,7 +64,7 @@ def test_a_protective_stop_is_a_mistake_with_a_cause_of_its_own() -> None:
     assert cause_of(stopped(step(2, "robot", "unreachable"))) is Cause.WRONG_ROBOT
     missed = step(2, "", "nothing_to_pick", 35.0)
     assert cause_of(stopped(step(3), missed)) is Cause.MISSED_PICK
-    # What was lost before it is the mistake.
+    # An earlier sub-task that lost ground is the mistake.
     assert cause_of(stopped(step(2, "object"), missed)) is Cause.WRONG_OBJECT
 
 

@@ -127,7 +127,7 @@ def test_what_another_script_trains_is_printed_as_well() -> None:
     for one, row in zip(asked, rows, strict=True):
         assert every.index(one.training) < every.index(row)
         assert set(one.tasks) < set(SUITE)
-    # What makes the weights of two is said once.
+    # A command that makes the weights of two rows is printed once.
     assert len(every) == len(set(every))
 
 

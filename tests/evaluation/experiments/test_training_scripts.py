@@ -40,7 +40,7 @@ def test_each_training_is_done_once_and_each_row_in_each_round() -> None:
     first, second = ([row for row in rows if row.episodes == n] for n in ROUNDS)
     assert rows == [*first, *second]
     assert len({(row.experiment.name, row.runs) for row in first}) == len(first)
-    # What learns nothing, and ablations, have one seed.
+    # Policies that learn nothing, and ablations, have one seed.
     counted = [row.experiment.name for row in first]
     assert counted.count("oracle") == counted.count("no-reach") == 1
     assert counted.count("reachnet") == len(SEEDS)

@@ -1,4 +1,4 @@
-"""What policies at control level reach: tables of their own."""
+"""The success of policies at control level, in tables of their own."""
 
 from pathlib import Path
 

@@ -183,7 +183,7 @@ def test_perturbed_starts_stand_beside_the_others() -> None:
     ]
     (line,) = tables.starts(entries).rows
     assert line == ("ReachNet", "high-level", "90.0 (70–97) †", "70.0 (48–85) †")
-    # What was said is another question.
+    # Controls of language have a table of their own.
     assert tables.language(entries).rows == ()
 
 
@@ -287,7 +287,7 @@ def test_lenient_verdicts_stand_below_the_strict() -> None:
     strict, lenient = success_tables.by_task([entry], "high_level").rows
     assert strict[1:] == ("50.0 (24–76)", "50.0 (24–76)", "50.0 (30–70) †")
     assert [cell.split(" ")[0] for cell in lenient] == ["*lenient*", *["70.0"] * 3]
-    # What was played strictly alone has no such row.
+    # A result that was played strictly alone has no such row.
     alone = tuple(replace(cell, lenient_successes=None) for cell in made.cells)
     table = success_tables.by_task([entry_of(replace(made, cells=alone))], "high_level")
     assert len(table.rows) == 1

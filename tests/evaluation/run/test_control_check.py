@@ -1,4 +1,4 @@
-"""What a policy at control level commands at a known moment, and what is wrong."""
+"""The command of a control policy at a known moment, and the mistakes found in it."""
 
 import json
 from collections.abc import Callable

@@ -162,7 +162,7 @@ def test_the_run_goes_on_after_bad_answers(tmp_path: Path) -> None:
     assert all(row["planning"]["calls"] == 1 for row in failed)
     [good] = [row for row in rows if not row["policy_error"]]
     assert good["success"]
-    # What failed is on the cassette as well.
+    # Requests that failed are on the cassette as well.
     chat = ChatOptions(cassette=tmp_path / "c.jsonl", cassette_mode="strict", tries=1)
     spec = PolicySpec("llm:rules", chat=chat, timeout_s=0.7)
     again = EvaluationConfig(

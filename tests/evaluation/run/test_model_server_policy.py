@@ -21,7 +21,7 @@ from lemma.serve.conversation import ProtocolMode
 
 SOON = ProtocolMode(5.0, patience_s=0.0, first_patience_s=0.0)
 BLIND = {"observation": "state", "control_hz": HZ}
-"""What a server asks for that needs no pictures."""
+"""The options that a server without need of pictures asks for."""
 ENOUGH = 4
 
 
@@ -62,7 +62,7 @@ def test_a_server_plays_as_the_same_policy_does_here() -> None:
         served = lines(url, "")
     here = lines(Here(), "control")
     for one, other in zip(served, here, strict=True):
-        # What it raised is told in other words.
+        # The explanation of its exception has other words.
         one["lenient"], other["lenient"] = None, None
         assert one == other
         assert one["control"]["actions"] == ENOUGH

@@ -1,4 +1,4 @@
-"""What cannot be done ends alike, and for the same reason, wherever it is asked for."""
+"""Impossible sub-tasks end alike, for the same reason, wherever they are asked for."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""What may be answered: a schema of the table, and what is wrong with other answers."""
+"""Valid answers: a schema of the table, and the errors of other answers."""
 
 import json
 from typing import Any

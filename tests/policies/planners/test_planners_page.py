@@ -1,4 +1,4 @@
-"""What the page about planners prints is what happens."""
+"""The page about planners prints examples that run, and every name there is."""
 
 import re
 import subprocess
