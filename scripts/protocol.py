@@ -25,7 +25,7 @@ Everything that fixes a number, as one frozen file: `protocol.json` in
 |:---|:---|
 | `{name}` | `{sha256}` |
 
-- **Results quote it.** The protocol in force is computed from the code, the data and the
+- **Results quote it.** It is computed from the code, the data and the
   version of MuJoCo when an evaluation begins; `about.json` and every summary hold the
   hash. With another release of MuJoCo it is another one.
 - **Protocols are not mixed.** `lemma evaluate` refuses a folder of another protocol;
