@@ -33,7 +33,7 @@ PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 """Pages that describe the present; the changelog names what is gone, too."""
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
-MAX_FILE_LINES = 520
+MAX_FILE_LINES = 500
 MAX_FUNCTION_LINES = 60
 MAX_MODULES = 12
 """In one folder, ``__init__.py`` apart."""

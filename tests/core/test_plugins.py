@@ -90,7 +90,20 @@ def test_a_bad_one_is_named_with_the_reason(tmp_path, code: str, why: str) -> No
     assert load_plugins() == ()
 
 
-@pytest.mark.parametrize("name", ["nowhere.py", "no_such_module"])
-def test_a_missing_one_is_named(name: str) -> None:
-    with pytest.raises(PluginError, match=f"plugin {name} cannot be loaded: .*no"):
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("nowhere.py", "there is no file"),
+        ("no_such_module", "No module named"),
+        ("folder_of_this_test", "the folder has no __init__"),
+        ("file.json", "the file is no Python module: .* ends with .py"),
+    ],
+)
+def test_a_missing_one_is_named(name: str, why: str, tmp_path, monkeypatch) -> None:
+    (tmp_path / "folder_of_this_test").mkdir()
+    (tmp_path / "file.json").write_text("{}")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PluginError, match=f"plugin {name} cannot be loaded: .*{why}"):
         load_plugins([name])
+    assert load_plugins() == ()

@@ -190,6 +190,8 @@ def test_models_load_from_the_hub(
         asked.append((repository, file))
         if repository == "org/missing":
             raise OSError("404: no such repository\nand a long page")
+        if repository == "org/token":
+            "hf_ours\N{RIGHT DOUBLE QUOTATION MARK}".encode("ascii")
         return str(path)
 
     def find(name: str) -> SimpleNamespace:
@@ -205,6 +207,9 @@ def test_models_load_from_the_hub(
     ]
     with pytest.raises(WeightsError, match="404: no such repository"):
         load_model("org/missing")
+    with pytest.raises(WeightsError, match="Set HF_TOKEN again") as caught:
+        load_model("org/token")
+    assert "hf_ours" not in str(caught.value)
 
     def missing(name: str) -> None:
         raise ImportError(name)

@@ -332,10 +332,12 @@ def test_addresses_may_be_written_in_four_ways() -> None:
 
 
 def test_an_address_with_a_password_is_refused_without_telling_it() -> None:
-    for url in ("http://me:word@h:1", "http://me:word@h:x", "ws://h/?key=word"):
+    secret = ("http://me:word@h:1", "http://me:word@h:x", "ws://h/?key=word")
+    for url in (*secret, "ws://h/#xyz", "ws://h/a;key=xyz"):
         with pytest.raises(InvalidConfigError, match="LEMMA_SERVER_AUTH") as caught:
             websocket_address(url)
         assert "word@" not in str(caught.value)
+        assert "xyz" not in str(caught.value)
     with pytest.raises(InvalidConfigError, match="LEMMA_SERVER_AUTH"):
         ModelServer("vla-eval://me:word@h:1", PATIENT)
 

@@ -156,6 +156,24 @@ def secret_of(variable: str) -> str:
     return secret
 
 
+def check_address_has_no_secret(url: str, whose: str, advice: str) -> None:
+    """Check that an address has no user's name, query, fragment or parameters.
+
+    Args:
+        url: The address; the message does not show it.
+        whose: What has the address, such as ``"a chat server"``.
+        advice: A sentence that says where the secret belongs.
+
+    Raises:
+        InvalidConfigError: It has one of them.
+    """
+    if any(mark in url for mark in "@?#;"):
+        raise InvalidConfigError(
+            f"The address of {whose} holds no password and no key, since results name "
+            f"it: leave out what stands with @, ?, # or a semicolon. {advice}"
+        )
+
+
 def without_passwords(text: str) -> str:
     """Return a text in which no address has a user's name and a password."""
     return re.sub(r"\S+@(?=\S)", "***@", text)

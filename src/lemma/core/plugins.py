@@ -51,7 +51,7 @@ def load_plugins(names: Iterable[str] = ()) -> tuple[str, ...]:
             path = Path(name).absolute()
             _load(str(path), partial(_import_file, path), name)
         else:
-            _load(name, partial(import_from_here, name), name)
+            _load(name, partial(_import_plugin, name), name)
     if _loaded:
         listed = any("," in name for name in _loaded)
         os.environ[ENVIRONMENT] = (json.dumps if listed else ",".join)([*_loaded])
@@ -124,6 +124,18 @@ def import_from_here(name: str) -> ModuleType:
         # An installed command does not look into the folder that it is called from.
         sys.path.append(here)
     return import_module(name)
+
+
+def _import_plugin(name: str) -> ModuleType:
+    valid = "a plugin is a module, or a file that ends with .py"
+    if Path(name).is_file():
+        raise ImportError(f"the file is no Python module: {valid}")
+    module = import_from_here(name)
+    spec = module.__spec__
+    if spec is not None and spec.loader is not None and spec.origin is None:
+        del sys.modules[name]
+        raise ImportError(f"the folder has no __init__.py: {valid}")
+    return module
 
 
 def _import_file(path: Path) -> ModuleType:

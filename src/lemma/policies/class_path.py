@@ -1,5 +1,6 @@
 """Classes by path, ``"package.module:Class"``, and by the short names of LeRobot's."""
 
+import json
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -12,7 +13,7 @@ LEROBOT = "lerobot:"
 LEROBOT_PRIVILEGED = "lerobot-privileged:"
 """Begins the name of one that gets the simulation's state: an oracle."""
 _SECRET = re.compile(
-    r"(?i)((api|access|auth|private|secret)_?key|token|secret|passw(or)?d|passphrase|"
+    r"(?i)((api|access|auth|private|secret)[_-]?key|token|secret|passw(or)?d|passphrase|"
     r"credentials?|authorization|bearer)$"
 )
 _MODULE = "lemma.policies.control.lerobot"
@@ -80,6 +81,15 @@ def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
             f"{name} could not be made: {type(error).__name__}: {error}. It is called "
             f"{_with(arguments)}."
         ) from error
+
+
+def secret_in(text: str) -> str | None:
+    """Return the first field of valid JSON that is a secret by its name, or None."""
+    found: list[str] = []
+    json.loads(
+        text, object_hook=lambda data: found.extend(filter(_SECRET.search, data))
+    )
+    return found[0] if found else None
 
 
 def check_no_secret(names: Iterable[str]) -> None:

@@ -161,6 +161,13 @@ def _fetch(
                 repository, file, revision=revision, force_download=again
             )
         )
+    except UnicodeError:
+        # The error may show parts of the token.
+        raise WeightsError(
+            f"{name} is no file here, and the token for the Hugging Face Hub cannot be "
+            "sent: it holds a curly quotation mark or another character that is not "
+            "ASCII. Set HF_TOKEN again, or log in with: hf auth login"
+        ) from None
     except (OSError, ValueError) as error:
         known = ", ".join(published_weights()) or "none"
         raise WeightsError(

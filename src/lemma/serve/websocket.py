@@ -5,7 +5,7 @@ import struct
 from contextlib import ExitStack, suppress
 from urllib.parse import urlsplit
 
-from lemma.core.arguments import secret_of
+from lemma.core.arguments import check_address_has_no_secret, secret_of
 from lemma.core.errors import InvalidConfigError
 from lemma.serve.conversation import Conversation, ProtocolMode, Remote, remote
 from lemma.serve.faults import ProtocolError
@@ -68,11 +68,8 @@ def check_no_secret(url: str) -> None:
     Raises:
         InvalidConfigError: It does.
     """
-    if "@" in url or "?" in url:
-        raise InvalidConfigError(
-            "The address of a policy holds no password and no key, since results name "
-            f"it. Put the value of an Authorization header into {AUTHORIZATION}."
-        )
+    advice = f"Put the value of an Authorization header into {AUTHORIZATION}."
+    check_address_has_no_secret(url, "a policy", advice)
 
 
 class WebSocketChannel:

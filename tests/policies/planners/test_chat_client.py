@@ -189,12 +189,15 @@ def test_without_a_key_none_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
         "ftp://me:word@host/v1",
         "http://me:word@host:port/v1",
         "https://host/v1?key=abc",
+        "https://host/v1#abc",
+        "https://host/v1;key=abc",
     ],
 )
 def test_what_is_no_address_is_refused(url: str) -> None:
     with pytest.raises(InvalidConfigError, match="chat server") as caught:
         ChatServer(url, 1.0)
     assert "word@" not in str(caught.value)
+    assert "abc" not in str(caught.value)
 
 
 def test_threads_share_a_client() -> None:
@@ -268,7 +271,21 @@ def test_parts_of_a_content_are_joined_without_thoughts() -> None:
     assert ChatServer("http://h/v1", 1.0)._read_reply(body).content == "{}"
 
 
-@pytest.mark.parametrize("body", ["[]", "{", "3", '{"model": "x"}', '{"stream": true}'])
+@pytest.mark.parametrize(
+    "body",
+    [
+        "[]",
+        "{",
+        "3",
+        '{"model": "x"}',
+        '{"stream": true}',
+        '{"api_key": "sk-word"}',
+        '{"extra": [{"headers": {"X-API-Key": "sk-word"}}]}',
+        "[" * 100_000,
+        '{"a": {"api_key": "sk-word"}, "a": 2}',
+    ],
+)
 def test_an_extra_body_that_cannot_be_sent_is_refused(body: str) -> None:
-    with pytest.raises(InvalidConfigError, match="extra body"):
+    with pytest.raises(InvalidConfigError, match="extra body") as caught:
         ChatOptions(extra_body=body)
+    assert "sk-word" not in str(caught.value)

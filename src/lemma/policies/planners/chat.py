@@ -27,8 +27,15 @@ from urllib.request import HTTPRedirectHandler, ProxyHandler, Request, build_ope
 
 from filelock import FileLock, Timeout
 
-from lemma.core.arguments import known, secret_of, whole, without_passwords
+from lemma.core.arguments import (
+    check_address_has_no_secret,
+    known,
+    secret_of,
+    whole,
+    without_passwords,
+)
 from lemma.core.errors import InvalidConfigError, LemmaError
+from lemma.policies.class_path import secret_in
 
 KEY_VARIABLE = "LEMMA_API_KEY"
 """Environment variable with the key of the server."""
@@ -105,6 +112,11 @@ class ChatOptions:
             raise InvalidConfigError(
                 f"The extra body sets {', '.join(sorted(reserved))}, which every "
                 "request sets for itself. Leave it out."
+            )
+        if secret := secret_in(self.extra_body or "{}"):
+            raise InvalidConfigError(
+                f"The extra body sets {secret!r}, a secret that results would show. "
+                f"Put the server's key into the environment variable {KEY_VARIABLE}."
             )
 
     @cached_property
@@ -400,11 +412,8 @@ def check_address(base_url: str) -> None:
         is_url = is_url and parts.port != 0
     except ValueError:
         is_url = False
-    if "@" in base_url or "?" in base_url:
-        raise InvalidConfigError(
-            "The address of a chat server holds no key and no password. Put the "
-            f"key into the environment variable {KEY_VARIABLE}."
-        )
+    advice = f"Put the key into the environment variable {KEY_VARIABLE}."
+    check_address_has_no_secret(base_url, "a chat server", advice)
     if not is_url:
         raise InvalidConfigError(
             f"{base_url!r} is no address of a chat server. Valid: "
