@@ -1,4 +1,4 @@
-"""What an attack is, and the registry of all of them.
+"""The interface of an attack, and the registry of all attacks.
 
 An attack is a function that plays one attempt at an instance with one robot, while the
 others stay parked. It acts through a :class:`~lemma.audit.skill_trial.SkillTrial` or a

@@ -35,7 +35,7 @@ class Check:
     found: str
     """The finding, for people."""
     advice: str = ""
-    """What to do if the check failed."""
+    """Instructions for people if the check failed."""
     essential: bool = True
     """Whether the benchmark cannot be used without it."""
 

@@ -37,7 +37,7 @@ def measure_policy(name: str, instances: list[Instance]) -> PolicyFigures:
     """Let a policy play, and time what it does.
 
     Args:
-        name: What ``--policy`` takes.
+        name: Name of the policy, as ``--policy`` takes it.
         instances: Episodes to play; the first also warms up.
 
     Raises:

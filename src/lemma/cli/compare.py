@@ -20,7 +20,7 @@ _HEADER = (
     "p",
 )
 ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-"""What ``lemma evaluate`` or ``lemma reproduce`` wrote."""
+"""A result that ``lemma evaluate`` or ``lemma reproduce`` wrote."""
 
 
 def compare(

@@ -39,50 +39,51 @@ _AT_INTERRUPT = (
 
 @dataclass(frozen=True, slots=True)
 class EvaluateOptions:
-    """What is asked of the policy."""
+    """Options of the evaluation."""
 
     instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
-    """Kinds of instructions: high-level, human, unseen, blind; or all that the tasks
-    have."""
+    """Kinds of instructions: high-level, human, unseen, blind; or all, for every kind
+    of the tasks."""
     tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
     """Names of tasks, separated by commas."""
     split: Word = None
-    """Frozen list of instances: test by default; or free, which samples them, as it
-    does by default with tasks of your own. Split free needs --episodes."""
+    """Frozen list of instances, test by default; or free, which samples instances and
+    needs --episodes. Tasks of your own are free by default."""
     episodes: Number = None
     """Only the first so many of every task."""
     level: Literal["auto", "plan", "skill", "control"] = "auto"
-    """Kind of decision: sub-tasks in symbols, which get the expert's poses, or
-    with poses, which auto tells by its name; or motor commands."""
+    """Kind of action. plan: sub-tasks without poses, executed with the expert's; skill:
+    sub-tasks with poses; control: motor commands; auto: chosen by the policy's name."""
     policy_args: Arguments = ""
     """Arguments of a class of your own, or the environment of a model server;
     values are numbers, true, false or text."""
     planning: Literal["single-step", "multi-step"] = "single-step"
-    """Look before every sub-task, or plan from the first image alone."""
+    """Observe before every sub-task, or plan all from the first observation."""
     gta: Flag = False
-    """Ground-truth allocation: the right robot replaces the planner's choice."""
+    """Ground-truth allocation: the expert's robot replaces the planner's choice."""
     timeout_s: Annotated[float, tyro.conf.arg(name="timeout", metavar="SECONDS")] = (
         TIMEOUT_S
     )
-    """Time for a decision of your own class or server [s]; 0: any, and unguarded."""
+    """Time limit for a decision of your own class or server [s]; 0: no limit, and a
+    class runs in this process."""
     language: Literal["full", "none", "shuffled", "swapped"] = "full"
-    """Controls. none: nothing is said; shuffled: what belongs to the next instance;
-    swapped: other colors, which ask for another goal on the same table."""
+    """Controls. none: no sentence is given; shuffled: the sentence of the next
+    instance; swapped: other colors, that is, another goal on the same table."""
     instance: File = None
-    """A JSON file with an instance of your own: it alone is played."""
+    """JSON file with an instance of your own; only this one is played."""
     perturb_start: Flag = False
-    """Objects begin up to 3 cm and 15 degrees from where the instances say."""
+    """Move objects at the start by up to 3 cm and 15 degrees."""
     protocol: Literal["both", "strict"] = "both"
-    """Two verdicts, or one. strict: the first sub-task that its robot cannot do ends an
-    episode. both: it then goes on, for the lenient verdict; one play gives the two."""
+    """Verdicts. strict: the first infeasible sub-task ends an episode. both: the
+    episode then continues, for the lenient verdict; one run gives both verdicts."""
 
 
 @dataclass(frozen=True)
 class LanguageModelOptions(ChatOptions):
-    """How a language model is asked, with --policy llm:MODEL."""
+    """Options of a language model, with --policy llm:MODEL."""
 
     cassette: File = None
-    """File of requests and answers: requests that are in it are not sent."""
+    """File of recorded requests and answers; recorded requests are not sent."""
 
 
 EVERYTHING = EvaluateOptions()
@@ -108,20 +109,20 @@ def evaluate(
 ) -> int:
     """Let a policy play the episodes of a frozen split, and count its successes.
 
-    What is there already is kept, so the same command goes on where it was stopped.
+    Finished episodes are kept, so the same command goes on where it was stopped.
 
     Args:
-        policy: oracle; a model; PLANNER+GROUNDER; package.module:Class; what LeRobot
-            trained, lerobot:CHECKPOINT, or lerobot-privileged:CHECKPOINT if it is told
-            the truth; the address of a server, http://HOST:PORT or
+        policy: oracle; a model; PLANNER+GROUNDER; package.module:Class; a policy of
+            LeRobot, lerobot:CHECKPOINT, or lerobot-privileged:CHECKPOINT if it observes
+            the true state; the address of a server, http://HOST:PORT or
             vla-eval://HOST:PORT; or a planner alone, llm:MODEL, greedy-reach,
-            random-valid or noisy-oracle:0.1, which is given the expert's poses.
+            random-valid or noisy-oracle:0.1, with the expert's poses.
         out: Folder of the result: one line per episode in episodes.jsonl, counts and
             causes of failure in summary.json.
-        ask: What is asked of the policy.
+        ask: Options of the evaluation.
         working: Where to work.
         as_json: Print one JSON object instead of a table.
-        model: How a language model is asked.
+        model: Options of a language model.
     """
     # Imported here, so that help does not wait for it.
     from lemma.evaluation.analysis.result import summarise

@@ -31,13 +31,13 @@ VERBS = {
     "render": "Make images, or a LeRobotDataset, from a recipe.",
     "instructions": "Draw instructions of a task, as training sees them or of one "
     "kind.",
-    "train": "Train a model, or go on with it where it was stopped.",
+    "train": "Train a model, or continue a run that was stopped.",
     "evaluate": "Let a policy play the episodes of a frozen split, and count its "
     "successes.",
     "serve": "Answer for a policy over a socket, until Ctrl-C; or test a server with "
     "--check.",
-    "verify": "Play the recorded decisions of results again, and compare all that "
-    "they say.",
+    "verify": "Play the recorded decisions of results again, and compare everything "
+    "recorded.",
     "compare": "Compare two policies on the same episodes, one by one.",
     "report": "Write results as a page with tables, figures and failures, and as "
     "Markdown.",
@@ -111,8 +111,8 @@ def _run(words: list[str], plugins: list[str]) -> int:
 def split_plugins(words: Sequence[str]) -> tuple[list[str], list[str]]:
     """Take ``--plugin NAME`` out of a command line, wherever and how often it stands.
 
-    What it names is imported before the other words are looked at, which may be names
-    that it registers.
+    Plugins are imported before the other words are parsed, because these may be names
+    that a plugin registers.
 
     Returns:
         The other words, and the plugins.

@@ -36,7 +36,9 @@ MaybeTask = Annotated[
 """A task, where a file may say which."""
 Word = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 """An optional name."""
-Arguments = Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")]
+Arguments = Annotated[
+    str, tyro.conf.arg(metavar="NAME=VALUE,...", help_behavior_hint="")
+]
 """Arguments of a policy's class; see :func:`arguments`."""
 Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
 """An optional number."""
@@ -104,7 +106,7 @@ def arguments(text: str) -> tuple[tuple[str, Any], ...]:
     """Return names and values.
 
     Args:
-        text: What was given.
+        text: Text of the option.
 
     Raises:
         InvalidConfigError: An equals sign is missing.

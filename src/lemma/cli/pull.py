@@ -43,7 +43,8 @@ def pull(
         split: Only these splits, separated by commas.
         revision: Branch, tag or commit; the main branch by default.
         weights: Fetch published weights instead, all of them or those that are named,
-            in the revision that belongs to this version. What is here already stays.
+            in the revision that belongs to this version. Files that are here already
+            stay.
     """
     if weights is not None:
         if repository or out or split or revision:

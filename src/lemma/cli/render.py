@@ -108,7 +108,7 @@ def render(
         form: keyframes: images and labels before every sub-task, for planners;
             lerobot: LeRobotDataset v3.0, states, commands and videos at a rate, for
             which the lerobot package is needed.
-        look: What is made of which episodes.
+        look: Selection of episodes, and options of the images.
         working: Where to work.
         as_json: Print one JSON object instead of words.
     """

@@ -69,7 +69,7 @@ def replay(
         working: Where to work.
         browser: Folder for a page that needs neither a server nor a network, and a
             .viser file of each episode.
-        validate: Accepted for clarity: every replay validates.
+        validate: No effect: every replay validates.
         as_json: Print one JSON object instead of words.
     """
     if browser is not None:

@@ -27,7 +27,9 @@ from lemma.viz.pages.report_figures import FIGURES, figures_of, write_figures
 from lemma.viz.pages.report_pictures import Pictures, picture_all
 
 ResultPaths = Annotated[
-    tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RESULT ...")
+    tuple[Path, ...],
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="RESULT ...", help_behavior_hint=""),
 ]
 """Folders or files of results."""
 
@@ -77,7 +79,7 @@ def report(
     needs no policy, and drawn.
 
     Args:
-        results: What lemma evaluate or lemma reproduce wrote: files, or folders that
+        results: Results of lemma evaluate or lemma reproduce: files, or folders that
             hold some at any depth.
         out: Folder of the page index.html, of results.md and of the figures.
         complete: Also name the experiments that were not run.

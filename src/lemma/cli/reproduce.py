@@ -65,7 +65,7 @@ def reproduce(
 ) -> int:
     """Evaluate every row of the tables, and write the tables.
 
-    What is there already is kept, so the same command goes on where it was stopped.
+    Finished episodes are kept, so the same command goes on where it was stopped.
     Rows whose weights are not there are skipped, and named at the end.
 
     Args:

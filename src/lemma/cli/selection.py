@@ -80,7 +80,7 @@ def read_instance(path: Path, task: str | None, wish: Selection = DEFAULT) -> In
     Args:
         path: The JSON file.
         task: Of which it must be; any if None.
-        wish: What else was asked for.
+        wish: Other options that select the instance.
 
     Raises:
         UnknownNameError: It names a task or a thing that does not exist.

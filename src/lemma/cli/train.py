@@ -20,15 +20,15 @@ def train(
     restart: Flag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Train a model, or go on with it where it was stopped.
+    """Train a model, or continue a run that was stopped.
 
     The best weights by validation, the configuration, logs for TensorBoard and a
-    report are written to the folder of the run. The same command goes on after Ctrl-C
-    or a crash, with the same outcome.
+    report are written to the folder of the run. The same command continues after
+    Ctrl-C or a crash, with the same outcome.
 
     Args:
-        config: What to train, on what, how.
-        restart: Begin anew where a run was begun before.
+        config: Options of the training run.
+        restart: Start again from the beginning, even if the folder has a run.
         as_json: Print the report as JSON.
 
     Returns:

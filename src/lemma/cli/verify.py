@@ -11,7 +11,9 @@ from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 
 ResultPaths = Annotated[
-    tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RESULT ...")
+    tuple[Path, ...],
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="RESULT ...", help_behavior_hint=""),
 ]
 _AT_INTERRUPT = "{done} episodes were played again; nothing is kept."
 
@@ -23,17 +25,18 @@ def verify(
     working: WorkerOptions = DEFAULT,
     as_json: JsonFlag = False,
 ) -> int:
-    """Play the recorded decisions of results again, and compare all that they say.
+    """Play the recorded decisions of results again, and compare everything recorded.
 
     Needs no policy, weights or OpenGL. Outcomes, times and states must be equal to the
-    bit. Whether the policy of that name made the decisions cannot be seen in them.
-    Leaves with 1 if a result does not stand.
+    bit. It cannot check that the named policy made the decisions. Exits with 1 if a
+    result is refused.
 
     Args:
-        results: What lemma evaluate or lemma reproduce wrote, with its lines: files, or
-            folders that hold some at any depth.
-        episodes: Only so many of each task and kind of instruction, drawn at random.
-        seed: Of that draw.
+        results: Results of lemma evaluate or lemma reproduce, with their lines: files,
+            or folders that hold some at any depth.
+        episodes: Number of episodes of each task and kind of instruction, drawn at
+            random; all by default.
+        seed: Seed of the random draw of episodes.
         working: Where to work.
         as_json: Print one JSON object instead of text.
     """

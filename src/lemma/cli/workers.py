@@ -77,9 +77,9 @@ def progress_bar(
     """Show a bar with rate and time left on the error stream.
 
     Args:
-        what: What is done, a word or two.
+        what: Label of the bar, a word or two.
         total: How many there are; None if that is not known.
-        at_interrupt: What to say after Ctrl-C: what is kept, and how to go on. It may
+        at_interrupt: Message after Ctrl-C: what is kept, and how to go on. It may
             name ``{done}`` and ``{total}``.
 
     Yields:

@@ -55,8 +55,8 @@ def whole(
     """Return a whole number within bounds.
 
     Args:
-        name: What it is called, for the message.
-        value: What was passed; NumPy's integers are fine, truth values are not.
+        name: Name of the argument, for the message.
+        value: Value of the argument; NumPy's integers are fine, truth values are not.
         low: Smallest that is valid.
         high: Largest that is valid.
 
@@ -83,8 +83,8 @@ def real(
     """Return a finite number within bounds.
 
     Args:
-        name: What it is called, for the message.
-        value: What was passed; NumPy's numbers are fine, truth values are not.
+        name: Name of the argument, for the message.
+        value: Value of the argument; NumPy's numbers are fine, truth values are not.
         low: Smallest that is valid.
         high: Largest that is valid.
 
@@ -107,8 +107,8 @@ def flag(name: str, value: object) -> bool:
     """Return a truth value.
 
     Args:
-        name: What it is called, for the message.
-        value: What was passed; NumPy's truth values are fine, numbers are not.
+        name: Name of the argument, for the message.
+        value: Value of the argument; NumPy's truth values are fine, numbers are not.
 
     Raises:
         InvalidConfigError: It is none.
@@ -124,8 +124,8 @@ def known(kind: str, name: object, valid: Iterable[str]) -> str:
     """Return a name that is one of the valid ones.
 
     Args:
-        kind: What it is, as a noun.
-        name: What was passed.
+        kind: Noun for the kind of thing that is named, for the message.
+        name: Name to check.
         valid: Every name that exists.
 
     Raises:

@@ -31,7 +31,7 @@ class UnknownNameError(LemmaError, ValueError):
         """Build the message from the valid names.
 
         Args:
-            kind: What was looked up, as a noun: ``"task"``.
+            kind: Noun for the kind of thing that was looked up: ``"task"``.
             name: The name that was not found.
             valid: Every name that would have been accepted.
         """

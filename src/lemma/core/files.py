@@ -106,7 +106,7 @@ def damaged(path: Path, error: Exception, command: str) -> str:
     Args:
         path: The file.
         error: Why.
-        command: What writes it, such as ``"lemma generate"``.
+        command: Command that writes it, such as ``"lemma generate"``.
     """
     return (
         f"{path} is damaged: {str(error).rstrip('.')}. It may have been cut short. "

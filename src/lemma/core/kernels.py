@@ -59,8 +59,9 @@ def kernel(function: Any = None, /, *, nogil: bool = False) -> Any:
     BLAS, no NumPy functions that are vectorised by processor.
 
     Args:
-        function: What to compile; it may call other kernels.
-        nogil: Whether other threads may run meanwhile; for what takes milliseconds.
+        function: Function to compile; it may call other kernels.
+        nogil: Whether other threads may run meanwhile; for functions that take
+            milliseconds.
     """
 
     def compiled(function: Callable[..., Any]) -> Any:

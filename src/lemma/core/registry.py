@@ -33,7 +33,7 @@ class Registry(Generic[T]):
         """Create an empty registry.
 
         Args:
-            kind: What the records are, as a noun for error messages.
+            kind: Noun for the records, for error messages.
             record_type: Type of the records, as in an annotation: a class, or
                 ``Callable[[int, int], Renderer]``.
             on_add: Called with every name and record before it is kept; an exception
@@ -52,7 +52,7 @@ class Registry(Generic[T]):
         twice: the record is replaced in its place, with a warning.
 
         Args:
-            name: What it is looked up by.
+            name: Name to look the record up by.
             record: The record; its own ``name``, if it has one, must be the same.
             replace: Replace a record of another module, without a warning.
 

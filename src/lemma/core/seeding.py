@@ -14,7 +14,7 @@ def stream(*words: str | int) -> np.random.Generator:
     """Return the generator that belongs to ``words``.
 
     Args:
-        *words: What the numbers are for, outermost first:
+        *words: Purpose of the numbers, outermost scope first:
             ``stream("v2", "stack", "test", 3, "layout")``.
 
     Returns:

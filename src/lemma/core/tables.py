@@ -59,7 +59,7 @@ class Table:
 
         Args:
             caption: Below the table, if any; plain text.
-            label: What ``\ref`` calls it, if anything.
+            label: Label for ``\ref``, if any.
         """
         columns = "l" * self.labels + "r" * (len(self.header) - self.labels)
         lines = [

@@ -55,7 +55,7 @@ def play_steps(
 
     Args:
         episode: Just begun; at the end it is over only if the time is up.
-        steps: What was done.
+        steps: Recorded steps to carry out.
         before: Is told of each step.
         lingers: Whether every sub-task takes as long as a decision of a policy does at
             least.
@@ -111,7 +111,7 @@ class FrameTaker:
         Args:
             simulation: It is not changed.
             frame_s: Simulated time from one state to the next [s].
-            frames: What was kept of an earlier part of the episode.
+            frames: States kept from an earlier part of the episode, with their times.
         """
         self._simulation, self._frame_s = simulation, frame_s
         self.frames = [*frames]

@@ -255,7 +255,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
     def restore(self, snapshot: EnvSnapshot) -> tuple[Observation, dict[str, Any]]:
         """Go back to a snapshot, also one of another instance or environment.
 
-        What follows is equal to the bit, if the options are the same.
+        The episode then continues equal to the bit, if the options are the same.
 
         Returns:
             The observation and the info of that moment.

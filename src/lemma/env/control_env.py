@@ -84,7 +84,7 @@ class ControlEnv(LemmaEnv):
 
     @property
     def controller(self) -> Controller:
-        """What drives the arms in this episode.
+        """The controller that drives the arms in this episode.
 
         Raises:
             ResetNeededError: There is no episode yet.

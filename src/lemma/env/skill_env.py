@@ -15,7 +15,7 @@ class SubTaskEnv(LemmaEnv):
 
     The episode is terminated by ``stop``, and success is judged then; it is truncated
     at T_max. ``info["outcome"]`` and ``info["explanation"]`` say how the sub-task went.
-    What cannot be done is no error: the world stays valid, and a second passes.
+    An infeasible sub-task is no error: the world stays valid, and a second passes.
     """
 
     def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:

@@ -30,7 +30,7 @@ from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a policy made of some episodes; printed, it is a table."""
+    """Result of a policy on some episodes; printed, it is a table."""
 
     result: Result
     """Counts, causes of failure, and what decided them."""
@@ -45,7 +45,7 @@ class Evaluation:
 
     @property
     def errors(self) -> tuple[str, ...]:
-        """What the policy did wrong: it raised, hung, or answered no decision."""
+        """Failures of the policy: it raised, hung, or answered no decision."""
         return tuple(
             f"{row['task']} {row['index']}: {row['policy_error']['explanation']}"
             for row in self.rows

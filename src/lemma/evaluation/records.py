@@ -167,7 +167,7 @@ class _Lenient(_Strict):
     elapsed_s: float
     subtasks: Steps
     planning: _Planning | None = None
-    """What the further decisions took; there for policies alone that count it."""
+    """Effort of the further decisions; only for policies that count it."""
     state_sha256: str | None = None
 
 
@@ -198,9 +198,9 @@ class _Line(_Strict):
     lenient: _Lenient | None
     """None if it was played strictly alone."""
     control: _Control | None = None
-    """There for policies at control level alone."""
+    """Only for policies at control level."""
     planning: _Planning | None = None
-    """What the decisions took; there for policies alone that count it."""
+    """Effort of the decisions; only for policies that count it."""
     wall_s: float = 0.0
     state_sha256: str | None = None
     """Of the last state, which follows from everything before; None in lines of earlier
@@ -291,7 +291,7 @@ def check_about(about: object, path: Path) -> None:
     """Check that a note holds what reports read of it.
 
     Args:
-        about: What the file says.
+        about: Content of the file.
         path: The file.
 
     Raises:

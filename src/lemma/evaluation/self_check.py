@@ -41,9 +41,9 @@ class Answer:
     name: str
     ok: bool
     found: str
-    """What there is, for people."""
+    """The finding, for people."""
     advice: str = ""
-    """What to do about it, if it is not well."""
+    """Instructions for people if the check failed."""
     essential: bool = True
     """Whether evaluation is wrong without it."""
 

@@ -114,7 +114,7 @@ class Frames:
         Args:
             maps: Read with the columns of :meth:`load`.
             device: Where batches shall be made.
-            entities: What shall have a number.
+            entities: Entities, in the order of their numbers.
             recorded: Entities in the order of the column ``objects``.
 
         Raises:
@@ -190,7 +190,7 @@ class Frames:
             split: Name of a split.
             tasks: Names of tasks; all if empty.
             device: Where batches shall be made.
-            entities: What shall have a number.
+            entities: Entities, in the order of their numbers.
             shared: Whether processes of this machine share the maps; see
                 :class:`~lemma.dataset.rendered.keyframes.memory.MapsInMemory`.
 
@@ -292,9 +292,9 @@ def batch_of(
     Args:
         inputs: One per frame.
         raster: Of their maps.
-        sub_instructions: What shall be grounded, if anything.
+        sub_instructions: Sub-instructions to ground, if any.
         device: Where the batch shall be.
-        entities: What has a number.
+        entities: Entities, in the order of their numbers.
 
     Raises:
         InvalidConfigError: Something was moved that has none.

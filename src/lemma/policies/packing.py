@@ -87,7 +87,7 @@ def unpack(coded: Tensor, rounding: Rounding) -> Tensor:
         rounding: How it was rounded.
 
     Raises:
-        PackingError: What was coded is something else.
+        PackingError: The code is not that of such a tensor.
     """
     if not 0.0 < rounding.step < math.inf:
         raise PackingError(f"a step of {rounding.step}")

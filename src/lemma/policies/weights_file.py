@@ -78,7 +78,7 @@ def write_weights(
     Args:
         path: The file.
         weights: By name, as a module's ``state_dict`` has them.
-        metadata: What it shall say about itself.
+        metadata: Metadata to write into it.
         fineness: How finely they are rounded, and packed; 16 bits each if None.
 
     Raises:
@@ -106,7 +106,7 @@ def mark_ended(path: Path, ended: Literal["steps", "time limit"], steps: int) ->
 
     Args:
         path: The file.
-        ended: What ended it.
+        ended: Reason why it ended.
         steps: That were done.
 
     Raises:
@@ -283,7 +283,7 @@ def _check_shapes(
 
     Args:
         path: Of the file.
-        metadata: What it says about itself.
+        metadata: Metadata of the file.
         file: It, opened.
         names: Of tensors in the file, by their present names.
         wanted: Tensors that the model has.

@@ -172,7 +172,7 @@ class ControlMessage(msgspec.Struct):
         """Return the input.
 
         Args:
-            memory: What the policy remembers of the episode.
+            memory: Memory of the policy in this episode.
 
         Raises:
             ProtocolError: An array is damaged.

@@ -234,7 +234,7 @@ def serve(
             :mod:`lemma.policies.interfaces`.
         host: Address to listen at; there is no password.
         port: Port to listen at; 0 for any that is free.
-        about: What the policy says of itself, ready for JSON.
+        about: Description of the policy, ready for JSON.
         protocol: One of :data:`PROTOCOLS`.
         on_ready: Called with the address once the server answers.
 

@@ -97,7 +97,7 @@ def hello(**fields: Any) -> dict[str, Any]:
     """Return the payload of a hello.
 
     Args:
-        fields: What else it says.
+        fields: Further fields of the payload.
     """
     return {"harness_version": "lemma-bench", "protocol_version": VERSION, **fields}
 

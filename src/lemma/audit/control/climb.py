@@ -98,7 +98,7 @@ def _push_over(
     Args:
         trial: The attempt.
         on: Its bottom is the pad.
-        lowest: What is pushed along the table.
+        lowest: Name of the object that is pushed along the table.
         hand_m: Where along the handle the stick is held [m].
         raises_m: Heights of the stick in the second push [m].
     """

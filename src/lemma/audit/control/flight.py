@@ -11,7 +11,7 @@ from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import On
 
-# What is let go low and flat flies no farther beyond the hand.
+# An object that is let go low and flat flies at most so far beyond the hand.
 _FLING_M = 0.5
 # Of the hand, when it picks and when it lets go; by attempt. The cube stands upright
 # again at the end.

@@ -91,7 +91,7 @@ def _put_on(trial: ControlTrial, on: On, number: int = 0) -> bool:
 
     Args:
         trial: The attempt.
-        on: What shall hold.
+        on: The condition to reach: a top on its bottom.
         number: Which of the ways that geometry allows.
 
     Raises:

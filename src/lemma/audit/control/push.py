@@ -76,7 +76,7 @@ def build_row(
 
     Args:
         trial: The attempt.
-        on: What shall hold.
+        on: The condition to reach: a top on its bottom.
         spare: Cubes that the goal does not need.
         line: Along which the row will be pushed.
         out_m: None if the top of the goal is the first of the row; else it is put on

@@ -144,7 +144,7 @@ def push_against(
     Args:
         trial: The attempt.
         on: Its bottom is the pad.
-        thing: What is pushed along the table.
+        thing: Name of the object that is pushed along the table.
         hand_m: Where along the handle the stick is held [m].
         short_m: Distance from the pad at which the push ends [m].
     """

@@ -158,7 +158,7 @@ def drag_closer(trial: SkillTrial, thing: str, ways: Ways, number: int = 0) -> b
 
     Args:
         trial: The attempt.
-        thing: What shall come.
+        thing: Name of the object to bring closer.
         ways: Pushes to choose from.
         number: Failures so far; another push is chosen after each.
     """

@@ -1,8 +1,8 @@
 """The worker pool: many calls of one function, in several processes of this machine.
 
-A job is a plain function of plain arguments. What it returns comes back in the order in
-which jobs end; what it reports before, such as progress, comes back at once. A Ray
-cluster does the same for many machines, see :mod:`lemma.core.workers.ray_cluster`.
+A job is a plain function of plain arguments. Return values come back in the order in
+which jobs end; earlier reports, such as progress, come back at once. A Ray cluster does
+the same for many machines, see :mod:`lemma.core.workers.ray_cluster`.
 """
 
 import atexit
@@ -53,7 +53,7 @@ class Engine(Protocol):
         """Yield what each job returned, in the order in which they end.
 
         Args:
-            function: What every job calls; a function of a module.
+            function: Function that every job calls; it belongs to a module.
             jobs: Arguments of each call.
             on_report: Told what jobs :func:`report`, before they have ended.
         """
@@ -95,7 +95,7 @@ def run_in_order(
 
     Args:
         engine: Where to work.
-        function: What every job calls.
+        function: Function that every job calls.
         jobs: Arguments of each call.
     """
     early: dict[int, Any] = {}
@@ -143,7 +143,7 @@ class ProcessPool:
         """Yield what each job returned, in the order in which they end.
 
         Args:
-            function: What every job calls; a function of a module.
+            function: Function that every job calls; it belongs to a module.
             jobs: Arguments of each call.
             on_report: Told what jobs :func:`report`, in the order in which it arrives.
 

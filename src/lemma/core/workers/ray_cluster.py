@@ -68,13 +68,13 @@ class RayCluster:
         """Yield what each job returned, in the order in which they end.
 
         Args:
-            function: What every job calls; a function of a module.
+            function: Function that every job calls; it belongs to a module.
             jobs: Arguments of each call.
             on_report: Told what jobs report, all of it when a job has ended.
 
         Raises:
             WorkerError: Machines of the cluster keep dying.
-            LemmaError: What a job raised.
+            LemmaError: The error that a job raised.
         """
         # A machine that dies takes along its jobs; others do them again.
         remote = self._ray.remote(max_retries=MOST_DEATHS)(_work_for_another)
@@ -103,7 +103,7 @@ class RayCluster:
         except self._ray.exceptions.RayError as error:
             raise WorkerError(
                 f"The Ray cluster lost a job {MOST_DEATHS} times, or itself: "
-                f"{_first_line(error)}. What was written is kept: look after the "
+                f"{_first_line(error)}. Finished work is kept: look after the "
                 "cluster ('ray status') and run the same command again."
             ) from error
         return results
@@ -118,7 +118,7 @@ def _work_for_another(
 
     Args:
         there: Plugins of the process that asks, and where it looks for modules.
-        function: What to call.
+        function: Function to call.
         *job: Its arguments.
     """
     become_worker()

@@ -23,7 +23,7 @@ class Serial:
         """Yield what each job returned.
 
         Args:
-            function: What every job calls.
+            function: Function that every job calls.
             jobs: Arguments of each call.
             on_report: Told what jobs report, before they have ended.
         """

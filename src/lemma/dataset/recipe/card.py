@@ -92,7 +92,7 @@ def head(*tags: str, name: str = NAME, more: str = "") -> str:
 
     Args:
         *tags: Beside those that all cards have.
-        name: What the data set is called.
+        name: Name of the dataset.
         more: Further lines of YAML.
     """
     listed = "\n".join(f"- {tag}" for tag in (*tags, *_TAGS))

@@ -92,7 +92,7 @@ class Form(Protocol):
             paths: Files, in the order of :meth:`paths`.
             records: The episodes.
             digests: Their digests in the recipe.
-            about: What :meth:`about` returned.
+            about: The description that :meth:`about` returned.
         """
         ...
 
@@ -188,7 +188,7 @@ def render(
     """Write the files that are missing.
 
     Args:
-        order: What is wanted.
+        order: Options of the rendering.
         form: In which form.
         engine: Where to work.
         advance: Is told how many episodes are done already, then of each further one.

@@ -55,7 +55,7 @@ def choose(
     """Return the files of a part and split that the manifest names.
 
     Args:
-        folder: What ``lemma render`` made.
+        folder: Folder that ``lemma render`` wrote.
         form: Its form.
         part: First folder of the files' paths.
         split: Name of a split.
@@ -101,7 +101,7 @@ def verify(folder: Path, form: str = FORM) -> int:
     """Compare the checksum of every file with the manifest's.
 
     Args:
-        folder: What ``lemma render`` made.
+        folder: Folder that ``lemma render`` wrote.
         form: Its form.
 
     Returns:

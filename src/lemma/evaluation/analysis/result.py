@@ -280,7 +280,7 @@ def summarise(
 
     Args:
         rows: Lines of ``episodes.jsonl``, in any order.
-        about: What decided them.
+        about: Settings of the evaluation that gave them, as in ``about.json``.
         command: The command line that gives them.
         experiment: Name of the experiment, if any.
 

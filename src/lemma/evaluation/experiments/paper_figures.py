@@ -28,7 +28,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Figures:
-    """What the paper reports for one policy and kind of instructions."""
+    """Figures of the paper for one policy and kind of instructions."""
 
     mean: Measured
     """Over the eight tasks."""

@@ -75,7 +75,7 @@ class Reproduction:
         """Play what is missing, and write the result with its lines packed beside it.
 
         Args:
-            experiment: What is wanted.
+            experiment: Experiment to play.
             engine: Where to work.
             advance: Told of episodes that are there.
 

@@ -1,4 +1,4 @@
-"""What a policy is told, and what that asks for: the sentence, or a control of it."""
+"""Sentences given to a policy, and their goals: its own sentence, or a control."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ LANGUAGES = {
     "shuffled": "the sentence of the next instance of the list",
     "swapped": "the sentence with other colors: another goal on the same table",
 }
-"""What is said; all but the first are controls."""
+"""Kinds of sentence given to a policy; all but the first are controls."""
 FULL = "full"
 """The whole sentence."""
 _CANDIDATES = 8
@@ -32,7 +32,7 @@ _CANDIDATES = 8
 
 @dataclass(frozen=True, slots=True)
 class LanguageControl:
-    """What a policy is told instead of the sentence of its instance."""
+    """A sentence given to a policy instead of that of its instance."""
 
     sentence: str | None = None
     """None for that sentence itself."""
@@ -41,7 +41,7 @@ class LanguageControl:
 
 
 OWN_SENTENCE = LanguageControl()
-"""What the instance says is said."""
+"""The policy is given the sentence of the instance."""
 
 
 def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:

@@ -151,8 +151,8 @@ def check_protocol(
     """Check that two results follow one protocol.
 
     Args:
-        about: What one says about itself.
-        other: What the other says.
+        about: Settings of the one, as in ``about.json``.
+        other: Settings of the other.
         where: Where the one is.
         there: Where the other is.
 

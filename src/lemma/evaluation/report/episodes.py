@@ -220,4 +220,4 @@ DEPARTURES = {
     Departure.PRIMITIVE: "wrong primitive",
     Departure.OBJECT: "wrong object",
 }
-"""What is said of a sub-task that departs from the expert's."""
+"""Words for a sub-task that departs from the expert's."""

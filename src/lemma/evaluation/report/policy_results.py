@@ -174,7 +174,7 @@ def entries_of(
 ) -> list[PolicyResults]:
     """Return results by policy, those of the registry first and in its order.
 
-    What ``lemma evaluate`` made of a policy of the registry belongs there, too.
+    Results of ``lemma evaluate`` for a policy of the registry belong there, too.
 
     Args:
         results: Of any policies and seeds.

@@ -77,9 +77,9 @@ class Section:
     """In Markdown; may be empty."""
     table: Table
     topic: str
-    """What it is about, one of :data:`TOPICS`."""
+    """Topic of the section, one of :data:`TOPICS`."""
     sample: str = ""
-    """Of how many episodes it is, if not of all; in Markdown."""
+    """Number of episodes that it counts, if not all; in Markdown."""
 
     @property
     def caption(self) -> str:
@@ -102,7 +102,7 @@ def page(
     """Return the page.
 
     Args:
-        entries: What it reports.
+        entries: Results to report.
         source: Where the results are from, as the page says it.
         guide: The page about evaluation, as the page names it.
         curves: By experiment.
@@ -128,7 +128,7 @@ def sections(
     """Return all tables, in the order of the report.
 
     Args:
-        entries: What it reports.
+        entries: Results to report.
         guide: The page about evaluation, as notes name it.
         curves: By experiment.
     """

@@ -93,7 +93,7 @@ class Metric:
 
     name: str
     of_seed: Callable[[Sequence[Coordination]], float | None]
-    """What it is with one training seed; None where it is not defined."""
+    """Its value with one training seed; None where it is not defined."""
     places: int = 1
     """Digits behind the point."""
     over_seeds: Callable[[Sequence[float]], float] | None = None
@@ -175,7 +175,7 @@ COORDINATION = (
 def coordination(entries: Iterable[PolicyResults], kind: str) -> Table:
     """Return how well robots work together, over all tasks.
 
-    What is counted is defined in :mod:`lemma.evaluation.analysis.coordination`.
+    The measures are defined in :mod:`lemma.evaluation.analysis.coordination`.
     """
     rows = []
     for entry in entries:

@@ -32,7 +32,7 @@ VERDICTS = ("both", "strict")
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationConfig:
-    """What to evaluate."""
+    """Options of an evaluation."""
 
     out: Path
     """Folder of the result."""

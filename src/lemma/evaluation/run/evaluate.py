@@ -52,7 +52,7 @@ def evaluate(
     """Play what is missing, and write the result.
 
     Args:
-        config: What is wanted.
+        config: Options of the evaluation.
         engine: Where to work.
         advance: Told how many episodes were there at the beginning, and then of every
             one that has ended.

@@ -23,10 +23,10 @@ from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 @dataclass(frozen=True, slots=True)
 class ExpertFeedback:
-    """What the expert says of a decision, before it is carried out."""
+    """Judgement of the expert on a decision, before it is carried out."""
 
     expected: SubTask
-    """What the expert would do; ``stop`` where the goal holds, or no plan is left."""
+    """The expert's own decision; ``stop`` if the goal holds, or no plan is left."""
     left: int | None
     """Sub-tasks of the expert's plan; None where there is no plan."""
     departure: Departure
@@ -113,7 +113,7 @@ def departure(subtask: SubTask, plan: tuple[SubTask, ...]) -> Departure:
     """Return in what a sub-task departs from a plan; the first that applies.
 
     Args:
-        subtask: What a policy decided on, other than ``stop``.
+        subtask: Decision of a policy, other than ``stop``.
         plan: The expert's sub-tasks from now on; empty where all is done.
     """
     expected = plan[0] if plan else STOP

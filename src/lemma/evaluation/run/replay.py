@@ -37,7 +37,7 @@ def play_again(
     Args:
         row: A line of ``episodes.jsonl``, not of a policy at control level.
         instance: The instance that it was played on.
-        about: What decided it, as in ``about.json``: the horizon, and what was said.
+        about: Settings, as in ``about.json``: the horizon, and the sentence given.
         watch: Told of the episode before each sub-task.
         strictly: Whether to end where the strict verdict was reached.
     """

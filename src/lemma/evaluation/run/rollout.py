@@ -66,7 +66,7 @@ class TakenStep:
     start_s: float
     """Simulated time at which it began [s]."""
     advice: ExpertFeedback
-    """What the expert said of it."""
+    """Judgement of the expert on it."""
     fell: tuple[str, ...] = ()
     """Names of the objects that fell off the table meanwhile."""
 
@@ -107,11 +107,11 @@ class Rollout:
     """Which of its instructions is given."""
     horizon_s: float = HORIZON_S
     control: LanguageControl = OWN_SENTENCE
-    """What is said instead of that instruction."""
+    """Sentence given instead of that instruction."""
     steps: list[TakenStep] = field(default_factory=list)
     past: list[PastStep] = field(default_factory=list)
     efforts: list[Effort] = field(default_factory=list)
-    """What each decision took, where the policy counts that."""
+    """Effort of each decision, if the policy counts it."""
     fault: Fault | None = None
     """Why the policy had no more decisions, if it failed."""
     protective_stop: Verdict | None = None
@@ -128,7 +128,7 @@ class Rollout:
 
     @property
     def instruction(self) -> str:
-        """What the policy is told."""
+        """The sentence given to the policy."""
         own = instruction(self.instance, self.kind)
         return own if self.control.sentence is None else self.control.sentence
 
@@ -184,7 +184,7 @@ class Rollout:
         it fails, and copied: nothing leads from it to the simulation.
 
         Args:
-            rig: What it sees with, if it sees.
+            rig: Cameras of the policy, if it has any.
             policy: An oracle is given the truth as well.
 
         Raises:
@@ -306,7 +306,7 @@ def roll_out(
     the others go on.
 
     Args:
-        rollouts: What to play; the next is set up when one has ended.
+        rollouts: Episodes to play; the next is set up when one has ended.
         player: Decides, for all running episodes together.
         at_once: Episodes that run at a time.
         on_step: Told of every sub-task as soon as it has ended.

@@ -50,7 +50,7 @@ def pack_checkpoint(
     Args:
         folder: ``.../checkpoints/last/pretrained_model``, or that of a number of steps.
         path: The file.
-        command: What trained it.
+        command: Command line that trained it.
         fineness: How finely weights are rounded.
 
     Returns:
@@ -98,7 +98,7 @@ def unpack_checkpoint(path: Path, folder: Path) -> None:
     """Write the folder that lerobot reads.
 
     Args:
-        path: What :func:`pack_checkpoint` wrote.
+        path: File that :func:`pack_checkpoint` wrote.
         folder: Where to; it is there.
 
     Raises:

@@ -249,7 +249,7 @@ def _check_numbers(
 
     Args:
         numbers: Shapes by name.
-        valid: What there may be beside state and action.
+        valid: Vectors that are allowed beside state and action.
 
     Raises:
         InvalidConfigError: There are others.

@@ -25,7 +25,7 @@ def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Ba
 
     Args:
         batch: With labels, on any device.
-        options: What may be changed.
+        options: Changes that may be drawn.
         rng: Of all that is drawn.
     """
     assert batch.labels is not None

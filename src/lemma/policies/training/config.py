@@ -35,7 +35,7 @@ Kinds = Annotated[
     tuple[Literal["high_level", "human"], ...], msgspec.Meta(min_length=1)
 ]
 RECOVERY_SHARE = 0.25
-"""Share of recovery states, if nothing else is said."""
+"""Default share of recovery states."""
 LANGUAGES = ("full", "none", "shuffled")
 
 
@@ -46,22 +46,22 @@ class Augmentation:
     palette: bool = True
     """Exchange the five colors of cubes and pads, in images, labels and sentences."""
     templates: bool = True
-    """Draw a sentence anew each time; else an episode keeps its first one."""
+    """Draw a new sentence each time; else an episode keeps its first one."""
     paraphrases: Level = 0.7
-    """Share of sentences that no template has as they stand: made by rules, or put
-    together from parts of templates; 0 for none."""
+    """Share of sentences that differ from all templates: made by rules, or composed of
+    parts of templates; 0 for none."""
     translate_cells: Whole = 6
     """Move the whole scene by up to so many cells of the map; 0 for never."""
     turn: bool = True
-    """Turn the whole scene by half a turn, so that the robots change numbers."""
+    """Turn the whole scene by half a turn at random; robots then change numbers."""
     brightness: Share = 0.15
     """Largest change of brightness and of contrast, as a share; 0 for none."""
     pixel_noise: Level = 0.03
-    """Largest standard deviation of noise in colors, of 1; 0 for none."""
+    """Largest standard deviation of noise in colors from 0 to 1; 0 for none."""
     height_noise_m: Level = 0.003
     """Largest standard deviation of noise in heights [m]; 0 for none."""
     dropouts: Whole = 4
-    """Largest number of small holes in what the cameras see; 0 for none."""
+    """Largest number of small holes in the images; 0 for none."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -69,7 +69,7 @@ class Augmentation:
 
     @classmethod
     def none(cls) -> "Augmentation":
-        """Return the one that changes nothing."""
+        """Return the options that change nothing."""
         return cls(
             palette=False,
             templates=False,
@@ -90,89 +90,95 @@ class TrainingConfig:
     model: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
     """episodic-transformer, cliport, m-cliport or reachnet."""
     data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Rendered keyframes: what lemma render --form keyframes wrote."""
+    """Folder of keyframes that lemma render --form keyframes wrote."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder of the run. A run that is there and did not end is continued."""
-    options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    options: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(metavar="NAME=VALUE ...", help_behavior_hint=""),
+    ] = ()
     """Options of the model, such as width=128."""
     seed: int = 0
-    """Of first weights, order, sentences and augmentation."""
+    """Seed of initial weights, order of samples, sentences and augmentation."""
     start: Name = None
     """Weights to begin with, by name or file, instead of random ones."""
 
     steps: Count = None
     """Steps of the optimizer. By default the model's own number of samples."""
     samples: Count = None
-    """Instead of steps: frames, or episodes, that are drawn in all."""
+    """Total number of frames, or episodes, to draw; replaces steps."""
     batch_size: Count = None
-    """Frames, or episodes, of a step and GPU. By default the model's own."""
+    """Frames, or episodes, in a batch of one GPU. By default the model's own."""
     learning_rate: Amount = None
-    """The highest, of AdamW. By default the model's own."""
+    """Peak learning rate of AdamW. By default the model's own."""
     warmup_steps: Whole = 300
-    """Steps until it is reached; then it falls along a cosine to zero."""
+    """Steps until the peak learning rate; then it falls along a cosine to zero."""
     weight_decay: Level = 0.02
-    """Of AdamW, for matrices and kernels."""
+    """Weight decay of AdamW, for matrices and kernels only."""
     clip: Positive = 1.0
     """Largest norm of the gradient."""
     ema: Share = 0.999
-    """Decay of the moving average of the weights, which is what is kept."""
+    """Decay of the moving average of the weights; the average is saved."""
 
     precision: Literal["bf16", "float32"] = "bf16"
-    """Of the network on a GPU; on a CPU it is float32."""
+    """Number format of the network on a GPU; on a CPU it is float32."""
     channels_last: bool = True
-    """Whether convolutions have their channels last."""
+    """Use the channels-last memory format in convolutions."""
     compile: bool = False
-    """Whether to compile the parts of the model: slower to start, faster to run."""
+    """Compile the parts of the model: slower to start, faster to run."""
     device: Literal["auto", "cuda", "cpu"] = "auto"
     """Where to train; auto: on a GPU where there is one."""
     images: Literal["auto", "device", "host"] = "auto"
     """Where images are kept; auto: on the device if a tenth of its memory is enough."""
     shared_images: bool = False
-    """Whether images are read from files that all runs of this machine share; the first
-    one writes them, uncompressed, beside the data."""
+    """Read images from uncompressed files that all runs of this machine share; the
+    first run writes them beside the data."""
 
     val_every: Count = None
     """Steps between validations. By default ten in all."""
     checkpoint_every_s: Positive = 60.0
     """Seconds between checkpoints."""
     time_limit_s: Amount = None
-    """Seconds of training, in all runs, after which it ends, with the learning rate
-    down to zero, however many steps are left; for trying. Weights of such a run say so:
-    another machine would have done other steps."""
+    """Seconds after which training ends, summed over continued runs; the learning rate
+    reaches zero by then. For experiments: the number of steps depends on the machine,
+    and the weights record that."""
     train_split: str = "train"
     """Split to train on."""
     val_split: str = "val"
     """Split to choose the best weights by."""
-    tasks: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK ...")] = ()
+    tasks: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="TASK ...", help_behavior_hint="")
+    ] = ()
     """Names of tasks; all if empty."""
     episodes: Count = None
-    """Train on so many episodes of the split only, drawn by the seed."""
+    """Train on only so many episodes of the split, drawn by the seed."""
     episodes_per_task: Count = None
-    """Train on the first so many episodes of every task only."""
+    """Train on only the first so many episodes of every task."""
     kinds: Kinds = ("high_level", "human")
-    """Kinds of instructions, each as likely."""
+    """Kinds of instructions, drawn with equal probability."""
     language: Literal["full", "none", "shuffled"] = "full"
-    """none: nothing is said; shuffled: what is said belongs to another episode. Both
-    are controls."""
+    """Controls. none: no sentence is given; shuffled: the sentence of another
+    episode."""
     augmentation: Augmentation = field(default_factory=Augmentation)
     """Random changes of frames."""
     recovery: Annotated[
         Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
     ] = None
-    """Mix in recovery states: rendered keyframes of perturbed executions, which lemma
-    generate --perturb made. They are never validated on."""
+    """Folder of recovery states to mix in: rendered keyframes of perturbed executions
+    from lemma generate --perturb. They are never used for validation."""
     recovery_share: Part = None
     """Share of the frames, or episodes, of each batch that are recovery states; 0.25 by
     default."""
     track: bool = False
-    """Whether to log to wandb as well as to TensorBoard."""
+    """Log to wandb as well as to TensorBoard."""
 
     def __post_init__(self) -> None:
         """Check numbers and names."""
         check_ranges(self)
         if self.steps is not None and self.samples is not None:
             raise InvalidConfigError(
-                "steps and samples say the same thing twice. Leave out one of them."
+                "steps and samples both set the length of training. Leave out one of "
+                "them."
             )
         if self.episodes is not None and self.episodes_per_task is not None:
             raise InvalidConfigError(
@@ -186,10 +192,10 @@ class TrainingConfig:
             )
 
     def resolved(self, processes: int = 1) -> "TrainingConfig":
-        """Return the same options with the model's own where none were given.
+        """Return the same options, with the model's defaults in place of None.
 
         Args:
-            processes: That train together; each draws its own batch.
+            processes: Number of processes that train together; each draws a batch.
         """
         own = DEFAULTS.get(self.model, Defaults())
         batch_size = self.batch_size or own.batch_size
@@ -214,11 +220,11 @@ class TrainingConfig:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "TrainingConfig":
-        """Make options from what :meth:`to_dict` returned.
+        """Make options from the data that :meth:`to_dict` returned.
 
         Raises:
-            UnknownNameError: One has a name that this version does not know.
-            InvalidConfigError: One has a value that cannot be.
+            UnknownNameError: This version has no option of that name.
+            InvalidConfigError: The value of an option is invalid.
         """
         return decode(cls, data)
 
@@ -228,11 +234,11 @@ class Defaults:
     """Defaults of a model."""
 
     samples: int = 320_000
-    """Frames, or episodes, in all."""
+    """Total number of frames, or episodes, to draw."""
     batch_size: int = 64
-    """Frames, or episodes, of a step."""
+    """Frames, or episodes, in a batch."""
     learning_rate: float = 3e-4
-    """The highest."""
+    """Peak learning rate."""
 
 
 DEFAULTS: dict[str, Defaults] = {
@@ -242,7 +248,7 @@ DEFAULTS: dict[str, Defaults] = {
     "m-cliport": Defaults(samples=120_000, learning_rate=1e-3),
     "reachnet": Defaults(samples=150_000, batch_size=128, learning_rate=1e-3),
 }
-"""By the name of the model."""
+"""Defaults by name of the model."""
 
 MAY_CHANGE = (
     *(
@@ -257,16 +263,16 @@ MAY_CHANGE = (
     ),
     *("device", "compile", "val_every"),
 )
-"""Options that may be others when a run is continued."""
+"""Options that may change when a run is continued."""
 
 
 def model_options(words: tuple[str, ...]) -> dict[str, Any]:
     """Return the options of a model that a user typed, as plain data.
 
-    Whether the model has such options is seen where they are decoded.
+    The names are checked later, when the options are decoded.
 
     Args:
-        words: ``("width=128", "reader.layers=2")``.
+        words: Such as ``("width=128", "reader.layers=2")``.
 
     Raises:
         InvalidConfigError: A word has no value, or is part of what has one.

@@ -108,7 +108,7 @@ class BatchLoader:
             order: Which units a step draws.
             config: Of the training run.
             device: Where batches shall be.
-            recovery: What is mixed in, if anything.
+            recovery: Recovery states to mix in, if any.
         """
         self._recovery, self._episodes = recovery, len(frames.episodes)
         self._frames, self._units, self._order = frames, units, order

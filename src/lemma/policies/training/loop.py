@@ -76,11 +76,11 @@ class _Progress:
 def train(
     config: TrainingConfig, *, restart: bool = False, command: str | None = None
 ) -> TrainingReport:
-    """Train a model, or go on with it.
+    """Train a model, or continue a run that was stopped.
 
     Args:
-        config: What to train, on what, how.
-        restart: Whether to begin anew where a run was begun before.
+        config: Options of the training run.
+        restart: Start again from the beginning, even if the folder has a run.
         command: The command line; if None, that of this process, which is ``lemma``.
 
     Returns:
@@ -363,8 +363,8 @@ def main(
     """Train a model with all processes that torchrun starts.
 
     Args:
-        config: What to train, on what, how.
-        restart: Begin anew where a run was begun before.
+        config: Options of the training run.
+        restart: Start again from the beginning, even if the folder has a run.
     """
     words = shlex.join(sys.argv[1:])
     count = os.environ.get("WORLD_SIZE", "1")

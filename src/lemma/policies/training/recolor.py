@@ -176,7 +176,7 @@ def _shows_own_color(
         rgb: Colors of 0 to 1, (B, colored, window, 3).
         light: How bright cells are beside their object's palette color.
         high: Whether a cell is so high that it is not the table's.
-        entities: What has a number.
+        entities: Entities, in the order of their numbers.
     """
     colors = entities.colors
     palette = (*(OBJECT_COLORS[name] for name in colors), STICK, TABLE)

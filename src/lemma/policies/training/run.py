@@ -175,7 +175,7 @@ def recovery_units(
     Args:
         model: Says what a unit is.
         recovery: Recovery states.
-        units: What is trained on otherwise: other instances stay unknown.
+        units: Units of the training set; states of other instances are left out.
         train: The frames of those units.
 
     Raises:

@@ -114,7 +114,7 @@ class KeyframeForm:
             paths: Files, in the order of :meth:`paths`.
             records: The episodes.
             digests: Their digests in the recipe.
-            about: What :meth:`about` returned.
+            about: The description that :meth:`about` returned.
 
         Raises:
             DatasetError: A state is not the one that was recorded.

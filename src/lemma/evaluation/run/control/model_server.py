@@ -28,7 +28,7 @@ def ask_model_server(
 ) -> ModelServerPolicy:
     """Return a model server as a policy.
 
-    What it acts in is what was asked for, else what the server asks for in its
+    Its action space is the requested one, else the one that the server names in its
     ``observation_params``, else the default.
 
     Args:

@@ -94,7 +94,7 @@ class ControlRollout(Rollout):
     asked: int = 0
     """How often the policy was asked."""
     memory: Any = None
-    """What the policy remembers of the episode."""
+    """Memory of the policy in this episode."""
 
     def _begin(self) -> Episode:
         self.env = ControlEnv(self.config)
@@ -106,7 +106,7 @@ class ControlRollout(Rollout):
         """Return what a policy is given now: copies, from which nothing leads back.
 
         Args:
-            observer: What it sees with.
+            observer: Makes its observation.
             oracle: Whether it is given the truth as well.
 
         Raises:

@@ -136,7 +136,7 @@ class PickHead(nn.Module):
 
 
 class PlaceHead(nn.Module):
-    """Where what was picked goes, and with which yaw."""
+    """Predicts the place pose of the picked object: position and yaw."""
 
     def __init__(self, config: HeadsConfig) -> None:
         """Make the weights."""

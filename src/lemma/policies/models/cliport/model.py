@@ -141,7 +141,7 @@ class PickAndPlace(Model):
 
         Args:
             config: Sizes.
-            extra_channels: What else the pick head says of each cell.
+            extra_channels: Further outputs of the pick head for each cell.
         """
         super().__init__()
         self.config: CLIPortConfig = config

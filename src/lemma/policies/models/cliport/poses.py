@@ -187,11 +187,11 @@ def score_poses(
 
     A pick is right within 2 cm and 10 degrees, where half a turn makes no difference,
     and a quarter turn none of a cube; a place within 2 cm, with the stick also within
-    8 degrees, and within 6 cm where anything in the shared space will do. What is round
-    is held from any side.
+    8 degrees, and within 6 cm where anything in the shared space will do. Round
+    objects may be held from any side.
 
     Args:
-        found: What was answered.
+        found: Predicted poses.
         labels: The expert's.
         entities: Whose numbers the labels have.
     """

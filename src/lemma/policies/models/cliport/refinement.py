@@ -49,7 +49,7 @@ class Zoom(nn.Module):
 
         Args:
             seen: Picture and sentence.
-            fit: What the place head saw.
+            fit: Input and features of the place head.
             pick: Gripper where it closes, (B, 3).
             place: Gripper where the motion shall end, about, (B, 3).
             raster: Where the cells are.

@@ -84,7 +84,7 @@ def of_inputs(
     Args:
         inputs: One per episode.
         device: Where the tensors shall be.
-        entities: What has a number.
+        entities: Entities, in the order of their numbers.
 
     Returns:
         The layout; each view once; and which of them each frame of the layout shows.

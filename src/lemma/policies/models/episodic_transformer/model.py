@@ -325,7 +325,7 @@ def choose(scores: Sequence[Tensor], entities: EntitySet = BENCHMARK) -> Tensor:
 
     Args:
         scores: Of robots, primitives, what to pick and where to place, (B, n) each.
-        entities: What has a number.
+        entities: Entities, in the order of their numbers.
     """
     robot, primitive, pick, place = (part.float() for part in scores)
     kind = primitive.argmax(1)

@@ -233,7 +233,7 @@ def _room(
         cubes: Numbers of what is moved, (B, C).
         lying: Gripper where the stick is put down, the directions ahead of it and to
             its left, (B, R, S, C, T, 2) each.
-        ready: What is moved, seen from there, (B, 1, S, C, 1, 2).
+        ready: The moved object, seen from there, (B, 1, S, C, 1, 2).
     """
     prepared, ahead, left = lying
     device, stick_number = table.xy.device, table.stick

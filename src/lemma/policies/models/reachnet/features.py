@@ -168,7 +168,7 @@ def drag_features(values: Tensor, count: int) -> Tensor:
     """Return what the stick can do with each entity, (B, E, R * S * 3).
 
     Args:
-        values: Of what is moved, (B, R, S, C, 3).
+        values: Values for each moved object, (B, R, S, C, 3).
         count: E.
     """
     flat = (values / 5.0).tanh().permute(0, 3, 1, 2, 4).flatten(2)

@@ -79,7 +79,8 @@ class GoalReader(WordEmbedding):
 
         Args:
             config: Options; the defaults if None.
-            entities: What has a number; goals may name all but the stick.
+            entities: Entities, in the order of their numbers; goals may name all but
+                the stick.
         """
         config = config or ReaderConfig()
         width = config.width
@@ -119,7 +120,7 @@ class GoalReader(WordEmbedding):
 
         Args:
             texts: Sentences.
-            goals: What they ask for, (B, conjuncts, 2), in any order; -1 for none.
+            goals: Their goals, (B, conjuncts, 2), in any order; -1 for none.
         """
         return F.nll_loss(self(texts), self._number(goals))
 

@@ -271,8 +271,8 @@ def _nearest_turn(
 
     Args:
         table: B scenes.
-        cube: Where is what is dragged, (B, 2) [m].
-        decision: Who drags, by which primitive, (B,) each.
+        cube: Position of the dragged cube, (B, 2) [m].
+        decision: Numbers of the dragging robot and of its primitive, (B,) each.
         yaw: (B,) [rad].
     """
     robot, primitive = decision

@@ -82,7 +82,7 @@ class Perception(nn.Module):
         Args:
             config: Options.
             robots: Robots of a team.
-            entities: What it marks.
+            entities: Entities that it marks.
         """
         super().__init__()
         self.config, self.robots, self.entities = config, robots, entities
@@ -217,7 +217,7 @@ class Perception(nn.Module):
         """Return cosine and sine of the folded yaw of each entity, (B, E, 2).
 
         Args:
-            marks: What was seen.
+            marks: Predicted marks.
             cell: Number of the cell of each, (B, E).
         """
         folds = _folds(self.entities)
@@ -232,8 +232,8 @@ class Perception(nn.Module):
         """Return how far marks are from the truth.
 
         Args:
-            marks: What was seen.
-            table: What there is.
+            marks: Predicted marks.
+            table: True scene.
             batch: The maps.
         """
         stick = table.stick

@@ -239,7 +239,7 @@ def number_of(decision: Tensor, robots: int, entities: EntitySet = BENCHMARK) ->
     Args:
         decision: Robot, primitive, pick, place, (B, 4).
         robots: Robots of a team.
-        entities: What has a number.
+        entities: Entities, in the order of their numbers.
     """
     robot, primitive, pick, place = decision.unbind(-1)
     cargo, stick, spots = entities.cargo, entities.stick, entities.stick + 1
@@ -302,7 +302,7 @@ def likeliest(
     Args:
         scores: Of every sub-task, (B, N).
         robots: Robots of a team.
-        entities: What has a number.
+        entities: Entities, in the order of their numbers.
     """
     shares, numbers = scores.float().softmax(-1).topk(_OPTIONS)
     return [

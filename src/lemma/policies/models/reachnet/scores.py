@@ -37,11 +37,11 @@ def score_decisions(
     """Return scores by name, (B,); NaN where a frame does not count.
 
     Args:
-        decision: What was decided, (B, 4).
+        decision: Predicted decisions, (B, 4).
         poses: For that.
         told: For what the demonstration did.
         labels: The demonstration.
-        entities: What has a number.
+        entities: Entities, in the order of their numbers.
     """
     right = labels.decision
     acts = right[:, 0] != NOBODY
@@ -71,8 +71,8 @@ def score_eye(
     """Return how good is what was seen, by name, (B,).
 
     Args:
-        table: What was seen.
-        truth: What there is.
+        table: Predicted scene.
+        truth: True scene.
         raster: Of the map.
     """
     both = table.present & truth.present

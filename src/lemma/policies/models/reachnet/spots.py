@@ -121,7 +121,7 @@ class StickSpots(_Spots):
 
         Args:
             table: B scenes.
-            robot: Who brings it, (B,).
+            robot: Number of the robot that brings it, (B,).
         """
         count, spots = len(table), len(self.grid)
         yaws = torch.arange(_YAWS, device=self.grid.device) * (math.tau / _YAWS)
