@@ -55,7 +55,7 @@ _CONTROL_TARGETS = {
     "joint_position_hz": ("joint_position", "{:.0f} steps/s", ""),
     "joint_position_ratio": ("over bare physics", "{:.2f}", "≥ 0.6"),
     "ee_pose_hz": ("ee_pose", "{:.0f} steps/s", ""),
-    "ee_pose_ratio": ("over bare physics", "{:.2f}", "≥ 0.45"),
+    "ee_pose_ratio": ("over bare physics", "{:.2f}", "≥ 0.5"),
     "rgbd_hz": ("with two 320 x 240 RGB-D cameras", "{:.0f} steps/s", "≥ 80"),
 }
 _POLICY_TARGETS = {
