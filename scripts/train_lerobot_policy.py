@@ -51,7 +51,7 @@ POLICIES: dict[str, dict[str, Any]] = {
         "num_inference_steps": 10,
     },
 }
-"""Options unlike LeRobot's. Demonstrations are deterministic, so ACT needs no
+"""Changes to LeRobot's defaults. Demonstrations are deterministic, so ACT needs no
 latent variable."""
 WARMUP_STEPS = 500
 LONGEST_GRADIENT = 10.0
