@@ -233,7 +233,7 @@ class ControlTrial(Trial):
 
         Args:
             name: The cube.
-            lean: Of the hand, from the vertical [rad].
+            lean: Lean of the hand, from the vertical [rad].
             ahead_m: Distance of the cube's middle ahead of the tool centre point.
         """
         cube, z = self.pose(name), self.height(name)

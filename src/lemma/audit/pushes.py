@@ -38,7 +38,7 @@ class Contact:
     at: tuple[float, float]
     """The middle of a cube that touches it, in the stick's frame [m]."""
     heading: float
-    """Of the push, in the stick's frame [rad]."""
+    """Direction of the push, in the stick's frame [rad]."""
 
 
 HOOK = Contact((_INSIDE_M, HOOK_LENGTH_M / 2), math.pi)

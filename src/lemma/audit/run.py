@@ -83,7 +83,7 @@ def audit_instance(instance: Instance, names: Iterable[str]) -> Iterator[Found]:
 
     Args:
         instance: The problem.
-        names: Of attacks.
+        names: Names of attacks.
 
     Yields:
         The outcome of each attack, which ends with the first success of a robot.
@@ -117,7 +117,7 @@ def audit(
 
     Args:
         keys: Task, split and index of each instance.
-        names: Of attacks.
+        names: Names of attacks.
         engine: Where to work.
         advance: Called with the number of instances that are newly finished.
 

@@ -47,7 +47,7 @@ class RecordedLoop:
     start: FloatArray
     """The full integration state before the first step."""
     commands: FloatArray
-    """Of every physics step, (n, nu)."""
+    """Commands of every physics step, (n, nu)."""
     end: FloatArray
     """The state after the last."""
     simulated_s: float

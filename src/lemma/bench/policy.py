@@ -22,7 +22,7 @@ class PolicyFigures:
     decision_ms: float
     """Median of one decision: from images and a sentence to poses."""
     slowest_ms: float
-    """Of 20 decisions, 19 are faster."""
+    """95th percentile: 19 of 20 decisions are faster."""
     success_rate: float
     """In these few episodes, strictly."""
     peak_mb: float

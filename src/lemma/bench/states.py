@@ -69,7 +69,7 @@ def differing(cases: list[Case], *, fast: bool = False) -> list[Case]:
     """Play cases; return those that led to other states than expected.
 
     Args:
-        cases: Of :func:`all_cases`.
+        cases: Cases of :func:`all_cases`.
         fast: Whether to play only to the first hash of each.
     """
     expected, found = expected_hashes(), []

@@ -43,7 +43,7 @@ _TARGETS = {
     "reset_images_ms": ("reset to the first pictures", "{:.1f} ms", "< 80 ms"),
     "peak_mb": ("memory of one environment, with cameras", "{:.0f} MB", "< 400 MB"),
 }
-"""Of every figure: what it is, how to print it, and what it should be."""
+"""Meaning, format and target of every figure."""
 _LOOP_TARGETS = {
     "expert_realtime": ("simulated seconds per second, the expert", "{:.0f}", ""),
     "bare_realtime": ("mj_step with the same motor commands", "{:.0f}", ""),

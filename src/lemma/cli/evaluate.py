@@ -60,7 +60,7 @@ class EvaluateOptions:
     planning: Literal["single-step", "multi-step"] = "single-step"
     """Observe before every sub-task, or plan all from the first observation."""
     gta: Flag = False
-    """Ground-truth allocation: the expert's robot replaces the planner's choice."""
+    """Ground-truth allocation: the right robot replaces the planner's choice."""
     timeout_s: Annotated[float, tyro.conf.arg(name="timeout", metavar="SECONDS")] = (
         TIMEOUT_S
     )

@@ -74,7 +74,7 @@ def play(
     Args:
         task: Task to begin with, hook_stack by default; with --failures a folder of
             results.
-        which: Of its instances.
+        which: Selection of an instance of the task.
         policy: As in lemma evaluate. By default reachnet where torch is
             installed, else the expert, which reads the benchmark's sentences alone.
         say: A sentence of your own, which is acted on at once.

@@ -79,7 +79,7 @@ def read_instance(path: Path, task: str | None, wish: Selection = DEFAULT) -> In
 
     Args:
         path: The JSON file.
-        task: Of which it must be; any if None.
+        task: Required task of the instance; any if None.
         wish: Other options that select the instance.
 
     Raises:

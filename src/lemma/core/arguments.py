@@ -34,19 +34,19 @@ Widths = Annotated[tuple[Width, ...], msgspec.Meta(min_length=1, max_length=8)]
 Depth = Annotated[int, msgspec.Meta(ge=1, le=64)]
 """Layers, blocks or heads."""
 Count = Annotated[int, msgspec.Meta(ge=1, le=1024)]
-"""Of whatever is not built of weights."""
+"""A number of things that are not built of weights."""
 Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
 """Part of a whole, less than all of it."""
 Deviation = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
 """Standard deviation of noise."""
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
-"""Of something on the table [m]."""
+"""Size of something on the table [m]."""
 Height = Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)]
 """Above the table top [m]."""
 Cost = Annotated[float, msgspec.Meta(ge=0.0, le=1e3)]
 """Loss of log-probability."""
 Extent = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
-"""Of a part of the table [m]."""
+"""Extent of a part of the table [m]."""
 
 
 def whole(

@@ -33,7 +33,7 @@ def draw_instruction(
     Args:
         task: Name of the task.
         goal_pairs: The (top, bottom) entities of the goal.
-        key: Of the episode. The same key, seed and epoch give the same sentence, so
+        key: Key of the episode. The same key, seed and epoch give the same sentence, so
             that all keyframes of an episode agree.
         seed: Seeds all draws.
         epoch: A new one gives new sentences.
@@ -86,9 +86,9 @@ class Language:
     """``"recorded"``: the episode's own. ``"resampled"``: drawn from the templates for
     training, high-level and human, anew in every epoch."""
     kind: str = "high_level"
-    """Of recorded ones: ``high_level``, ``human`` or, but for training, ``unseen``."""
+    """Recorded kind: ``high_level``, ``human`` or, but for training, ``unseen``."""
     seed: int = 0
-    """Of resampled ones."""
+    """Seed of resampled instructions."""
 
     def __post_init__(self) -> None:
         """Check the names."""

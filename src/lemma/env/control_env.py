@@ -63,8 +63,8 @@ class ControlEnv(LemmaEnv):
         """Go on with an episode that is under way, from where its robots are.
 
         Args:
-            episode: Of a team as large as this environment's; its robots stand where
-                whoever moved them before has left them.
+            episode: Episode with a team as large as this environment's; its robots
+                stand where they were last moved to.
 
         Raises:
             InvalidConfigError: Its motors are driven otherwise, or its team is another.
@@ -77,8 +77,8 @@ class ControlEnv(LemmaEnv):
             )
         if scene.spec.robot_names != self.robot_names:
             raise InvalidConfigError(
-                f"The episode has {len(scene.spec.robot_names)} robots, and this "
-                f"environment {len(self.robot_names)}."
+                f"Number of robots: {len(scene.spec.robot_names)} in the episode, "
+                f"{len(self.robot_names)} in this environment."
             )
         self._begin(episode)
 

@@ -241,7 +241,7 @@ class Observer:
         """Return the truth, for an observer of it.
 
         Args:
-            poses: Of every object, see :func:`object_poses`.
+            poses: Poses of every object, see :func:`object_poses`.
             spec: The scene.
             goal: The goal.
         """

@@ -90,7 +90,7 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         tasks: Name of a task, or names.
         split: Frozen list of instances, ``"test"``; or ``"free"``, which samples them:
             the default with tasks of your own.
-        kinds: Of instruction: ``"high_level"``, ``"human"``, ``"unseen"``, ``"blind"``.
+        kinds: Instructions: ``"high_level"``, ``"human"``, ``"unseen"``, ``"blind"``.
         episodes: Only the first so many of every task; split ``"free"`` needs it.
         planning: ``"single-step"``, or ``"multi-step"``: from the first image alone.
         gta: Ground-truth allocation: the right robot replaces the planner's choice.

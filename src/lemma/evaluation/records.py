@@ -26,10 +26,10 @@ SUMMARY = "summary.json"
 PACKED = ".jsonl.xz"
 """End of the name of packed lines, which are small enough to be committed."""
 PROTOCOL_VERSION = 2
-"""Of the rules by which episodes are played and judged: since 2 there are a strict and
-a lenient verdict."""
+"""Version of the rules by which episodes are played and judged: since 2 there are a
+strict and a lenient verdict."""
 RESULT_VERSION = "2"
-"""Of the summaries."""
+"""Version of the summaries."""
 WALL_CLOCK = ("wall_s",)
 """Fields of an episode's line that depend on the machine."""
 STATE = "state_sha256"
@@ -203,8 +203,8 @@ class _Line(_Strict):
     """Effort of the decisions; only for policies that count it."""
     wall_s: float = 0.0
     state_sha256: str | None = None
-    """Of the last state, which follows from everything before; None in lines of earlier
-    releases."""
+    """Digest of the last state, which depends on all earlier ones; None in lines of
+    earlier releases."""
     keeps_state: bool = False
     """Whether the policy says that it remembers other episodes."""
 

@@ -245,7 +245,7 @@ def verify(
         lines: The file of its episodes.
         engine: Where to work.
         episodes: Only so many of each task and kind, drawn at random; all if None.
-        seed: Of the draw.
+        seed: Seed of the draw.
         advance: Told how many were played since it was last told.
     """
     try:

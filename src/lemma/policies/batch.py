@@ -291,7 +291,7 @@ def batch_of(
 
     Args:
         inputs: One per frame.
-        raster: Of their maps.
+        raster: Raster of their maps.
         sub_instructions: Sub-instructions to ground, if any.
         device: Where the batch shall be.
         entities: Entities, in the order of their numbers.

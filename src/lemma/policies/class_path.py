@@ -96,7 +96,7 @@ def check_no_secret(names: Iterable[str]) -> None:
     """Check that no argument of a class is a secret, since results hold all arguments.
 
     Args:
-        names: Of the arguments.
+        names: Names of the arguments.
 
     Raises:
         InvalidConfigError: One is, by its name.

@@ -38,7 +38,7 @@ class EntitySet:
         """Return a set in the order of its numbers.
 
         Args:
-            names: Of entities; all that are known now, if empty.
+            names: Names of entities; all that are known now, if empty.
 
         Raises:
             UnknownNameError: No registered color and kind make one of them.
@@ -139,9 +139,9 @@ class Traits:
     """Properties of the kinds of E entities; tensors of shape (E,)."""
 
     height_m: Tensor
-    """Of its top above what it lies on [m]."""
+    """Height of its top above what it lies on [m]."""
     top_m: Tensor
-    """Of its top above its frame [m]."""
+    """Height of its top above its frame [m]."""
     disc_m: Tensor
     """Radius of a disc that covers it [m]."""
     side_m: Tensor

@@ -261,7 +261,7 @@ class SeenObject:
     """A thing that a policy perceived."""
 
     name: str
-    """Of the entity."""
+    """Name of the entity."""
     at: tuple[float, float]
     """Where, on the table [m]."""
 

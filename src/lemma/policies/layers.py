@@ -47,8 +47,8 @@ class ResidualBlock(Network):
         """Make the weights.
 
         Args:
-            channels_in: Of the input.
-            channels: Of the output.
+            channels_in: Channels of the input.
+            channels: Channels of the output.
             stride: 1, or 2 to halve the resolution.
         """
         super().__init__()
@@ -96,8 +96,8 @@ class TransformerLayer(nn.Module):
         """Make the weights.
 
         Args:
-            width: Of a token.
-            heads: Of the attention; they share the width evenly.
+            width: Width of a token.
+            heads: Number of heads of the attention; they share the width evenly.
             hidden: Width between the two linear layers.
             dropout: Share of values that are left out in training.
             activation: Between the two linear layers.
@@ -179,7 +179,7 @@ def sinusoids(length: int, width: int) -> Tensor:
 
     Args:
         length: Number of places.
-        width: Of a token; even.
+        width: Width of a token; even.
     """
     if made_without_numbers():
         return torch.empty(length, width)

@@ -467,7 +467,7 @@ def load_part(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
     """Return the planner, grounder or policy of a name.
 
     Args:
-        name: Of it.
+        name: Name of it.
         arguments: That its class is called with.
 
     Raises:

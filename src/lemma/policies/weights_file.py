@@ -45,7 +45,7 @@ class WeightsMetadata:
     model: str
     """Its name, as ``lemma train`` knows it."""
     options: dict[str, Any]
-    """Of the model."""
+    """Options of the model."""
     data: dict[str, Any] = field(default_factory=dict)
     """Version and digest of the data that it was trained on."""
     command: str = ""
@@ -64,7 +64,7 @@ class WeightsMetadata:
     lemma: str = ""
     """Version of the package."""
     version: str = WEIGHTS_VERSION
-    """Of the format."""
+    """Version of the format."""
 
 
 def write_weights(
@@ -282,10 +282,10 @@ def _check_shapes(
     """Check that a file has the tensors of a model, before any is read.
 
     Args:
-        path: Of the file.
+        path: Path of the file.
         metadata: Metadata of the file.
         file: It, opened.
-        names: Of tensors in the file, by their present names.
+        names: Names of tensors in the file, by their present names.
         wanted: Tensors that the model has.
 
     Raises:

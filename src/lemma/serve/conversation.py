@@ -53,7 +53,7 @@ _LONGEST_PAUSE_S = 3.0
 HELLO_S = 30.0
 """For the answer to the first message [s]."""
 LARGEST_HELLO_BYTES = 1 << 20
-"""Of that answer, which results hold."""
+"""Size limit of that answer, which results hold."""
 _SHOWN = 500
 
 R = TypeVar("R", bound=Reply)

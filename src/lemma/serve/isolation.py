@@ -37,7 +37,7 @@ def isolate(
     """Return a policy that lives in another process, which this one may kill.
 
     Args:
-        name: Of its class, ``"package.module:Class"``.
+        name: Name of its class, ``"package.module:Class"``.
         timeout_s: For one decision [s].
         arguments: That it is called with, by name.
 
@@ -55,7 +55,7 @@ class ProcessChannel:
         """Start the process and wait until its policy is there.
 
         Args:
-            name: Of the policy's class.
+            name: Name of the policy's class.
             arguments: That it is called with, by name.
 
         Raises:
@@ -153,7 +153,7 @@ def host(
 
     Args:
         pipe: To the process that asks.
-        name: Of the policy's class.
+        name: Name of the policy's class.
         arguments: That it is called with, by name.
     """
     with suppress(AttributeError, OSError):

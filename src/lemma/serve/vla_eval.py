@@ -106,7 +106,7 @@ def check_version(payload: Mapping[str, Any], who: str) -> None:
     """Check that the other side speaks this protocol.
 
     Args:
-        payload: Of its hello.
+        payload: Payload of its hello.
         who: Its address, for messages to people.
 
     Raises:
@@ -146,7 +146,7 @@ def read_action(payload: Mapping[str, Any], names: tuple[str, ...]) -> NDArray[A
     """Return the action of an answer, (n,) float64.
 
     Args:
-        payload: Of the answer.
+        payload: Payload of the answer.
         names: Meaning of each number: ``"robot_0.shoulder_pan"``.
 
     Raises:

@@ -224,7 +224,7 @@ def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[
     """Yield where robots do not stand as the sampler would have them."""
     robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
     if len(robots) != 2:
-        yield f"There are {len(robots)} robots, and the sampler sets tables for two."
+        yield f"The number of robots is {len(robots)}; the sampler sets tables for two."
         return
     for number, (robot, phrase) in enumerate(zip(robots, phrases, strict=True)):
         turned = wrap(robot.base.yaw - math.pi * number)

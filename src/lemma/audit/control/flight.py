@@ -13,8 +13,8 @@ from lemma.tasks.goal import On
 
 # An object that is let go low and flat flies at most so far beyond the hand.
 _FLING_M = 0.5
-# Of the hand, when it picks and when it lets go; by attempt. The cube stands upright
-# again at the end.
+# Leans of the hand, when it picks and when it lets go; by attempt. The cube stands
+# upright again at the end.
 _FLING_LEANS_RAD = ((0.0, 0.5 * math.pi), (0.35, 0.35), (0.6, 0.6))
 _RUN_M = 0.4
 _ABOVE_M = (0.03, 0.07)
@@ -34,7 +34,7 @@ _SWINGS = (
 # Steps after which the fingers open.
 _RELEASES = (5, 9, 13, 17, 21, 25, 30, 35, 42, 50)
 _SWING_STEPS = 65
-# Of the swing, for throws about the best one.
+# Shares of the swing, for throws about the best one.
 _PARTS = (1.0, 0.85, 0.7)
 _OFFS = (-2, -1, 1, 2)
 _THROW_LANDING_S = 1.8

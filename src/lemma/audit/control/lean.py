@@ -26,7 +26,7 @@ _DROP_M = (0.03, 0.08)
 # that the fingertips hold.
 _AHEAD_M = (0.0, 0.022)
 _TURNS_RAD = (0.0, 0.35, -0.35, 0.8, -0.8)
-# Of the way from the middle of a bottom to the edge of its support.
+# Shares of the way from the middle of a bottom to the edge of its support.
 _SHARES = (0.0, 0.3, 0.6, 0.85, 0.97)
 # Inverse kinematics is asked somewhat beyond the distance that is known to be out of
 # reach.

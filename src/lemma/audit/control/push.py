@@ -31,7 +31,7 @@ _WAYS: tuple[tuple[int | None, float | None], ...] = (
     (1, 0.018),
     (1, 0.023),
 )
-# Of the push; a row that is fast slides on.
+# Speeds of the push; a row that is fast slides on.
 _SPEEDS_M_S = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.65, 0.8)
 _BEHIND_M = CUBE_EDGE_M / 2 + 0.035
 _LOW_M = 0.02

@@ -49,7 +49,7 @@ _STEP_M = 0.01
 _LEAST_M = 0.02
 _LEAN_COST_M = 0.04
 _GAIN_M = 0.005
-# Of the gaps in the row and behind it.
+# Tolerance of the gaps in the row and behind it.
 _SLACK_M = 0.03
 _NEAR_M = 0.02
 _PUSHES = 6

@@ -50,7 +50,7 @@ def grasp_stick(trial: ControlTrial, grasp: Pose2, lean: float = 0.0) -> bool:
     Args:
         trial: The attempt.
         grasp: Gripper in the stick's frame.
-        lean: Of the hand along the stick, which stays level [rad].
+        lean: Lean of the hand along the stick, which stays level [rad].
     """
     grip = either_way(trial, trial.pose(STICK) @ grasp)
     hand = leaning(grip, STICK_GRASP_HEIGHT_M, lean)
@@ -127,7 +127,7 @@ class Climb:
     end: FloatArray
     """Where that touches the pad."""
     heading: float
-    """Of the push [rad]."""
+    """Direction of the push [rad]."""
     gap_m: float
     """From there to the pad's middle."""
 

@@ -30,7 +30,7 @@ class RayCluster:
         """Connect to a cluster, or use the one that this process is connected to.
 
         Args:
-            address: Of the cluster, or ``"auto"``.
+            address: Address of the cluster, or ``"auto"``.
 
         Raises:
             WorkerError: Ray is not installed, or there is no such cluster.

@@ -32,7 +32,7 @@ class Part:
     """A part of a job."""
 
     arguments: Job
-    """Of the function that does it."""
+    """Arguments of the function that does it."""
     size: int
     """How many episodes it counts for."""
     is_done: bool

@@ -342,7 +342,7 @@ def aggregate_in_groups(folders: Sequence[Path], whole: Path, engine: Engine) ->
     """Write one LeRobotDataset that holds the episodes of others, in their order.
 
     Args:
-        folders: Of the others; groups of them are written beside them.
+        folders: Folders of the others; groups of them are written beside them.
         whole: Folder to write; what is there is replaced.
         engine: Where to work.
     """
@@ -361,7 +361,7 @@ def aggregate(folders: Sequence[Path], whole: Path) -> None:
     """Write one LeRobotDataset that holds the episodes of others, in their order.
 
     Args:
-        folders: Of the others.
+        folders: Folders of the others.
         whole: Folder to write; what is there is replaced.
     """
     silence()

@@ -6,7 +6,7 @@ from lemma.core.files import write_text
 from lemma.dataset.recipe.schema import describe, perturbed_as
 
 LICENSE = "Apache-2.0"
-"""Of code and data: an SPDX identifier."""
+"""License of code and data: an SPDX identifier."""
 _HEAD = """---
 license: {license}
 task_categories:

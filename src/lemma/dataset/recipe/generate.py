@@ -105,7 +105,7 @@ class GenerateSummary:
     seconds: float
     """Time that this run took [s]."""
     size_mb: float
-    """Of the files of the order [MB]."""
+    """Size of the files of the order [MB]."""
     worker_mb: float
     """Most memory that any worker held [MB]; 0 where none worked."""
 

@@ -241,7 +241,7 @@ class PerturbedRecord(EpisodeRecord):
     """The expert's decision at each keyframe; None where it has no plan, where its own
     sub-task failed, and behind the last one if the time was up."""
     perturbation: tuple[str, ...]
-    """Of each sub-task; see :data:`lemma.expert.disturbances.KINDS`."""
+    """Perturbation of each sub-task; see :data:`lemma.expert.disturbances.KINDS`."""
 
     @property
     def labelled(self) -> int:

@@ -27,9 +27,9 @@ class Filming:
     hz: int = 10
     """Frames per simulated second: a divisor of 100."""
     width: int = 128
-    """Of the pictures [px]."""
+    """Width of the pictures [px]."""
     height: int = 128
-    """Of the pictures [px]."""
+    """Height of the pictures [px]."""
     cameras: tuple[str, ...] = ()
     """Names of cameras, as an environment knows them; each robot's own if none."""
     depth: bool = False
@@ -106,8 +106,8 @@ def rig_of(width: int, height: int, renderer: str) -> CameraRig:
     """Return the cameras of this process: starting them takes longer than a picture.
 
     Args:
-        width: Of the pictures [px].
-        height: Of the pictures [px].
+        width: Width of the pictures [px].
+        height: Height of the pictures [px].
         renderer: A name in :data:`lemma.scene.rendering.batch.BATCH_RENDERERS`.
     """
     return CameraRig(width, height, renderer)

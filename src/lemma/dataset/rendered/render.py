@@ -176,7 +176,7 @@ class RenderSummary:
     seconds: float
     """Time that this run took [s]."""
     size_mb: float
-    """Of all files of the folder [MB]."""
+    """Size of all files of the folder [MB]."""
 
 
 def render(

@@ -25,7 +25,7 @@ class Shard:
     paths: dict[str, Path]
     """By part."""
     header: Header
-    """Of the maps."""
+    """Header of the maps."""
 
 
 def keyframe_shards(folder: Path, split: str, tasks: Sequence[str] = ()) -> list[Shard]:

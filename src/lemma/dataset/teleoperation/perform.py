@@ -60,7 +60,7 @@ def perform(
 
     Args:
         done: The recording.
-        episode: Of its instance, just begun; at the end it needs not be over.
+        episode: Episode of its instance, just begun; at the end it needs not be over.
         before: Is told of each part.
 
     Raises:
@@ -110,7 +110,7 @@ def nudge(simulation: Simulation, name: str, pose: Pose2) -> None:
 
     Args:
         simulation: Between two ticks.
-        name: Of the object.
+        name: Name of the object.
         pose: Where to put it.
 
     Raises:

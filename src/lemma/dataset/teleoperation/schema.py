@@ -109,7 +109,7 @@ class Teleoperation:
     end_s: float
     """Simulated time to which it goes [s]."""
     end_sha256: str
-    """Of the joints' positions then, see :func:`joints_sha256`."""
+    """Digest of the joints' positions then, see :func:`joints_sha256`."""
 
     def to_json(self) -> str:
         """Return it as a file; what reads an instance reads it too."""

@@ -24,11 +24,11 @@ from lemma.robots.gripper import (
 from lemma.robots.ur.arms import ArmSpec
 
 SPEED_FRACTION = 0.95
-"""Of a joint's velocity limit: what references keep to."""
+"""Share of a joint's velocity limit that references keep to."""
 CAPSULES = 10
-"""Of one arm, see :class:`~lemma.robots.collision_model.Envelope`."""
+"""Capsules of one arm, see :class:`~lemma.robots.collision_model.Envelope`."""
 CORNERS = 8
-"""Of the fingers, wide open, and of the palm."""
+"""Number of corners of the fingers, wide open, and of the palm."""
 _PARTS = CAPSULES + CORNERS
 
 ARM = np.dtype(

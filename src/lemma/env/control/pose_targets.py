@@ -25,7 +25,7 @@ def aim_arms(
     """Choose postures for poses, and give both to RMPflow.
 
     Args:
-        records: Of n arms; see :data:`~lemma.env.control.guarded_arm.ARM`.
+        records: Records of n arms; see :data:`~lemma.env.control.guarded_arm.ARM`.
         states: Their references, (n, 2, 6) [rad, rad/s].
         parks: Where they wait, (n, 6) [rad].
         rows: Positions and quaternions wxyz of any length but 0 that the tool centre

@@ -90,8 +90,8 @@ def restrain(
         arm: The arm, links placed; see :data:`~lemma.env.control.guarded_arm.ARM`.
         obstacles: Capsules of the other arms, (m, 12); see
             :data:`~lemma.env.control.approach_bounds.ROW`.
-        objects: Of objects, (k, 12).
-        held: Of objects in the hand, (l, 12).
+        objects: Records of objects, (k, 12).
+        held: Records of objects in the hand, (l, 12).
         rates: Joint speeds, (6,) [rad/s].
 
     Returns:

@@ -36,8 +36,8 @@ def motor_state(control: str, observation: Mapping[str, Any]) -> Float32Array:
 
     Args:
         control: One of :data:`MOTOR_CONTROLS`.
-        observation: Of an environment at control level: ``agent_pos``, ``tcp_pose``
-            and ``base_pose``.
+        observation: Observation of an environment at control level: ``agent_pos``,
+            ``tcp_pose`` and ``base_pose``.
 
     Returns:
         (robots, numbers) [m, rad].
@@ -68,7 +68,7 @@ def tool_rows(
     Args:
         bases: World from base, (n, 4, 4) [m].
         tools: World from gripper at the tool centre point, (n, 4, 4) [m].
-        openings: Of the grippers, (n,) [m].
+        openings: Openings of the grippers, (n,) [m].
 
     Returns:
         (n, 10).

@@ -110,7 +110,7 @@ class RewardMeter:
         self._potential = REWARDS[reward]
         self._discount = discount
         self.potential: float | None = None
-        """Of the present state; None without shaping."""
+        """Potential of the present state; None without shaping."""
 
     def begin(self, episode: Episode) -> None:
         """Start from the present state of an episode."""

@@ -52,7 +52,7 @@ class Comparison:
 
     @property
     def p_value(self) -> float:
-        """Of McNemar's exact test that both are as good."""
+        """The p-value of McNemar's exact test that both are as good."""
         return mcnemar_p(self.only_first, self.only_second)
 
     def to_dict(self) -> dict[str, Any]:

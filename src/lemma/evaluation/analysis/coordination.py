@@ -50,11 +50,11 @@ class Coordination:
     doable: int
     """Sub-tasks that some robot could do."""
     able: int
-    """Of them those that were given to such a robot."""
+    """Those of them that were assigned to such a robot."""
     planned: int
     """Sub-tasks that are in the expert's plan, for this robot or another."""
     as_expert: int
-    """Of them those with the expert's robot."""
+    """Those of them with the expert's robot."""
     order_violations: int
     nearest_mm: float | None
     """Smallest clearance in any episode; None where no scene has two arms."""

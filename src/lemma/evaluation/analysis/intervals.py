@@ -14,7 +14,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     """Return the 95 % Wilson score interval of a success rate.
 
     Args:
-        successes: Of the trials.
+        successes: Number of successes among the trials.
         trials: At least one.
 
     Raises:

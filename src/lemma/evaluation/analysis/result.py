@@ -39,7 +39,7 @@ class Cell:
     """Episodes of one kind, task, team and number of distractors."""
 
     kind: str
-    """Of instruction."""
+    """Kind of instruction."""
     task: str
     team: str
     distractors: int
@@ -74,7 +74,7 @@ class Precision:
     """Where the sub-task was the expert's."""
     median_mm: float
     missed: int
-    """Of them more than 20 mm off."""
+    """Number of those that are more than 20 mm off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,14 +98,14 @@ class Result:
     command: str
     """The command line that gives it."""
     episodes_sha256: str
-    """Of the lines of the episodes without wall-clock fields."""
+    """Digest of the lines of the episodes without wall-clock fields."""
     cells: tuple[Cell, ...]
     losses: tuple[Loss, ...] = ()
     precisions: tuple[Precision, ...] = ()
     coordination: tuple[Coordination, ...] = ()
     asked: tuple[Asked, ...] = ()
     planning: tuple[Planning, ...] = ()
-    """Of policies alone that count what decisions take."""
+    """Effort of planning; only for policies that count it."""
     experiment: str = ""
     """Name of the experiment it belongs to, if any."""
     version: str = field(default=RESULT_VERSION)

@@ -19,7 +19,7 @@ CONTROL_LEVEL = "control-level"
 SUITES = ("paper", "ours", "controls", CONTROL_LEVEL, "ablations")
 ALL = "all"
 SEEDS = (0, 1, 2)
-"""Of training; the weights of the first ship."""
+"""Seeds of training; the weights of the first ship."""
 ABLATIONS = "ablations"
 ABLATION_EPISODES = 100
 """Demonstrations of each task that ablations are trained on: with all 700 of them, what
@@ -49,7 +49,7 @@ class Experiment:
     policy: PolicySpec
     """Its parts are names of trainings."""
     kinds: tuple[str, ...] = EVALUATION_KINDS
-    """Of instructions."""
+    """Kinds of instructions."""
     language: str = "full"
     """The sentence, one of
     :data:`lemma.evaluation.protocol.language_controls.LANGUAGES`."""
@@ -78,7 +78,7 @@ class Training:
     """How the weights of one name are made."""
 
     name: str
-    """Of the weights."""
+    """Name of the weights."""
     model: str
     """As ``lemma train`` knows it."""
     arguments: str = ""
@@ -93,7 +93,7 @@ class Training:
 
         Args:
             runs: Folder of the runs; each has the name of its weights.
-            seed: Of the training.
+            seed: Seed of the training.
         """
         words = [f"lemma train {self.model} --data {DATA}"]
         if self.recovery:
@@ -263,7 +263,7 @@ TRAININGS.add(
 
 _ABLATED = "reachnet"
 _ABLATION_SAMPLES = 100_000
-"""Of each; fewer than the model's own, because there are many."""
+"""Samples of each ablation; fewer than the model's own, because there are many."""
 _AUGMENTATIONS = {
     "no-palette": ("no palette swap", "--augmentation.no-palette"),
     "no-templates": ("no template resampling", "--augmentation.no-templates"),

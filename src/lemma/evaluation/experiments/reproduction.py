@@ -26,7 +26,7 @@ from lemma.policies.spec import PolicySpec
 
 _FILE = "weights.safetensors"
 _LAST = "checkpoints/last/pretrained_model"
-"""Of a training of LeRobot: what plays."""
+"""Folder of the policy to play, in a training run of LeRobot."""
 
 
 class MissingWeightsError(DatasetError):

@@ -27,7 +27,7 @@ def expert_s(
 
     Args:
         task: Name of the task.
-        split: Of the list.
+        split: Name of the list.
         index: Number in the list.
         perturbed_start: With its objects elsewhere.
 

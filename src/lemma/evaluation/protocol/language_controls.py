@@ -50,7 +50,7 @@ def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:
     Args:
         language: One of :data:`LANGUAGES`.
         instance: The problem.
-        kind: Of the instruction.
+        kind: Kind of the instruction.
     """
     if language == "none":
         return LanguageControl("")

@@ -27,7 +27,7 @@ class Case:
     """The policy's title in tables, and its training seed if there are several."""
     row: Row
     about: Mapping[str, Any]
-    """Of the result that counts it."""
+    """Settings of the result that counts it."""
     lines: Path
     """The file of its line."""
 
@@ -113,7 +113,7 @@ def spread(cases: Iterable[Case], most: int) -> list[Case]:
     """Return some failed episodes, of as many causes and tasks as possible.
 
     Args:
-        cases: Of one policy.
+        cases: Episodes of one policy.
         most: How many at most.
     """
     groups: dict[tuple[Cause | None, str], list[Case]] = {}

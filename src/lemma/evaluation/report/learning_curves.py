@@ -20,9 +20,9 @@ class Point:
     """A checkpoint that was evaluated."""
 
     steps: int
-    """Of the training."""
+    """Steps of the training."""
     episodes: int
-    """Of split val that were played."""
+    """Episodes of split val that were played."""
     successes: int
     """Strictly."""
 

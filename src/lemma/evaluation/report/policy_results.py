@@ -42,7 +42,7 @@ class PolicyResults:
         """Return the cells of each seed that are of a kind, and of some values.
 
         Args:
-            kind: Of instructions.
+            kind: Kind of instructions.
             where: Fields of a cell and their values, such as ``task="stack"``.
         """
         return [
@@ -177,7 +177,7 @@ def entries_of(
     Results of ``lemma evaluate`` for a policy of the registry belong there, too.
 
     Args:
-        results: Of any policies and seeds.
+        results: Results of any policies and seeds.
         complete: Whether experiments without results have an entry too.
 
     Raises:

@@ -168,7 +168,7 @@ def values_of(
 
     Args:
         entries: Where.
-        kind: Of instructions.
+        kind: Kind of instructions.
         field: ``"team"`` or ``"distractors"``.
     """
     order: Sequence[Any] = {"team": TEAMS, "distractors": _DISTRACTORS}[field]

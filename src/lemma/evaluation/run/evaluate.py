@@ -82,7 +82,7 @@ def evaluate(
         ended: dict[tuple[str, str, int], Row] = {}
 
         def take(row: Row) -> None:
-            # Of a worker that died, episodes end twice.
+            # Episodes of a worker that died end twice.
             if key_of(row) not in ended:
                 advance(1)
             ended[key_of(row)] = row
@@ -106,7 +106,7 @@ def start_of(task: str, split: str, index: int, *, moved: bool) -> Instance:
 
     Args:
         task: Name of the task.
-        split: Of the list.
+        split: Name of the list.
         index: Number in the list.
         moved: Whether from its perturbed start, ``perturb_start`` in the line.
     """

@@ -84,7 +84,7 @@ def connected(spec: PolicySpec, address: str) -> Any:
 
     Args:
         spec: How long it may take, and in which environment it shall act.
-        address: Of ``lemma serve`` or of a model server.
+        address: Address of ``lemma serve`` or of a model server.
 
     Raises:
         LemmaError: Nobody answers there, or in another language.

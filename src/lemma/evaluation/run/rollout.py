@@ -80,7 +80,7 @@ class Verdict:
     failure: str | None
     """Why it failed; None if it succeeded or is not over."""
     fault: Fault | None
-    """Of the policy, if that is why."""
+    """Failure of the policy, if that ended the episode."""
     asked_holds: bool | None
     """Whether the other goal holds that was asked for; None if none was."""
     elapsed_s: float
@@ -93,7 +93,7 @@ class Verdict:
     left: int | None
     """Sub-tasks that the expert needs from there; None if it has no plan."""
     state_sha256: str
-    """Of the simulator's whole state."""
+    """Digest of the simulator's whole state."""
     asked: int = 0
     """How many efforts of its policy were counted so far."""
 

@@ -144,8 +144,8 @@ def checkpoint_folder(name: str) -> Iterator[str]:
     """Give what lerobot reads: published weights are unpacked meanwhile.
 
     Args:
-        name: Of published weights; or a folder or a repository of the Hub, which is
-            given as it is.
+        name: Name of published weights; or a folder or a repository of the Hub, which
+            is returned as it is.
 
     Raises:
         WeightsError: There is nothing of that name, or published weights are missing or

@@ -130,7 +130,7 @@ class Cassette:
         """Yield number, end in bytes and content of further lines; None for blanks.
 
         Args:
-            number: Of the last line that was read.
+            number: Number of the last line that was read.
             end: Its end in bytes.
         """
         if not self.path.exists():

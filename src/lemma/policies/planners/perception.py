@@ -33,7 +33,7 @@ class RobotText:
     phrase: str
     """Its phrase in sentences: ``"red robot"``."""
     x: float
-    """Of its base [m]."""
+    """Position of its base along x [m]."""
     y: float
     reach_m: tuple[float, float]
     """Radii around its base between which it grasps and carries [m]."""
@@ -45,7 +45,7 @@ class ObjectText:
 
     name: str
     x: float
-    """Of its middle; of the stick, where it is grasped [m]."""
+    """Position of its middle along x; for the stick, of its grasp [m]."""
     y: float
     within: tuple[str, ...]
     """Robots that reach it."""

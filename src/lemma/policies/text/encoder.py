@@ -25,11 +25,11 @@ class TextConfig:
     """``words``: learned embeddings of the words that training sees.
     ``words+vectors``: with pretrained vectors of many more words added."""
     width: Width = 256
-    """Of a token."""
+    """Width of a token."""
     layers: Depth = 2
     """Transformer layers over the words."""
     heads: Depth = 4
-    """Of the attention."""
+    """Number of heads of the attention."""
     max_words: Count = 40
     """Words behind these are not read."""
     dropout: Share = 0.1
@@ -52,7 +52,7 @@ class WordEmbedding(nn.Module):
 
         Args:
             sentences: Gives words their numbers.
-            width: Of a token.
+            width: Width of a token.
             meaning: Whether pretrained vectors are added.
         """
         super().__init__()
@@ -87,7 +87,7 @@ class WordEmbedding(nn.Module):
 
         Args:
             spared: Words that never are, (B, L) bool.
-            share: Of the others.
+            share: Share of the others.
         """
         if not (self.training and share):
             return torch.zeros_like(spared)

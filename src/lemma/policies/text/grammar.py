@@ -199,7 +199,7 @@ class _Speaker:
         again = entity in self.named
         self.named.add(entity)
         draw = self.draw()
-        # Of two cubes the noun is left out more often than of a cube and a pad.
+        # The noun is left out more often with two cubes than with a cube and a pad.
         if style == "bare" and (kind.cargo or draw < 0.4):
             forms = (f"{color} one", f"the {color} one") if self.on_cubes else ()
             return color if draw < 0.6 or not forms else self.of((*forms, color))

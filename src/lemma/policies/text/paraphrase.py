@@ -52,29 +52,29 @@ class ParaphraseConfig:
     """How far sentences are taken apart; all are chances."""
 
     ruled: float = 0.65
-    """Of a sentence that no template has a part in, but the rules of a grammar."""
+    """Probability of a sentence from the rules of a grammar, without any template."""
     native: float = 0.3
-    """Of a sentence of the task, as it stands, but for single words."""
+    """Probability of a sentence of the task, as it stands, but for single words."""
     turned: float = 0.3
-    """Of telling each relation the other way round: what goes under what."""
+    """Probability of inverting each relation: the lower object under the upper."""
     fronted: float = 0.2
-    """Of beginning with the place: on the pad goes the cube."""
+    """Probability of beginning with the place: on the pad goes the cube."""
     renamed: float = 0.6
-    """Of another name for a thing, each time it is mentioned."""
+    """Probability of another name for a thing, each time it is mentioned."""
     clause_dropped: float = 0.4
-    """Of leaving out a clause that mentions nothing."""
+    """Probability of leaving out a clause that mentions nothing."""
     clause_added: float = 0.25
-    """Of adding such a clause of another template."""
+    """Probability of adding such a clause of another template."""
     swapped: float = 0.15
-    """Of another English word of similar meaning, for each word but colors."""
+    """Probability of replacing each word but colors by a similar English word."""
     left_out: float = 0.03
-    """Of leaving out a word, for each but colors."""
+    """Probability of leaving out a word, for each but colors."""
     strange: float = 0.02
-    """Of any English word in its place, for each but colors."""
+    """Probability of any English word in its place, for each but colors."""
     mistyped: float = 0.01
-    """Of a typing error, for each but colors."""
+    """Probability of a typing error, for each but colors."""
     unmarked: float = 0.2
-    """Of a sentence without punctuation."""
+    """Probability of a sentence without punctuation."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,8 @@ def paraphrase(
         rng: Where all draws come from.
         config: How far sentences are taken apart.
         taught: The only templates to use; all that training may see if empty.
-        rules: Of the sentences that no template has a part in; those that come with
-            the package if None.
+        rules: Rules of the sentences made without templates; those that come with the
+            package if None.
     """
     config = config or ParaphraseConfig()
     used = tuple(taught) or None

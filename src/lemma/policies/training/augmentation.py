@@ -26,7 +26,7 @@ def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Ba
     Args:
         batch: With labels, on any device.
         options: Changes that may be drawn.
-        rng: Of all that is drawn.
+        rng: Random generator.
     """
     assert batch.labels is not None
     episodes, numbers = np.unique(batch.labels.episode.cpu(), return_inverse=True)

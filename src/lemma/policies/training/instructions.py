@@ -57,7 +57,7 @@ def with_language(batch: Batch, language: str, rng: np.random.Generator) -> Batc
         batch: With labels.
         language: ``"full"``; ``"none"``: nothing is said; or ``"shuffled"``: what is
             said was said to another episode.
-        rng: Of the exchange.
+        rng: Random generator of the exchange.
     """
     if language == "full":
         return batch

@@ -41,7 +41,7 @@ class Sampler:
     rank: int = 0
     processes: int = 1
     name: str = "order"
-    """Of the source."""
+    """Name of the source."""
 
     def step(self, number: int) -> list[int]:
         """Return the units of a step; all processes together draw from one order."""
@@ -80,7 +80,7 @@ class FrameSource:
     """The frames of every unit."""
     order: Sampler
     share: float
-    """Of the units of each batch; over many steps it is met exactly."""
+    """Share of the units of each batch; over many steps it is met exactly."""
 
     def drawn(self, steps: int) -> int:
         """Return how many units each process has drawn from here after some steps."""
@@ -106,7 +106,7 @@ class BatchLoader:
             frames: All keyframes of the split.
             units: The frames of every unit.
             order: Which units a step draws.
-            config: Of the training run.
+            config: Options of the training run.
             device: Where batches shall be.
             recovery: Recovery states to mix in, if any.
         """

@@ -33,7 +33,7 @@ class Reporter:
         """Open what is written to.
 
         Args:
-            config: Of the run, resolved.
+            config: Options of the run, resolved.
             step: From which it goes on.
             speaks: Whether this process does so at all.
         """

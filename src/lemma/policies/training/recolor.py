@@ -20,7 +20,7 @@ _HEIGHT_TOLERANCE_M = 0.010
 """More than the noise of a measured height, less than a thing above another."""
 _WHITE = "white"
 _LEAST_WHITE = 0.72
-"""Of white; the table is half as bright."""
+"""Least brightness of white, as a share; the table is half as bright."""
 _LEAST_LIGHT = 0.12
 """Darker cells have no color."""
 

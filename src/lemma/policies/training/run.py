@@ -112,7 +112,7 @@ def read_frames(
     Args:
         config: Says which.
         team: The processes that train together.
-        entities: Of the model.
+        entities: Entities of the model.
 
     Raises:
         DatasetError: Files are missing, damaged or of another version.
@@ -317,7 +317,7 @@ class TrainingReport:
     passes: float
     """How often each frame was seen, of demonstrations."""
     seconds: float
-    """Of training, in all runs."""
+    """Seconds of training, in all runs."""
     samples_per_s: float
     """Frames per second in this run, validation and checkpoints left out."""
     input_wait: float
@@ -326,7 +326,7 @@ class TrainingReport:
     """Largest, of this run."""
     device: str
     scores: Scores
-    """Of the best weights, in validation."""
+    """Scores of the best weights, in validation."""
     best_step: int
     scores_by_kind: dict[str, Scores]
     """The same, for each kind of instruction alone; when a run is over."""

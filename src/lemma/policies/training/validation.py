@@ -28,8 +28,8 @@ def validate(
 
     Args:
         model: In evaluation mode.
-        frames: Of the split.
-        config: Of the training run: batch size, kinds of sentences, control.
+        frames: Frames of the split.
+        config: Options of the training run: batch size, kinds of sentences, control.
         team: Processes, each of which does a part.
         kinds: Kinds of sentences, if not those of the training run.
     """

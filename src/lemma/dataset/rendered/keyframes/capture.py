@@ -51,9 +51,9 @@ class KeyframeForm:
     """Images of every keyframe, for policies that plan from one to the next."""
 
     width: int = CAMERA_WIDTH_PX
-    """Of camera images [px]."""
+    """Width of camera images [px]."""
     height: int = CAMERA_HEIGHT_PX
-    """Of camera images [px]."""
+    """Height of camera images [px]."""
 
     def __post_init__(self) -> None:
         """Check the size."""

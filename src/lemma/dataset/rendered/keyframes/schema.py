@@ -50,9 +50,9 @@ class Header:
     robots: int
     """Robots, and cameras, of every episode."""
     width: int
-    """Of camera images [px]."""
+    """Width of camera images [px]."""
     height: int
-    """Of camera images [px]."""
+    """Height of camera images [px]."""
     raster: Raster
     entities: tuple[str, ...]
     """Names of objects, in the order of the column ``objects``."""

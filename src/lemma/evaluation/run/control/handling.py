@@ -22,7 +22,7 @@ class HandlingWatch:
             or scene.model.geom(geom).name.partition("/")[0]
             for geom in range(scene.model.ngeom)
         ]
-        """Of each geom: the entity or robot that it belongs to."""
+        """The entity or robot that each geom belongs to."""
         self._hands = {*episode.simulation.arms, STICK}
         self._held: dict[str, str] = {}
         self._events: list[dict[str, Any]] = []

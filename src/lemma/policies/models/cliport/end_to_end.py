@@ -49,7 +49,7 @@ class MCLIPortConfig(CLIPortConfig):
     word_dropout: Share = 0.1
     """Share of words that are unknown in training."""
     robots: Depth = 2
-    """Of every scene."""
+    """Number of robots of every scene."""
 
 
 @dataclass(frozen=True)

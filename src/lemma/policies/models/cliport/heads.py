@@ -40,7 +40,7 @@ class HeadsConfig:
     """Channels of the network that sees the crop."""
     sentence_width: int
     bins: int
-    """Of yaw, for pick and place; each is refined by a residual."""
+    """Number of bins of yaw, for pick and place; each is refined by a residual."""
     kernel_channels: int
     """Channels that are correlated."""
     crop: int
@@ -118,7 +118,7 @@ class PickHead(nn.Module):
 
         Args:
             seen: From :meth:`forward`.
-            numbers: Of pick cells, (B, K).
+            numbers: Numbers of pick cells, (B, K).
 
         Returns:
             Offsets in the cell, (B, K, 2), logits of the bins of yaw, (B, K, bins),
@@ -188,8 +188,8 @@ class PlaceHead(nn.Module):
 
         Args:
             seen: From :meth:`forward`.
-            numbers: Of place cells, (B, K).
-            bin_numbers: Of yaw, (B, K).
+            numbers: Numbers of place cells, (B, K).
+            bin_numbers: Numbers of the bins of yaw, (B, K).
             pick: As in :meth:`forward`.
             cells: Where the cells are.
 

@@ -78,7 +78,7 @@ class CLIPortConfig:
     query_widths: Widths = (32, 64, 96, 128)
     """The same of the network that sees what lies around the pick."""
     bins: Count = 12
-    """Of yaw; each is refined by a residual."""
+    """Number of bins of yaw; each is refined by a residual."""
     kernel_channels: Width = 8
     """Channels that are correlated."""
     crop: Count = 128
@@ -88,7 +88,7 @@ class CLIPortConfig:
     zoom: bool = True
     """Whether to look again at the place that was found, which CLIPort does not."""
     text_width: Width = 192
-    """Of a word."""
+    """Width of a word."""
     text_layers: Depth = 2
     """Transformer layers over the words."""
     word_dropout: Share = 0.0

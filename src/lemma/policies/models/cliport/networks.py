@@ -56,7 +56,7 @@ class Encoder(nn.Module):
         """Make the weights.
 
         Args:
-            channels_in: Of the picture.
+            channels_in: Channels of the picture.
             widths: Channels of each level, from fine to coarse.
         """
         super().__init__()
@@ -129,7 +129,7 @@ class TwoStreams(Network):
 
         Args:
             widths: Channels of each level, from fine to coarse.
-            sentence_width: Of the sentence's vector.
+            sentence_width: Width of the sentence's vector.
         """
         super().__init__()
         self.spatial = Encoder(IMAGE_CHANNELS, widths)

@@ -28,7 +28,7 @@ def nearest_bins(yaw: Tensor, bins: int) -> tuple[Tensor, Tensor]:
 
     Args:
         yaw: [rad], (...).
-        bins: Of a whole turn.
+        bins: Number of bins of a whole turn.
 
     Returns:
         Bins, (..., 2) int64, and what is to be added to them, in widths of a bin,

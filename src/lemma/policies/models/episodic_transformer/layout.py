@@ -142,7 +142,7 @@ class ViewCache:
         Args:
             views: At least one.
             compute: Maps views to features, one row each.
-            state: Of the network; when another is given, all is forgotten.
+            state: State of the network; when another is given, all is forgotten.
         """
         if state != self._state:
             self.clear()

@@ -58,15 +58,15 @@ class EpisodicTransformerConfig:
     text: TextKind = "words"
     """Kind of the text encoder: see ``TextConfig``."""
     width: Width = 384
-    """Of a token."""
+    """Width of a token."""
     heads: Depth = 6
-    """Of each attention."""
+    """Number of heads of each attention."""
     text_layers: Depth = 2
     """Layers over the words alone."""
     layers: Depth = 2
     """Layers over words, frames and decisions."""
     channels: Widths = (48, 96, 192, 384)
-    """Of the stages of the image network, each with half the resolution."""
+    """Channels of the stages of the image network, each with half the resolution."""
     blocks: Depth = 2
     """Residual blocks in each stage; 2 make a ResNet-18."""
     grid: Depth = 7
@@ -324,7 +324,7 @@ def choose(scores: Sequence[Tensor], entities: EntitySet = BENCHMARK) -> Tensor:
     a cube. Whether the objects are there is for the network to see.
 
     Args:
-        scores: Of robots, primitives, what to pick and where to place, (B, n) each.
+        scores: Scores of robots, primitives, picked and place entities, (B, n) each.
         entities: Entities, in the order of their numbers.
     """
     robot, primitive, pick, place = (part.float() for part in scores)

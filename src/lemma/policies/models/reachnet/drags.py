@@ -65,7 +65,7 @@ class Drags:
     freed; room for stick, for cube, for the hand, and around bases [m]; and how surely
     there is a table under the cube."""
     bearings: Tensor
-    """Of the stick [rad], (B, R, S, C, T)."""
+    """Bearings of the stick [rad], (B, R, S, C, T)."""
     prepared: Tensor
     """Gripper where the stick is put down, (B, R, S, C, T, 2) [m]."""
 
@@ -302,7 +302,7 @@ def _own(margins: Tensor) -> Tensor:
     """Return each robot's margin of its own points, (B, R, ...).
 
     Args:
-        margins: Of every robot at the points of every robot, (B, R, R, ...).
+        margins: Margins of every robot at the points of every robot, (B, R, R, ...).
     """
     return torch.stack([margins[:, i, i] for i in range(margins.shape[1])], 1)
 

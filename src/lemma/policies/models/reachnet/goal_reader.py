@@ -46,11 +46,11 @@ class ReaderConfig:
     """Options of a :class:`GoalReader`."""
 
     width: Width = 128
-    """Of a token."""
+    """Width of a token."""
     layers: Depth = 3
     """Transformer layers over the words."""
     heads: Depth = 4
-    """Of the attention."""
+    """Number of heads of the attention."""
     max_words: Count = 80
     """Words and marks behind these are not read."""
     dropout: Share = 0.1
@@ -293,6 +293,6 @@ def pairs_of(rows: Sequence[Sequence[int]], names: Sequence[str]) -> GoalPairs:
 
     Args:
         rows: Numbers of (top, bottom) pairs; -1 for none.
-        names: Of the entities.
+        names: Names of the entities.
     """
     return tuple((names[a], names[b]) for a, b in rows if a != NOBODY)

@@ -93,7 +93,7 @@ class ReachNetConfig:
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     """Options of the planner."""
     noise: Noise = field(default_factory=Noise)
-    """Of tables that are made from labels."""
+    """Noise of tables that are made from labels."""
     draws: Depth = 2
     """Tables that are made from the labels of each frame; half of them are turned."""
     perceived: bool = True

@@ -55,11 +55,11 @@ class PlannerConfig:
     """Options of the planner."""
 
     width: Width = 128
-    """Of a token."""
+    """Width of a token."""
     layers: Depth = 4
-    """Of the transformer."""
+    """Number of layers of the transformer."""
     heads: Depth = 4
-    """Of the attention."""
+    """Number of heads of the attention."""
     dropout: Share = 0.05
     """Share of values left out in training."""
     past_dropout: Share = 0.5
@@ -300,7 +300,7 @@ def likeliest(
     """Return sub-tasks and how likely they are, for each of B scenes, likeliest first.
 
     Args:
-        scores: Of every sub-task, (B, N).
+        scores: Scores of every sub-task, (B, N).
         robots: Robots of a team.
         entities: Entities, in the order of their numbers.
     """

@@ -20,7 +20,7 @@ from lemma.policies.models.reachnet.tool_shape import GRASP_M
 from lemma.scene.raster import RASTER, Raster
 
 COLUMNS = 128
-"""Of a table's :attr:`SceneTable.ground`."""
+"""Number of columns of a table's :attr:`SceneTable.ground`."""
 CONJUNCTS = 2
 """Largest number of (top, bottom) pairs of a goal."""
 FAR_M = 10.0
@@ -182,7 +182,7 @@ def true_table(
     Args:
         labels: Where everything is.
         rings: Radii of reach, (B, R, 3) [m].
-        raster: Of the maps.
+        raster: Raster of the maps.
         entities: Whose numbers the labels have.
     """
     traits = traits_of(entities, labels.objects.device)

@@ -73,7 +73,7 @@ def score_eye(
     Args:
         table: Predicted scene.
         truth: True scene.
-        raster: Of the map.
+        raster: Raster of the map.
     """
     both = table.present & truth.present
     off = (table.xy - truth.xy).norm(dim=-1)

@@ -170,7 +170,7 @@ class StickSpots(_Spots):
         Args:
             table: B scenes.
             robot: (B,).
-            heading: Of the stick where it is laid, from straight outward, (B, N, yaws).
+            heading: Heading of the laid stick, from straight outward, (B, N, yaws).
         """
         rows = torch.arange(len(table), device=robot.device)
         ray = table.grasp - table.bases[rows, robot]

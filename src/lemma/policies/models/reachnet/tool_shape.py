@@ -49,7 +49,7 @@ def stick_distance(grasp: Tensor, yaw: Tensor, points: Tensor) -> Tensor:
 
     Args:
         grasp: Where the stick is grasped, (..., 2) [m].
-        yaw: Of the stick, (...) [rad].
+        yaw: Yaw of the stick, (...) [rad].
         points: (..., 2) [m].
     """
     x, y = (points - grasp).unbind(-1)
@@ -64,7 +64,7 @@ def swept_distance(u: Tensor, v: Tensor, back: Tensor, forth: Tensor) -> Tensor:
     followed exactly; of others, the rectangle around them.
 
     Args:
-        u: Of the points, ahead of the gripper when the motion begins [m].
+        u: Coordinate of the points, ahead of the gripper when the motion begins [m].
         v: To its left [m].
         back: How far the stick moves back, at most 0 [m].
         forth: How far it moves ahead, at least 0 [m].
