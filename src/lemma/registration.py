@@ -11,7 +11,7 @@ from lemma.tasks.names import SUITE, gym_id
 if TYPE_CHECKING:
     from lemma.env.base_env import LemmaEnv
     from lemma.env.control_env import ControlEnv
-    from lemma.env.parallel_env import LemmaParallelEnv
+    from lemma.env.learning.parallel_env import LemmaParallelEnv
     from lemma.env.skill_env import SkillEnv
     from lemma.expert.plan_env import PlanEnv
 
@@ -106,7 +106,7 @@ def parallel_env(
         InvalidConfigError: An option has an impossible value.
     """
     inner = make(task, level="control", render_mode=render_mode, **options)
-    env: LemmaParallelEnv = import_module("lemma.env.parallel_env").LemmaParallelEnv(
-        inner
-    )
+    env: LemmaParallelEnv = import_module(
+        "lemma.env.learning.parallel_env"
+    ).LemmaParallelEnv(inner)
     return env

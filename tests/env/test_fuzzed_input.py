@@ -15,7 +15,7 @@ import lemma
 from lemma.core.errors import LemmaError
 from lemma.env.base_env import LemmaEnv
 from lemma.env.config import EnvConfig
-from lemma.env.parallel_env import LemmaParallelEnv
+from lemma.env.learning.parallel_env import LemmaParallelEnv
 
 LEVELS = ("control", "skill", "plan")
 AGENTS = ("robot_0", "robot_1", "robot_2")

@@ -2,7 +2,7 @@
 
 An environment is one face of an :class:`~lemma.env.episode.Episode`. Rewards are
 sparse, 1 when the episode ends in success, else 0, or
-:mod:`dense <lemma.env.learning.rewards>`; ``info["progress"]`` says how much of the
+:mod:`dense <lemma.env.rewards>`; ``info["progress"]`` says how much of the
 goal holds.
 """
 
@@ -19,12 +19,12 @@ from lemma.core.robot_names import robot_names
 from lemma.env.camera_rig import OVERVIEW
 from lemma.env.config import EnvConfig, InstanceSource, own_options
 from lemma.env.episode import Episode, EpisodeSnapshot
-from lemma.env.learning.rewards import RewardMeter
 from lemma.env.observation import (
     Observation,
     Observer,
     object_poses,
 )
+from lemma.env.rewards import RewardMeter
 from lemma.env.view import View
 from lemma.scene.cameras import Camera, RgbImage
 from lemma.scene.rendering.renderer import Renderer

@@ -93,7 +93,7 @@ class EnvConfig:
     evaluation and not of split ``"train"``, ``"blind"``."""
     reward: str = "sparse"
     """How steps are rewarded; a name in
-    :data:`lemma.env.learning.rewards.REWARDS`."""
+    :data:`lemma.env.rewards.REWARDS`."""
     reward_discount: float = 0.99
     """The learner's discount gamma, which dense rewards are shaped for."""
     numeric_info: bool = False

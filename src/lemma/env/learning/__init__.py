@@ -1,1 +1,1 @@
-"""For learners: dense rewards, and flat views."""
+"""Views of environments for learners: flat ones, and PettingZoo."""

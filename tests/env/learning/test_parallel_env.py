@@ -9,7 +9,7 @@ from pettingzoo.test import parallel_api_test
 
 import lemma
 from lemma.core.errors import InvalidActionError, ResetNeededError
-from lemma.env.parallel_env import LemmaParallelEnv
+from lemma.env.learning.parallel_env import LemmaParallelEnv
 from lemma.tasks.names import SUITE
 
 
