@@ -118,7 +118,7 @@ def audit(
     Args:
         keys: Task, split and index of each instance.
         names: Names of attacks.
-        engine: Where to work.
+        engine: Workers that run the jobs.
         advance: Called with the number of instances that are newly finished.
 
     Returns:

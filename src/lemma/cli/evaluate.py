@@ -120,7 +120,7 @@ def evaluate(
         out: Folder of the result: one line per episode in episodes.jsonl, counts and
             causes of failure in summary.json.
         ask: Options of the evaluation.
-        working: Where to work.
+        working: Options of the workers.
         as_json: Print one JSON object instead of a table.
         model: Options of a language model.
     """

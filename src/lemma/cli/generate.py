@@ -92,7 +92,7 @@ def generate(
         wanted: Which episodes.
         out: Folder of the recipe; data/lemma-v2 by default, and
             data/lemma-v2-recovery with --perturb.
-        working: Where to work.
+        working: Options of the workers.
         resume: Complete an existing folder; otherwise it must be empty.
         as_json: Print one JSON object instead of a table.
     """

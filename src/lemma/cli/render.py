@@ -109,7 +109,7 @@ def render(
             lerobot: LeRobotDataset v3.0, states, commands and videos at a rate, for
             which the lerobot package is needed.
         look: Selection of episodes, and options of the images.
-        working: Where to work.
+        working: Options of the workers.
         as_json: Print one JSON object instead of words.
     """
     order = RenderConfig(

@@ -66,7 +66,7 @@ def replay(
     Args:
         data: Folder of the recipe, or file of an episode that was led by hand.
         part: Which episodes.
-        working: Where to work.
+        working: Options of the workers.
         browser: Folder for a page that needs neither a server nor a network, and a
             .viser file of each episode.
         validate: No effect: every replay validates.

@@ -74,7 +74,7 @@ def reproduce(
         out: Folder of all results: one folder per experiment, one file per training
             seed.
         extent: From which weights, and how many episodes.
-        working: Where to work.
+        working: Options of the workers.
         print_commands: Print how the weights of all seeds are trained and evaluated,
             and do nothing.
     """

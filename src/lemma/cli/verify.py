@@ -37,7 +37,7 @@ def verify(
         episodes: Number of episodes of each task and kind of instruction, drawn at
             random; all by default.
         seed: Seed of the random draw of episodes.
-        working: Where to work.
+        working: Options of the workers.
         as_json: Print one JSON object instead of text.
     """
     # Imported here, so that help does not wait for it.

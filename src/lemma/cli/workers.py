@@ -28,7 +28,7 @@ _RATE_PERIOD_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Where to work."""
+    """Options of the workers."""
 
     workers: Number = None
     """Processes on this machine; one per core by default."""

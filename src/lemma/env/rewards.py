@@ -3,8 +3,8 @@
 Every reward begins with the sparse one: 1 when the episode ends in success, else 0. A
 dense reward adds F = gamma phi(s') - phi(s), where phi is a potential of the state
 alone (Ng, Harada and Russell, "Policy invariance under reward transformations", 1999).
-Over T steps the discounted sum of F is gamma^T phi(s_T) - phi(s_0), whatever happened
-in between, so going in circles earns nothing.
+Over T steps the discounted sum of F is gamma^T phi(s_T) - phi(s_0), independent
+of the states in between, so going in circles earns nothing.
 
 An episode that is terminated ends in a potential of 1 if it succeeded and of 0 if not.
 Its discounted return is then a multiple of the sparse one, less phi(s_0): the same

@@ -51,7 +51,7 @@ EpisodeKey = tuple[str, str, int]
 
 
 class Departure(StrEnum):
-    """In what a sub-task departs from what the expert would do now."""
+    """Difference of a sub-task from the expert's decision in the same state."""
 
     NONE = ""
     """In nothing: it is the same in symbols."""

@@ -243,10 +243,10 @@ def verify(
 
     Args:
         lines: The file of its episodes.
-        engine: Where to work.
+        engine: Workers that run the jobs.
         episodes: Only so many of each task and kind, drawn at random; all if None.
         seed: Seed of the draw.
-        advance: Told how many were played since it was last told.
+        advance: Called with the number of episodes played since the last call.
     """
     try:
         claim = Claim.read(lines)

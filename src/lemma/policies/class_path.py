@@ -64,7 +64,7 @@ def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
 
     Args:
         name: ``"package.module:Class"``, or ``"lerobot:CHECKPOINT"``.
-        arguments: That it is called with, by name.
+        arguments: Arguments of the class, by name.
 
     Raises:
         InvalidConfigError: There is no such class, or it cannot be made.

@@ -467,8 +467,8 @@ def load_part(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
     """Return the planner, grounder or policy of a name.
 
     Args:
-        name: Name of it.
-        arguments: That its class is called with.
+        name: Name of the policy or part.
+        arguments: Arguments of its class.
 
     Raises:
         LemmaError: There is none, or its weights are missing or damaged.

@@ -107,7 +107,7 @@ def mark_ended(path: Path, ended: Literal["steps", "time limit"], steps: int) ->
     Args:
         path: The file.
         ended: Reason why it ended.
-        steps: That were done.
+        steps: Number of steps done.
 
     Raises:
         WeightsError: It is missing or damaged.
@@ -284,7 +284,7 @@ def _check_shapes(
     Args:
         path: Path of the file.
         metadata: Metadata of the file.
-        file: It, opened.
+        file: The opened file.
         names: Names of tensors in the file, by their present names.
         wanted: Tensors that the model has.
 

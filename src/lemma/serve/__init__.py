@@ -1,7 +1,7 @@
 """Policies in other processes: the socket, and its protocol.
 
-Whoever serves a policy needs NumPy, msgspec and websockets, and what the policy itself
-needs: neither MuJoCo nor torch are imported here.
+Serving a policy needs NumPy, msgspec and websockets, and the policy's own packages:
+neither MuJoCo nor torch is imported here.
 """
 
 from lemma.serve.server import PolicyServer, serve

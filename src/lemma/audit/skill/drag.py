@@ -60,7 +60,7 @@ def _far_cubes(trial: SkillTrial) -> list[str]:
 
 
 def _bring_home(trial: SkillTrial, ways: Ways) -> None:
-    """Drag whatever the goal needs into reach, then do the rest alone."""
+    """Drag all objects of the goal into reach, then do the rest alone."""
     failures: dict[str, int] = {}
     for _ in range(_STEPS):
         plan = trial.plan_alone()

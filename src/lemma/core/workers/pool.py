@@ -26,7 +26,7 @@ from lemma.core.workers.resources import usable_cores
 Job = tuple[Any, ...]
 """Arguments of one call."""
 Listener = Callable[[Any], None]
-"""Is told what jobs report."""
+"""Called with each report of a job."""
 
 MOST_DEATHS = 5
 """How many workers may die of one job."""
@@ -55,7 +55,7 @@ class Engine(Protocol):
         Args:
             function: Function that every job calls; it belongs to a module.
             jobs: Arguments of each call.
-            on_report: Told what jobs :func:`report`, before they have ended.
+            on_report: Called with each report of a job, before that has ended.
         """
         ...
 
@@ -69,7 +69,7 @@ _listener: Listener = ignore
 
 
 def report(message: Any) -> None:
-    """Tell whoever runs this job something before it ends: that a part of it is done.
+    """Report to the caller of this job before it ends: that a part of it is done.
 
     Args:
         message: Anything that can be pickled. Outside of a job nobody hears it.
@@ -94,7 +94,7 @@ def run_in_order(
     """Yield what each job returned, in the order of the jobs.
 
     Args:
-        engine: Where to work.
+        engine: Workers that run the jobs.
         function: Function that every job calls.
         jobs: Arguments of each call.
     """
@@ -145,7 +145,7 @@ class ProcessPool:
         Args:
             function: Function that every job calls; it belongs to a module.
             jobs: Arguments of each call.
-            on_report: Told what jobs :func:`report`, in the order in which it arrives.
+            on_report: Called with each report of a job, in the order of arrival.
 
         Raises:
             WorkerError: Processes keep dying of a job, or cannot begin at all.

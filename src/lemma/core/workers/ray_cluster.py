@@ -70,7 +70,7 @@ class RayCluster:
         Args:
             function: Function that every job calls; it belongs to a module.
             jobs: Arguments of each call.
-            on_report: Told what jobs report, all of it when a job has ended.
+            on_report: Called with all reports of a job when that has ended.
 
         Raises:
             WorkerError: Machines of the cluster keep dying.

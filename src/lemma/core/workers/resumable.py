@@ -49,10 +49,10 @@ def do_missing(
 
     Args:
         parts: All parts of the job.
-        function: Does a part; a function of a module.
-        engine: Where to work.
-        advance: Is told at once how many episodes are done already.
-        on_report: Is told what parts report before they end.
+        function: Function that does a part; it belongs to a module.
+        engine: Workers that run the jobs.
+        advance: Called at once with the number of episodes that are done already.
+        on_report: Called with each report of a part before that ends.
     """
     advance(sum(part.size for part in parts if part.is_done))
     missing = [part for part in parts if not part.is_done]

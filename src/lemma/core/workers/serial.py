@@ -25,7 +25,7 @@ class Serial:
         Args:
             function: Function that every job calls.
             jobs: Arguments of each call.
-            on_report: Told what jobs report, before they have ended.
+            on_report: Called with each report of a job, before that has ended.
         """
         for job in jobs:
             with heard_by(on_report):

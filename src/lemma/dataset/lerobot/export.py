@@ -140,7 +140,7 @@ def write_dataset(
 
     Args:
         order: The settings.
-        engine: Where to work.
+        engine: Workers that run the jobs.
         advance: Is told how many episodes are done already, then of each further one.
 
     Returns:
@@ -344,7 +344,7 @@ def aggregate_in_groups(folders: Sequence[Path], whole: Path, engine: Engine) ->
     Args:
         folders: Folders of the others; groups of them are written beside them.
         whole: Folder to write; what is there is replaced.
-        engine: Where to work.
+        engine: Workers that run the jobs.
     """
     size = max(_FEW, math.isqrt(len(folders)))
     if len(folders) > size:

@@ -141,7 +141,7 @@ def generate(
 
     Args:
         order: The settings.
-        engine: Where to work.
+        engine: Workers that run the jobs.
         advance: Is told how many episodes are done already, then of each further one.
 
     Returns:

@@ -77,7 +77,7 @@ def replay_all(
 
     Args:
         recipe: The recipe, or a selection of it.
-        engine: Where to work.
+        engine: Workers that run the jobs.
         advance: Is told how many further episodes are done.
 
     Returns:

@@ -190,7 +190,7 @@ def render(
     Args:
         order: Options of the rendering.
         form: In which form.
-        engine: Where to work.
+        engine: Workers that run the jobs.
         advance: Is told how many episodes are done already, then of each further one.
 
     Returns:

@@ -3,10 +3,11 @@
 The expert was asked before every sub-task
 (:mod:`lemma.evaluation.run.expert_feedback`), and once more at the end, how many
 sub-tasks it would need from there. A sub-task is a *mistake* if that number never falls
-below what it was before it, in all the rest of the episode. So whatever serves the goal
-is none, though the expert would have done something else, and neither is what was made
-good later. The first mistake is the cause. A refused sub-task leaves as many as there
-were, so a protective stop is a mistake, whose cause says what was wrong with it.
+below what it was before it, in all the rest of the episode. So a sub-task that
+serves the goal is none, even if the expert would have chosen another, and neither is a
+sub-task that was made good later. The first mistake is the cause. A refused sub-task
+leaves the number unchanged, so a protective stop is a mistake; its cause says what was
+wrong with it.
 """
 
 import math

@@ -84,9 +84,9 @@ class Asked:
     kind: str
     task: str
     episodes: int
-    """In which the sentence asked for another goal that the table allows."""
+    """Number whose sentence asked for another goal that the table allows."""
     held: int
-    """In which that goal held at the end."""
+    """Number of those in which that goal held at the end."""
 
 
 @dataclass(frozen=True)

@@ -247,7 +247,7 @@ for _learner, _called in (("act", "ACT"), ("diffusion", "Diffusion Policy")):
             policy=PolicySpec(
                 f"{LEROBOT_PRIVILEGED}{_learner}-privileged", arguments=(("hz", 5),)
             ),
-            # It is told the goal, whatever is said.
+            # It is given the goal, independent of the sentence.
             kinds=EVALUATION_KINDS[:1],
             tasks=CONTROL_TASKS,
             training=f"{_BASELINES} {_learner} --observation privileged",

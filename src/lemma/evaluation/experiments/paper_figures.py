@@ -31,7 +31,7 @@ class Figures:
     """Figures of the paper for one policy and kind of instructions."""
 
     mean: Measured
-    """Over the eight tasks."""
+    """Mean over the eight tasks."""
     tasks: Mapping[str, Measured]
     """By task."""
     teams: Mapping[str, Measured] = field(default_factory=dict)

@@ -35,7 +35,7 @@ class Agreement:
 
     episodes: int
     differing: tuple[str, ...]
-    """In what each episode differs that does, in words."""
+    """Differences of each episode that differs, in words."""
     farthest_m: float
     """By how far a pose moved at most [m]."""
 
@@ -61,7 +61,7 @@ def check_experiment(
         experiment: Which row.
         results: Folder of published results.
         episodes: How many of each task and kind of instruction.
-        engine: Where to work.
+        engine: Workers that run the jobs.
 
     Raises:
         DatasetError: There are no lines of it, or its weights are missing.

@@ -76,8 +76,8 @@ class Reproduction:
 
         Args:
             experiment: Experiment to play.
-            engine: Where to work.
-            advance: Told of episodes that are there.
+            engine: Workers that run the jobs.
+            advance: Called with the number of episodes that are finished.
 
         Returns:
             The file of the result.

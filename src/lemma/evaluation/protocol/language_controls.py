@@ -115,7 +115,7 @@ def _goals(pairs: GoalPairs, names: tuple[str, ...] | list[str]) -> Iterator[Goa
     entities = Goal.from_pairs(pairs).entities
     ways = []
     kinds = {name: kind_of(name) for name in (*entities, *names)}
-    # The benchmark's order, whatever the goal speaks of first.
+    # The benchmark's order, not that of the goal.
     for kind in map(OBJECT_KINDS.__getitem__, OBJECT_KINDS):
         needed = [name for name in entities if kinds[name] is kind]
         there = [name for name in names if kinds[name] is kind]

@@ -221,7 +221,7 @@ def starts_perturbed(result: Result) -> bool:
 
 
 def policy_of(result: Result) -> str:
-    """Return which policy a result is of, whatever was said and wherever it began."""
+    """Return the policy of a result, the same for every sentence and start."""
     return json.dumps(result.about["policy"], sort_keys=True)
 
 

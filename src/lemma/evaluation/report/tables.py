@@ -192,10 +192,10 @@ def coordination(entries: Iterable[PolicyResults], kind: str) -> Table:
 def language(entries: Iterable[PolicyResults]) -> Table:
     """Return how much each policy needs the sentence, where a control was run.
 
-    The success is at the goal of the instance, whatever is said. Where nothing is said,
-    tables without distractors stand apart, because they leave little to guess. The last
-    column is how often the other goal holds that swapped colors ask for, where the
-    table allows it.
+    Success is at the goal of the instance, for every sentence. Without a sentence,
+    tables without distractors have their own column: they leave little to guess. The
+    last column is how often the other goal of swapped colors holds, where the table
+    allows that goal.
     """
     families = _families(entries, lambda result: not starts_perturbed(result))
     rows = []
@@ -274,7 +274,7 @@ def _precision(entry: PolicyResults, kind: str, task: str, end: str) -> str:
 def _families(
     entries: Iterable[PolicyResults], wanted: Callable[[Result], bool]
 ) -> dict[str, list[Result]]:
-    """Return some results of each policy, whatever was said and wherever it began."""
+    """Return some results of each policy, across sentences and starts."""
     titles: dict[str, str] = {}
     found: dict[str, list[Result]] = {}
     for entry in entries:

@@ -53,9 +53,9 @@ def evaluate(
 
     Args:
         config: Options of the evaluation.
-        engine: Where to work.
-        advance: Told how many episodes were there at the beginning, and then of every
-            one that has ended.
+        engine: Workers that run the jobs.
+        advance: Called with the number of episodes that were there at the beginning,
+            and then for every one that has ended.
 
     Returns:
         All episodes, in the order of kinds, tasks and numbers.

@@ -110,7 +110,7 @@ def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:
 
 
 def departure(subtask: SubTask, plan: tuple[SubTask, ...]) -> Departure:
-    """Return in what a sub-task departs from a plan; the first that applies.
+    """Return how a sub-task departs from a plan: the first kind that applies.
 
     Args:
         subtask: Decision of a policy, other than ``stop``.

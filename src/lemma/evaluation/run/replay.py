@@ -16,7 +16,7 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 Watcher = Callable[[Episode, int], None]
-"""Told of an episode before each sub-task, from 0, and once more at the end."""
+"""Called with an episode before each sub-task, from 0, and again at the end."""
 
 _FREE = (*WALL_CLOCK, "planning", "policy_error", "explanation")
 """Fields that depend on the machine or on the policy, and sentences for people."""
@@ -38,7 +38,7 @@ def play_again(
         row: A line of ``episodes.jsonl``, not of a policy at control level.
         instance: The instance that it was played on.
         about: Settings, as in ``about.json``: the horizon, and the sentence given.
-        watch: Told of the episode before each sub-task.
+        watch: Called with the episode before each sub-task.
         strictly: Whether to end where the strict verdict was reached.
     """
     rollout = Rollout(

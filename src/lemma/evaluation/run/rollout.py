@@ -309,7 +309,7 @@ def roll_out(
         rollouts: Episodes to play; the next is set up when one has ended.
         player: Decides, for all running episodes together.
         at_once: Episodes that run at a time.
-        on_step: Told of every sub-task as soon as it has ended.
+        on_step: Called with every sub-task as soon as it has ended.
         lenient: Whether episodes go on after a protective stop, when all others have
             come to an end.
 

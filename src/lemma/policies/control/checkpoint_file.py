@@ -99,7 +99,7 @@ def unpack_checkpoint(path: Path, folder: Path) -> None:
 
     Args:
         path: File that :func:`pack_checkpoint` wrote.
-        folder: Where to; it is there.
+        folder: Existing folder to write to.
 
     Raises:
         WeightsError: The file is damaged, or no checkpoint of LeRobot.

@@ -71,8 +71,8 @@ class WordEmbedding(nn.Module):
 
         Args:
             told: The words.
-            dropped: Those that are unknown, (B, L) bool.
-            bare: Those of which the pretrained vector alone is shown, (B, L) bool.
+            dropped: Words that are unknown, (B, L) bool.
+            bare: Words shown only by their pretrained vector, (B, L) bool.
         """
         learned: Tensor = self.embedding(
             told.numbers.masked_fill(dropped | bare, UNKNOWN)

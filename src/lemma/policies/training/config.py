@@ -127,9 +127,9 @@ class TrainingConfig:
     compile: bool = False
     """Compile the parts of the model: slower to start, faster to run."""
     device: Literal["auto", "cuda", "cpu"] = "auto"
-    """Where to train; auto: on a GPU where there is one."""
+    """Device to train on; auto: a GPU if there is one."""
     images: Literal["auto", "device", "host"] = "auto"
-    """Where images are kept; auto: on the device if a tenth of its memory is enough."""
+    """Memory for the images; auto: the device if a tenth of its memory is enough."""
     shared_images: bool = False
     """Read images from uncompressed files that all runs of this machine share; the
     first run writes them beside the data."""

@@ -84,7 +84,7 @@ class Reporter:
 
         Args:
             step: Steps done.
-            values: ``loss``, ``samples_per_s`` and whatever else.
+            values: ``loss``, ``samples_per_s`` and others.
         """
         if not self.speaks:
             return

@@ -110,7 +110,7 @@ def read_frames(
     """Read both splits, to the device if it has room for them.
 
     Args:
-        config: Says which.
+        config: Options that select them.
         team: The processes that train together.
         entities: Entities of the model.
 
@@ -173,7 +173,7 @@ def recovery_units(
     """Return the frames of each unit of recovery states that may be mixed in.
 
     Args:
-        model: Says what a unit is.
+        model: Defines what a unit is.
         recovery: Recovery states.
         units: Units of the training set; states of other instances are left out.
         train: The frames of those units.

@@ -91,7 +91,7 @@ def place_cells(raster: Raster) -> Cells:
 
 
 class PickHead(nn.Module):
-    """Where to pick, and with which yaw."""
+    """Predicts the pick pose: position and yaw."""
 
     def __init__(self, config: HeadsConfig) -> None:
         """Make the weights."""

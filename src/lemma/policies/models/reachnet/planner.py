@@ -122,7 +122,7 @@ class ReachNetPlanner(nn.Module):
             table: B scenes.
             goal: (B, conjuncts, 2); -1 for none.
             past: Sub-tasks done before, oldest first, (B, P, 4); -1 for none.
-            drags: Says what can be done with the stick.
+            drags: Computes which drags the stick can do.
         """
         with torch.no_grad():
             values = drags.values(drags.drags(table))

@@ -38,8 +38,8 @@ def score_decisions(
 
     Args:
         decision: Predicted decisions, (B, 4).
-        poses: For that.
-        told: For what the demonstration did.
+        poses: Poses for these decisions.
+        told: Poses for the decisions of the demonstration.
         labels: The demonstration.
         entities: Entities, in the order of their numbers.
     """

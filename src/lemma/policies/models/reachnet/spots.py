@@ -58,7 +58,7 @@ class _Spots(nn.Module):
 
 
 class CubeSpots(_Spots):
-    """Where to put a cube."""
+    """Predicts the place for a cube."""
 
     def __init__(self, use_reach: bool = True) -> None:
         """Make the weights.
