@@ -49,7 +49,7 @@ def job(folder: Path, workers: int = 0, told: list[int] | None = None) -> list[i
     """Run a job as those of this package are; return the numbers that it made."""
     done = [] if told is None else told
     with only_writer(folder):
-        begin(folder / "about.json", RECORD)
+        begin(folder, "about.json", RECORD)
         parts = [
             Part((str(folder), number), 1, (folder / f"{number}.txt").exists())
             for number in range(COUNT)
@@ -110,13 +110,26 @@ def test_another_job_is_refused_and_what_is_there_stays(tmp_path: Path) -> None:
     before = contents(tmp_path)
     other = {"size": (2, 4), "versions": {"format": "2", "revision": "there"}, "b": 1}
     with pytest.raises(DatasetError) as refusal:
-        begin(tmp_path / "about.json", other)
+        begin(tmp_path, "about.json", other)
     assert str(refusal.value) == (
         f"{tmp_path / 'about.json'} holds another run: b was not given and is now 1; "
         "size was [2, 3] and is now [2, 4]; versions.format was 1 and is now 2. Choose "
         "a new folder, or delete this one."
     )
     assert contents(tmp_path) == before
+
+
+def test_a_job_that_did_nothing_may_be_begun_otherwise(tmp_path: Path) -> None:
+    path, other = tmp_path / "about.json", {"size": [9, 9]}
+    begin(tmp_path, "about.json", RECORD)
+    for name in (".lock", "episodes.jsonl"):
+        (tmp_path / name).touch()
+    (tmp_path / ".parts").mkdir()
+    begin(tmp_path, "about.json", other)
+    assert read_json(path) == other
+    write_part(str(tmp_path / ".parts"), 1)
+    with pytest.raises(DatasetError, match="another run"):
+        begin(tmp_path, "about.json", RECORD)
 
 
 def test_where_a_job_ran_decides_nothing() -> None:
@@ -136,7 +149,7 @@ def test_what_may_differ_is_chosen_by_the_job() -> None:
 def test_a_damaged_record_is_explained(tmp_path: Path) -> None:
     (tmp_path / "about.json").write_text("{")
     with pytest.raises(DatasetError, match="cannot be read"):
-        begin(tmp_path / "about.json", RECORD)
+        begin(tmp_path, "about.json", RECORD)
     write_json(tmp_path / "about.json", RECORD)
-    begin(tmp_path / "about.json", RECORD)
+    begin(tmp_path, "about.json", RECORD)
     assert read_json(tmp_path / "about.json") == RECORD

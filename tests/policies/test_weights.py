@@ -295,3 +295,6 @@ def test_codes_of_something_else_are_refused(coded: bytes) -> None:
         unpack(torch.zeros(3, 4), Rounding((3, 4), 0.5))
     with pytest.raises(PackingError):
         unpack(tensor, Rounding((3, 4), float("inf")))
+    for step in (float("nan"), 1e308, 1e35, -1.0):
+        with pytest.raises(PackingError, match="a step of"):
+            unpack(tensor, Rounding((3, 4), step))

@@ -7,9 +7,10 @@ from typing import Annotated
 import tyro
 
 from lemma.cli.options import File, Number, Team, Word
+from lemma.core.arguments import whole
 from lemma.core.errors import InvalidConfigError
 from lemma.robots.ur.build import ARMS
-from lemma.tasks.instance import Instance
+from lemma.tasks.instance import LARGEST_INDEX, Instance
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, default_split, load_instance, task_named
 
@@ -65,9 +66,7 @@ def select_instance(task: str | None, wish: Selection) -> Instance:
             "--split and --index name a frozen instance, --seed and --robots sample "
             "a new one. Use either the first two or the last two."
         )
-    seed = wish.seed or 0
-    if seed < 0:
-        raise InvalidConfigError(f"A seed is 0 or more, not {seed}.")
+    seed = whole("seed", wish.seed or 0, 0, LARGEST_INDEX)
     if wish.robots is None:
         return load_instance(task, FREE_SPLIT, seed)
     team = parse_team(wish.robots)

@@ -185,8 +185,12 @@ def _within(number: float, low: float | None, high: float | None) -> bool:
 
 def _range(low: float | None, high: float | None) -> str:
     if low is None or high is None:
-        return "" if low is None else f", at least {low:g}"
-    return f" from {low:g} to {high:g}"
+        return "" if low is None else f", at least {_said(low)}"
+    return f" from {_said(low)} to {_said(high)}"
+
+
+def _said(bound: float) -> str:
+    return str(bound) if isinstance(bound, int) else f"{bound:g}"
 
 
 def decode(kind: type[T], data: Any) -> T:

@@ -21,6 +21,8 @@ from torch import Tensor
 _LEAST = 1024
 """Tensors with fewer values, and vectors, are not rounded."""
 _LARGEST = 2**15 - 1
+_LARGEST_STEP = float(np.finfo(np.float32).max) / (_LARGEST + 1)
+"""Values of larger ones would overflow."""
 
 
 class PackingError(ValueError):
@@ -89,7 +91,7 @@ def unpack(coded: Tensor, rounding: Rounding) -> Tensor:
     Raises:
         PackingError: The code is not that of such a tensor.
     """
-    if not 0.0 < rounding.step < math.inf:
+    if not 0.0 < rounding.step < _LARGEST_STEP:
         raise PackingError(f"a step of {rounding.step}")
     if coded.dtype != torch.uint8 or coded.ndim != 1:
         raise PackingError(f"{coded.dtype} of shape {tuple(coded.shape)} is no code")

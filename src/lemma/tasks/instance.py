@@ -25,6 +25,10 @@ SPLITS = {"train": 700, "val": 40, "test": 60}
 """Frozen instances per task and split (paper, section V)."""
 
 
+LARGEST_INDEX = 2**63 - 1
+"""Of an instance; a sampled one has its seed as the index. Larger numbers fit into no
+table and no file of ours."""
+
 _PARTS = {
     "task": str,
     "split": str,
@@ -76,7 +80,7 @@ class Instance:
                     f"{name}={shown(getattr(self, name))} cannot be part of an "
                     f"instance. Valid: a {wanted.__name__}."
                 )
-        whole("index", self.index, 0)
+        whole("index", self.index, 0, LARGEST_INDEX)
         words = (*self.instructions, *self.instructions.values())
         if not all(isinstance(word, str) for word in words):
             raise InvalidConfigError(
@@ -187,7 +191,10 @@ class Instance:
                 f"{source} is of version {shown(version)} of the benchmark, and this "
                 f"is {BENCHMARK_VERSION}."
             )
-        return replace(cls.from_dict(data), split=OWN_SPLIT)
+        try:
+            return replace(cls.from_dict(data), split=OWN_SPLIT)
+        except InvalidConfigError as error:
+            raise InvalidConfigError(f"{source}: {error}") from None
 
     @classmethod
     def load(cls, path: Path) -> "Instance":

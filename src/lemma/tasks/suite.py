@@ -10,7 +10,7 @@ from keyword import iskeyword
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
 from lemma.tasks import library
-from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance
 from lemma.tasks.names import SUITE
 from lemma.tasks.sampling import sample
 from lemma.tasks.task import TASKS, Task
@@ -89,7 +89,7 @@ def load_instance(task: str, split: str, index: int) -> Instance:
     """
     check_split(task, split)
     if split == FREE_SPLIT:
-        seed = whole("index", index, 0)
+        seed = whole("index", index, 0, LARGEST_INDEX)
         return sample(task_named(task), split, seed).instance
     number = whole("index", index, 0, SPLITS[split] - 1)
     return Instance.from_dict(json.loads(_frozen_lines(task, split)[number]))

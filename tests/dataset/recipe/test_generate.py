@@ -99,6 +99,7 @@ def test_parts_are_taken_up(tmp_path: Path) -> None:
 
 def test_parts_of_another_version_are_refused_and_kept(tmp_path: Path) -> None:
     write_json(tmp_path / ".parts" / "about.json", {**ABOUT, "mujoco": "3.16.0"})
+    (tmp_path / ".parts" / "part").write_text("of that version")
     with pytest.raises(DatasetError, match=r"mujoco was 3\.16\.0 and is now"):
         generate(small_order(tmp_path), Serial())
     assert (tmp_path / ".parts" / "about.json").exists()

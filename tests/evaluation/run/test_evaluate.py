@@ -121,6 +121,15 @@ def test_results_of_different_policies_are_not_mixed(tmp_path: Path) -> None:
     assert json.loads((tmp_path / ABOUT).read_text())["split"] == "test"
 
 
+def test_a_run_that_played_nothing_may_be_begun_otherwise(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError):
+        evaluate(order(tmp_path, "noisy-oracle:0.9"), Serial(), lambda count: 1 // 0)
+    assert (tmp_path / ABOUT).exists()
+    rows = evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
+    assert len(rows) == 1
+    assert json.loads((tmp_path / ABOUT).read_text())["policy"]["name"] == "oracle"
+
+
 def test_another_protocol_is_refused(tmp_path: Path) -> None:
     evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
     note = tmp_path / ABOUT

@@ -331,7 +331,15 @@ def test_greedy_stops_where_something_is_lost_or_done() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["random-valid:x", "greedy-reach:1", "noisy-oracle:2", "noisy-oracle:x"]
+    "name",
+    [
+        "random-valid:x",
+        "greedy-reach:1",
+        "noisy-oracle:2",
+        "noisy-oracle:x",
+        "noisy-oracle:nan",
+        "noisy-oracle:",
+    ],
 )
 def test_what_a_name_cannot_mean_is_refused(name: str) -> None:
     with pytest.raises(InvalidConfigError, match=name.partition(":")[0]):

@@ -61,20 +61,40 @@ def do_missing(
         yield missing[number], result
 
 
-def begin(path: Path, record: Mapping[str, Any]) -> None:
+def begin(folder: Path, name: str, record: Mapping[str, Any]) -> None:
     """Write the record of a job, or check that the job of this record is continued.
 
+    A job that was stopped before its first part was done may be begun otherwise.
+
     Args:
-        path: Where the record is, in the folder of the job.
+        folder: Of the job.
+        name: Of the file with the record, relative to the folder.
         record: Settings and versions.
 
     Raises:
         DatasetError: Another job was begun there, or the record cannot be written.
     """
-    if path.exists():
-        check_same_job(path, read_json(path), record)
+    path = folder / name
+    found = read_json(path) if path.exists() else None
+    if found is not None and has_parts(folder, name):
+        check_same_job(path, found, record)
     else:
         write_json(path, dict(record))
+
+
+def has_parts(folder: Path, name: str) -> bool:
+    """Return whether the folder of a job holds more than its record.
+
+    Empty files, such as locks, do not count.
+
+    Args:
+        folder: Of the job.
+        name: Of the file with the record, relative to the folder.
+    """
+    return any(
+        file != folder / name and file.is_file() and file.stat().st_size > 0
+        for file in folder.rglob("*")
+    )
 
 
 def check_same_job(

@@ -221,7 +221,7 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
         raise DatasetError(
             f"{order.out} holds something that this export did not begin. {NEW_FOLDER}"
         )
-    begin(path, about)
+    begin(order.out, _EXPORT, about)
 
 
 def write_shard(shard: Shard, style: Style) -> None:

@@ -163,7 +163,7 @@ def generate(
         for name in sorted(known):
             if (order.out / name).exists():
                 check_sum(order.out / name, known[name], "lemma generate")
-        begin(order.out / RECORD, about)
+        begin(order.out, RECORD, about)
         _forget(order.out, known, listed, about)
         made, worker_mb = _work(listed, engine, about, advance)
         rmtree(order.out / PARTS, ignore_errors=True)

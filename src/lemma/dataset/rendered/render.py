@@ -223,7 +223,7 @@ def render(
             parts.append(Part(job, len(chunk.digests), is_done))
             for path in () if is_done else chunk.paths:
                 sums.pop(path, None)
-        begin(order.out / RECORD, about)
+        begin(order.out, RECORD, about)
         for part, _ in do_missing(parts, render_chunk, engine, advance):
             advance(part.size)
         rmtree(order.out / PARTS, ignore_errors=True)

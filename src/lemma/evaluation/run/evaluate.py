@@ -19,7 +19,7 @@ from typing import Any
 
 from lemma.core.files import only_writer, read_json
 from lemma.core.workers.pool import Engine, report
-from lemma.core.workers.resumable import PARTS, Part, begin, do_missing
+from lemma.core.workers.resumable import PARTS, Part, begin, do_missing, has_parts
 from lemma.evaluation.lines import read_lines, read_rows, write_rows
 from lemma.evaluation.protocol.expert_times import expert_s, perturbed_start
 from lemma.evaluation.protocol.language_controls import control_of
@@ -67,10 +67,10 @@ def evaluate(
     about = config.about()
     with only_writer(config.out):
         note = config.out / ABOUT
-        if note.exists():
+        if note.exists() and has_parts(config.out, ABOUT):
             found = read_json(note)
             check_protocol(about, found, "What is asked for", config.out)
-        begin(note, about)
+        begin(config.out, ABOUT, about)
         parts = (config.out / PARTS).absolute()
         done = {key_of(row): row for row in read_rows(config.out)}
         groups = []

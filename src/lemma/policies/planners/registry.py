@@ -64,7 +64,11 @@ def make_planner(
     Raises:
         LemmaError: There is none of that name, or it cannot be made so.
     """
-    name, _, argument = part.partition(":")
+    name, colon, argument = part.partition(":")
+    if colon and not argument and not PLANNERS[name].asks:
+        raise InvalidConfigError(
+            f"{part!r} is no planner: nothing follows the colon. Valid: {name}."
+        )
     return PLANNERS[name].make(argument, options or NO_CHAT, timeout_s)
 
 
