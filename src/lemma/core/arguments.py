@@ -161,7 +161,7 @@ def check_address_has_no_secret(url: str, whose: str, advice: str) -> None:
 
     Args:
         url: The address; the message does not show it.
-        whose: What has the address, such as ``"a chat server"``.
+        whose: Owner of the address, such as ``"a chat server"``.
         advice: A sentence that says where the secret belongs.
 
     Raises:
