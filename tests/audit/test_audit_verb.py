@@ -1,5 +1,6 @@
 """`lemma audit`: what it prints, how it ends, and that it repeats."""
 
+import errno
 import json
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from lemma.audit.control_trial import ControlTrial
 from lemma.audit.run import audit, audit_instance, tally, to_dict
 from lemma.cli import audit as verb
 from lemma.cli.main import main
-from lemma.core.errors import PhysicsError
+from lemma.core.errors import DatasetError, PhysicsError
 from lemma.core.workers.pool import ProcessPool
 from lemma.tasks import suite
 from lemma.tasks.suite import load_instance
@@ -114,6 +115,15 @@ def test_a_video_is_written_of_a_success(
     verb.write_videos(found, tmp_path, style)
     video = tmp_path / "poke_stack-free-0-drag_home.mp4"
     assert video.stat().st_size > 1_000
+    assert [*tmp_path.iterdir()] == [video]
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("av.open", full)
+    with pytest.raises(DatasetError, match="disk is full"):
+        verb.write_videos(found, tmp_path, style)
+    assert [*tmp_path.iterdir()] == [video]
 
 
 def test_an_attack_of_a_plugin_is_played(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from lemma.core.files import write_whole
 from lemma.scene.rendering.gl_context import Tessellation
 from lemma.scene.rendering.renderer import QUALITIES, Quality, Renderer
 from lemma.scene.scene import Scene
@@ -66,7 +67,15 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
 
     Raises:
         RenderingError: OpenGL does not work here.
+        DatasetError: The disk is full, or the folder cannot be written to.
     """
+    last: list[Image.Image] = []
+    write_whole(path, lambda draft: last.append(_encode(recording, draft, style)))
+    return last[0]
+
+
+def _encode(recording: Recording, path: Path, style: VideoStyle) -> Image.Image:
+    """Render a recording and encode it as MP4; return the last frame."""
     # The encoder is optional, and only videos need it.
     import av  # noqa: PLC0415
 
@@ -79,7 +88,8 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
     aspect = style.width_px / style.height_px
     camera = overview(np.concatenate(points), aspect)
     frame = Image.new("RGB", _size(style))
-    with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
+    options = {"movflags": "faststart"}
+    with av.open(str(path), "w", format="mp4", options=options) as container:
         stream = container.add_stream("libx264", rate=style.frames_per_s)
         stream.width, stream.height = frame.size
         stream.pix_fmt = "yuv420p"
