@@ -76,8 +76,8 @@ class ChatOptions:
     """How a language model is asked; plain data, so that other processes can ask."""
 
     base_url: str = ""
-    """Of an OpenAI-compatible server, such as http://127.0.0.1:8000/v1. Its key, if it
-    asks for one, is in the environment variable LEMMA_API_KEY."""
+    """Address of an OpenAI-compatible server, such as http://127.0.0.1:8000/v1. A key
+    is read from the environment variable LEMMA_API_KEY."""
     cassette: Path | None = None
     """File of requests and answers: requests that are in it are not sent."""
     cassette_mode: Literal["record", "replay", "strict"] = "record"
@@ -92,7 +92,7 @@ class ChatOptions:
     tries: int = 3
     """Answers to a question, until one is a sub-task."""
     max_tokens: int = 1024
-    """Of an answer."""
+    """Largest length of an answer."""
     concurrency: int = 8
     """Requests at a time, of all workers of this machine. Each may take --timeout times
     as long, since the server may answer one after the other."""
@@ -171,7 +171,7 @@ class Reply:
     failure: str = ""
     """``"timeout"`` or ``"raised"`` where the server gave no answer to this request."""
     explanation: str = ""
-    """In one sentence, if it failed."""
+    """Error in one sentence, if it failed."""
     remark: str = ""
     """Why the content is empty or not whole, a sentence; empty if nothing is odd."""
 
@@ -181,9 +181,9 @@ class _NotAnsweredError(Exception):
     """An attempt that did not succeed."""
 
     failure: str
-    """In one word."""
+    """Kind of the fault, one word."""
     explanation: str
-    """In one sentence."""
+    """The fault in one sentence."""
     wait_s: float = 0.0
     """How long the server wants to be left alone [s]."""
     gone: bool = False
