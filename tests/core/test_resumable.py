@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ctrl_c import hear
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import only_writer, read_json, write_json, write_text
@@ -86,6 +87,7 @@ def test_killed_three_times_it_ends_with_the_same_files(tmp_path: Path) -> None:
             [sys.executable, "-c", JOB, folder],
             env=environment,
             stderr=subprocess.DEVNULL,
+            preexec_fn=hear,
         )
         while len(list(folder.glob("*.txt"))) < before + 2 and process.poll() is None:
             time.sleep(0.01)

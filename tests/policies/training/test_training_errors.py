@@ -71,7 +71,7 @@ def test_options_of_the_model_are_checked(data: Path, tmp_path: Path) -> None:
     [
         ({"steps": 0}, "steps cannot be 0; expected int >= 1"),
         ({"learning_rate": 0.0}, "expected float > 0"),
-        ({"samples": 5}, "twice"),
+        ({"samples": 5}, "both set the length"),
         ({"ema": 1.0}, "ema cannot be 1.0; expected float < 1"),
         ({"kinds": ("unseen",)}, r"\('unseen',\); valid: high_level, human"),
         ({"kinds": ()}, "high_level, human"),
