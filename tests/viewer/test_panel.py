@@ -273,6 +273,8 @@ def test_visitor_takes_over_and_hands_back(page: Page) -> None:
     assert pilot.robot.value == pilot.robot.options[names.index(acted)]
     assert not pilot.take.visible
     assert "You lead" in page.panel.timeline.content
+    # There is something to save once a command was carried out by hand.
+    until_true(page, lambda: page.session.play.was_led)
     page.session.play.hand_back()
     until_true(page, lambda: pilot.take.visible)
     assert not pilot.grips.visible
