@@ -17,12 +17,11 @@ from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style, frames
 from lemma.dataset.recipe.reader import read_group
 from lemma.env.learning.motor_state import WAYPOINT
 from lemma.evaluation.run.rollout import Rollout
-from lemma.policies.control.checkpoint_file import pack_checkpoint
 from lemma.policies.control.interfaces import ControlInput
 from lemma.policies.control.lerobot import LeRobotPolicy, PrivilegedLeRobotPolicy
-from lemma.policies.packing import Fineness
 from lemma.policies.weights_file import TIME_LIMIT, read_metadata
 from measure_waypoints import main as main_of_errors
+from publish_weights import Fineness, pack_checkpoint
 from train_lerobot_policy import POLICIES, main, make_policy
 
 STEPS, BATCH = 2, 4

@@ -24,7 +24,6 @@ from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.control.interfaces import ControlInput, chunk_of
-from lemma.policies.packing import Fineness
 from lemma.tasks.language.vector import NUMBERS, sentence_vector
 
 WIDTH, HEIGHT = 64, 48
@@ -289,7 +288,9 @@ def test_published_in_one_file_it_acts_alike(
     module = import_module("lemma.policies.control.lerobot")
     publish = import_module("publish_weights")
     monkeypatch.setattr(import_module("lemma.policies.weights"), "CHECKOUT", tmp_path)
-    publish.pack(checkpoint(), "moves", Fineness(512.0), tmp_path, "lerobot-train")
+    publish.pack(
+        checkpoint(), "moves", publish.Fineness(512.0), tmp_path, "lerobot-train"
+    )
     before, after = (
         module.LeRobotPolicy(name) for name in (str(checkpoint()), "moves")
     )

@@ -14,14 +14,10 @@ from lemma.evaluation.records import training_seed
 from lemma.evaluation.run.loading import weights_of
 from lemma.policies import weights
 from lemma.policies.control.checkpoint_file import (
-    CONFIG,
     MODEL,
-    TRAINING,
     checkpoint_folder,
-    pack_checkpoint,
     unpack_checkpoint,
 )
-from lemma.policies.packing import Fineness
 from lemma.policies.spec import PolicySpec
 from lemma.policies.weights import load_model
 from lemma.policies.weights_file import (
@@ -30,6 +26,7 @@ from lemma.policies.weights_file import (
     read_metadata,
     write_weights,
 )
+from publish_weights import CONFIG, TRAINING, Fineness, pack_checkpoint
 
 COMMAND = "lerobot-train --policy.type=act"
 STATISTICS = "policy_preprocessor_step_3_normalizer_processor.safetensors"
@@ -123,6 +120,19 @@ def test_it_is_found_by_its_name(published: Path) -> None:
     told = weights_of(PolicySpec("lerobot:moves"))["act"]
     listed = weights.published_weights()["moves"]
     assert (told["sha256"], told["seed"]) == (listed["sha256"], SEED)
+
+
+def test_a_full_disk_is_no_damage(
+    tmp_path: Path, published: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
+    with (
+        pytest.raises(WeightsError, match=r"No such file.*Free some space.*TMPDIR"),
+        checkpoint_folder("moves"),
+    ):
+        pass
+    with pytest.raises(WeightsError, match="Free some space"):
+        unpack_checkpoint(published, tmp_path / "nowhere")
 
 
 def test_a_checkpoint_may_not_say_what_trained_it(checkpoint: Path) -> None:

@@ -20,7 +20,6 @@ from lemma.core.errors import UnknownNameError, WeightsError
 from lemma.core.files import read_json, write_json
 from lemma.policies import weights
 from lemma.policies.class_path import LEROBOT
-from lemma.policies.packing import Fineness
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.weights import (
     CHECKOUT,
@@ -35,6 +34,7 @@ from lemma.policies.weights_file import (
     read_metadata,
     write_weights,
 )
+from publish_weights import Fineness
 
 tiny_model.register()
 

@@ -1,11 +1,15 @@
 """Files of weights: which model they belong to, its options, and where they come from.
 
-Weights are safetensors in 16 bits, or packed in fewer (:mod:`lemma.policies.packing`);
-metadata are JSON beside them. A file may come from anybody: nothing in it is executed,
-and all of it is checked before memory is taken for it.
+Weights are safetensors in 16 bits; metadata are JSON beside them. Published files are
+packed in about seven bits a weight: large matrices and kernels are whole multiples of a
+step, and these are stored with a Huffman code (``scripts/publish_weights.py`` packs). A
+file may come from anybody: nothing in it is executed, and all of it is checked before
+memory is taken for it.
 """
 
+import math
 import re
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -13,7 +17,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
@@ -28,14 +34,26 @@ from lemma.core.files import write_whole
 from lemma.policies.class_path import LEROBOT
 from lemma.policies.models.base import Model
 from lemma.policies.models.catalog import MODELS, make_model
-from lemma.policies.packing import Fineness, PackingError, Rounding, pack, unpack
 
 METADATA_KEY = "lemma"
 WEIGHTS_VERSION = "2"
 TIME_LIMIT: Literal["time limit"] = "time limit"
 """How a run ended that other machines would have ended elsewhere."""
+LARGEST_MULTIPLE = 2**15 - 1
+"""Largest multiple of its step that a packed weight may be."""
+_LARGEST_STEP = float(np.finfo(np.float32).max) / (LARGEST_MULTIPLE + 1)
+"""Values of larger ones would overflow."""
 _LONGEST = 2**20
 """Characters of metadata that are read."""
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """How one tensor was rounded."""
+
+    shape: tuple[int, ...]
+    step: float
+    """Value of the whole number 1."""
 
 
 @dataclass(frozen=True)
@@ -68,22 +86,27 @@ class WeightsMetadata:
 
 
 def write_weights(
-    path: Path,
-    weights: Mapping[str, Tensor],
-    metadata: WeightsMetadata,
-    fineness: Fineness | None = None,
+    path: Path, weights: Mapping[str, Tensor], metadata: WeightsMetadata
 ) -> None:
-    """Write weights, whole or not at all.
+    """Write weights in 16 bits, whole or not at all.
 
     Args:
         path: The file.
         weights: By name, as a module's ``state_dict`` has them.
         metadata: Metadata to write into it.
-        fineness: How finely they are rounded, and packed; 16 bits each if None.
 
     Raises:
         WeightsError: One does not fit into 16 bits.
         DatasetError: The disk is full, or the folder cannot be written to.
+    """
+    write_tensors(path, in_16_bits(weights), metadata)
+
+
+def in_16_bits(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return copies in memory of weights, those with a fraction in 16 bits.
+
+    Raises:
+        WeightsError: One does not fit into 16 bits.
     """
     tensors = {}
     for name, value in weights.items():
@@ -95,10 +118,7 @@ def write_weights(
                     f"Weight {name!r} is not finite in 16 bits. Training diverged; "
                     "lower the learning rate."
                 )
-    if fineness is not None:
-        tensors, packed = pack(tensors, fineness)
-        metadata = replace(metadata, packed=packed)
-    _write(path, tensors, metadata)
+    return tensors
 
 
 def mark_ended(path: Path, ended: Literal["steps", "time limit"], steps: int) -> None:
@@ -116,10 +136,22 @@ def mark_ended(path: Path, ended: Literal["steps", "time limit"], steps: int) ->
     metadata = replace(read_metadata(path), ended=ended, steps=steps)
     with safe_open(path, "pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    _write(path, tensors, metadata)
+    write_tensors(path, tensors, metadata)
 
 
-def _write(path: Path, tensors: dict[str, Tensor], metadata: WeightsMetadata) -> None:
+def write_tensors(
+    path: Path, tensors: dict[str, Tensor], metadata: WeightsMetadata
+) -> None:
+    """Write tensors as they are, whole or not at all.
+
+    Args:
+        path: The file.
+        tensors: By name, in memory.
+        metadata: Metadata to write into it.
+
+    Raises:
+        DatasetError: The disk is full, or the folder cannot be written to.
+    """
     text = msgspec.json.encode(metadata, order="sorted").decode()
 
     def write(draft: Path) -> None:
@@ -325,13 +357,52 @@ def _read_tensor(
     if name in metadata.packed:
         try:
             value = unpack(value, metadata.packed[name])
-        except PackingError as error:
+        except ValueError as error:
             raise ValueError(f"{name} has {error}") from error
     if value.is_floating_point() != like.is_floating_point():
         raise ValueError(f"{name} is {value.dtype} where {like.dtype} is meant")
     if value.is_floating_point() and not torch.isfinite(value).all():
         raise ValueError(f"{name} is not finite")
     return value.to(like.dtype)
+
+
+def unpack(coded: Tensor, rounding: Rounding) -> Tensor:
+    """Return the values of a packed tensor, float32.
+
+    It takes no more memory than the shape needs, even for damaged codes.
+
+    Args:
+        coded: (bytes,) uint8.
+        rounding: How it was rounded.
+
+    Raises:
+        ValueError: The code is not that of such a tensor.
+    """
+    if not 0.0 < rounding.step < _LARGEST_STEP:
+        raise ValueError(f"a step of {rounding.step}")
+    if coded.dtype != torch.uint8 or coded.ndim != 1:
+        raise ValueError(f"{coded.dtype} of shape {tuple(coded.shape)} is no code")
+    numbers = _decoded(coded.numpy().tobytes(), math.prod(rounding.shape))
+    values = torch.from_numpy(numbers.astype(np.float32) * np.float32(rounding.step))
+    return values.view(rounding.shape)
+
+
+def _decoded(coded: bytes, count: int) -> NDArray[np.int32]:
+    planes = []
+    for _ in range(2):
+        decoder = zlib.decompressobj()
+        try:
+            found = decoder.decompress(coded, count + 1)
+        except zlib.error as error:
+            raise ValueError(str(error)) from error
+        if len(found) != count:
+            raise ValueError(f"{len(found)} values or more instead of {count}")
+        planes.append(np.frombuffer(found, np.uint8).astype(np.int32))
+        # Empty where the code is cut off, or goes on behind its end.
+        coded = decoder.unconsumed_tail or decoder.unused_data
+    folded = planes[0] | (planes[1] << 8)
+    numbers: NDArray[np.int32] = (folded >> 1) ^ -(folded & 1)
+    return numbers
 
 
 def _damaged(path: Path, error: Exception) -> WeightsError:

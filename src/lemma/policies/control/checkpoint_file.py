@@ -5,104 +5,39 @@ network with the statistics of its data. The file holds all of it but where it w
 trained; unpacked, lerobot reads it as its own.
 """
 
-import json
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 
 from lemma.core.errors import WeightsError
-from lemma.core.files import read_json
 from lemma.policies.class_path import LEROBOT
-from lemma.policies.packing import Fineness, PackingError, unpack
 from lemma.policies.weights import find_published, published_weights
-from lemma.policies.weights_file import (
-    TIME_LIMIT,
-    WeightsMetadata,
-    read_metadata,
-    write_weights,
-)
+from lemma.policies.weights_file import read_metadata, unpack
 
-CONFIG, MODEL, TRAINING = "config.json", "model.safetensors", "train_config.json"
-_FILE = "file:"
-"""Begins the name of what is a file of the folder, byte by byte."""
-_NAME = re.compile(r"[a-z0-9_]+\.(json|safetensors)")
-_PLACES = ("pretrained_path", "device")
-"""Entries of a configuration that hold places of the machine."""
-
-
-def is_checkpoint(folder: Path) -> bool:
-    """Return whether a folder is what lerobot saved."""
-    return (folder / CONFIG).is_file() and (folder / MODEL).is_file()
-
-
-def pack_checkpoint(
-    folder: Path, path: Path, command: str, fineness: Fineness
-) -> WeightsMetadata:
-    """Write a checkpoint into one file.
-
-    Args:
-        folder: ``.../checkpoints/last/pretrained_model``, or that of a number of steps.
-        path: The file.
-        command: Command line that trained it.
-        fineness: How finely weights are rounded.
-
-    Returns:
-        The metadata of the file.
-
-    Raises:
-        WeightsError: A weight does not fit into 16 bits, or lerobot-train has not
-            written the folder.
-        DatasetError: It is no checkpoint, the disk is full, or the folder cannot be
-            written to.
-    """
-    config, training = read_json(folder / CONFIG), read_json(folder / TRAINING)
-    # The folder above has the number of steps for its name; the last one is a link.
-    above = folder.resolve().parent.name
-    if not above.isdigit():
-        raise WeightsError(
-            f"{folder} does not say after how many steps it was saved. Take the folder "
-            "that lerobot-train wrote: .../checkpoints/last/pretrained_model."
-        )
-    steps = int(above)
-    metadata = WeightsMetadata(
-        model=f"{LEROBOT}{config['type']}",
-        options={},
-        data={"repo_id": training["dataset"]["repo_id"]},
-        command=command,
-        training={"seed": training["seed"] or 0, "batch_size": training["batch_size"]},
-        ended="steps" if steps >= training["steps"] else TIME_LIMIT,
-        steps=steps,
-    )
-    here = {name: value for name, value in config.items() if name not in _PLACES}
-    files = {CONFIG: json.dumps(here, indent=4).encode()}
-    for each in sorted(folder.iterdir()):
-        if each.name not in (CONFIG, MODEL, TRAINING) and _NAME.fullmatch(each.name):
-            files[each.name] = each.read_bytes()
-    tensors = load_file(folder / MODEL)
-    for name, content in files.items():
-        tensors[f"{_FILE}{name}"] = torch.frombuffer(
-            bytearray(content), dtype=torch.uint8
-        )
-    write_weights(path, tensors, metadata, fineness)
-    return metadata
+MODEL = "model.safetensors"
+"""File of a checkpoint with its weights."""
+FILE = "file:"
+"""Begins the name of a tensor that is a file of the folder, byte by byte."""
+FILE_NAME = re.compile(r"[a-z0-9_]+\.(json|safetensors)")
+"""Names of these files."""
 
 
 def unpack_checkpoint(path: Path, folder: Path) -> None:
     """Write the folder that lerobot reads.
 
     Args:
-        path: File that :func:`pack_checkpoint` wrote.
+        path: A published file, which ``scripts/publish_weights.py pack`` wrote.
         folder: Existing folder to write to.
 
     Raises:
-        WeightsError: The file is damaged, or no checkpoint of LeRobot.
+        WeightsError: The file is damaged, or no checkpoint of LeRobot, or the folder
+            cannot be written to.
     """
     metadata = read_metadata(path)
     if not metadata.model.startswith(LEROBOT):
@@ -110,33 +45,37 @@ def unpack_checkpoint(path: Path, folder: Path) -> None:
             f"{path} has weights of {metadata.model}, which is none of LeRobot's: "
             "leave out 'lerobot:'."
         )
-    weights = {}
+    weights, files = {}, {}
     try:
         with safe_open(path, "pt") as file:
             for name in file.keys():  # noqa: SIM118 - it is no mapping
                 value = file.get_tensor(name)
-                if name.startswith(_FILE):
-                    _write(folder, name.removeprefix(_FILE), value)
+                if name.startswith(FILE):
+                    files[name.removeprefix(FILE)] = value
                 elif name in metadata.packed:
                     weights[name] = unpack(value, metadata.packed[name])
                 else:
-                    weights[name] = (
-                        value.float() if value.is_floating_point() else value
-                    )
-    except (SafetensorError, PackingError, OSError, ValueError) as error:
+                    fraction = value.is_floating_point()
+                    weights[name] = value.float() if fraction else value
+        for name, value in files.items():
+            if not FILE_NAME.fullmatch(name) or value.dtype != torch.uint8:
+                raise ValueError(f"{name!r} is no file of a checkpoint")
+    except (SafetensorError, OSError, ValueError) as error:
         raise WeightsError(f"{path} is damaged: {error}. Fetch it again.") from error
-    save_file(weights, folder / MODEL)
+    try:
+        for name, value in files.items():
+            (folder / name).write_bytes(value.numpy().tobytes())
+        save_file(weights, folder / MODEL)
+    except (SafetensorError, OSError) as error:
+        raise _no_room(path, error) from error
 
 
-def _write(folder: Path, name: str, content: torch.Tensor) -> None:
-    """Write a file of a checkpoint.
-
-    Raises:
-        ValueError: It would be none of this folder.
-    """
-    if not _NAME.fullmatch(name) or content.dtype != torch.uint8:
-        raise ValueError(f"{name!r} is no file of a checkpoint")
-    (folder / name).write_bytes(np.asarray(content).tobytes())
+def _no_room(path: Path, error: Exception) -> WeightsError:
+    return WeightsError(
+        f"{path} cannot be unpacked for lerobot: {error}. Free some space in the "
+        "folder of temporary files, or name another one in the environment variable "
+        "TMPDIR."
+    )
 
 
 @contextmanager
@@ -149,7 +88,7 @@ def checkpoint_folder(name: str) -> Iterator[str]:
 
     Raises:
         WeightsError: There is nothing of that name, or published weights are missing or
-            damaged.
+            damaged, or there is no room for temporary files.
     """
     published = published_weights()
     if name not in published:
@@ -162,6 +101,11 @@ def checkpoint_folder(name: str) -> Iterator[str]:
             )
         yield name
         return
-    with TemporaryDirectory() as folder:
-        unpack_checkpoint(find_published(name), Path(folder))
+    path = find_published(name)
+    with ExitStack() as stack:
+        try:
+            folder = stack.enter_context(TemporaryDirectory())
+        except OSError as error:
+            raise _no_room(path, error) from error
+        unpack_checkpoint(path, Path(folder))
         yield folder
