@@ -28,7 +28,7 @@ from lemma.scene.spec import ObjectPlacement, SceneSpec
 from lemma.scene.table import Gap, lies_on_table
 from lemma.tasks.drags import stick_gap
 from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.tasks.suite import SUITE, TASKS, load_instance
 from lemma.tasks.zones import Territory
 
 TABLE = Path(__file__).parents[1] / "src" / "lemma" / "evaluation" / "protocol" / TIMES
@@ -104,7 +104,7 @@ def _time_group(
 def _solved_s(instance: Instance) -> float | None:
     """Return the time of the expert [s]; None if it needs more than is promised."""
     (play,) = roll_out([Rollout(instance)], Player.load(PolicySpec(ORACLE)), 1)
-    promised = task_named(instance.task).subtasks
+    promised = TASKS[instance.task].subtasks
     if not play.success or len(play.steps) != promised:
         return None
     return round(play.episode.elapsed_s, _PLACES)

@@ -25,7 +25,7 @@ from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import SUITE, task_named
+from lemma.tasks.suite import SUITE, TASKS
 
 _ATTEMPTS = 20
 MANIFEST = "manifest.json"
@@ -52,7 +52,7 @@ def accept(task: str, split: str, index: int) -> Accepted:
     Raises:
         SamplingError: Too many were refused.
     """
-    record = task_named(task)
+    record = TASKS[task]
     rejected = 0
     broken: list[str] = []
     for attempt in range(_ATTEMPTS):

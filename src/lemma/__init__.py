@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
     from lemma.scene.objects.palette import OBJECT_COLORS
     from lemma.tasks.instance import Instance
-    from lemma.tasks.language.bank import LanguageBank
+    from lemma.tasks.language.template import LanguageBank
     from lemma.tasks.suite import SUITE, load_instance
     from lemma.tasks.task import TASKS, Task
 
@@ -61,7 +61,7 @@ _HOMES = {
     "Expert": "lemma.expert.expert",
     "ExpertPolicy": "lemma.expert.policy",
     "Instance": "lemma.tasks.instance",
-    "LanguageBank": "lemma.tasks.language.bank",
+    "LanguageBank": "lemma.tasks.language.template",
     "OBJECT_COLORS": "lemma.scene.objects.palette",
     "OBJECT_KINDS": "lemma.scene.objects.entity",
     "ObjectKind": "lemma.scene.objects.kind",

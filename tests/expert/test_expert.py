@@ -22,7 +22,7 @@ from lemma.scene.scene import Scene
 from lemma.tasks.drags import stick_gap
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import STOP, Primitive
-from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.tasks.suite import SUITE, TASKS, load_instance
 
 TEAM = "ur5+ur10"
 Disturbance = Callable[[Episode], None]
@@ -33,7 +33,7 @@ def test_every_team_solves_every_task_as_planned(task: str, team: str) -> None:
     episode = recorded(task, team)
     assert episode.success
     assert episode.elapsed_s < 100.0
-    assert len(episode.steps) == task_named(task).subtasks
+    assert len(episode.steps) == TASKS[task].subtasks
     assert all(step.result.outcome is Outcome.SUCCESS for step in episode.steps)
     assert episode.replans == 0
     scene = Scene(episode.instance.scene)
@@ -184,7 +184,7 @@ def test_a_cube_taken_back_is_brought_again(task: str) -> None:
 def test_a_tower_tipped_over_is_built_again(task: str) -> None:
     """The last cube falls off and comes to rest beside the tower."""
     name = carried(task, -1)
-    count = task_named(task).subtasks
+    count = TASKS[task].subtasks
     expert = play(first_instance(task, TEAM), count, lambda e: shove(e, name, 0.14))
     assert expert.replans == 1
 
@@ -192,7 +192,7 @@ def test_a_tower_tipped_over_is_built_again(task: str) -> None:
 @pytest.mark.parametrize("task", ["pass", "pass2", "poke", "hook"])
 def test_a_cube_pushed_off_its_pad_is_put_back(task: str) -> None:
     name = carried(task, -1)
-    count = task_named(task).subtasks
+    count = TASKS[task].subtasks
     expert = play(first_instance(task, TEAM), count, lambda e: shove(e, name, 0.15))
     assert expert.replans == 1
 
@@ -266,7 +266,7 @@ def test_after_a_failed_skill_it_tries_again(task: str, outcome: Outcome) -> Non
             episode.simulation.rest(0.1)
     assert done
     assert outcomes[0] is outcome
-    assert outcomes[1:] == [Outcome.SUCCESS] * task_named(task).subtasks
+    assert outcomes[1:] == [Outcome.SUCCESS] * TASKS[task].subtasks
     assert expert.replans == 1
     assert episode.is_success
 
@@ -287,7 +287,7 @@ def test_after_a_stick_slipped_from_the_hand_it_tries_again(task: str) -> None:
     episode.simulation.observers.append(look)
     outcomes = [step.result.outcome for step in solve(episode, expert)]
     assert outcomes[0] is Outcome.DROPPED
-    assert outcomes[1:] == [Outcome.SUCCESS] * task_named(task).subtasks
+    assert outcomes[1:] == [Outcome.SUCCESS] * TASKS[task].subtasks
     assert episode.is_success
 
 

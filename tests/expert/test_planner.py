@@ -20,7 +20,7 @@ from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import Primitive, SubTask
-from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.tasks.suite import SUITE, TASKS, load_instance
 
 TEN = range(10)
 
@@ -43,7 +43,7 @@ def planned(instance: Instance) -> tuple[SymbolicState, GeometricGrounder, Plan]
 def test_plans_are_as_long_as_the_task_says(task: str) -> None:
     for index in TEN:
         plan = planned(load_instance(task, "test", index))[2]
-        assert len(plan.subtasks) == task_named(task).subtasks
+        assert len(plan.subtasks) == TASKS[task].subtasks
         assert len(set(plan.subtasks)) == len(plan.subtasks)
         # Both robots work.
         assert {subtask.robot for subtask in plan.subtasks} == {"robot_0", "robot_1"}

@@ -13,8 +13,7 @@ from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.pad import PAD_RADIUS_M, PAD_THICKNESS_M
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
-from lemma.tasks.goal import Goal, On
-from lemma.tasks.support import REST_M_S, REST_RAD_S
+from lemma.tasks.goal import REST_M_S, REST_RAD_S, Goal, On
 
 HALF = CUBE_EDGE_M / 2
 PAD = Pose2(0.1, -0.2, 0.4)

@@ -28,7 +28,7 @@ from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.tasks.suite import SUITE, TASKS, load_instance
 from lemma.tasks.task import TEAMS, Task
 
 TEST = range(SPLITS["test"])
@@ -332,7 +332,7 @@ def test_robots_face_each_other_and_share_a_region_or_leave_a_gap(task: str) -> 
 
 @pytest.mark.parametrize("task", ["pass2", "stack", "hook"])
 def test_a_draw_is_a_function_of_its_key(task: str) -> None:
-    record = task_named(task)
+    record = TASKS[task]
     first = sample(record, "free", 5)
     for other in (
         sample(record, "free", 6),
@@ -345,7 +345,7 @@ def test_a_draw_is_a_function_of_its_key(task: str) -> None:
 
 @pytest.mark.parametrize("team", [pair for t in TEAMS for pair in (t, t[::-1])])
 def test_a_team_can_be_asked_for(team: tuple[str, str]) -> None:
-    instance = sample(task_named("hook"), "free", 2, team=team).instance
+    instance = sample(TASKS["hook"], "free", 2, team=team).instance
     assert tuple(robot.arm for robot in instance.scene.robots) == team
 
 
@@ -359,7 +359,7 @@ def test_a_task_that_no_table_satisfies_says_so() -> None:
         subtasks=2,
         distractors=(0, 0),
         arrange=arrange,
-        language=task_named("stack").language,
+        language=TASKS["stack"].language,
     )
     with pytest.raises(SamplingError) as caught:
         sample(impossible, "free", 0, team=("ur5", "ur10"))

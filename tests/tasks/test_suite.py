@@ -15,10 +15,11 @@ from lemma.scene.objects.entity import STICK
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
-from lemma.tasks.language.bank import KINDS, parse, words
+from lemma.tasks.language.bank import parse, words
+from lemma.tasks.language.template import KINDS
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance, task_named
-from lemma.tasks.task import TASKS, TEAMS
+from lemma.tasks.suite import FREE_SPLIT, SUITE, TASKS, load_instance
+from lemma.tasks.task import TEAMS
 
 FROZEN = files("lemma.tasks") / "frozen"
 LISTS = [(task, split) for task in SUITE for split in SPLITS]
@@ -62,8 +63,8 @@ def test_the_eight_tasks_are_registered_first_and_in_order() -> None:
     assert len(SUITE) == 8
     assert tuple(TASKS)[:8] == SUITE
     for name in SUITE:
-        assert task_named(name).name == name
-        assert task_named(name) is TASKS[name]
+        assert TASKS[name].name == name
+        assert TASKS[name] is TASKS[name]
 
 
 @pytest.mark.parametrize(
@@ -71,18 +72,18 @@ def test_the_eight_tasks_are_registered_first_and_in_order() -> None:
     list(zip(SUITE, (2, 4, 2, 4, 3, 5, 4, 7), strict=True)),
 )
 def test_sub_tasks_are_those_of_the_paper(task: str, subtasks: int) -> None:
-    assert task_named(task).subtasks == subtasks
+    assert TASKS[task].subtasks == subtasks
 
 
 def test_gymnasium_names() -> None:
-    assert task_named("poke_stack").gym_id == "lemma/PokeStack-v0"
-    assert task_named("stack2").gym_id == "lemma/Stack2-v0"
-    assert len({task_named(task).gym_id for task in SUITE}) == 8
+    assert TASKS["poke_stack"].gym_id == "lemma/PokeStack-v0"
+    assert TASKS["stack2"].gym_id == "lemma/Stack2-v0"
+    assert len({TASKS[task].gym_id for task in SUITE}) == 8
 
 
 def test_an_unknown_task_is_answered() -> None:
     with pytest.raises(UnknownNameError, match="Did you mean 'stack'"):
-        task_named("stak")
+        TASKS["stak"]
     with pytest.raises(UnknownNameError, match="Valid: pass, pass2, stack"):
         load_instance("juggle", "test", 0)
 
@@ -140,7 +141,7 @@ def test_no_two_instances_are_the_same_table(task: str) -> None:
 @pytest.mark.parametrize("task", SUITE)
 def test_sampling_again_gives_the_frozen_instances(task: str) -> None:
     """Five of each task; an earlier attempt may have been refused by the expert."""
-    record = task_named(task)
+    record = TASKS[task]
     rng = stream("test", "resample", task)
     for _ in range(5):
         split = tuple(SPLITS)[int(rng.integers(len(SPLITS)))]
@@ -153,7 +154,7 @@ def test_sampling_again_gives_the_frozen_instances(task: str) -> None:
 
 def test_a_refused_draw_is_followed_by_the_next() -> None:
     """Of the same team, so that what is hard for it does not make it rarer."""
-    record = task_named("poke_stack")
+    record = TASKS["poke_stack"]
     first = (
         (frozen, sample(record, "train", frozen.index).instance)
         for frozen in instances("poke_stack", "train")

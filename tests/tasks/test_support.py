@@ -15,8 +15,7 @@ from lemma.robots.gripper import (
 )
 from lemma.scene.objects.entity import entity_named
 from lemma.scene.scene import Scene
-from lemma.tasks.goal import Goal, On
-from lemma.tasks.support import TILT_RAD
+from lemma.tasks.goal import TILT_RAD, Goal, On
 
 HALF = 0.025
 X, Y = 0.0, 0.3

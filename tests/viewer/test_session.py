@@ -27,7 +27,7 @@ from lemma.policies.interfaces import Composite, Decision, PolicyInput
 from lemma.policies.spec import PolicySpec
 from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.language.template import KINDS
-from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.tasks.suite import SUITE, TASKS, load_instance
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan
 from lemma.viewer.episode.request import EpisodeRequest
@@ -124,7 +124,7 @@ def test_denials_are_not_understood(said: str) -> None:
 @pytest.mark.parametrize("task", SUITE)
 def test_no_sentence_of_the_benchmark_is_taken_for_a_denial(task: str) -> None:
     given = load_instance(task, "test", 1)
-    bank, blind = task_named(task).language, Rollout(INSTANCE).given(None)
+    bank, blind = TASKS[task].language, Rollout(INSTANCE).given(None)
     for kind in KINDS:
         for template in bank.templates(kind):
             said = template.render(given.goal.pairs)

@@ -20,7 +20,7 @@ from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
 from lemma.tasks.instance import Instance
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import FREE_SPLIT, load_instance, task_named
+from lemma.tasks.suite import FREE_SPLIT, TASKS, load_instance
 from lemma.viz.recording import record
 
 
@@ -104,7 +104,7 @@ def measure_sampling(tasks: list[str], each: int = 10) -> float:
         tasks: Names of tasks, in any number.
         each: Instances of each task.
     """
-    records = [task_named(task) for task in dict.fromkeys(tasks)]
+    records = [TASKS[task] for task in dict.fromkeys(tasks)]
     # The first has kernels compiled and reach computed.
     sample(records[0], FREE_SPLIT, each)
     start = time.perf_counter()
@@ -196,7 +196,7 @@ def run_trial(task: str, fresh: bool, index: int) -> Trial:
     """
     rejected = 0
     if fresh:
-        drawn = sample(task_named(task), FREE_SPLIT, index)
+        drawn = sample(TASKS[task], FREE_SPLIT, index)
         instance, rejected = drawn.instance, drawn.rejected
     else:
         instance = load_instance(task, "test", index)

@@ -30,7 +30,7 @@ from lemma.cli.options import (
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.resources import usable_cores
 from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.suite import SUITE, load_instance, task_named
+from lemma.tasks.suite import SUITE, TASKS, load_instance
 
 _SPLIT = "test"
 _SPEED_EPISODES = 3
@@ -89,7 +89,7 @@ def bench(
             needs.
         as_json: Print one JSON object on the output, and the progress elsewhere.
     """
-    names = tuple(task_named(name).name for name in dict.fromkeys(tasks)) or SUITE
+    names = tuple(TASKS[name].name for name in dict.fromkeys(tasks)) or SUITE
     if not 1 <= episodes <= SPLITS[_SPLIT] or (workers is not None and workers < 1):
         raise InvalidConfigError(
             f"--episodes goes from 1 to {SPLITS[_SPLIT]}, the length of the frozen "

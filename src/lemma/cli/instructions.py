@@ -15,7 +15,7 @@ from lemma.expert.expert import Expert
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.bank import instruct, robot_phrases, sub_instruction
-from lemma.tasks.suite import default_split, load_instance, task_named
+from lemma.tasks.suite import TASKS, default_split, load_instance
 
 Kind = Literal["training", "high_level", "human", "unseen", "sub"]
 
@@ -37,7 +37,7 @@ def instructions(
         seed: Seeds the draws.
         as_json: Print a JSON list instead of a table.
     """
-    task_named(task)
+    TASKS[task]
     if n < 1 or seed < 0:
         raise InvalidConfigError(
             f"--n goes from 1 up and --seed from 0, not {n} and {seed}."

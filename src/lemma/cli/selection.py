@@ -12,7 +12,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.robots.ur.build import ARMS
 from lemma.tasks.instance import LARGEST_INDEX, Instance
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import FREE_SPLIT, default_split, load_instance, task_named
+from lemma.tasks.suite import FREE_SPLIT, TASKS, default_split, load_instance
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ def select_instance(task: str | None, wish: Selection) -> Instance:
         return read_instance(wish.instance, task, wish)
     if task is None:
         raise InvalidConfigError("Name a task, or a file with --instance FILE.json.")
-    task_named(task)
+    TASKS[task]
     listed = wish.seed is None and wish.robots is None
     if listed:
         split = wish.split or default_split(task, "test")
@@ -70,7 +70,7 @@ def select_instance(task: str | None, wish: Selection) -> Instance:
     if wish.robots is None:
         return load_instance(task, FREE_SPLIT, seed)
     team = parse_team(wish.robots)
-    return sample(task_named(task), FREE_SPLIT, seed, team=team).instance
+    return sample(TASKS[task], FREE_SPLIT, seed, team=team).instance
 
 
 def read_instance(path: Path, task: str | None, wish: Selection = DEFAULT) -> Instance:
@@ -87,7 +87,7 @@ def read_instance(path: Path, task: str | None, wish: Selection = DEFAULT) -> In
             for than it.
     """
     found = Instance.load(path)
-    task_named(found.task)
+    TASKS[found.task]
     if task not in (None, found.task):
         raise InvalidConfigError(
             f"{path} is an instance of {found.task}, not of {task}. Name no task."

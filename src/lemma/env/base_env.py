@@ -31,7 +31,7 @@ from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.rendering.window import Window
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.blind import instruction
-from lemma.tasks.suite import task_named
+from lemma.tasks.suite import TASKS
 
 StepResult = tuple[Observation, float, bool, bool, dict[str, Any]]
 
@@ -107,7 +107,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
     def task_description(self) -> str:
         """The instruction of this episode; before the first, what the task is about."""
         if self._episode is None:
-            return task_named(self.task).summary
+            return TASKS[self.task].summary
         return instruction(self._episode.instance, self.config.instruction)
 
     def reset(

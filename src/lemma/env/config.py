@@ -23,10 +23,10 @@ from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import (
     FREE_SPLIT,
+    TASKS,
     check_split,
     default_split,
     load_instance,
-    task_named,
 )
 
 RESET_OPTIONS = ("split", "index", "instance")
@@ -105,7 +105,7 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         """Check what does not depend on the level."""
-        task_named(self.task)
+        TASKS[self.task]
         if isinstance(self.split, str) and not self.split:
             object.__setattr__(self, "split", default_split(self.task))
         check_split(self.task, self.split)
@@ -146,7 +146,7 @@ class EnvConfig:
     @property
     def team_size(self) -> int:
         """Robots of an instance."""
-        return len(self.robots or task_named(self.task).teams[0])
+        return len(self.robots or TASKS[self.task].teams[0])
 
     def _checked_team(self, robots: object) -> tuple[str, ...]:
         if not isinstance(robots, list | tuple) or not robots:
@@ -156,7 +156,7 @@ class EnvConfig:
             )
         for arm in robots:
             ARMS[arm]
-        teams = task_named(self.task).teams
+        teams = TASKS[self.task].teams
         listed = self.split == FREE_SPLIT or sorted(robots) in map(sorted, teams)
         if not listed:
             raise InvalidConfigError(
@@ -325,4 +325,4 @@ class InstanceSource:
 @lru_cache(maxsize=256)
 def _sampled(task: str, index: int, team: tuple[str, ...] | None) -> Instance:
     """Sample a free instance; some take seconds, so the last ones are kept."""
-    return sample(task_named(task), FREE_SPLIT, index, team=team).instance
+    return sample(TASKS[task], FREE_SPLIT, index, team=team).instance

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from lemma.core.robot_names import robot_number
 from lemma.env.view import View
-from lemma.tasks.language.bank import GoalPairs, sub_instruction
+from lemma.tasks.language.bank import sub_instruction
+from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 if TYPE_CHECKING:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, TypedDict
@@ -102,7 +101,8 @@ class Instance:
     @property
     def team(self) -> str:
         """Arm types from small to large: ``"ur5+ur10"``, whoever stands first."""
-        return team_name(robot.arm for robot in self.scene.robots)
+        arms = (robot.arm for robot in self.scene.robots)
+        return "+".join(sorted(arms, key=_arm_order))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""
@@ -221,11 +221,6 @@ class Instance:
         """Return the SHA-256 of the instance's canonical JSON."""
         text = json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
-
-
-def team_name(arms: Iterable[str]) -> str:
-    """Return the name of a team: its arm types from small to large."""
-    return "+".join(sorted(arms, key=_arm_order))
 
 
 def _arm_order(arm: str) -> tuple[int, str]:

@@ -224,9 +224,9 @@ class ObjectPlacer:
             # No drag is longer, and none ends outside of the receiver's reach, nor is
             # the stick that much longer than the arm.
             far = self.territory.reach(receiver).travel_m + MAX_DRAG_M
-            found &= self.territory.nearer(receiver, far, x, y)
+            found &= self.territory.distance(receiver, x, y) < far
             far = self.territory.reach(robot).grasp_m + HANDLE_LENGTH_M - MIN_DRAG_M
-            found &= self.territory.nearer(robot, far, x, y)
+            found &= self.territory.distance(robot, x, y) < far
             if alone:
                 found &= self.territory.cannot(partner, kind, x, y, tool=True)
             return found

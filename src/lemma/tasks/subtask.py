@@ -39,18 +39,11 @@ class Primitive(StrEnum):
         """
         if value not in _added:
             raise UnknownNameError("primitive", value, primitive_names())
-        return _added[str(value)].member
+        return _added[str(value)][0]
 
 
-@dataclass(frozen=True, slots=True)
-class _Added:
-    """A primitive that is not one of the benchmark's."""
-
-    member: Primitive
-    phrase: str
-
-
-_added: dict[str, _Added] = {}
+_added: dict[str, tuple[Primitive, str]] = {}
+"""Primitives that are not the benchmark's, and how sub-instructions say them."""
 
 
 def add_primitive(name: str, phrase: str) -> None:
@@ -77,12 +70,12 @@ def add_primitive(name: str, phrase: str) -> None:
             "Its slots are {robot}, {pick} and {place}."
         ) from None
     if name in _added:
-        member = _added[name].member
+        member = _added[name][0]
     else:
         # As Flag makes its members: equal names are one object, also after pickling.
         member = str.__new__(Primitive, name)
         member._name_, member._value_ = name.upper(), name
-    _added[name] = _Added(member, phrase)
+    _added[name] = member, phrase
 
 
 def primitive_names() -> tuple[str, ...]:
@@ -92,7 +85,7 @@ def primitive_names() -> tuple[str, ...]:
 
 def added_phrase(name: str) -> str | None:
     """Return how a primitive is said that users have added; None for others."""
-    return _added[name].phrase if name in _added else None
+    return _added[name][1] if name in _added else None
 
 
 @dataclass(frozen=True, slots=True)

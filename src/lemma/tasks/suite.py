@@ -3,45 +3,28 @@
 import gzip
 import json
 from functools import lru_cache
-from importlib import import_module
 from importlib.resources import files
-from keyword import iskeyword
 
+import lemma.tasks.library  # noqa: F401  (registers the eight tasks)
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
-from lemma.tasks import library
 from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance
 from lemma.tasks.names import SUITE
 from lemma.tasks.sampling import sample
-from lemma.tasks.task import TASKS, Task
+from lemma.tasks.task import TASKS
 
 __all__ = [
     "FREE_SPLIT",
     "SUITE",
     "TASKS",
-    "Task",
     "check_split",
     "default_split",
     "has_frozen_lists",
     "load_instance",
-    "task_named",
 ]
 
 FREE_SPLIT = "free"
 """Split of instances that are sampled on demand, numbered by their seed."""
-
-for _name in SUITE:
-    # A keyword, such as pass, cannot name a module.
-    import_module(f"{library.__name__}.{_name}{'_' * iskeyword(_name)}")
-
-
-def task_named(name: str) -> Task:
-    """Return a task.
-
-    Raises:
-        UnknownNameError: No task has that name.
-    """
-    return TASKS[name]
 
 
 def has_frozen_lists(task: str) -> bool:
@@ -66,7 +49,7 @@ def check_split(task: str, split: str) -> None:
         UnknownNameError: No such task or split.
         InvalidConfigError: The task has no frozen lists.
     """
-    task_named(task)
+    TASKS[task]
     known("split", split, (*SPLITS, FREE_SPLIT))
     if split != FREE_SPLIT and not has_frozen_lists(task):
         raise InvalidConfigError(
@@ -90,7 +73,7 @@ def load_instance(task: str, split: str, index: int) -> Instance:
     check_split(task, split)
     if split == FREE_SPLIT:
         seed = whole("index", index, 0, LARGEST_INDEX)
-        return sample(task_named(task), split, seed).instance
+        return sample(TASKS[task], split, seed).instance
     number = whole("index", index, 0, SPLITS[split] - 1)
     return Instance.from_dict(json.loads(_frozen_lines(task, split)[number]))
 

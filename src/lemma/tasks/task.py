@@ -9,7 +9,8 @@ from gymnasium.envs import registration
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
 from lemma.tasks.goal import Goal
-from lemma.tasks.language.bank import LanguageBank, add_bank
+from lemma.tasks.language.bank import add_bank
+from lemma.tasks.language.template import LanguageBank
 from lemma.tasks.names import gym_id
 from lemma.tasks.placement import ObjectPlacer
 

@@ -145,10 +145,6 @@ class Territory:
         distance: FloatArray = np.sqrt((x - base.x) ** 2 + (y - base.y) ** 2)
         return distance
 
-    def nearer(self, robot: int, r: float, x: FloatArray, y: FloatArray) -> Mask:
-        """Return which positions are nearer than ``r`` [m] to a robot's base."""
-        return self.distance(robot, x, y) < r
-
     def works(self, robot: int, x: FloatArray, y: FloatArray) -> Mask:
         """Return which positions are surely in a robot's reach."""
         reach, r = self.reach(robot), self.distance(robot, x, y)

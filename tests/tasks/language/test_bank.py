@@ -14,7 +14,7 @@ from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.language import bank as language
-from lemma.tasks.language.bank import KINDS, Template
+from lemma.tasks.language.template import KINDS, GoalPairs, Template
 
 TASKS = (
     "pass",
@@ -42,7 +42,7 @@ def kinds_of(template: Template) -> tuple[tuple[str, str], ...]:
     return template.entity_kinds
 
 
-def goals_of(template: Template) -> list[language.GoalPairs]:
+def goals_of(template: Template) -> list[GoalPairs]:
     """Every goal of a one-conjunct template, forty of the others."""
     if kinds_of(template) == (("cube", "pad"),):
         return [((f"{a}_cube", f"{b}_pad"),) for a in COLORS for b in COLORS]

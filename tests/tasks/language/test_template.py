@@ -4,7 +4,8 @@ import pytest
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.seeding import stream
-from lemma.tasks.language.bank import KINDS, LanguageBank, Template, parse, templates
+from lemma.tasks.language.bank import parse, templates
+from lemma.tasks.language.template import KINDS, LanguageBank, Template
 
 
 def test_a_user_brings_plain_strings():

@@ -16,7 +16,7 @@ from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.blind import blind_templates, instruction
 from lemma.tasks.language.template import BLIND, GoalPairs
-from lemma.tasks.suite import load_instance, task_named
+from lemma.tasks.suite import TASKS, load_instance
 
 LANGUAGES = {
     "full": "the sentence of the instance",
@@ -73,7 +73,7 @@ def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:
 def _reworded(instance: Instance, kind: str, asks: GoalPairs) -> str:
     """Return the sentence of an instance in the same words, for another goal."""
     said = instruction(instance, kind)
-    bank = task_named(instance.task).language
+    bank = TASKS[instance.task].language
     blind = kind == BLIND
     for template in blind_templates(instance.task) if blind else bank.templates(kind):
         if template.render(instance.goal.pairs) == said:

@@ -35,11 +35,11 @@ from lemma.scene.build import TIME_STEP_S
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.pad import PAD
 from lemma.scene.raster import RASTER
+from lemma.tasks.goal import REST_M_S, REST_RAD_S, TILT_RAD
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.language.blind import author_sha256
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
-from lemma.tasks.support import REST_M_S, REST_RAD_S, TILT_RAD
 
 PROTOCOL = "protocol.json"
 """File in the package."""

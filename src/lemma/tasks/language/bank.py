@@ -21,30 +21,12 @@ from lemma.core.registry import Registry
 from lemma.scene.objects.entity import ENTITIES, SHARED, entity_named, kind_of
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.language.template import (
-    KINDS,
     GoalPairs,
     LanguageBank,
     Template,
     only_goal,
 )
 from lemma.tasks.subtask import added_phrase, primitive_names
-
-__all__ = [
-    "KINDS",
-    "GoalPairs",
-    "LanguageBank",
-    "Template",
-    "bank_for",
-    "instruct",
-    "parse",
-    "phrase",
-    "robot_phrases",
-    "robot_phrases_in_order",
-    "sub_instruction",
-    "templates",
-    "vocabulary",
-    "words",
-]
 
 _WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 _FAMILIES = ("cube_on_pad", "cubes_on_pads", "cube_on_cube", "cubes_on_cubes")

@@ -10,7 +10,7 @@ from lemma.core.version import VERSION as __version__
 from lemma.core.workers.pool import ProcessPool
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
-from lemma.tasks.suite import task_named
+from lemma.tasks.suite import TASKS
 from lemma.viz.map_overlay import annotated_map
 from lemma.viz.pages.templates import fill, jpeg
 from lemma.viz.recording import Recording, main_sentence, pose, robot_titles
@@ -70,7 +70,7 @@ def _card(recording: Recording, illustration: Illustration) -> dict[str, object]
     return {
         "recording": recording,
         "sentence": main_sentence(recording.instance),
-        "summary": task_named(recording.instance.task).summary,
+        "summary": TASKS[recording.instance.task].summary,
         "lanes": [
             {"robot": name, "title": title, "color": robot.color}
             for name, title, robot in zip(

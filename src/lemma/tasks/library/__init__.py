@@ -1,1 +1,0 @@
-"""The eight tasks, one file each."""
