@@ -23,16 +23,16 @@ import os
 import subprocess
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from operator import attrgetter
 from pathlib import Path
 from shutil import rmtree
 
-from lemma.core.files import read_json
+from lemma.core.files import read_json, write_json
 from lemma.evaluation.analysis.result import read_result
 from lemma.evaluation.experiments.catalog import CONTROL_TASKS
 from lemma.evaluation.records import SUMMARY
-from lemma.evaluation.report.learning_curves import CURVE, LearningCurve, Point
+from lemma.evaluation.report.policy_results import CURVE, LearningCurve, Point
 from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
 from side_by_side import start, visible_gpus
 
@@ -222,7 +222,8 @@ def write_curve(plan: Plan, run: Run) -> None:
         points.append(Point(int(found.parent.name), played, solved))
     if points:
         points.sort(key=attrgetter("steps"))
-        LearningCurve(tuple(points)).write(plan.run(*run) / CURVE)
+        curve = LearningCurve(tuple(points))
+        write_json(plan.run(*run) / CURVE, asdict(curve))
         print(*run, *points, sep="\n", flush=True)
 
 

@@ -5,22 +5,19 @@ its figure, a page for each topic and a CSV file for each table in docs/results/
 Without results, the page and the README say that nothing was run.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.experiments.catalog import SUITES
-from lemma.evaluation.report import success_tables
-from lemma.evaluation.report.learning_curves import read_curves
 from lemma.evaluation.report.policy_results import (
     PolicyResults,
     entries_of,
-    mean_cell,
-    pooled,
+    read_curves,
     read_results,
     shown,
+    shown_mean,
 )
 from lemma.evaluation.report.sections import (
     HOW,
@@ -30,7 +27,7 @@ from lemma.evaluation.report.sections import (
     sample_words,
     sections,
 )
-from lemma.evaluation.report.tables import words
+from lemma.evaluation.report.tables import at_a_glance, words
 from lemma.tasks.suite import SUITE
 from lemma.viz.pages.report_figures import headline_figure
 from lemma.viz.plots import standalone
@@ -153,7 +150,7 @@ def _front(
     return _PAGE.format(
         protocol=protocol_words(every, f"[{HOW}](results/rows.md)"),
         sample=sample_words(played),
-        glance=success_tables.at_a_glance(played).markdown() if played else NOTHING,
+        glance=at_a_glance(played).markdown() if played else NOTHING,
         tasks=_by_task(played).markdown(),
         causes=_causes(played).markdown(),
         links="\n".join(links) + "\n",
@@ -185,10 +182,7 @@ def _topic_page(topic: str, found: Sequence[Section]) -> str:
 def _headliners(every: Sequence[PolicyResults]) -> list[PolicyResults]:
     """Return those that are compared first: rows of the paper, and ours."""
     return [
-        entry
-        for entry in every
-        if entry.results
-        and (entry.experiment is None or entry.experiment.suite in SUITES[:2])
+        entry for entry in every if entry.results and entry.suite in ("", *SUITES[:2])
     ]
 
 
@@ -196,8 +190,8 @@ def _by_task(played: Sequence[PolicyResults]) -> Table:
     rows = [
         (
             entry.title,
-            *(shown(entry.select("high_level", task=task), pooled) for task in SUITE),
-            mean_cell(entry, "high_level"),
+            *(shown(entry.select("high_level", task=task)) for task in SUITE),
+            shown_mean(entry.select("high_level")),
         )
         for entry in played
     ]
@@ -207,11 +201,7 @@ def _by_task(played: Sequence[PolicyResults]) -> Table:
 def _causes(played: Sequence[PolicyResults]) -> Table:
     rows = []
     for entry in played:
-        counted: Counter[str] = Counter()
-        for result in entry.results:
-            for loss in result.losses:
-                counted[loss.cause] += loss.episodes
-        total = sum(c.episodes for result in entry.results for c in result.cells)
+        counted, total = entry.causes(), entry.episodes()
         shares = [f"{100 * counted[cause] / total:.1f}" for cause in Cause]
         rows.append((entry.title, f"{100 * counted.total() / total:.1f}", *shares))
     used = [
@@ -232,7 +222,7 @@ def headline(results: Path = RESULTS) -> str:
     if not played:
         return NOTHING
     told = protocol_words(played, f"[{HOW}](docs/results/rows.md)")
-    table = success_tables.at_a_glance(played).markdown()
+    table = at_a_glance(played).markdown()
     return f"{f'{told} {sample_words(played)}'.strip()}\n\n{table}"
 
 

@@ -128,7 +128,7 @@ def evaluate(
     from lemma.evaluation.analysis.result import summarise
     from lemma.evaluation.protocol.rules import NAME, departures
     from lemma.evaluation.records import SUMMARY, read_about
-    from lemma.evaluation.report.success_tables import rates
+    from lemma.evaluation.report.tables import rates
     from lemma.evaluation.run.evaluate import evaluate as run
 
     config = _config(policy, out, ask, model)

@@ -12,7 +12,7 @@ from lemma.core.workers.pool import Engine, ProcessPool
 from lemma.core.workers.serial import Serial
 from lemma.evaluation.analysis.result import Result, summarise
 from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
-from lemma.evaluation.report.success_tables import rates
+from lemma.evaluation.report.tables import rates
 from lemma.evaluation.run.config import VERDICTS, EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate as play
 from lemma.policies.planners.registry import is_planner

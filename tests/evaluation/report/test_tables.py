@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from lemma.cli.report import report as verb
 from lemma.core.errors import DatasetError
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.result import Asked, Result, summarise
-from lemma.evaluation.report import success_tables, tables
+from lemma.evaluation.report import tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     NOTHING,
@@ -45,7 +46,7 @@ def cells(table: Table, title: str) -> dict[str, str]:
 
 def test_one_seed_has_wilson_intervals() -> None:
     entry = entry_of(result(5))
-    found = cells(success_tables.by_task([entry], "high_level"), "ReachNet")
+    found = cells(tables.by_task([entry], "high_level"), "ReachNet")
     assert found["pass"] == "50.0 (24–76)"
     assert found["mean"] == "50.0 (30–70) †"
     # Nobody played the other tasks.
@@ -54,7 +55,7 @@ def test_one_seed_has_wilson_intervals() -> None:
 
 def test_several_seeds_have_a_spread() -> None:
     entry = entry_of(result(6, seed=1), result(4, seed=0), result(8, seed=2))
-    found = cells(success_tables.by_task([entry], "high_level"), "ReachNet")
+    found = cells(tables.by_task([entry], "high_level"), "ReachNet")
     assert (found["pass"], found["mean"]) == ("60.0 ± 20.0", "60.0 ± 20.0 †")
     assert [one.seed for one in entry.results] == [0, 1, 2]
 
@@ -75,7 +76,7 @@ def test_seeds_share_their_data() -> None:
 
 
 def test_the_paper_stands_below_the_same_row() -> None:
-    table = success_tables.by_task(entries_of([], complete=True), "high_level")
+    table = tables.by_task(entries_of([], complete=True), "high_level")
     assert table.header == ("success [%]", *SUITE, "mean")
     lines = [line[0] for line in table.rows]
     assert lines[:2] == ["ET + CLIPort, single-step", "*paper*"]
@@ -87,11 +88,11 @@ def test_the_paper_stands_below_the_same_row() -> None:
 def test_breakdowns_pool_all_tasks() -> None:
     entry = entry_of(result(5))
     distractors = cells(
-        success_tables.by_distractors([entry], "high_level"), entry.title
+        tables.breakdown([entry], "high_level", "distractors"), entry.title
     )
     assert distractors["1"] == distractors["all"] == "50.0 (30–70)"
     assert list(distractors) == ["success [%]", "1", "all"]
-    team = cells(success_tables.by_team([entry], "high_level"), entry.title)
+    team = cells(tables.breakdown([entry], "high_level", "team"), entry.title)
     assert team["ur5+ur10"] == "50.0 (30–70)"
     assert list(team) == ["success [%]", "ur5+ur10", "all"]
 
@@ -116,7 +117,7 @@ def test_ablations_have_a_table_of_their_own() -> None:
         ("nothing left out", "80.0 (58–92) †", "20"),
         ("no palette swap", "30.0 (15–52) †", "20"),
     ]
-    titles = [line[0] for line in success_tables.by_task(entries, "high_level").rows]
+    titles = [line[0] for line in tables.by_task(entries, "high_level").rows]
     assert titles == ["ReachNet", "*lenient*"]
 
 
@@ -191,9 +192,9 @@ def test_controls_do_not_crowd_the_tables_of_success() -> None:
     alone = [control("none", 3), control("full", 7, perturb_start=True)]
     beside = entries_of([control("full", 9), *alone])
     for table in (
-        success_tables.by_task,
-        success_tables.by_team,
-        success_tables.by_distractors,
+        tables.by_task,
+        partial(tables.breakdown, by="team"),
+        partial(tables.breakdown, by="distractors"),
     ):
         (row,) = [r for r in table(beside, "high_level").rows if "ReachNet" in r[0]]
         assert row[-1].startswith("90.0")
@@ -284,22 +285,22 @@ def test_lenient_verdicts_stand_below_the_strict() -> None:
         replace(cell, lenient_successes=cell.successes + 2) for cell in made.cells
     )
     entry = entry_of(replace(made, cells=cells_of_both))
-    strict, lenient = success_tables.by_task([entry], "high_level").rows
+    strict, lenient = tables.by_task([entry], "high_level").rows
     assert strict[1:] == ("50.0 (24–76)", "50.0 (24–76)", "50.0 (30–70) †")
     assert [cell.split(" ")[0] for cell in lenient] == ["*lenient*", *["70.0"] * 3]
     # A result that was played strictly alone has no such row.
     alone = tuple(replace(cell, lenient_successes=None) for cell in made.cells)
-    table = success_tables.by_task([entry_of(replace(made, cells=alone))], "high_level")
+    table = tables.by_task([entry_of(replace(made, cells=alone))], "high_level")
     assert len(table.rows) == 1
 
 
 def test_all_tables_of_the_paper_stand_below_ours() -> None:
     nobody = entries_of([], complete=True)
-    teams = success_tables.by_team(nobody, "human")
+    teams = tables.breakdown(nobody, "human", "team")
     assert teams.header[1:4] == ("ur5+ur5", "ur5+ur10", "ur10+ur10")
     below = {above[0]: row for above, row in pairwise(teams.rows)}
     assert below["M-CLIPort"][1:4] == ("6.62 ± 0.93", "8.52 ± 1.25", "4.48 ± 1.06")
-    numbers = success_tables.distractors_by_task(nobody)
+    numbers = tables.distractors_by_task(nobody)
     assert numbers.header[3:] == ("0", "1", "2")
     hook = ("26.09 ± 2.51", "32.46 ± 3.62", "17.59 ± 2.07")
     assert ("*paper*", "hook", "human", *hook) in numbers.rows

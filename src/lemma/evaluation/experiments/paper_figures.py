@@ -39,6 +39,16 @@ class Figures:
     distractors: Mapping[str, Mapping[int, Measured]] = field(default_factory=dict)
     """By task and number of distractors."""
 
+    def of(
+        self, task: str = "", team: str = "", distractors: int | None = None
+    ) -> Measured | None:
+        """Return the figure of some episodes, if the paper has it; else of all."""
+        if distractors is not None:
+            return self.distractors.get(task, {}).get(distractors)
+        if team:
+            return self.teams.get(team)
+        return self.tasks.get(task) if task else self.mean
+
 
 def _measured(text: str) -> list[Measured]:
     """Return figures as they are printed: ``"34.33±2.19 0.00±0.00"``."""

@@ -1,21 +1,20 @@
 """The results of one policy over its training seeds: what a row of a table is."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from statistics import fmean, stdev
 
+import msgspec
+
 from lemma.core.errors import DatasetError
+from lemma.core.files import read_json
 from lemma.evaluation.analysis.intervals import leniently, mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Cell, Result, check_lines, read_result
-from lemma.evaluation.experiments.catalog import (
-    ABLATIONS,
-    CONTROL_LEVEL,
-    EXPERIMENTS,
-    Experiment,
-)
+from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS, Experiment
 from lemma.evaluation.lines import is_lines, lines_beside, read_lines, result_beside
 from lemma.evaluation.protocol.language_controls import FULL
 from lemma.evaluation.protocol.rules import check_protocol
@@ -26,6 +25,8 @@ NOTHING = "–"
 NOT_RUN = "not run"
 PARTIAL = "†"
 """Marks a mean over other tasks than all of the suite."""
+CURVE = "curve.json"
+"""File of a learning curve, beside the results of its experiment."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,36 @@ class PolicyResults:
         """Whether there are episodes of a kind of instructions."""
         return any(self.select(kind))
 
+    @property
+    def suite(self) -> str:
+        """Suite of its experiment; empty for anybody's own policy."""
+        return self.experiment.suite if self.experiment else ""
 
-def shown(seeds: list[list[Cell]], rate: Callable[[list[Cell]], float]) -> str:
+    def episodes(self, kind: str | None = None, task: str | None = None) -> int:
+        """Return how many were played, of all kinds and tasks by default."""
+        return sum(
+            cell.episodes
+            for result in self.results
+            for cell in result.cells
+            if kind in (None, cell.kind) and task in (None, cell.task)
+        )
+
+    def causes(self, kind: str | None = None, task: str | None = None) -> Counter[str]:
+        """Return how many failed by cause, of all kinds and tasks by default."""
+        counted: Counter[str] = Counter()
+        for result in self.results:
+            for loss in result.losses:
+                if kind in (None, loss.kind) and task in (None, loss.task):
+                    counted[loss.cause] += loss.episodes
+        return counted
+
+
+def pooled(cells: list[Cell]) -> float:
+    """Return the success rate in all episodes."""
+    return rate_of(cells).success_rate
+
+
+def shown(seeds: list[list[Cell]], rate: Callable[[list[Cell]], float] = pooled) -> str:
     """Return a success rate [%] as a table shows it.
 
     Args:
@@ -84,11 +113,6 @@ def shown(seeds: list[list[Cell]], rate: Callable[[list[Cell]], float]) -> str:
     counted = rate_of(next(cells for cells in seeds if cells))
     low, high = counted.interval
     return f"{rates[0]:.1f} ({100 * low:.0f}–{100 * high:.0f})"
-
-
-def pooled(cells: list[Cell]) -> float:
-    """Return the success rate in all episodes."""
-    return rate_of(cells).success_rate
 
 
 def shown_mean(seeds: list[list[Cell]]) -> str:
@@ -230,21 +254,6 @@ def is_plain(result: Result) -> bool:
     return result.about["language"] == FULL and not starts_perturbed(result)
 
 
-def is_ablation(entry: PolicyResults) -> bool:
-    """Whether a policy stands in the table of the ablations."""
-    return entry.experiment is not None and entry.experiment.suite == ABLATIONS
-
-
-def is_control_level(entry: PolicyResults) -> bool:
-    """Whether a policy stands in the table of those at control level."""
-    return entry.experiment is not None and entry.experiment.suite == CONTROL_LEVEL
-
-
-def mean_cell(entry: PolicyResults, kind: str) -> str:
-    """Return the mean over the tasks [%] as a table shows it, or that nobody played."""
-    return shown_mean(entry.select(kind)) if entry.results else NOT_RUN
-
-
 def _row_of(result: Result) -> str:
     """Return the experiment that a result is of; else what its policy is called."""
     if result.experiment in EXPERIMENTS:
@@ -281,3 +290,39 @@ def _data_of(result: Result) -> dict[str, str | None]:
     """Return the digest of the data that each part of a policy was trained on."""
     weights = result.about["weights"]
     return {name: told.get("data", {}).get("digest") for name, told in weights.items()}
+
+
+@dataclass(frozen=True)
+class Point:
+    """A checkpoint that was evaluated."""
+
+    steps: int
+    """Steps of the training."""
+    episodes: int
+    """Episodes of split val that were played."""
+    successes: int
+    """Strictly."""
+
+
+@dataclass(frozen=True)
+class LearningCurve:
+    """Checkpoints of one training, by number of steps."""
+
+    points: tuple[Point, ...]
+
+
+def read_curves(results: Path) -> dict[str, LearningCurve]:
+    """Return the learning curves in a folder of results, by experiment.
+
+    Raises:
+        DatasetError: One is damaged.
+    """
+    found = {}
+    for name in EXPERIMENTS:
+        path = results / name / CURVE
+        if path.exists():
+            try:
+                found[name] = msgspec.convert(read_json(path), LearningCurve)
+            except msgspec.ValidationError as error:
+                raise DatasetError(f"{path} is no learning curve: {error}.") from error
+    return found

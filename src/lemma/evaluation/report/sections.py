@@ -4,24 +4,24 @@ Made from results and from nothing else.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.result import Result
 from lemma.evaluation.experiments.catalog import (
     ABLATION_EPISODES,
+    CONTROL_LEVEL,
     EXPERIMENTS,
     SEEDS,
     SUITES,
 )
-from lemma.evaluation.report import success_tables, tables
-from lemma.evaluation.report.learning_curves import LearningCurve, learning_curves
+from lemma.evaluation.report import tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     PARTIAL,
+    LearningCurve,
     PolicyResults,
-    is_control_level,
     tasks_of,
 )
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
@@ -132,152 +132,150 @@ def sections(
         guide: The page about evaluation, as notes name it.
         curves: By experiment.
     """
-    every = {
-        SUCCESS: (*_paper_sections(entries), *_unseen_sections(entries)),
-        CONTROLS: _control_sections(entries, guide),
-        DIAGNOSES: _diagnoses(entries, guide),
-    }
-    control = [one for one in entries if is_control_level(one)]
-    others = [one for one in entries if not is_control_level(one)]
-    sample, samples = sample_words(others), {CONTROL: sample_words(control)}
+    sample = sample_words([one for one in entries if one.suite != CONTROL_LEVEL])
+    control = sample_words([one for one in entries if one.suite == CONTROL_LEVEL])
+    curve = Section(
+        "Learning curves",
+        "Of the policies at control level: checkpoints on episodes of split `val`, "
+        "strict.",
+        tables.learning_curves(curves),
+        CONTROLS,
+    )
     found = [
-        Section(title, note, table, topic, samples.get(title, sample))
-        for topic, listed in every.items()
+        Section(title, note, table, topic, control if title == CONTROL else sample)
+        for topic, listed in (
+            (SUCCESS, _of_success(entries)),
+            (CONTROLS, _of_controls(entries, guide)),
+            (DIAGNOSES, _of_diagnoses(entries, guide)),
+        )
         for title, note, table in listed
     ]
-    note = "Of the policies at control level: checkpoints on episodes of split `val`, "
-    curve = Section(
-        "Learning curves", f"{note}strict.", learning_curves(curves), CONTROLS
-    )
     return [*found, curve, _provenance(entries)]
 
 
-def _paper_sections(
-    entries: Sequence[PolicyResults],
-) -> Iterator[tuple[str, str, Table]]:
-    """Yield title, note and table of what is in the paper, too."""
-    yield (
-        "High-level instructions",
-        "As in the paper.",
-        success_tables.by_task(entries, "high_level"),
-    )
-    yield (
-        "Human instructions",
-        "As in the paper. Templates of this kind are seen in training; ours "
-        "are not crowd-sourced.",
-        success_tables.by_task(entries, "human"),
-    )
-    yield (
-        "Distractors, as in the paper",
-        "By number of objects that the goal does not need, in four tasks.",
-        success_tables.distractors_by_task(entries),
-    )
+Told = list[tuple[str, str, Table]]
+"""Title, note and table of sections."""
+
+
+def _of_success(entries: Sequence[PolicyResults]) -> Told:
+    found = [
+        (
+            "High-level instructions",
+            "As in the paper.",
+            tables.by_task(entries, "high_level"),
+        ),
+        (
+            "Human instructions",
+            "As in the paper. Templates of this kind are seen in training; ours "
+            "are not crowd-sourced.",
+            tables.by_task(entries, "human"),
+        ),
+        (
+            "Distractors, as in the paper",
+            "By number of objects that the goal does not need, in four tasks.",
+            tables.distractors_by_task(entries),
+        ),
+    ]
     for kind in ("high_level", "human"):
-        name = tables.words(kind, "-")
-        yield (
-            f"Distractors, {name} instructions",
+        name = f"{tables.words(kind, '-')} instructions"
+        mixed = (
             "All tasks together. They have different ranges of it, so the columns hold "
-            "different mixtures of tasks.",
-            success_tables.by_distractors(entries, kind),
+            "different mixtures of tasks."
         )
-        yield (
-            f"Robot types, {name} instructions",
-            "As in the paper: by team.",
-            success_tables.by_team(entries, kind),
-        )
+        distractors = tables.breakdown(entries, kind, "distractors")
+        teams = tables.breakdown(entries, kind, "team")
+        found += [
+            (f"Distractors, {name}", mixed, distractors),
+            (f"Robot types, {name}", "As in the paper: by team.", teams),
+        ]
+    return [
+        *found,
+        (
+            "Unseen templates",
+            "Sentences of templates that training never sees; not in the paper.",
+            tables.by_task(entries, "unseen"),
+        ),
+        (
+            "Blind templates",
+            "Sentences of somebody who had read none of this project's templates, "
+            "rules or results, and which no part of a policy was made with; not in the "
+            "paper.",
+            tables.by_task(entries, "blind"),
+        ),
+    ]
 
 
-def _unseen_sections(
-    entries: Sequence[PolicyResults],
-) -> Iterator[tuple[str, str, Table]]:
-    """Yield title, note and table of sentences that the paper does not have."""
-    yield (
-        "Unseen templates",
-        "Sentences of templates that training never sees; not in the paper.",
-        success_tables.by_task(entries, "unseen"),
-    )
-    yield (
-        "Blind templates",
-        "Sentences of somebody who had read none of this project's templates, rules or "
-        "results, and which no part of a policy was made with; not in the paper.",
-        success_tables.by_task(entries, "blind"),
-    )
+def _of_controls(entries: Sequence[PolicyResults], guide: str) -> Told:
+    return [
+        (
+            "Other sentences",
+            "How much a policy needs the sentence: success at the goal of the instance "
+            "when something else is said, or nothing; strict. Without distractors "
+            "there is little to guess. Last: how often what swapped colors ask for "
+            "holds.",
+            tables.language(entries),
+        ),
+        (
+            CONTROL,
+            "ACT and Diffusion Policy of LeRobot, which answer where each gripper "
+            "shall go five times a second; one policy for these tasks. *Told poses and "
+            "goal* is an oracle: it sees no pictures and reads no sentence. `lemma "
+            "reproduce control-level --print` says how they are trained.",
+            tables.control_level(entries),
+        ),
+        (
+            "Perturbed starts",
+            f"Objects begin a little elsewhere; strict. {guide} says how.",
+            tables.starts(entries),
+        ),
+        (
+            "Ablations",
+            "One thing left out of ReachNet's training each, and two controls; all are "
+            f"trained alike long, on {ABLATION_EPISODES} demonstrations of each task, "
+            f"with seed 0; strict. {guide} lists them.",
+            tables.ablations(entries),
+        ),
+    ]
 
 
-def _control_sections(
-    entries: Sequence[PolicyResults], guide: str
-) -> Iterator[tuple[str, str, Table]]:
-    """Yield title, note and table of controls, control level and ablations."""
-    yield (
-        "Other sentences",
-        "How much a policy needs the sentence: success at the goal of the instance "
-        "when something else is said, or nothing; strict. Without distractors there "
-        "is little to guess. Last: how often what swapped colors ask for holds.",
-        tables.language(entries),
-    )
-    yield (
-        CONTROL,
-        "ACT and Diffusion Policy of LeRobot, which answer where each gripper shall go "
-        "five times a second; one policy for these tasks. *Told poses and goal* is an "
-        "oracle: it sees no pictures and reads no sentence. `lemma reproduce "
-        "control-level --print` says how they are trained.",
-        success_tables.control_level(entries),
-    )
-    yield (
-        "Perturbed starts",
-        f"Objects begin a little elsewhere; strict. {guide} says how.",
-        tables.starts(entries),
-    )
-    yield (
-        "Ablations",
-        "One thing left out of ReachNet's training each, and two controls; all are "
-        f"trained alike long, on {ABLATION_EPISODES} demonstrations of each task, with "
-        f"seed 0; strict. {guide} lists them.",
-        tables.ablations(entries),
-    )
-
-
-def _diagnoses(
-    entries: Sequence[PolicyResults], guide: str
-) -> Iterator[tuple[str, str, Table]]:
-    """Yield title, note and table of how policies fail, and how robots share work."""
-    yield (
-        "Where the points are lost",
-        "Failed episodes by cause, over all seeds. The expert is asked before every "
-        f"sub-task what it would do in the same state; {guide} defines the causes.",
-        tables.losses(entries),
-    )
-    for entry in entries:
-        if _is_detailed(entry):
-            title = f"{entry.title}: losses by task"
-            yield title, "", tables.losses_by_task(entry)
-    yield (
-        "How exact the poses are",
-        "High-level instructions; distance from the middle of the cube, or of the pad "
-        "or cube below, where the sub-task was the expert's. In brackets the part that "
-        "is more than 20 mm off. Places in the shared region and poses of the stick "
-        "are a matter of choice, so they are not here.",
-        tables.precision(entries, "high_level"),
-    )
-    yield (
-        "Coordination",
-        "High-level instructions. Time against the expert's where both succeed, the "
-        "part of it in which each robot is idle, sub-tasks given at the first try to a "
-        "robot that is able to do them, and to the expert's, those that came too soon, "
-        f"and how near the arms came to each other; {guide} defines them.",
-        tables.coordination(entries, "high_level"),
-    )
+def _of_diagnoses(entries: Sequence[PolicyResults], guide: str) -> Told:
+    return [
+        (
+            "Where the points are lost",
+            "Failed episodes by cause, over all seeds. The expert is asked before "
+            "every sub-task what it would do in the same state; "
+            f"{guide} defines the causes.",
+            tables.losses(entries),
+        ),
+        *(
+            (f"{entry.title}: losses by task", "", tables.losses_by_task(entry))
+            for entry in entries
+            # A page has room for the rows of the paper, ours, and anybody's own.
+            if entry.suite in ("", *SUITES[:2]) and entry.causes()
+        ),
+        (
+            "How exact the poses are",
+            "High-level instructions; distance from the middle of the cube, or of the "
+            "pad or cube below, where the sub-task was the expert's. In brackets the "
+            "part that is more than 20 mm off. Places in the shared region and poses "
+            "of the stick are a matter of choice, so they are not here.",
+            tables.precision(entries, "high_level"),
+        ),
+        (
+            "Coordination",
+            "High-level instructions. Time against the expert's where both succeed, "
+            "the part of it in which each robot is idle, sub-tasks given at the first "
+            "try to a robot that is able to do them, and to the expert's, those that "
+            "came too soon, and how near the arms came to each other; "
+            f"{guide} defines them.",
+            tables.coordination(entries, "high_level"),
+        ),
+    ]
 
 
 def _written(section: Section) -> str:
     body = "\n\n".join(filter(None, (section.caption, section.table.markdown())))
     return f"\n## {section.title}\n\n{body}"
-
-
-def _is_detailed(entry: PolicyResults) -> bool:
-    """Whether a page has room for the causes by task, if there are any."""
-    detailed = entry.experiment is None or entry.experiment.suite in SUITES[:2]
-    return detailed and any(result.losses for result in entry.results)
 
 
 HOW = "How each row is made"

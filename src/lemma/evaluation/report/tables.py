@@ -1,29 +1,51 @@
-"""The tables: rows and columns made from results, and from nothing else."""
+"""The tables: rows and columns made from results, and from nothing else.
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+Success is strict as the headline, with lenient success and the paper's below it.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from statistics import fmean, stdev
+from typing import Any
 
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.coordination import Coordination
 from lemma.evaluation.analysis.failure_causes import Cause
-from lemma.evaluation.analysis.result import Result
+from lemma.evaluation.analysis.intervals import (
+    Rate,
+    leniently,
+    mean_over_tasks,
+    rates_by,
+)
+from lemma.evaluation.analysis.result import Cell, Result
+from lemma.evaluation.experiments.catalog import (
+    ABLATIONS,
+    CONTROL_LEVEL,
+    EXPERIMENTS,
+    SUITES,
+)
+from lemma.evaluation.experiments.paper_figures import TEAMS, Figures, Measured
 from lemma.evaluation.protocol.language_controls import FULL, LANGUAGES
 from lemma.evaluation.report.policy_results import (
+    NOT_RUN,
     NOTHING,
+    LearningCurve,
     PolicyResults,
-    is_ablation,
     is_plain,
-    mean_cell,
     policy_of,
-    pooled,
     shown,
     shown_mean,
     starts_perturbed,
     tasks_of,
 )
 from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.names import in_order
+from lemma.tasks.suite import SUITE
+
+LENIENT = "*lenient*"
+PAPER = "*paper*"
+_ORDER: Mapping[str, Sequence[Any]] = {"team": TEAMS, "distractors": range(5)}
 
 
 def words(name: str, gap: str = " ") -> str:
@@ -31,48 +53,254 @@ def words(name: str, gap: str = " ") -> str:
     return name.replace("_", gap)
 
 
+@dataclass(frozen=True)
+class Column:
+    """A column of success rates."""
+
+    name: str
+    where: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of the cells that it counts, and their values."""
+    rate: Callable[[list[list[Cell]]], str] = shown
+    sums_up: bool = False
+    """Whether it says of a policy without results that nobody played."""
+    has_paper: bool = True
+    """Whether a figure of the paper may stand below it."""
+
+    def paper(self, entry: PolicyResults, kind: str, **where: Any) -> Measured | None:
+        """Return the paper's figure for a policy, if there is one."""
+        figures = _paper(entry, kind) if self.has_paper else None
+        return figures.of(**where) if figures else None
+
+
+_MEAN = Column("mean", rate=shown_mean, sums_up=True)
+
+
+def _lines(
+    entry: PolicyResults, columns: Sequence[Column], *label: str, **where: Any
+) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of a policy: strict, and where there are some, lenient and paper.
+
+    Args:
+        entry: Results of the policy.
+        columns: Columns of rates.
+        label: Further words at the left.
+        where: Fields of the cells that all columns count, and their values.
+    """
+    pairs = [(column, {**where, **column.where}) for column in columns]
+    cells = (
+        column.rate(entry.select(**asked))
+        if entry.results or not column.sums_up
+        else NOT_RUN
+        for column, asked in pairs
+    )
+    yield (entry.title, *label, *cells)
+    later = [(column, entry.select_leniently(**asked)) for column, asked in pairs]
+    if any(seeds for _, seeds in later):
+        yield (LENIENT, *label, *(column.rate(seeds) for column, seeds in later))
+    figures = [column.paper(entry, **asked) for column, asked in pairs]
+    if any(figures):
+        printed = (NOTHING if one is None else str(one) for one in figures)
+        yield (PAPER, *label, *printed)
+
+
+def _table(
+    head: tuple[str, ...], columns: Iterable[Column], rows: Iterable[tuple[str, ...]]
+) -> Table:
+    names = (column.name for column in columns)
+    return Table((*head, *names), tuple(rows), labels=len(head))
+
+
+def _means(entries: Sequence[PolicyResults]) -> list[Column]:
+    """Return a column for every kind of instructions that was played."""
+    kinds = [kind for kind in EVALUATION_KINDS if any(e.has(kind) for e in entries)]
+    return [
+        Column(words(kind, "-"), {"kind": kind}, shown_mean, sums_up=True)
+        for kind in kinds or EVALUATION_KINDS
+    ]
+
+
+def at_a_glance(entries: Sequence[PolicyResults]) -> Table:
+    """Return the mean over the tasks of every policy, by kind of instructions."""
+    columns = _means(entries)
+    rows = (line for entry in entries for line in _lines(entry, columns))
+    return _table(("mean over the tasks [%]",), columns, rows)
+
+
 def ablations(entries: Sequence[PolicyResults]) -> Table:
     """Return the success of ReachNet with one thing of its training changed each."""
-    chosen = [entry for entry in entries if is_ablation(entry)]
-    kinds = [
-        kind for kind in EVALUATION_KINDS if any(entry.has(kind) for entry in chosen)
-    ]
+    chosen = [entry for entry in entries if entry.suite == ABLATIONS]
+    columns = _means(chosen)
     rows = [
-        (
-            entry.title,
-            *(mean_cell(entry, kind) for kind in kinds),
-            str(sum(_episodes(entry, kind) for kind in kinds) or NOTHING),
-        )
+        (*next(_lines(entry, columns)), str(entry.episodes() or NOTHING))
         for entry in chosen
     ]
-    header = ("mean over the tasks [%]", *(words(k, "-") for k in kinds), "episodes")
-    return Table(header, tuple(rows))
+    return _table(("mean over the tasks [%]",), (*columns, Column("episodes")), rows)
+
+
+def rates(cells: Sequence[Cell]) -> Table:
+    """Return the success of one policy [%]: tasks down, kinds of instructions across.
+
+    Strict, with Wilson intervals; the last row is the mean of the lenient verdict.
+    """
+    every = {kind: [c for c in cells if c.kind == kind] for kind in EVALUATION_KINDS}
+    columns = {kind: listed for kind, listed in every.items() if listed}
+    by_name = [rates_by(column, "task") for column in columns.values()]
+    tasks = in_order(cell.task for cell in cells)
+    rows = [
+        (task, *(_interval(found.get((task,))) for found in by_name)) for task in tasks
+    ]
+    many = f"{len(tasks)} task{'s' * (len(tasks) > 1)}"
+    over = "mean" if set(tasks) == set(SUITE) else f"mean of {many}"
+    later = [leniently(column) for column in columns.values()]
+    for title, listed in ((over, list(columns.values())), ("mean, lenient", later)):
+        if all(listed):
+            means = (f"{100 * mean_over_tasks(column):.1f}" for column in listed)
+            rows.append((title, *means))
+    return Table(("success [%]", *(words(k, "-") for k in columns)), tuple(rows))
+
+
+def _interval(rate: Rate | None) -> str:
+    if rate is None:
+        return ""
+    low, high = rate.interval
+    return f"{100 * rate.success_rate:.1f} ({100 * low:.0f}-{100 * high:.0f})"
+
+
+def by_task(entries: Iterable[PolicyResults], kind: str) -> Table:
+    """Return success by task with one kind of instructions."""
+    reporting = _reporting(entries, kind)
+    tasks = tasks_of(reporting, kind)
+    # The paper's mean is over all of them.
+    whole = set(tasks) == set(SUITE)
+    mean = Column("mean", {}, shown_mean, sums_up=True, has_paper=whole)
+    columns = [*(Column(task, {"task": task}) for task in tasks), mean]
+    rows = (line for one in reporting for line in _lines(one, columns, kind=kind))
+    return _table(("success [%]",), columns, rows)
+
+
+def control_level(entries: Iterable[PolicyResults]) -> Table:
+    """Return success by task of policies that answer motor commands, strict."""
+    chosen = [
+        (entry, entry.experiment)
+        for entry in entries
+        if entry.experiment and entry.suite == CONTROL_LEVEL
+    ]
+    tasks = in_order(task for _, experiment in chosen for task in experiment.tasks)
+    columns = [*(Column(task, {"task": task}) for task in tasks), _MEAN]
+    rows = (
+        next(_lines(entry, columns, words(kind, "-"), kind=kind))
+        for entry, experiment in chosen
+        for kind in experiment.kinds
+    )
+    return _table(("success [%]", "instructions"), columns, rows)
+
+
+def breakdown(entries: Iterable[PolicyResults], kind: str, by: str) -> Table:
+    """Return success over all tasks by a field of cells.
+
+    Args:
+        entries: Results by policy.
+        kind: Kind of instructions.
+        by: ``"team"`` or ``"distractors"``.
+    """
+    reporting = _reporting(entries, kind)
+    values = values_of(reporting, kind, by)
+    columns = [
+        *(Column(str(value), {by: value}) for value in values),
+        Column("all", sums_up=True, has_paper=False),
+    ]
+    rows = (line for one in reporting for line in _lines(one, columns, kind=kind))
+    return _table(("success [%]",), columns, rows)
+
+
+def values_of(entries: Iterable[PolicyResults], kind: str, by: str) -> tuple[Any, ...]:
+    """Return the values of a field of cells that occur, those of the suite first.
+
+    Args:
+        entries: Where.
+        kind: Kind of instructions.
+        by: ``"team"`` or ``"distractors"``.
+    """
+    seeds = (cells for entry in entries for cells in entry.select(kind))
+    found = {getattr(cell, by) for cells in seeds for cell in cells}
+    known = [value for value in _ORDER[by] if value in found or not found]
+    return (*known, *sorted(found.difference(_ORDER[by])))
+
+
+def distractors_by_task(entries: Iterable[PolicyResults]) -> Table:
+    """Return success by task and distractors where the paper has it: its own table."""
+    rows: list[tuple[str, ...]] = []
+    columns: list[Column] = []
+    for entry in entries:
+        for kind in EVALUATION_KINDS:
+            figures = _paper(entry, kind)
+            for task, reported in figures.distractors.items() if figures else ():
+                columns = [
+                    Column(str(count), {"distractors": count}, sums_up=True)
+                    for count in reported
+                ]
+                label = task, words(kind, "-")
+                rows += _lines(entry, columns, *label, kind=kind, task=task)
+    return _table(("success [%]", "task", "instructions"), columns, rows)
+
+
+def _paper(entry: PolicyResults, kind: str) -> Figures | None:
+    return entry.experiment.paper.get(kind) if entry.experiment else None
+
+
+def _reporting(entries: Iterable[PolicyResults], kind: str) -> list[PolicyResults]:
+    """Return those that are rows of a table of a kind.
+
+    Not the ablations and policies at control level, nor a policy that was told other
+    sentences or began elsewhere, if it stands there without: tables of their own
+    compare the two.
+    """
+    apart = (ABLATIONS, CONTROL_LEVEL)
+    entries = [entry for entry in entries if entry.suite not in apart]
+    results = [result for entry in entries for result in entry.results]
+    known = {policy_of(result) for result in results if is_plain(result)}
+
+    def belongs(entry: PolicyResults) -> bool:
+        one = entry.experiment
+        if not entry.results:
+            return one is not None and one.suite in SUITES[:2] and kind in one.kinds
+        return entry.has(kind) and any(
+            is_plain(result) or policy_of(result) not in known
+            for result in entry.results
+        )
+
+    return [entry for entry in entries if belongs(entry)]
+
+
+_CAUSES_HEADER = ("failed", "of", *(words(cause) for cause in Cause))
 
 
 def losses(entries: Iterable[PolicyResults]) -> Table:
     """Return why episodes failed, by policy and kind of instructions."""
-    rows = []
-    for entry in entries:
-        for kind in EVALUATION_KINDS:
-            if entry.has(kind):
-                counted = _causes(entry, kind)
-                episodes = _episodes(entry, kind)
-                rows.append(
-                    (entry.title, words(kind, "-"), *_counts(counted, episodes))
-                )
+    rows = (
+        (entry.title, words(kind, "-"), *_lost(entry, kind))
+        for entry in entries
+        for kind in EVALUATION_KINDS
+        if entry.has(kind)
+    )
     return Table(("", "instructions", *_CAUSES_HEADER), tuple(rows), labels=2)
 
 
 def losses_by_task(entry: PolicyResults) -> Table:
     """Return why episodes of one policy failed, by kind and task; where any did."""
-    rows = []
-    for kind in EVALUATION_KINDS:
-        for task in tasks_of([entry], kind):
-            counted = _causes(entry, kind, task)
-            if counted:
-                episodes = _episodes(entry, kind, task=task)
-                rows.append((words(kind, "-"), task, *_counts(counted, episodes)))
+    rows = (
+        (words(kind, "-"), task, *_lost(entry, kind, task))
+        for kind in EVALUATION_KINDS
+        for task in tasks_of([entry], kind)
+        if entry.causes(kind, task)
+    )
     return Table(("instructions", "task", *_CAUSES_HEADER), tuple(rows), labels=2)
+
+
+def _lost(entry: PolicyResults, kind: str, task: str | None = None) -> tuple[str, ...]:
+    counted = entry.causes(kind, task)
+    each = (str(counted[cause] or NOTHING) for cause in Cause)
+    return (str(counted.total()), str(entry.episodes(kind, task)), *each)
 
 
 def precision(entries: Sequence[PolicyResults], kind: str) -> Table:
@@ -87,12 +315,29 @@ def precision(entries: Sequence[PolicyResults], kind: str) -> Table:
     return Table(("median error [mm] (missed)", "end", *tasks), tuple(rows), labels=2)
 
 
+def _precision(entry: PolicyResults, kind: str, task: str, end: str) -> str:
+    """Return the median error [mm], mean over seeds, and the part that is missed."""
+    found = [
+        one
+        for result in entry.results
+        for one in result.precisions
+        if (one.kind, one.task, one.end) == (kind, task, end)
+    ]
+    if not found:
+        return NOTHING
+    missed = sum(one.missed for one in found) / sum(one.poses for one in found)
+    return f"{fmean(one.median_mm for one in found):.1f} ({100 * missed:.1f} %)"
+
+
+OfSeed = Callable[[Sequence[Coordination]], float | None]
+
+
 @dataclass(frozen=True)
 class Metric:
-    """A column of numbers."""
+    """A column of the table of how robots work together."""
 
     name: str
-    of_seed: Callable[[Sequence[Coordination]], float | None]
+    of_seed: OfSeed
     """Its value with one training seed; None where it is not defined."""
     places: int = 1
     """Digits behind the point."""
@@ -101,58 +346,52 @@ class Metric:
 
     def shown(self, seeds: Sequence[Sequence[Coordination]]) -> str:
         """Return the cell of a table."""
-        each = [self.of_seed(found) for found in seeds]
+        each = map(self.of_seed, seeds)
         values = [value for value in each if value is not None]
         if not values:
             return NOTHING
-        if self.over_seeds is not None:
-            return f"{self.over_seeds(values):.{self.places}f}"
-        mean = f"{fmean(values):.{self.places}f}"
-        if len(values) == 1:
-            return mean
-        return f"{mean} ± {stdev(values):.{self.places}f}"
+        told = f"{(self.over_seeds or fmean)(values):.{self.places}f}"
+        if self.over_seeds is not None or len(values) == 1:
+            return told
+        return f"{told} ± {stdev(values):.{self.places}f}"
 
 
-Sum = Callable[[Coordination], float]
+Part = Callable[[Coordination], float]
 
 
-def _ratio(
-    part: Sum, whole: Sum, scale: float = 100.0
-) -> Callable[[Sequence[Coordination]], float | None]:
+def _ratio(part: Part, whole: Part, scale: float = 100.0) -> OfSeed:
     """Return a ratio of two sums, which is not defined where the second is 0."""
 
     def of_seed(found: Sequence[Coordination]) -> float | None:
-        below = sum(map(whole, found))
-        return scale * sum(map(part, found)) / below if below else None
+        below = math.fsum(map(whole, found))
+        return scale * math.fsum(map(part, found)) / below if below else None
 
     return of_seed
 
 
 def _refusals(found: Sequence[Coordination]) -> float | None:
-    counts = [one.refusals for one in found]
+    counts = [one.refusals for one in found if one.refusals is not None]
     episodes = sum(one.episodes for one in found)
-    played = [count for count in counts if count is not None]
-    return 100.0 * sum(played) / episodes if len(played) == len(counts) else None
+    return 100.0 * sum(counts) / episodes if len(counts) == len(found) else None
 
 
 def _nearest(found: Sequence[Coordination]) -> float | None:
-    gaps = (one.nearest_mm for one in found)
-    return min((gap for gap in gaps if gap is not None), default=None)
+    gaps = [one.nearest_mm for one in found if one.nearest_mm is not None]
+    return min(gaps, default=None)
 
 
-def _idle(robot: str, name: str) -> Metric:
-    return Metric(
-        f"idle, {name} [%]",
-        _ratio(lambda one: one.idle_s.get(robot, 0.0), lambda one: one.elapsed_s),
-    )
-
-
-COORDINATION = (
+METRICS = (
     Metric(
         "time / expert's", _ratio(lambda c: c.timed_s, lambda c: c.expert_s, 1.0), 2
     ),
-    _idle("robot_0", "left"),
-    _idle("robot_1", "right"),
+    Metric(
+        "idle, left [%]",
+        _ratio(lambda c: c.idle_s.get("robot_0", 0.0), lambda c: c.elapsed_s),
+    ),
+    Metric(
+        "idle, right [%]",
+        _ratio(lambda c: c.idle_s.get("robot_1", 0.0), lambda c: c.elapsed_s),
+    ),
     Metric("first-try allocation [%]", _ratio(lambda c: c.able, lambda c: c.doable)),
     Metric("expert's robot [%]", _ratio(lambda c: c.as_expert, lambda c: c.planned)),
     Metric(
@@ -184,9 +423,9 @@ def coordination(entries: Iterable[PolicyResults], kind: str) -> Table:
             for result in entry.results
         )
         seeds = [found for found in each if found]
-        if seeds and not is_ablation(entry):
-            rows.append((entry.title, *(one.shown(seeds) for one in COORDINATION)))
-    return Table(("", *(one.name for one in COORDINATION)), tuple(rows))
+        if seeds and entry.suite != ABLATIONS:
+            rows.append((entry.title, *(one.shown(seeds) for one in METRICS)))
+    return Table(("", *(one.name for one in METRICS)), tuple(rows))
 
 
 def language(entries: Iterable[PolicyResults]) -> Table:
@@ -197,118 +436,85 @@ def language(entries: Iterable[PolicyResults]) -> Table:
     last column is how often the other goal of swapped colors holds, where the table
     allows that goal.
     """
-    families = _families(entries, lambda result: not starts_perturbed(result))
     rows = []
-    for title, results in families.items():
-        by_control = {told: _by_language(results, told) for told in LANGUAGES}
+    for family in _families(entries, lambda result: not starts_perturbed(result)):
+        told = {name: _where(family, language=name) for name in LANGUAGES}
         for kind in EVALUATION_KINDS:
-            each = [_mean_of(by_control[told], kind) for told in LANGUAGES]
+            each = [shown_mean(told[name].select(kind)) for name in LANGUAGES]
             if any(cell != NOTHING for cell in each[1:]):
-                guessed = (
-                    _mean_of_tables(by_control["none"], kind, bare=bare)
-                    for bare in (True, False)
+                guesses = told["none"].select(kind)
+                bare, others = (
+                    shown(
+                        [[c for c in g if (c.distractors == 0) is b] for g in guesses]
+                    )
+                    for b in (True, False)
                 )
-                held = _asked(by_control["swapped"], kind)
-                rows.append((title, words(kind, "-"), *each, *guessed, held))
-    header = (
-        "mean over the tasks [%]",
-        "instructions",
-        *LANGUAGES,
-        "none, no distractors",
-        "none, others",
-        "swapped goal",
-    )
+                held = _asked(told["swapped"], kind)
+                rows.append((family.title, words(kind, "-"), *each, bare, others, held))
+    last = ("none, no distractors", "none, others", "swapped goal")
+    header = ("mean over the tasks [%]", "instructions", *LANGUAGES, *last)
     return Table(header, tuple(rows), labels=2)
 
 
 def starts(entries: Iterable[PolicyResults]) -> Table:
     """Return success from perturbed starts beside that from the instances' own."""
-    families = _families(entries, lambda result: result.about["language"] == FULL)
     rows = []
-    for title, results in families.items():
-        own = [one for one in results if not starts_perturbed(one)]
-        moved = [one for one in results if starts_perturbed(one)]
+    for family in _families(entries, lambda result: result.about["language"] == FULL):
+        own, moved = (_where(family, perturb_start=told) for told in (False, True))
         for kind in EVALUATION_KINDS:
-            both = _mean_of(own, kind), _mean_of(moved, kind)
+            both = shown_mean(own.select(kind)), shown_mean(moved.select(kind))
             if both[1] != NOTHING:
-                rows.append((title, words(kind, "-"), *both))
+                rows.append((family.title, words(kind, "-"), *both))
     header = ("mean over the tasks [%]", "instructions", "own start", "perturbed start")
     return Table(header, tuple(rows), labels=2)
 
 
-_CAUSES_HEADER = ("failed", "of", *(words(cause) for cause in Cause))
-
-
-def _causes(entry: PolicyResults, kind: str, task: str | None = None) -> Counter[str]:
-    counted: Counter[str] = Counter()
-    for result in entry.results:
-        for loss in result.losses:
-            if loss.kind == kind and task in (None, loss.task):
-                counted[loss.cause] += loss.episodes
-    return counted
-
-
-def _episodes(entry: PolicyResults, kind: str, **where: object) -> int:
-    return sum(c.episodes for cells in entry.select(kind, **where) for c in cells)
-
-
-def _counts(counted: Counter[str], episodes: int) -> tuple[str, ...]:
-    each = (str(counted[cause]) if counted[cause] else NOTHING for cause in Cause)
-    return (str(counted.total()), str(episodes), *each)
-
-
-def _precision(entry: PolicyResults, kind: str, task: str, end: str) -> str:
-    """Return the median error [mm], mean over seeds, and the part that is missed."""
-    found = [
-        one
-        for result in entry.results
-        for one in result.precisions
-        if (one.kind, one.task, one.end) == (kind, task, end)
-    ]
-    if not found:
-        return NOTHING
-    missed = sum(one.missed for one in found) / sum(one.poses for one in found)
-    return f"{fmean(one.median_mm for one in found):.1f} ({100 * missed:.1f} %)"
-
-
 def _families(
     entries: Iterable[PolicyResults], wanted: Callable[[Result], bool]
-) -> dict[str, list[Result]]:
+) -> list[PolicyResults]:
     """Return some results of each policy, across sentences and starts."""
     titles: dict[str, str] = {}
     found: dict[str, list[Result]] = {}
     for entry in entries:
-        for result in () if is_ablation(entry) else entry.results:
+        for result in () if entry.suite == ABLATIONS else entry.results:
             name = policy_of(result)
             if is_plain(result) or name not in titles:
                 titles[name] = entry.title
             if wanted(result):
                 found.setdefault(name, []).append(result)
-    return {titles[name]: results for name, results in found.items()}
+    return [PolicyResults(titles[name], tuple(found[name])) for name in found]
 
 
-def _by_language(results: Iterable[Result], told: str) -> list[Result]:
-    return [result for result in results if result.about["language"] == told]
+def _where(family: PolicyResults, **about: object) -> PolicyResults:
+    """Return the results of a policy with some settings."""
+    kept = (
+        result
+        for result in family.results
+        if all(result.about.get(name, False) == told for name, told in about.items())
+    )
+    return PolicyResults(family.title, tuple(kept))
 
 
-def _mean_of(results: Iterable[Result], kind: str) -> str:
-    seeds = [[cell for cell in one.cells if cell.kind == kind] for one in results]
-    return shown_mean(seeds)
-
-
-def _mean_of_tables(results: Iterable[Result], kind: str, *, bare: bool) -> str:
-    """Return success [%] on tables without distractors, or on the others."""
-    seeds = [
-        [c for c in one.cells if c.kind == kind and (c.distractors == 0) is bare]
-        for one in results
-    ]
-    return shown(seeds, pooled)
-
-
-def _asked(results: Iterable[Result], kind: str) -> str:
+def _asked(family: PolicyResults, kind: str) -> str:
     """Return how often another goal holds that was asked for [%], of how many."""
-    listed = [one for result in results for one in result.asked if one.kind == kind]
+    every = (one for result in family.results for one in result.asked)
+    listed = [one for one in every if one.kind == kind]
     episodes = sum(one.episodes for one in listed)
     if not episodes:
         return NOTHING
     return f"{100 * sum(one.held for one in listed) / episodes:.1f} of {episodes}"
+
+
+def learning_curves(curves: Mapping[str, LearningCurve]) -> Table:
+    """Return a row for each checkpoint; curves are by experiment."""
+    rows = (
+        (
+            EXPERIMENTS[name].title,
+            f"{point.steps:,}",
+            f"{point.episodes}",
+            f"{100.0 * point.successes / point.episodes:.1f}",
+        )
+        for name, curve in curves.items()
+        for point in curve.points
+    )
+    return Table(("policy", "steps", "episodes", "success [%]"), tuple(rows))

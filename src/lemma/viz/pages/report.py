@@ -30,8 +30,7 @@ from lemma.evaluation.report.sections import (
     sample_words,
     sections,
 )
-from lemma.evaluation.report.success_tables import at_a_glance
-from lemma.evaluation.report.tables import words
+from lemma.evaluation.report.tables import at_a_glance, words
 from lemma.policies.spec import PLANNINGS
 from lemma.serve.websocket import is_address
 from lemma.tasks.language.template import EVALUATION_KINDS

@@ -1,6 +1,5 @@
 """The figures of a report."""
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean, stdev
@@ -12,8 +11,7 @@ from lemma.evaluation.analysis.result import Cell
 from lemma.evaluation.experiments.catalog import ABLATIONS, CONTROL_LEVEL
 from lemma.evaluation.experiments.paper_figures import Measured
 from lemma.evaluation.report.policy_results import PolicyResults, tasks_of
-from lemma.evaluation.report.success_tables import values_of
-from lemma.evaluation.report.tables import words
+from lemma.evaluation.report.tables import values_of, words
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 from lemma.viz.plots import Bar, Figure, Mark, Series, dots, lines, stacks, standalone
@@ -32,13 +30,10 @@ def figures_of(entries: Sequence[PolicyResults]) -> list[Figure]:
     Ablations and control level have tables; controls too, and are plotted only where
     nothing else is.
     """
-    suites = [one.experiment.suite if one.experiment else "" for one in entries]
     shown: list[PolicyResults] = []
     for left_out in (_NOT_PLOTTED, _NOT_PLOTTED[:2]):
         shown = shown or [
-            entry
-            for entry, suite in zip(entries, suites, strict=True)
-            if entry.results and suite not in left_out
+            entry for entry in entries if entry.results and entry.suite not in left_out
         ]
     return [figure for kind in EVALUATION_KINDS for figure in _of_kind(shown, kind)]
 
@@ -185,12 +180,7 @@ def _dumbbell(solved: float, reached: float) -> Mark:
 
 
 def _causes(entry: PolicyResults, kind: str) -> Bar:
-    counted: Counter[str] = Counter()
-    for result in entry.results:
-        for loss in result.losses:
-            if loss.kind == kind:
-                counted[loss.cause] += loss.episodes
-    episodes = sum(cell.episodes for cells in entry.select(kind) for cell in cells)
+    counted, episodes = entry.causes(kind), entry.episodes(kind)
     return Bar(
         entry.title,
         f"{counted.total()} of {episodes}",
