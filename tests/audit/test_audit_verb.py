@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import pytest
+from command import run
 from own_plugins import EXAMPLES, loaded
 from soft_tables import two_cubes_to_drag
 
@@ -12,7 +13,6 @@ from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.control_trial import ControlTrial
 from lemma.audit.run import audit, audit_instance, tally, to_dict
 from lemma.cli import audit as verb
-from lemma.cli.main import main
 from lemma.core.errors import DatasetError, PhysicsError
 from lemma.core.workers.pool import ProcessPool
 from lemma.tasks import suite
@@ -22,15 +22,9 @@ from lemma.viz.video import VideoStyle
 EPISODES = ("--episodes", "1", "--workers", "1")
 
 
-def run(*words: str) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(["audit", *words])
-    return int(ended.value.code or 0)
-
-
 def test_prints_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
     words = ("--tasks", "pass, hook", "--attacks", "drag_home, tilted_move, drag_home")
-    run(*words, *EPISODES, "--json")
+    run("audit", *words, *EPISODES, "--json")
     found = json.loads(capsys.readouterr().out)
     assert list(found) == ["attacks"]
     assert list(found["attacks"]) == ["drag_home", "tilted_move"]
@@ -60,12 +54,12 @@ def test_leaves_with_1_if_an_attack_succeeded(
 ) -> None:
     found = list(audit_instance(two_cubes_to_drag(), ["drag_home"]))
     monkeypatch.setattr("lemma.audit.run.audit", lambda *args: found)
-    assert run("--tasks", "poke_stack", *EPISODES) == 1
+    assert run("audit", "--tasks", "poke_stack", *EPISODES) == 1
     told = capsys.readouterr()
     assert "poke_stack" in told.out
     assert "poke_stack/free/0: drag_home by robot_0" in told.err
     monkeypatch.setattr("lemma.audit.run.audit", lambda *args: [])
-    assert run("--tasks", "poke_stack", *EPISODES) == 0
+    assert run("audit", "--tasks", "poke_stack", *EPISODES) == 0
 
 
 @pytest.mark.parametrize(
@@ -89,7 +83,7 @@ def test_leaves_with_1_if_an_attack_succeeded(
 def test_says_what_it_cannot_do(
     words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(*words) == 2
+    assert run("audit", *words) == 2
     assert told in " ".join(capsys.readouterr().err.split())
 
 
@@ -128,7 +122,15 @@ def test_a_video_is_written_of_a_success(
 
 def test_an_attack_of_a_plugin_is_played(capsys: pytest.CaptureFixture[str]) -> None:
     with loaded(EXAMPLES / "14_write_an_attack.py"):
-        run("--tasks", "pass", "--attacks", "set_down_near", *EPISODES, "--json")
+        run(
+            "audit",
+            "--tasks",
+            "pass",
+            "--attacks",
+            "set_down_near",
+            *EPISODES,
+            "--json",
+        )
     found = json.loads(capsys.readouterr().out)["attacks"]
     assert found["set_down_near"]["pass"]["tried"] == 1
 
@@ -148,6 +150,6 @@ def test_an_attempt_that_ends_in_unstable_physics_is_lost_and_told_of(
         (True, False, 4)
     ]
     monkeypatch.setattr("lemma.audit.run.audit", lambda *args: found)
-    assert run("--tasks", "pass", *EPISODES) == 0
+    assert run("audit", "--tasks", "pass", *EPISODES) == 0
     words = " ".join(capsys.readouterr().err.split())
     assert "pass/test/0: blow_up made the physics unstable in 4 attempts" in words

@@ -6,9 +6,9 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from command import run
 from PIL import Image
 
-from lemma.cli.main import main
 from lemma.env.episode import STILL_S
 from lemma.tasks.suite import load_instance
 from lemma.viz.caption import caption
@@ -16,12 +16,6 @@ from lemma.viz.pages.demo import Illustration, write_page
 from lemma.viz.pages.templates import jpeg
 from lemma.viz.recording import Recording, record
 from lemma.viz.video import VideoStyle
-
-
-def run(*words: object) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    return end.value.code
 
 
 @pytest.fixture(scope="module")

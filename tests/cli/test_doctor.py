@@ -4,10 +4,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from command import run
 from packaging.requirements import Requirement
 
 from lemma.bench import checks, states
-from lemma.cli.main import main
 from lemma.core.errors import RenderingError
 from lemma.env.control.modes import CONTROLS
 from lemma.scene.rendering import gl_backend
@@ -15,12 +15,6 @@ from lemma.tasks.suite import SUITE
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
 DEPENDENCIES = [Requirement(text) for text in PROJECT["project"]["dependencies"]]
-
-
-def run(*words: str) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main(list(words))
-    return end.value.code
 
 
 @pytest.mark.render

@@ -5,9 +5,9 @@ import re
 from pathlib import Path
 
 import pytest
+from command import run
 from PIL import Image
 
-from lemma.cli.main import main
 from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 
@@ -23,12 +23,6 @@ def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(*words: object) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main(["inspect", *(str(word) for word in words)])
-    return end.value.code
-
-
 def test_numbers_as_json(
     recipe: Path,
     capsys: pytest.CaptureFixture[str],
@@ -36,7 +30,7 @@ def test_numbers_as_json(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(recipe, "--json") == 0
+    assert run("inspect", recipe, "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["total"]["episodes"] == found["total"]["solved"] == 4
     assert found["tasks"]["pass"]["subtasks"]["mean"] == 2.0
@@ -48,7 +42,7 @@ def test_numbers_as_json(
 
 
 def test_one_task_alone(recipe: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(recipe, "--task", "stack", "--split", "val", "--json") == 0
+    assert run("inspect", recipe, "--task", "stack", "--split", "val", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert list(found["tasks"]) == ["stack"]
     assert found["total"]["episodes"] == 2
@@ -60,7 +54,7 @@ def test_tables_fit_a_terminal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    assert run(recipe) == 0
+    assert run("inspect", recipe) == 0
     text = capsys.readouterr().out
     for heading in ("episodes", "sub-tasks", "distractors", "margin"):
         assert heading in text
@@ -75,7 +69,7 @@ def test_one_episode_as_pictures(
 ) -> None:
     out = tmp_path / "new" / "episode.png"
     words = ("--task", "stack", "--split", "val", "--index", 1, "--out", out)
-    assert run(recipe, *words) == 0
+    assert run("inspect", recipe, *words) == 0
     text = capsys.readouterr().out
     assert "v2/stack/val/1" in text
     assert "solved after" in text
@@ -105,7 +99,7 @@ def test_what_is_not_there_is_explained(
     message: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert run(recipe, *words) == 2
+    assert run("inspect", recipe, *words) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert message in printed.err
@@ -115,5 +109,5 @@ def test_what_is_not_there_is_explained(
 def test_no_recipe_is_explained(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(tmp_path / "none") == 2
+    assert run("inspect", tmp_path / "none") == 2
     assert "lemma generate" in capsys.readouterr().err

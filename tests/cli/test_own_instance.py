@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from recipes import lemma
+from command import run as lemma
 
 from lemma.tasks.suite import load_instance
 

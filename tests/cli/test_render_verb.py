@@ -4,10 +4,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from command import run
 from rendered_sets import recipe_folder
 
 from lemma.cli import render as verb
-from lemma.cli.main import main
 from lemma.cli.render import RenderOptions, choose_form
 from lemma.cli.workers import Workers
 from lemma.core.workers.serial import Serial
@@ -19,18 +19,12 @@ from lemma.tasks.language.template import KINDS
 FORMS = ("keyframes", "lerobot")
 
 
-def run(*words: object) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main(["render", *(str(word) for word in words)])
-    return end.value.code
-
-
 def test_without_the_lerobot_package_it_is_said_how_to_get_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "lerobot", None)
     words = (recipe_folder(), "--out", tmp_path / "set", "--form", "lerobot")
-    assert run(*words, "--workers", "1") == 2
+    assert run("render", *words, "--workers", "1") == 2
     told = " ".join(capsys.readouterr().err.split())
     assert "pip install 'lemma-bench[lerobot]'" in told
     assert "Python 3.12" in told
@@ -57,7 +51,9 @@ def test_every_form_works_where_it_is_told_and_can_be_interrupted(
     monkeypatch.setattr(Workers, "make_engine", lambda self: engine)
     monkeypatch.setattr(verb, "write_dataset", make)
     monkeypatch.setattr(verb, "render_form", make)
-    assert run(recipe_folder(), "--out", tmp_path / "set", "--form", form) == 130
+    assert (
+        run("render", recipe_folder(), "--out", tmp_path / "set", "--form", form) == 130
+    )
     assert given[-1] is engine
     told = capsys.readouterr().err
     assert "Interrupted: 3 of 4 episodes are made" in " ".join(told.split())
@@ -84,7 +80,7 @@ def test_what_cannot_be_is_refused_before_anything_is_written(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert run(recipe_folder(), "--out", tmp_path / "set", *words) == 2
+    assert run("render", recipe_folder(), "--out", tmp_path / "set", *words) == 2
     assert message in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "set").exists()
 

@@ -3,14 +3,7 @@
 from pathlib import Path
 
 import pytest
-
-from lemma.cli.main import main
-
-
-def run(*words: object) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    return end.value.code
+from command import run
 
 
 def test_rows_without_weights_are_skipped_and_named(

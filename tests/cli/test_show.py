@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import run as lemma
 from PIL import Image
-from recipes import lemma
 
 from lemma.cli.main import main
 from lemma.tasks.suite import load_instance

@@ -8,18 +8,13 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from command import run
 
 from lemma import __version__
 from lemma.cli import main as command
-from lemma.cli.main import VERBS, main
+from lemma.cli.main import VERBS
 from lemma.cli.options import messages, output
 from lemma.tasks.suite import SUITE
-
-
-def run(*words: object) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    return end.value.code
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -5,9 +5,9 @@ from pathlib import Path
 from shutil import copytree
 
 import pytest
+from command import run as lemma
 from recipes import (
     bytes_of,
-    lemma,
     remount,
     small_disk,
     small_order,

@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from command import run
 from fake_hub import FakeHub, fake_hub
 from huggingface_hub import constants
 from recipes import bytes_of, made_up, write_recipe
 
-from lemma.cli.main import main
 from lemma.core.errors import DatasetError
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.hub import pull, push
@@ -71,12 +71,6 @@ def pushed(hub: FakeHub, recipe: Path) -> Path:
 def visible(folder: Path) -> dict[str, str]:
     """Return the files of a dataset; not what the client keeps for itself."""
     return {k: v for k, v in bytes_of(folder).items() if not k.startswith(".")}
-
-
-def run(*words: object) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    return end.value.code
 
 
 def complaint(capsys: pytest.CaptureFixture[str], *words: object) -> str:

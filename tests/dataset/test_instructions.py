@@ -1,11 +1,11 @@
 import json
 
 import pytest
+from command import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recipes import made_up
 
-from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.dataset.instructions import (
     TRAINING_KINDS,
@@ -143,12 +143,6 @@ def test_recorded_kinds_are_checked() -> None:
         check_recorded("unseen", ("test", "train"))
     with pytest.raises(UnknownNameError, match="Did you mean 'human'"):
         check_recorded("humans", ("val",))
-
-
-def run(*words: object) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    return end.value.code
 
 
 def printed(capsys: pytest.CaptureFixture[str], *words: object) -> list[dict[str, str]]:

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from clumsy import EPISODES as PLAYED
 from clumsy import FAILED, KINDS, play_clumsily
+from command import run
 from made_up import ABOUT, row
 
-from lemma.cli.main import main
 from lemma.core.errors import DatasetError, LemmaError
 from lemma.evaluation.analysis.comparison import compare
 from lemma.evaluation.analysis.result import check_lines, read_result, summarise
@@ -55,12 +55,6 @@ def committed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     copyfile(played / SUMMARY, summary)
     write_packed(packed_beside(summary), read_rows(played))
     return folder
-
-
-def run(*words: object) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    return end.value.code
 
 
 def test_packed_lines_are_the_lines_without_the_clock(committed: Path) -> None:

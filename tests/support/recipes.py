@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from kept import kept_folder
 
-from lemma.cli.main import main
 from lemma.core.files import sha256_of, write_json
 from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST
@@ -45,13 +44,6 @@ def bytes_of(folder: Path) -> dict[str, str]:
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
-
-
-def lemma(*words: object) -> int | str | None:
-    """Run a command in this process and return its exit code."""
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    return end.value.code
 
 
 @contextmanager

@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 import ray
+from command import run as lemma
 from own_plugins import loaded
 from ray.cluster_utils import Cluster
-from recipes import bytes_of, lemma, small_recipe
+from recipes import bytes_of, small_recipe
 
 from lemma.core.errors import DatasetError, WorkerError
 from lemma.core.files import read_json

@@ -8,6 +8,7 @@ from shutil import copytree
 from typing import Any
 
 import pytest
+from command import run as lemma
 from perturbed_recipes import (
     EPISODES,
     PERTURBATION,
@@ -16,7 +17,7 @@ from perturbed_recipes import (
     perturbed_recipe,
     perturbed_records,
 )
-from recipes import bytes_of, lemma, small_order, small_recipe
+from recipes import bytes_of, small_order, small_recipe
 
 from lemma.cli.generate import GenerateOptions
 from lemma.core.errors import DatasetError, InvalidConfigError

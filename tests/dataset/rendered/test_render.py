@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command import run
 from rendered_sets import (
     SPLIT,
     keyframes_folder,
@@ -15,7 +16,6 @@ from rendered_sets import (
     recipe_folder,
 )
 
-from lemma.cli.main import main
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose
 from lemma.dataset.recipe.files import REVISION_VARIABLE
@@ -261,12 +261,6 @@ def test_names_are_checked(tmp_path: Path) -> None:
         order(tmp_path, splits=("train",)).groups()
     with pytest.raises(InvalidConfigError, match="0 x 3"):
         KeyframeForm(0, 3)
-
-
-def run(*words: object) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    return end.value.code
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

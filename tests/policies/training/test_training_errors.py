@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 import tiny_model
 import torch
+from command import run as run_lemma
 from painted_keyframes import write_painted
 from tiny_model import NAME, Tiny, config
 
@@ -148,12 +149,6 @@ def test_too_little_gpu_memory_names_a_smaller_batch(
         train(config(data, tmp_path))
 
 
-def run_command(*words: object) -> int | str | None:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    return end.value.code
-
-
 def test_the_command_is_kept_as_it_was_typed(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -169,12 +164,12 @@ def test_the_command_trains_and_reports(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ("train", NAME, "--data", data, "--out", tmp_path, "--steps", 3)
-    assert run_command(*words, "--batch-size", 2, "--json") == 0
+    assert run_lemma(*words, "--batch-size", 2, "--json") == 0
     report = json.loads(capsys.readouterr().out)
     assert report["steps"] == 3
-    assert run_command(*words, "--batch-size", 2) == 0
+    assert run_lemma(*words, "--batch-size", 2) == 0
     assert "weights.safetensors" in capsys.readouterr().out
-    assert run_command(*words, "--batch-size", 3) == 2
+    assert run_lemma(*words, "--batch-size", 3) == 2
     assert "batch_size was 2 and is now 3" in capsys.readouterr().err
 
 
@@ -184,7 +179,7 @@ def test_the_command_says_what_is_missing_without_torch(
 ) -> None:  # fmt: skip
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "lemma.policies.training.loop")
-    assert run_command("train", NAME, "--data", data, "--out", tmp_path) == 2
+    assert run_lemma("train", NAME, "--data", data, "--out", tmp_path) == 2
     assert "lemma-bench[learn]" in capsys.readouterr().err
 
 
