@@ -2,7 +2,8 @@
 
 import io
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import msgpack
@@ -13,7 +14,7 @@ from model_server import HELLO, array, model_server, pack, wait_for
 from PIL import Image
 
 from lemma.core.errors import InvalidConfigError
-from lemma.policies.control.interfaces import is_model_server
+from lemma.policies.control.interfaces import Actions, ControlInput, is_model_server
 from lemma.serve import vla_eval as protocol
 from lemma.serve.conversation import ProtocolMode
 from lemma.serve.faults import (
@@ -24,84 +25,91 @@ from lemma.serve.faults import (
 )
 from lemma.serve.model_server import ModelServer
 from lemma.serve.server import PolicyServer
-from lemma.serve.vla_eval import Kind, Message, observation
+from lemma.serve.vla_eval import Kind, Message
 
 SOON = ProtocolMode(5.0, patience_s=0.0, first_patience_s=0.0)
-NAMES = ("robot_0.x", "robot_0.opening", "robot_1.x", "robot_1.opening")
-TASK = {"name": "stack", "split": "test", "episode_idx": 3}
+OPTIONS, COLUMNS = {"control": "ee_pose"}, ("x", "opening")
 RIGHT = np.array([0.1, 0.2, 0.3, 0.4], np.float32)
 
 
-def seen(number: int = 0) -> dict[str, Any]:
+def seen(number: int = 0, memory: Any = None) -> ControlInput:
     image = np.full((4, 6, 3), number, np.uint8)
-    state = np.arange(3) + number
-    return observation({"robot_0": image, "overview": image + 1}, "stack it", state)
+    pixels = {"robot_0": image, "overview": image + 1}
+    return ControlInput(
+        instruction="stack it",
+        robots=("red robot", "blue robot"),
+        observation={"agent_pos": np.arange(3) + number, "pixels": pixels},
+        memory=memory,
+    )
+
+
+@contextmanager
+def asked(url: str, mode: ProtocolMode = SOON) -> Iterator[ModelServer]:
+    server = ModelServer(url, mode)
+    server.use(OPTIONS, COLUMNS)
+    yield server
+    server.close()
 
 
 def one_answer(predict: Any, mode: ProtocolMode = SOON) -> Any:
-    with model_server(predict) as url:
-        server = ModelServer(url, mode)
-        episode = server.begin(TASK, NAMES)
-        [found] = server.act([episode], [seen()])
-        server.close()
-    return found
+    with model_server(predict) as url, asked(url, mode) as server:
+        return server.act([seen()])[0]
 
 
 def test_an_episode_is_told_and_observed_as_its_servers_expect() -> None:
     log: list[dict[str, Any]] = []
-    with model_server(lambda seen, step: {"actions": RIGHT + step}, log=log) as url:
-        server = ModelServer(url, SOON)
+    with (
+        model_server(lambda seen, step: {"actions": RIGHT + step}, log=log) as url,
+        asked(url) as server,
+    ):
         assert server.about["model_server"] == "Stub"
-        episode = server.begin(TASK, NAMES)
+        memory: Any = None
         for step in range(2):
-            [action] = server.act([episode], [seen(step)])
-            np.testing.assert_array_equal(action, (RIGHT + step).astype(np.float64))
-        episode.end({"success": True})
-        again = server.begin({**TASK, "episode_idx": 4}, NAMES)
-        again.end({"success": False})
+            [action] = server.act([seen(step, memory)])
+            assert isinstance(action, Actions)
+            memory = action.memory
+            wanted = (RIGHT + step).astype(np.float64).reshape(2, 2)
+            np.testing.assert_array_equal(action.rows, wanted)
+        # An episode ends when nobody remembers it.
+        del memory, action
+        [action] = server.act([seen()])
+        del action
         wait_for(log, "episode_end", 2)
-        server.close()
     kinds = [message["type"] for message in log]
-    between = ["episode_start", "observation", "observation", "episode_end"]
+    start, end = ["episode_start", "observation"], ["episode_end"]
     # One connection, so one hello.
-    assert kinds == ["hello", *between, "episode_start", "episode_end"]
+    assert kinds == ["hello", *start, "observation", *end, *start, *end]
     assert log[0]["payload"]["protocol_version"] == 1
-    assert log[1]["payload"] == {"task": TASK}
+    assert log[1]["payload"] == {"task": {"name": "lemma", "suite": "lemma"}}
     given = log[3]["payload"]
-    assert set(given) == {"images", "task_description", "states"}
+    assert set(given) == {"images", "task_description", "states", "robots"}
     assert given["task_description"] == "stack it"
+    assert given["robots"] == ["red robot", "blue robot"]
     assert given["states"].dtype == np.float32
     np.testing.assert_array_equal(given["states"], [1, 2, 3])
     np.testing.assert_array_equal(given["images"]["overview"], np.full((4, 6, 3), 2))
     assert given["images"]["robot_0"].dtype == np.uint8
-    assert log[4]["payload"] == {"success": True}
+    assert log[4]["payload"] == {}
     numbers = [message["seq"] for message in log[1:]]
     assert len(set(numbers)) == len(numbers)
 
 
 def test_episodes_have_connections_of_their_own_and_fail_alone() -> None:
-    started: list[int] = []
-
     def predict(seen: Mapping[str, Any], step: int) -> Any:
         if seen["states"][0] == 7:
             raise ValueError("no seven")
         return {"actions": np.full(4, float(seen["states"][0]) + 0.1 * step)}
 
-    with model_server(
-        predict, on_start=lambda p: started.append(p["task"]["episode_idx"])
-    ) as url:
-        server = ModelServer(url, SOON)
-        episodes = [
-            server.begin({**TASK, "episode_idx": index}, NAMES) for index in (5, 6, 7)
-        ]
-        server.act(episodes[:1], [seen(5)])
-        found = server.act(episodes, [seen(5), seen(6), seen(7)])
-        assert [round(float(one[0]), 1) for one in found[:2]] == [5.1, 6.0]  # type: ignore[index]
+    log: list[dict[str, Any]] = []
+    with model_server(predict, log=log) as url, asked(url) as server:
+        [first] = server.act([seen(5)])
+        assert isinstance(first, Actions)
+        found: list[Any] = server.act([seen(5, first.memory), seen(6), seen(7)])
+        assert [round(float(one.rows[0][0]), 1) for one in found[:2]] == [5.1, 6.0]
         assert isinstance(found[2], PolicyFailedError)
         assert found[2].kind is FaultKind.RAISED
         assert "no seven" in str(found[2])
-        server.close()
-    assert sorted(started) == [5, 6, 7]
+        assert sum(message["type"] == "episode_start" for message in log) == 3
 
 
 @pytest.mark.parametrize(
@@ -149,8 +157,8 @@ def test_bad_answers_say_what_is_wrong_and_what_is_valid(
 )
 def test_good_answers_are_one_row(payload: dict[str, Any]) -> None:
     found = one_answer(lambda seen, step: payload)
-    assert found.shape == (4,)
-    assert found.dtype == np.float64
+    assert found.rows.shape == (2, 2)
+    assert found.rows.dtype == np.float64
 
 
 def test_a_server_that_hangs_is_hung_up_on_and_may_play_the_next_episode() -> None:
@@ -159,31 +167,34 @@ def test_a_server_that_hangs_is_hung_up_on_and_may_play_the_next_episode() -> No
             time.sleep(0.6)
         return {"actions": RIGHT}
 
-    with model_server(predict) as url:
-        server = ModelServer(url, ProtocolMode(0.2, 0.0, 0.0))
-        episode = server.begin(TASK, NAMES)
-        [found] = server.act([episode], [seen(1)])
+    with (
+        model_server(predict) as url,
+        asked(url, ProtocolMode(0.2, 0.0, 0.0)) as server,
+    ):
+        [found] = server.act([seen(1)])
         assert isinstance(found, PolicyFailedError)
         assert found.kind is FaultKind.TIMEOUT
         assert "within 0.2 s" in str(found)
         server.mode = SOON
-        [found] = server.act([server.begin(TASK, NAMES)], [seen(0)])
-        assert isinstance(found, np.ndarray)
-        server.close()
+        assert isinstance(server.act([seen(0)])[0], Actions)
 
 
 def test_an_episode_that_cannot_begin_is_told_with_its_first_action() -> None:
-    def on_start(payload: Mapping[str, Any]) -> None:
-        raise KeyError("no such task")
+    started: list[int] = []
 
-    with model_server(lambda seen, step: {"actions": RIGHT}, on_start=on_start) as url:
-        server = ModelServer(url, SOON)
-        episode = server.begin(TASK, NAMES)
-        for words in ("episode_start_failed", "hung up"):
-            [found] = server.act([episode], [seen()])
-            assert isinstance(found, PolicyFailedError)
-            assert words in str(found)
-        server.close()
+    def on_start(payload: Mapping[str, Any]) -> None:
+        started.append(1)
+        if len(started) == 2:
+            raise KeyError("no such task")
+
+    with (
+        model_server(lambda seen, step: {"actions": RIGHT}, on_start=on_start) as url,
+        asked(url) as server,
+    ):
+        first, found = server.act([seen(), seen()])
+        assert isinstance(first, Actions)
+        assert isinstance(found, PolicyFailedError)
+        assert "episode_start_failed" in str(found)
 
 
 def test_late_answers_are_not_taken_for_others() -> None:
@@ -191,22 +202,20 @@ def test_late_answers_are_not_taken_for_others() -> None:
         stray = pack("action", {"actions": RIGHT + 9}, 999)
         return stray if step == 0 else {"actions": RIGHT}
 
-    with model_server(predict) as url:
-        server = ModelServer(url, ProtocolMode(0.2, 0.0, 0.0))
-        [found] = server.act([server.begin(TASK, NAMES)], [seen()])
-        assert isinstance(found, PolicyFailedError)
-        assert found.kind is FaultKind.TIMEOUT
-        server.close()
+    found = one_answer(predict, ProtocolMode(0.2, 0.0, 0.0))
+    assert isinstance(found, PolicyFailedError)
+    assert found.kind is FaultKind.TIMEOUT
 
 
 def test_a_server_that_is_gone_ends_the_run() -> None:
     with model_server(lambda seen, step: {"actions": RIGHT}) as url:
         server = ModelServer(url, SOON)
-        episode = server.begin(TASK, NAMES)
-    with pytest.raises(PolicyUnreachableError, match="Nobody answers"):
-        server.act([episode], [seen()])
-    with pytest.raises(PolicyUnreachableError, match="its model server"):
-        server.begin(TASK, NAMES)
+        server.use(OPTIONS, COLUMNS)
+        [found] = server.act([seen()])
+        assert isinstance(found, Actions)
+    for memory in (found.memory, None):
+        with pytest.raises(PolicyUnreachableError, match="its model server"):
+            server.act([seen(0, memory)])
     with pytest.raises(PolicyUnreachableError):
         ModelServer(url, SOON)
 
@@ -248,13 +257,13 @@ def part(form: str, dims: int) -> dict[str, Any]:
 )
 def test_declared_actions_are_compared(spec: dict[str, Any], fits: bool) -> None:
     hello = {**HELLO, "action_spec": spec}
+    expected: Any = nullcontext()
+    if not fits:
+        expected = pytest.raises(InvalidConfigError, match="Choose the control mode")
     with model_server(lambda seen, step: None, hello=hello) as url:
         server = ModelServer(url, SOON)
-        if fits:
-            server.check_actions("ee_pose", NAMES)
-        else:
-            with pytest.raises(InvalidConfigError, match="Choose the control mode"):
-                server.check_actions("ee_pose", NAMES)
+        with expected:
+            server.use(OPTIONS, COLUMNS)
         server.close()
 
 

@@ -17,12 +17,11 @@ from vla_eval.model_servers.predict import PredictModelServer
 from vla_eval.specs import IMAGE_RGB, LANGUAGE, RAW
 
 import lemma
-from lemma.policies.control.interfaces import ControlInput
+from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.serve.conversation import ProtocolMode
 from lemma.serve.faults import PolicyFailedError
 from lemma.serve.model_server import ModelServer
 from lemma.serve.server import PolicyServer
-from lemma.serve.vla_eval import observation
 from lemma.tasks.suite import load_instance
 
 CONFIG = Path(__file__).parents[2] / "integrations/vla_eval/eval.yaml"
@@ -235,22 +234,25 @@ def test_its_servers_are_asked_by_our_client() -> None:
                 raise ValueError("as it was told")
             return super().predict(obs, ctx)
 
-    names = tuple(f"number {n}" for n in range(14))
     state = np.linspace(0.0, 1.0, 14)
     image = np.zeros((48, 64, 3), np.uint8)
     with serve_background(Fails()) as handle:
         url = handle.url.replace("ws://", "vla-eval://")
         client = ModelServer(url, ProtocolMode(10.0))
+        client.use({"control": "joint_position"}, [f"number {n}" for n in range(7)])
         assert client.about["model_server"] == "Fails"
-        client.check_actions("joint_position", names)
-        episodes = [client.begin({"name": task}, names) for task in TASKS]
-        told = ["go", "fail", "go", "go"]
-        seen = [observation({"robot_0": image}, word, state) for word in told]
-        found = client.act(episodes, seen)
-        assert isinstance(found[0], np.ndarray)
-        assert np.allclose(found[0], state, atol=1e-6)
+        seen = [
+            ControlInput(
+                instruction=word,
+                robots=("red robot", "blue robot"),
+                observation={"agent_pos": state, "pixels": {"robot_0": image}},
+            )
+            for word in ("go", "fail", "go", "go")
+        ]
+        found = client.act(seen)
+        assert isinstance(found[0], Actions)
+        assert np.allclose(np.ravel(found[0].rows), state, atol=1e-6)
         assert isinstance(found[1], PolicyFailedError)
         assert "as it was told" in str(found[1])
-        for episode in episodes:
-            episode.end({"success": False})
+        del found
         client.close()

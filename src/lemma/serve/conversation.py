@@ -7,14 +7,16 @@ knows no views.
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count as counting
 from typing import Any, Protocol, TypeVar
 
+from lemma.core.errors import LemmaError
 from lemma.env.view import View
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.serve import messages
 from lemma.serve.faults import (
     UNAVAILABLE,
     FaultKind,
@@ -22,30 +24,7 @@ from lemma.serve.faults import (
     PolicyUnreachableError,
     ProtocolError,
 )
-from lemma.serve.messages import (
-    METHODS,
-    PROTOCOL,
-    Act,
-    Commands,
-    Control,
-    ControlMessage,
-    Decisions,
-    Error,
-    Ground,
-    Hello,
-    InputMessage,
-    Plan,
-    Poses,
-    Reply,
-    Request,
-    StepMessage,
-    SubTasks,
-    ViewMessage,
-    Welcome,
-    decode_reply,
-    encode,
-    malformed,
-)
+from lemma.serve.messages import malformed
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 _PAUSE_S = 0.1
@@ -56,7 +35,7 @@ LARGEST_HELLO_BYTES = 1 << 20
 """Size limit of that answer, which results hold."""
 _SHOWN = 500
 
-R = TypeVar("R", bound=Reply)
+R = TypeVar("R", bound=messages.Reply)
 T = TypeVar("T")
 
 
@@ -160,7 +139,7 @@ class Conversation:
 
     def decide(
         self,
-        question: type[Act],
+        question: type[messages.Act],
         inputs: Sequence[PolicyInput],
         wanted: type[R],
         **more: Any,
@@ -179,28 +158,26 @@ class Conversation:
             PolicyUnreachableError: Nobody answers any more.
             ProtocolError: The other side did not understand.
         """
-        return self._decide(
-            lambda: self._request(question, inputs, more), len(inputs), wanted
-        )
 
-    def control(self, inputs: Sequence[ControlMessage], wanted: type[R]) -> R:
+        def make() -> messages.Request:
+            return question(**self._referring(inputs), **more)
+
+        return self._decide(make, len(inputs), wanted)
+
+    def control(self, inputs: Sequence[messages.ControlMessage]) -> messages.Commands:
         """Return the answer to a question about motor commands.
 
         Args:
             inputs: One per episode.
-            wanted: The answer that belongs to it.
 
         Raises:
             LemmaError: As :meth:`decide`.
         """
-        request = Control(inputs=list(inputs))
-        return self._decide(lambda: (request, {}), len(inputs), wanted)
+        request = messages.Control(inputs=list(inputs))
+        return self._decide(lambda: request, len(inputs), messages.Commands)
 
     def _decide(
-        self,
-        make: Callable[[], tuple[Request, dict[View, int]]],
-        count: int,
-        wanted: type[R],
+        self, make: Callable[[], messages.Request], count: int, wanted: type[R]
     ) -> R:
         """Return the answer to a request about so many episodes."""
         allowed_s = self.mode.timeout_s * count
@@ -209,8 +186,8 @@ class Conversation:
                 self._open(self.mode.patience_s)
             try:
                 end = time.monotonic() + allowed_s
-                request, views = make()
-                reply = self._ask(request, wanted, end - time.monotonic())
+                request = make()
+                return self._ask(request, wanted, end - time.monotonic())
             except TimeoutError as error:
                 self.close()
                 raise PolicyFailedError(
@@ -221,39 +198,42 @@ class Conversation:
             except OSError as error:
                 self.close()
                 last = error
-            except (PolicyFailedError, ProtocolError):
+            except LemmaError:
                 # The other side may not have read all views.
                 self._sent = {}
                 raise
-            else:
-                self._sent = views
-                return reply
         raise PolicyFailedError(
             FaultKind.DIED, f"{self.where} ended whenever it was asked this: {last}."
         )
 
-    def _request(
-        self,
-        question: type[Act],
-        inputs: Sequence[PolicyInput],
-        more: Mapping[str, Any],
-    ) -> tuple[Request, dict[View, int]]:
-        """Return a request, and the number of every view that it refers to."""
-        views: dict[View, int] = {}
+    def _referring(self, inputs: Sequence[PolicyInput]) -> dict[str, Any]:
+        """Return the inputs and the new views of a request.
+
+        From now on the other side is taken to know the views of this request alone.
+        """
+        known, self._sent = self._sent, {}
+        written, new = [], []
         for given in inputs:
             for view in (*(step.view for step in given.past), given.view):
-                if view not in views:
-                    known = self._sent.get(view)
-                    views[view] = next(self._numbers) if known is None else known
-        new = [
-            ViewMessage.of(number, view)
-            for view, number in views.items()
-            if view not in self._sent
-        ]
-        written = [_input(given, views) for given in inputs]
-        return question(inputs=written, views=new, **more), views
+                if view in self._sent:
+                    continue
+                if view not in known:
+                    known[view] = next(self._numbers)
+                    new.append(messages.ViewMessage.of(known[view], view))
+                self._sent[view] = known[view]
+            past = [
+                messages.StepMessage(
+                    self._sent[step.view], step.subtask, step.outcome, step.explanation
+                )
+                for step in given.past
+            ]
+            number, robots = self._sent[given.view], list(given.robots)
+            written.append(
+                messages.InputMessage(given.instruction, robots, number, past)
+            )
+        return {"inputs": written, "views": new}
 
-    def _ask(self, request: Request, wanted: type[R], timeout_s: float) -> R:
+    def _ask(self, request: messages.Request, wanted: type[R], timeout_s: float) -> R:
         """Return the answer to a message.
 
         Raises:
@@ -265,12 +245,12 @@ class Conversation:
         """
         assert self._channel is not None
         end = time.monotonic() + timeout_s
-        self._channel.send(encode(request))
+        self._channel.send(messages.encode(request))
         data = self._channel.receive(max(0.0, end - time.monotonic()))
-        if isinstance(request, Hello) and len(data) > LARGEST_HELLO_BYTES:
+        if isinstance(request, messages.Hello) and len(data) > LARGEST_HELLO_BYTES:
             raise ProtocolError(f"{self.where} answers 'hello' with {len(data)} bytes.")
-        reply = decode_reply(data)
-        if isinstance(reply, Error):
+        reply = messages.decode_reply(data)
+        if isinstance(reply, messages.Error):
             if reply.kind in set(FaultKind):
                 raise PolicyFailedError(FaultKind(reply.kind), reply.message)
             text = f"{self.where} refuses: {reply.message[:_SHOWN]}"
@@ -281,7 +261,7 @@ class Conversation:
             raise malformed(f"it is {type(reply).__name__}, not {wanted.__name__}")
         return reply
 
-    def _open(self, patience_s: float) -> Welcome:
+    def _open(self, patience_s: float) -> messages.Welcome:
         """Connect, and return the answer to the first message.
 
         Raises:
@@ -289,7 +269,7 @@ class Conversation:
             ProtocolError: The other side speaks another protocol.
         """
 
-        def connect() -> Welcome:
+        def connect() -> messages.Welcome:
             try:
                 self._channel = self._connect()
                 return self._greet()
@@ -299,28 +279,22 @@ class Conversation:
 
         return keep_trying(connect, self.where, patience_s)
 
-    def _greet(self) -> Welcome:
+    def _greet(self) -> messages.Welcome:
+        version = messages.PROTOCOL
         try:
-            welcome = self._ask(Hello(protocol=PROTOCOL), Welcome, HELLO_S)
+            hello = messages.Hello(protocol=version)
+            welcome = self._ask(hello, messages.Welcome, HELLO_S)
         except PolicyFailedError as error:
             raise ProtocolError(
                 f"{self.where} does not answer 'hello' as a policy does: {error}"
             ) from error
-        if welcome.protocol != PROTOCOL:
+        if welcome.protocol != version:
             raise ProtocolError(
                 f"{self.where} speaks version {welcome.protocol} of the policy "
-                f"protocol, and this is version {PROTOCOL}. Install the same version "
+                f"protocol, and this is version {version}. Install the same version "
                 "of lemma-bench on both sides."
             )
         return welcome
-
-
-def _input(given: PolicyInput, views: Mapping[View, int]) -> InputMessage:
-    past = [
-        StepMessage(views[step.view], step.subtask, step.outcome, step.explanation)
-        for step in given.past
-    ]
-    return InputMessage(given.instruction, list(given.robots), views[given.view], past)
 
 
 class Remote:
@@ -366,22 +340,25 @@ class _Acts(Remote):
         if controls:
             return self._control(controls)
         plain = [given for given in inputs if isinstance(given, PolicyInput)]
-        reply = self.conversation.decide(Act, plain, Decisions)
+        reply = self.conversation.decide(messages.Act, plain, messages.Decisions)
         return _counted(reply.decisions, "decisions", len(inputs))
 
     def _control(self, inputs: Sequence[ControlInput]) -> list[Actions]:
         # The memory stays with the policy; here it is the number of the episode.
-        episodes = [
-            next(self._episodes) if given.memory is None else given.memory
+        asked = [
+            messages.ControlMessage.of(
+                given, next(self._episodes) if given.memory is None else given.memory
+            )
             for given in inputs
         ]
-        asked = [
-            ControlMessage.of(*each) for each in zip(inputs, episodes, strict=True)
+        answers = self.conversation.control(asked).actions
+        rows = [array.read("actions") for array in answers]
+        return [
+            Actions(each, of.episode)
+            for each, of in zip(
+                _counted(rows, "actions", len(inputs)), asked, strict=True
+            )
         ]
-        reply = self.conversation.control(asked, Commands)
-        rows = [array.read("actions") for array in reply.actions]
-        answers = _counted(rows, "actions", len(inputs))
-        return [Actions(*each) for each in zip(answers, episodes, strict=True)]
 
 
 class _Plans(Remote):
@@ -393,7 +370,7 @@ class _Plans(Remote):
         Raises:
             PolicyFailedError: It has none.
         """
-        reply = self.conversation.decide(Plan, inputs, SubTasks)
+        reply = self.conversation.decide(messages.Plan, inputs, messages.SubTasks)
         return _counted(reply.subtasks, "subtasks", len(inputs))
 
 
@@ -408,14 +385,13 @@ class _Grounds(Remote):
         Raises:
             PolicyFailedError: It did not answer.
         """
-        asked = list(subtasks)
-        reply = self.conversation.decide(Ground, inputs, Poses, subtasks=asked)
+        reply = self.conversation.decide(
+            messages.Ground, inputs, messages.Poses, subtasks=list(subtasks)
+        )
         return _counted(reply.poses, "poses", len(inputs))
 
 
-_PARTS: dict[str, type[Remote]] = dict(
-    zip(METHODS, (_Acts, _Plans, _Grounds), strict=True)
-)
+_PARTS: dict[str, type[Remote]] = {"act": _Acts, "plan": _Plans, "ground": _Grounds}
 
 
 def remote(conversation: Conversation) -> Remote:
@@ -425,11 +401,11 @@ def remote(conversation: Conversation) -> Remote:
         ProtocolError: It has none.
     """
     offered = conversation.welcome.methods
-    bases = tuple(_PARTS[name] for name in METHODS if name in offered)
+    bases = tuple(part for name, part in _PARTS.items() if name in offered)
     if not bases:
         conversation.close()
         raise ProtocolError(
-            f"{conversation.where} offers {offered}, and none of {', '.join(METHODS)}."
+            f"{conversation.where} offers {offered}, and none of {', '.join(_PARTS)}."
         )
     made: Remote = type("RemotePolicy", bases, {})(conversation)
     return made

@@ -21,9 +21,9 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.plugins import load_plugins
 from lemma.policies.class_path import instance_of
+from lemma.serve import messages
 from lemma.serve.conversation import Conversation, ProtocolMode, Remote, remote
 from lemma.serve.faults import PolicyUnreachableError
-from lemma.serve.messages import PROTOCOL, Error, Hello, decode_reply, encode
 from lemma.serve.session import Session
 
 _START_S = 300.0
@@ -76,7 +76,7 @@ class ProcessChannel:
             theirs.close()
             # It also runs where workers end, which call no "atexit" functions.
             self._kill = Finalize(self, _kill, (self._process,), exitpriority=100)
-            ready = decode_reply(self.receive(_START_S))
+            ready = messages.decode_reply(self.receive(_START_S))
         except OSError as error:
             self.close()
             raise PolicyUnreachableError(
@@ -86,7 +86,7 @@ class ProcessChannel:
                 "save that in a file, and put what it does under "
                 "'if __name__ == \"__main__\":'."
             ) from error
-        if isinstance(ready, Error):
+        if isinstance(ready, messages.Error):
             self.close()
             raise InvalidConfigError(ready.message)
 
@@ -127,7 +127,10 @@ class ProcessChannel:
                 "runs out. Free memory, or use fewer workers; the same command then "
                 "goes on."
             )
-        return ConnectionError(f"its process ended with {_why(code)}")
+        why = "no exit code" if code is None else f"exit code {code}"
+        if code is not None and code < 0:
+            why = f"signal {-code}"
+        return ConnectionError(f"its process ended with {why}")
 
     def close(self) -> None:
         """Kill the process; never raises."""
@@ -165,11 +168,15 @@ def host(
         load_plugins()
         session = Session(instance_of(name, arguments))
     except LemmaError as error:
-        pipe.send_bytes(encode(Error(kind="request", message=str(error))))
+        refusal = messages.Error(kind="request", message=str(error))
+        pipe.send_bytes(messages.encode(refusal))
         return
-    _use_one_core()
+    if "torch" in sys.modules:
+        # Else it fights the other workers for cores.
+        sys.modules["torch"].set_num_threads(1)
     # The answer to a hello, although none was sent, says that it is ready.
-    pipe.send_bytes(session.answer(encode(Hello(protocol=PROTOCOL))))
+    hello = messages.encode(messages.Hello(protocol=messages.PROTOCOL))
+    pipe.send_bytes(session.answer(hello))
     with suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             pipe.send_bytes(session.answer(pipe.recv_bytes()))
@@ -183,15 +190,3 @@ def _end_with_parent() -> None:
         if os.getpgrp() == os.getpid():
             os.killpg(os.getpid(), signal.SIGKILL)
     os._exit(1)
-
-
-def _use_one_core() -> None:
-    """Keep torch, if the policy uses it, from fighting the other workers for cores."""
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(1)
-
-
-def _why(code: int | None) -> str:
-    if code is None:
-        return "no exit code"
-    return f"signal {-code}" if code < 0 else f"exit code {code}"

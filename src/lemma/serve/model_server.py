@@ -4,16 +4,13 @@ Its servers keep chunks of actions and histories. So each episode has a connecti
 its own, and no question can be asked twice.
 """
 
+import sys
 import time
-import weakref
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
 from itertools import count
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lemma.core.errors import InvalidConfigError, shown
 from lemma.core.robot_names import robot_names
@@ -23,6 +20,7 @@ from lemma.policies.control.interfaces import (
     ControlInput,
     is_model_server,
 )
+from lemma.serve import vla_eval
 from lemma.serve.conversation import (
     HELLO_S,
     LARGEST_HELLO_BYTES,
@@ -37,22 +35,8 @@ from lemma.serve.faults import (
     PolicyUnreachableError,
     ProtocolError,
 )
-from lemma.serve.vla_eval import (
-    Kind,
-    Message,
-    check_version,
-    format_of,
-    hello,
-    observation,
-    pack,
-    read_action,
-    unpack,
-)
-from lemma.serve.websocket import (
-    WebSocketChannel,
-    check_no_secret,
-    websocket_address,
-)
+from lemma.serve.vla_eval import Kind, Message
+from lemma.serve.websocket import WebSocketChannel, check_no_secret, websocket_address
 
 _SHOWN = 500
 _BENCHMARK = "lemma_vla_eval:LemmaBenchmark"
@@ -78,7 +62,7 @@ def _address(url: str) -> str:
 
 
 class ModelServer:
-    """A model server of vla-eval, and the connections to it."""
+    """Motor commands from a model server of vla-eval, and the connections to it."""
 
     def __init__(self, url: str, mode: ProtocolMode) -> None:
         """Connect for the first time.
@@ -95,116 +79,123 @@ class ModelServer:
         self.url, self.mode = url, mode
         self._address = _address(url)
         first, self.welcome = self._open(mode.first_patience_s)
-        self._idle = [first]
+        self.idle = [first]
+        """Connections without an episode."""
         # Messages of all connections are numbered: an answer belongs to one question.
         self._numbers = count(1)
+        self.control_options: dict[str, Any] = {}
+
+    def use(
+        self,
+        options: Mapping[str, Any],
+        columns: Sequence[str],
+        state: Sequence[str] = ("agent_pos",),
+    ) -> None:
+        """Choose the environment in which it acts.
+
+        Args:
+            options: Options of the environment.
+            columns: Meaning of each number of a robot's row.
+            state: Parts of the state that is sent, in order.
+
+        Raises:
+            InvalidConfigError: The server declares other actions.
+        """
+        self.control_options = dict(options)
+        self._columns, self._state = tuple(columns), tuple(state)
+        # Teams of the benchmark have two robots; of others the environment tells.
+        names, control = self._names(2), options["control"]
+        spec = self.welcome.get("action_spec")
+        parts = spec.values() if isinstance(spec, dict) else ()
+        declared = [part for part in parts if isinstance(part, dict)]
+        formats = {part.get("format") for part in declared}
+        counts = [part.get("dims") for part in declared]
+        numbers = sum(dims for dims in counts if isinstance(dims, int))
+        own = vla_eval.format_of(control)
+        if not formats <= {"raw", own} or numbers not in (0, len(names)):
+            raise InvalidConfigError(
+                f"{self.url} declares the actions {shown(spec)}, and control mode "
+                f"{control!r} takes {len(names)} numbers, {names[0]} to {names[-1]}, "
+                f"whose format is {own!r} or 'raw'. Choose the control mode that the "
+                "model was trained for, or convert on the server."
+            )
 
     @property
     def about(self) -> dict[str, Any]:
-        """Description that the server gives of itself, ready for JSON."""
+        """Description that the server gives of itself, and the chosen options."""
         said = ("model_server", "harness_version", "action_spec", "observation_spec")
-        return {name: self.welcome[name] for name in said if name in self.welcome}
-
-    def check_actions(self, control: str, names: Sequence[str]) -> None:
-        """Check that the server declares the actions that are taken here, if any.
-
-        Args:
-            control: Control mode.
-            names: Meaning of each number of an action.
-
-        Raises:
-            InvalidConfigError: It declares others.
-        """
-        spec = self.welcome.get("action_spec")
-        if not isinstance(spec, dict) or not spec:
-            return
-        declared = {
-            name: (part.get("format"), part.get("dims"))
-            for name, part in spec.items()
-            if isinstance(part, dict)
+        return {
+            **{name: self.welcome[name] for name in said if name in self.welcome},
+            "control_options": self.control_options,
+            "state": list(self._state),
         }
-        formats = {found for found, _ in declared.values()}
-        numbers = sum(dims for _, dims in declared.values() if isinstance(dims, int))
-        fits = formats <= {"raw", format_of(control)} and numbers in (0, len(names))
-        if not fits:
-            raise InvalidConfigError(
-                f"{self.url} declares the actions {shown(declared)}, and control mode "
-                f"{control!r} takes {len(names)} numbers, {names[0]} to {names[-1]}, "
-                f"whose format is {format_of(control)!r} or 'raw'. Choose the control "
-                "mode that the model was trained for, or convert on the server."
-            )
 
-    def begin(self, task: Mapping[str, Any], names: Sequence[str]) -> "ServedEpisode":
-        """Return an episode, which begins there.
-
-        Args:
-            task: Description for the server, without the goal.
-            names: Meaning of each number of an action.
-
-        Raises:
-            PolicyUnreachableError: Nobody answers any more.
-            ProtocolError: The other side speaks another protocol.
-        """
-        episode = ServedEpisode(self, dict(task), tuple(names))
-        while self._idle:
-            if episode.start(self._idle.pop()):
-                return episode
-        while True:
-            if episode.start(self._open(self.mode.patience_s)[0]):
-                return episode
-
-    def act(
-        self,
-        episodes: Sequence["ServedEpisode"],
-        observations: Sequence[Mapping[str, Any]],
-    ) -> list[NDArray[Any] | PolicyFailedError]:
+    def act(self, inputs: Sequence[ControlInput]) -> list[Actions | PolicyFailedError]:
         """Return the next action of each episode, or why it has none.
 
         All are asked before the first answer is waited for: servers may answer them as
         one batch. A fault costs its own episode.
 
-        Args:
-            episodes: At least one.
-            observations: One per episode; see
-                :func:`lemma.serve.vla_eval.observation`.
-
         Raises:
             PolicyUnreachableError: Nobody answers any more.
+            ProtocolError: A message is larger than servers take.
         """
-        allowed_s = self.mode.timeout_s * len(episodes)
+        allowed_s = self.mode.timeout_s * len(inputs)
         end = time.monotonic() + allowed_s
+        episodes: list[ServedEpisode] = [
+            given.memory or self._begin(len(given.robots)) for given in inputs
+        ]
         asked = [
-            _attempt(partial(episode.ask, seen))
-            for episode, seen in zip(episodes, observations, strict=True)
+            _attempt(episode.ask, self._seen(given))
+            for episode, given in zip(episodes, inputs, strict=True)
         ]
-        found: list[NDArray[Any] | PolicyFailedError] = []
-        for episode, failed in zip(episodes, asked, strict=True):
-            if failed is None:
-                found.append(_attempt(partial(episode.answer, end, allowed_s)))
-            else:
-                found.append(failed)
-        died = [
-            one
-            for one in found
-            if isinstance(one, PolicyFailedError) and one.kind is FaultKind.DIED
+        found = [
+            failed or _attempt(episode.answer, end, allowed_s)
+            for episode, failed in zip(episodes, asked, strict=True)
         ]
-        if died:
+        if any(getattr(one, "kind", None) is FaultKind.DIED for one in found):
             # A server that is gone for good ends the run and has not failed.
-            self._idle.append(self._open(self.mode.patience_s)[0])
+            self.idle.append(self._open(self.mode.patience_s)[0])
         return found
-
-    def take_back(self, channel: Channel) -> None:
-        """Keep a connection for the next episode."""
-        self._idle.append(channel)
-
-    def number(self) -> int:
-        """Return the number of a new message."""
-        return next(self._numbers)
 
     def close(self) -> None:
         """Hang up."""
-        while self._idle:
-            self._idle.pop().close()
+        while self.idle:
+            self.idle.pop().close()
+
+    def message(self, kind: Kind, payload: Mapping[str, Any]) -> tuple[int, bytes]:
+        """Return a message, and its number among those of all connections."""
+        number = next(self._numbers)
+        return number, vla_eval.pack(Message.of(kind, payload, number))
+
+    def _names(self, robots: int) -> list[str]:
+        """Return the meaning of each number of an action."""
+        names = robot_names(robots)
+        return [f"{robot}.{column}" for robot in names for column in self._columns]
+
+    def _seen(self, given: ControlInput) -> dict[str, Any]:
+        parts = [np.ravel(given.observation[part]) for part in self._state]
+        pixels = given.observation.get("pixels", {})
+        return vla_eval.observation(
+            pixels, given.instruction, np.concatenate(parts), given.robots
+        )
+
+    def _begin(self, robots: int) -> "ServedEpisode":
+        """Return a new episode, which begins there.
+
+        Raises:
+            PolicyUnreachableError: Nobody answers any more.
+            ProtocolError: The other side speaks another protocol.
+        """
+        while True:
+            idle = self.idle.pop() if self.idle else None
+            channel = idle or self._open(self.mode.patience_s)[0]
+            try:
+                channel.send(self.message(Kind.EPISODE_START, {"task": _TASK})[1])
+            except OSError:
+                channel.close()
+            else:
+                return ServedEpisode(self, channel, robots, self._names(robots))
 
     def _open(self, patience_s: float) -> tuple[Channel, dict[str, Any]]:
         """Return a new connection, and the answer to its hello."""
@@ -222,37 +213,36 @@ class ModelServer:
             ) from error
 
     def _greet(self, channel: Channel) -> dict[str, Any]:
-        channel.send(pack(Message.of(Kind.HELLO, hello(benchmark=_BENCHMARK))))
+        own = vla_eval.hello(benchmark=_BENCHMARK)
+        channel.send(vla_eval.pack(Message.of(Kind.HELLO, own)))
         data = channel.receive(HELLO_S)
         if len(data) > LARGEST_HELLO_BYTES:
             raise ProtocolError(f"it says {len(data)} bytes.")
-        reply = unpack(data)
+        reply = vla_eval.unpack(data)
         if reply.kind is not Kind.HELLO:
             raise ProtocolError(f"it says {reply.kind}: {shown(dict(reply.payload))}.")
-        check_version(reply.payload, self.url)
+        version = reply.payload.get("protocol_version")
+        if version != vla_eval.VERSION:
+            raise ProtocolError(
+                f"It speaks version {shown(version)} of vla-eval's protocol, and this "
+                f"is version {vla_eval.VERSION}. Install vla-eval 0.8 there."
+            )
         return dict(reply.payload)
 
 
 class ServedEpisode:
-    """One episode, and the connection on which the server knows it."""
+    """One episode, and the connection on which the server knows it.
+
+    It ends there when it is no longer referred to.
+    """
 
     def __init__(
-        self, server: ModelServer, task: Mapping[str, Any], names: tuple[str, ...]
+        self, server: ModelServer, channel: Channel, robots: int, names: Sequence[str]
     ) -> None:
-        """Prepare; :meth:`ModelServer.begin` starts it."""
-        self._server, self._task, self._names = server, task, names
-        self._channel: Channel | None = None
+        """Keep the connection, on which the episode has begun."""
+        self._server, self._robots, self._names = server, robots, tuple(names)
+        self._channel: Channel | None = channel
         self._seq = 0
-
-    def start(self, channel: Channel) -> bool:
-        """Begin on a connection; whether it was still there."""
-        try:
-            channel.send(self._message(Kind.EPISODE_START, {"task": self._task}))
-        except OSError:
-            channel.close()
-            return False
-        self._channel = channel
-        return True
 
     def ask(self, observation: Mapping[str, Any]) -> None:
         """Send an observation.
@@ -260,17 +250,16 @@ class ServedEpisode:
         Raises:
             PolicyFailedError: The connection has ended.
         """
-        if self._channel is None:
-            raise PolicyFailedError(
-                FaultKind.DIED, f"{self._server.url} has hung up in this episode."
-            )
         try:
-            self._channel.send(self._message(Kind.OBSERVATION, observation))
+            if self._channel is None:
+                raise ConnectionError("it had done so before")
+            self._seq, message = self._server.message(Kind.OBSERVATION, observation)
+            self._channel.send(message)
         except OSError as error:
-            raise self._dead(error) from error
+            raise self._failed(error) from error
 
-    def answer(self, end: float, allowed_s: float) -> NDArray[Any]:
-        """Return the action for the last observation, (n,).
+    def answer(self, end: float, allowed_s: float) -> Actions:
+        """Return the action for the last observation, and this episode as memory.
 
         Args:
             end: Until when to wait, of the monotonic clock [s].
@@ -278,39 +267,24 @@ class ServedEpisode:
 
         Raises:
             PolicyFailedError: There is none, or none that can be used.
+            PolicyUnreachableError: The server's machine is in trouble.
         """
-        assert self._channel is not None
         try:
             reply = self._next(end)
         except TimeoutError as error:
-            self._hang_up()
-            raise PolicyFailedError(
-                FaultKind.TIMEOUT,
-                f"The model server did not act within {allowed_s:g} s.",
-            ) from error
+            why = f"The model server did not act within {allowed_s:g} s."
+            raise self._failed(error, FaultKind.TIMEOUT, why) from error
         except OSError as error:
-            raise self._dead(error) from error
+            raise self._failed(error) from error
         except ProtocolError as error:
-            self._hang_up()
-            raise PolicyFailedError(FaultKind.MALFORMED, str(error)) from error
+            raise self._failed(error, FaultKind.MALFORMED, str(error)) from error
         if reply.kind is Kind.ERROR:
             said = str(reply.payload.get("error", reply.payload))[:_SHOWN]
             if reply.payload.get("kind") == UNAVAILABLE:
                 raise PolicyUnreachableError(f"The model server says: {said}")
             raise PolicyFailedError(FaultKind.RAISED, f"The model server says: {said}")
-        return read_action(reply.payload, self._names)
-
-    def end(self, result: Mapping[str, Any]) -> None:
-        """Send the result of the episode, and keep the connection for another one."""
-        if self._channel is None:
-            return
-        channel, self._channel = self._channel, None
-        try:
-            channel.send(self._message(Kind.EPISODE_END, result))
-        except OSError:
-            channel.close()
-        else:
-            self._server.take_back(channel)
+        row = vla_eval.read_action(reply.payload, self._names)
+        return Actions(row.reshape(self._robots, -1), self)
 
     def _next(self, end: float) -> Message:
         """Return the answer to the last message, or the error of an earlier one.
@@ -320,7 +294,7 @@ class ServedEpisode:
         assert self._channel is not None
         while True:
             left_s = max(0.0, end - time.monotonic())
-            reply = unpack(self._channel.receive(left_s))
+            reply = vla_eval.unpack(self._channel.receive(left_s))
             if reply.kind is Kind.ERROR:
                 if reply.seq != self._seq:
                     # The answer to the observation would be taken for the next one's.
@@ -329,14 +303,13 @@ class ServedEpisode:
             if reply.kind is Kind.ACTION and reply.seq == self._seq:
                 return reply
 
-    def _message(self, kind: Kind, payload: Mapping[str, Any]) -> bytes:
-        self._seq = self._server.number()
-        return pack(Message.of(kind, payload, self._seq))
-
-    def _dead(self, error: OSError) -> PolicyFailedError:
+    def _failed(
+        self, error: Exception, kind: FaultKind = FaultKind.DIED, why: str = ""
+    ) -> PolicyFailedError:
+        """Hang up, and return the fault; by default, that the server did."""
         self._hang_up()
         return PolicyFailedError(
-            FaultKind.DIED, f"{self._server.url} hung up in this episode: {error}."
+            kind, why or f"{self._server.url} hung up in this episode: {error}."
         )
 
     def _hang_up(self) -> None:
@@ -344,88 +317,21 @@ class ServedEpisode:
             self._channel.close()
         self._channel = None
 
-
-@dataclass(frozen=True, eq=False)
-class _Memory:
-    """Ends its episode when it is no longer referred to."""
-
-    episode: ServedEpisode
-
-    def __post_init__(self) -> None:
-        weakref.finalize(self, self.episode.end, {}).atexit = False
-
-
-class ModelServerPolicy:
-    """Motor commands from a model server of vla-eval."""
-
-    def __init__(
-        self,
-        server: ModelServer,
-        options: Mapping[str, Any],
-        columns: Sequence[str],
-        state: Sequence[str] = ("agent_pos",),
-    ) -> None:
-        """Keep the connection.
-
-        Args:
-            server: The server.
-            options: In which environment it acts.
-            columns: Meaning of each number of a robot's row.
-            state: Parts of the state that is sent, in order.
-        """
-        self.server = server
-        self.control_options = dict(options)
-        self._columns, self._state = tuple(columns), tuple(state)
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """Description that the server gives of itself, and the chosen options."""
-        return {
-            **self.server.about,
-            "control_options": self.control_options,
-            "state": list(self._state),
-        }
-
-    def act(self, inputs: Sequence[ControlInput]) -> list[Actions | PolicyFailedError]:
-        """Return the next action of each episode, or why it has none.
-
-        Raises:
-            PolicyUnreachableError: Nobody answers any more.
-        """
-        memories = [given.memory or self._begin(given) for given in inputs]
-        answers = self.server.act(
-            [memory.episode for memory in memories], [*map(self._seen, inputs)]
-        )
-        return [
-            answer
-            if isinstance(answer, PolicyFailedError)
-            else Actions(answer.reshape(len(given.robots), -1), memory)
-            for answer, given, memory in zip(answers, inputs, memories, strict=True)
-        ]
-
-    def close(self) -> None:
-        """Hang up."""
-        self.server.close()
-
-    def _begin(self, given: ControlInput) -> _Memory:
-        names = [
-            f"{robot}.{column}"
-            for robot in robot_names(len(given.robots))
-            for column in self._columns
-        ]
-        return _Memory(self.server.begin(_TASK, names))
-
-    def _seen(self, given: ControlInput) -> dict[str, Any]:
-        state = np.concatenate(
-            [np.ravel(given.observation[part]) for part in self._state]
-        )
-        pixels = given.observation.get("pixels", {})
-        return observation(pixels, given.instruction, state, given.robots)
+    def __del__(self) -> None:
+        """Say that the episode has ended, and keep the connection for another one."""
+        if self._channel is None or sys.is_finalizing():
+            return
+        try:
+            self._channel.send(self._server.message(Kind.EPISODE_END, {})[1])
+        except OSError:
+            self._channel.close()
+        else:
+            self._server.idle.append(self._channel)
 
 
-def _attempt(call: Callable[[], Any]) -> Any:
+def _attempt(call: Callable[..., Any], *arguments: Any) -> Any:
     """Return what a call returns, or the fault that it raises."""
     try:
-        return call()
+        return call(*arguments)
     except PolicyFailedError as error:
         return error

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from queue import SimpleQueue
-from types import TracebackType
 from typing import Any, Self
 
 from lemma.core.arguments import known
@@ -92,15 +91,11 @@ def _work(queue: "SimpleQueue[Any]") -> None:
             result = work()
         except BaseException as error:
             # Also SystemExit: a policy that calls it must not leave clients waiting.
-            future.set_exception(_ordinary(error))
+            if not isinstance(error, Exception):
+                error = RuntimeError(f"{type(error).__name__}: {error}")
+            future.set_exception(error)
         else:
             future.set_result(result)
-
-
-def _ordinary(error: BaseException) -> Exception:
-    if isinstance(error, Exception):
-        return error
-    return RuntimeError(f"{type(error).__name__}: {error}")
 
 
 class PolicyServer:
@@ -135,7 +130,6 @@ class PolicyServer:
             InvalidConfigError: The port is taken, or the extra is not installed; or the
                 protocol does not hold all that the policy needs.
         """
-        Session(policy, about)
         known("protocol", protocol, PROTOCOLS)
         self._session = Session if protocol == PROTOCOLS[0] else ModelSession
         self._session(policy, about)
@@ -162,7 +156,6 @@ class PolicyServer:
                 "Choose another port or address."
             ) from error
         self.host, self.port = host, int(self._server.socket.getsockname()[1])
-        self._thread: threading.Thread | None = None
 
     @property
     def url(self) -> str:
@@ -184,16 +177,10 @@ class PolicyServer:
 
     def __enter__(self) -> Self:
         """Answer in a thread."""
-        self._thread = threading.Thread(target=self.run, daemon=True)
-        self._thread.start()
+        threading.Thread(target=self.run, daemon=True).start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Hang up."""
         self.close()
 
@@ -209,8 +196,7 @@ class PolicyServer:
         self._connections.add(connection)
         try:
             while True:
-                answer = session.answer(connection.recv())
-                if answer is not None:
+                if answer := session.answer(connection.recv()):
                     connection.send(answer)
         except (CancelledError, self._exceptions.ConnectionClosed):
             pass

@@ -1,6 +1,6 @@
 """The side of a conversation that answers for a policy, in either protocol."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from lemma.core.version import VERSION as __version__
 from lemma.env.view import View
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.interfaces import PastStep, PolicyInput, is_oracle, keeps_state
+from lemma.serve import messages, vla_eval
 from lemma.serve.faults import (
     UNAVAILABLE,
     FaultKind,
@@ -19,28 +20,7 @@ from lemma.serve.faults import (
     ProtocolError,
     trouble_of,
 )
-from lemma.serve.messages import (
-    METHODS,
-    PROTOCOL,
-    Act,
-    Array,
-    Commands,
-    Control,
-    ControlMessage,
-    Decisions,
-    Error,
-    Ground,
-    Hello,
-    InputMessage,
-    Plan,
-    Poses,
-    Reply,
-    SubTasks,
-    Welcome,
-    decode_request,
-    encode,
-)
-from lemma.serve.vla_eval import Kind, Message, format_of, hello, pack, unpack
+from lemma.serve.vla_eval import Kind, Message
 
 Call = Callable[[Callable[[], Any]], Any]
 """Calls a function that asks the policy in the right thread; returns its result."""
@@ -73,7 +53,7 @@ class Session:
         Raises:
             ProtocolError: It has none of these methods, or is an oracle.
         """
-        self.methods = [name for name in METHODS if hasattr(policy, name)]
+        self.methods = [name for name in messages.METHODS if hasattr(policy, name)]
         if not self.methods:
             raise ProtocolError(
                 f"A {type(policy).__name__} is no policy: it has no act(), plan() or "
@@ -98,82 +78,72 @@ class Session:
     def answer(self, data: bytes | str) -> bytes:
         """Return the answer to a message; errors are answers as well."""
         try:
-            return encode(self._answer(data))
-        except ProtocolError as error:
-            return encode(Error(kind="request", message=str(error)))
-        except PolicyFailedError as error:
-            return encode(Error(kind=error.kind, message=str(error)))
+            return messages.encode(self._answer(messages.decode_request(data)))
         except Exception as error:
-            trouble = trouble_of(error)
-            if trouble is not None:
-                return encode(Error(kind=UNAVAILABLE, message=str(trouble)))
-            # The policy is anybody's code, and the client finds out which episode.
-            text = f"{type(error).__name__}: {error}"
-            return encode(Error(kind=FaultKind.RAISED, message=text))
+            kind, text = _told(error)
+            return messages.encode(messages.Error(kind=kind, message=text))
 
-    def _answer(self, data: bytes | str) -> Reply:
-        match decode_request(data):
-            case Hello(protocol=version):
-                return self._welcome(version)
-            case Ground(subtasks=subtasks) as asked:
-                inputs, ground = self._inputs(asked), self._method("ground")
-                return Poses(poses=self._call(lambda: ground(inputs, subtasks)))
-            case Plan() as asked:
-                inputs, plan = self._inputs(asked), self._method("plan")
-                return SubTasks(subtasks=self._call(lambda: plan(inputs)))
-            case Act() as asked:
-                inputs, act = self._inputs(asked), self._method("act")
-                return Decisions(decisions=self._call(lambda: act(inputs)))
-            case Control(inputs=asked):
-                return self._control(asked)
+    def _answer(self, asked: messages.Request) -> messages.Reply:
+        if isinstance(asked, messages.Hello):
+            return self._welcome(asked.protocol)
+        if isinstance(asked, messages.Control):
+            return self._control(asked.inputs)
+        inputs = self._inputs(asked)
+        if isinstance(asked, messages.Ground):
+            return messages.Poses(poses=self._ask("ground", inputs, asked.subtasks))
+        if isinstance(asked, messages.Plan):
+            return messages.SubTasks(subtasks=self._ask("plan", inputs))
+        return messages.Decisions(decisions=self._ask("act", inputs))
 
-    def _control(self, asked: list[ControlMessage]) -> Commands:
+    def _ask(self, name: str, *arguments: Any) -> Any:
+        """Return the answer of a method of the policy, asked in the right thread."""
+        if name not in self.methods:
+            raise ProtocolError(
+                f"The policy has no {name}(), but {', '.join(self.methods)}."
+            )
+        return self._call(lambda: getattr(self._policy, name)(*arguments))
+
+    def _control(self, asked: list[messages.ControlMessage]) -> messages.Commands:
         """Return motor commands, and keep the policy's memory of each episode."""
-        act = self._method("act")
         inputs = [
             each.read(self._memories.get(each.episode) if each.step else None)
             for each in asked
         ]
-        answers = list(self._call(lambda: act(inputs)))
-        for each, answer in zip(asked, answers, strict=False):
-            self._memories[each.episode] = getattr(answer, "memory", None)
+        answers = [*map(_rows, self._ask("act", inputs))]
+        for each, (_, memory) in zip(asked, answers, strict=False):
+            self._memories[each.episode] = memory
         while len(self._memories) > _MEMORIES:
             del self._memories[next(iter(self._memories))]
-        return Commands(actions=[_rows(answer) for answer in answers])
+        return messages.Commands(
+            actions=[messages.Array.of(rows, "float64") for rows, _ in answers]
+        )
 
-    def _welcome(self, version: int) -> Welcome:
-        if version != PROTOCOL:
+    def _welcome(self, version: int) -> messages.Welcome:
+        own = messages.PROTOCOL
+        if version != own:
             raise ProtocolError(
-                f"This is version {PROTOCOL} of the protocol, and the client speaks "
-                f"version {version}. Install the same version of lemma-bench on both "
-                "sides."
+                f"This is version {own} of the protocol, and the client speaks version "
+                f"{version}. Install the same version of lemma-bench on both sides."
             )
-        return Welcome(
-            protocol=PROTOCOL,
+        return messages.Welcome(
+            protocol=own,
             methods=self.methods,
             policy=self._about,
             lemma=__version__,
         )
 
-    def _method(self, name: str) -> Callable[..., Any]:
-        if name not in self.methods:
-            raise ProtocolError(
-                f"The policy has no {name}(), but {', '.join(self.methods)}."
-            )
-        method: Callable[..., Any] = getattr(self._policy, name)
-        return method
-
-    def _inputs(self, asked: Act) -> list[PolicyInput]:
+    def _inputs(self, asked: messages.Act) -> list[PolicyInput]:
         """Return the inputs of a request, and keep its views for the next one."""
         known = self._views | {view.number: view.read() for view in asked.views}
-        used = {number for one in asked.inputs for number in _numbers(one)}
+        used = {one.view for one in asked.inputs}
+        used |= {step.view for one in asked.inputs for step in one.past}
         unknown = sorted(used - known.keys())
         if unknown:
             raise ProtocolError(f"The views {unknown} were not sent, or are forgotten.")
         self._views = {number: known[number] for number in used}
         return [self._input(one) for one in asked.inputs]
 
-    def _input(self, asked: InputMessage) -> PolicyInput:
+    def _input(self, asked: messages.InputMessage) -> PolicyInput:
         past = tuple(
             PastStep(
                 self._views[step.view], step.subtask, step.outcome, step.explanation
@@ -185,26 +155,35 @@ class Session:
         )
 
 
-def _numbers(asked: InputMessage) -> Iterable[int]:
-    return (asked.view, *(step.view for step in asked.past))
+def _told(error: Exception) -> tuple[str, str]:
+    """Return the kind of an error message, and its text."""
+    if isinstance(error, ProtocolError):
+        return "request", str(error)
+    if isinstance(error, PolicyFailedError):
+        return error.kind, str(error)
+    trouble = trouble_of(error)
+    if trouble is not None:
+        return UNAVAILABLE, str(trouble)
+    # The policy is anybody's code, and the client finds out which episode.
+    return FaultKind.RAISED, f"{type(error).__name__}: {error}"
 
 
-def _rows(answer: object) -> Array:
-    """Return an answer's actions as a message.
+def _rows(answer: object) -> tuple[NDArray[Any], Any]:
+    """Return an answer's actions, and what the policy wants to remember.
 
     Raises:
         PolicyFailedError: They are no array of numbers.
     """
     rows = answer.rows if isinstance(answer, Actions) else answer
     try:
-        return Array.of(np.asarray(rows, np.float64), "float64")
+        return np.asarray(rows, np.float64), getattr(answer, "memory", None)
     except (TypeError, ValueError) as error:
         raise PolicyFailedError(
             FaultKind.MALFORMED, f"The actions are no array of numbers: {error}."
         ) from error
 
 
-class ModelSession:
+class ModelSession(Session):
     """Answers the messages of one connection of vla-eval, one episode at a time.
 
     It answers the actions of a chunk one by one. Messages of vla-eval hold no depths,
@@ -225,64 +204,56 @@ class ModelSession:
             call: Asks the policy, in the right thread.
 
         Raises:
+            ProtocolError: It has no ``act``, or is an oracle.
             InvalidConfigError: Messages of vla-eval do not hold all that it needs.
         """
-        options = {**_DEFAULTS, **getattr(policy, "control_options", {})}
-        if options["observation"] not in _SEES:
+        super().__init__(policy, about, call)
+        self._options = {**_DEFAULTS, **getattr(policy, "control_options", {})}
+        sees = self._options["observation"]
+        if sees not in _SEES:
             raise InvalidConfigError(
-                f"The policy observes {shown(options['observation'])}, and messages of "
-                f"vla-eval hold images and joints. Valid: {', '.join(_SEES)}; or serve "
-                "it without --protocol vla-eval."
+                f"The policy observes {shown(sees)}, and messages of vla-eval hold "
+                f"images and joints. Valid: {', '.join(_SEES)}; or serve it without "
+                "--protocol vla-eval."
             )
-        self._policy, self._options = policy, options
-        self._sees = options["observation"] == _SEES[0]
-        self._name = str((about or {}).get("name", type(policy).__name__))
-        self._call = call
         self._begin()
 
-    def answer(self, data: bytes | str) -> bytes | None:
-        """Return the answer to a message, if it has one; errors are answers as well."""
+    def answer(self, data: bytes | str) -> bytes:
+        """Return the answer to a message, empty if it has none."""
         seq = 0
-        failed: dict[str, str] = {}
         try:
-            asked = unpack(data)
+            asked = vla_eval.unpack(data)
             seq = asked.seq
-            found = self._answer(asked)
-            if found is None:
-                return None
-            kind = Kind.HELLO if asked.kind is Kind.HELLO else Kind.ACTION
-            return pack(Message.of(kind, found, seq))
-        except (ProtocolError, PolicyFailedError) as error:
-            failed["error"] = str(error)
+            if asked.kind is Kind.HELLO:
+                answer = Message.of(Kind.HELLO, self._hello(), seq)
+            elif asked.kind is Kind.OBSERVATION:
+                action = self._act(asked.payload)
+                answer = Message.of(Kind.ACTION, {"actions": action}, seq)
+            else:
+                self._begin()
+                return b""
+            return vla_eval.pack(answer)
         except Exception as error:
-            # The policy is anybody's code.
-            failed["error"] = f"{type(error).__name__}: {error}"
-            if trouble_of(error) is not None:
-                failed["kind"] = UNAVAILABLE
-        return pack(Message.of(Kind.ERROR, failed, seq))
-
-    def _answer(self, asked: Message) -> dict[str, Any] | None:
-        if asked.kind is Kind.HELLO:
-            return self._welcome()
-        if asked.kind is Kind.OBSERVATION:
-            return {"actions": self._act(asked.payload)}
-        self._begin()
-        return None
+            kind, text = _told(error)
+        failed = {"error": text, **({"kind": kind} if kind == UNAVAILABLE else {})}
+        return vla_eval.pack(Message.of(Kind.ERROR, failed, seq))
 
     def _begin(self) -> None:
         self._memory: Any = None
         self._step = 0
         self._chunk: list[NDArray[Any]] = []
 
-    def _welcome(self) -> dict[str, Any]:
-        own = format_of(self._options["control"])
+    def _hello(self) -> dict[str, Any]:
+        own = vla_eval.format_of(self._options["control"])
         wanted = {**_SIZE, **self._options, "state": list(_STATE), "send_state": True}
-        unspoken = {"clip_actions"} | ({"observation"} if self._sees else set())
-        params = {k: v for k, v in wanted.items() if k not in unspoken}
-        return hello(
-            model_server=self._name,
+        # Pictures are what vla-eval observes anyhow.
+        unspoken = {"clip_actions"}
+        if wanted["observation"] == _SEES[0]:
+            unspoken.add("observation")
+        return vla_eval.hello(
+            model_server=self._about["name"],
             capabilities={},
-            observation_params=params,
+            observation_params={k: v for k, v in wanted.items() if k not in unspoken},
             action_spec={"actions": {"name": "actions", "dims": 0, "format": own}},
             observation_spec={
                 "language": {"name": "language", "dims": 0, "format": "language"},
@@ -293,20 +264,14 @@ class ModelSession:
     def _act(self, seen: Mapping[str, Any]) -> NDArray[Any]:
         """Return the next action, (n,)."""
         if not self._chunk:
-            given = self._given(seen)
-            [answer] = self._call(lambda: self._policy.act([given]))
-            rows = answer
-            if isinstance(answer, Actions):
-                rows, self._memory = answer.rows, answer.memory
-            values = np.asarray(rows)
-            if values.dtype.kind not in "fiu" or values.ndim not in (2, 3):
+            [answer] = self._ask("act", [self._given(seen)])
+            rows, self._memory = _rows(answer)
+            if rows.ndim not in (2, 3) or not len(rows):
                 raise ProtocolError(
                     f"The policy answered {shown(rows)}. Valid: one action, (robots, "
                     "numbers), or a chunk, (steps, robots, numbers)."
                 )
-            self._chunk = list(values if values.ndim == 3 else values[None])
-            if not self._chunk:
-                raise ProtocolError("The policy answered a chunk of no actions.")
+            self._chunk = list(rows if rows.ndim == 3 else rows[None])
         self._step += 1
         return self._chunk.pop(0).ravel()
 

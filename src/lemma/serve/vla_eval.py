@@ -102,24 +102,6 @@ def hello(**fields: Any) -> dict[str, Any]:
     return {"harness_version": "lemma-bench", "protocol_version": VERSION, **fields}
 
 
-def check_version(payload: Mapping[str, Any], who: str) -> None:
-    """Check that the other side speaks this protocol.
-
-    Args:
-        payload: Payload of its hello.
-        who: Its address, for messages to people.
-
-    Raises:
-        ProtocolError: It speaks another version, or does not say which.
-    """
-    found = payload.get("protocol_version")
-    if found != VERSION:
-        raise ProtocolError(
-            f"{who} speaks version {shown(found)} of vla-eval's protocol, and this is "
-            f"version {VERSION}. Install vla-eval 0.8 there."
-        )
-
-
 def observation(
     images: Mapping[str, NDArray[np.uint8]],
     sentence: str,

@@ -19,7 +19,7 @@ from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part, parts_
 from lemma.policies.weights import find_weights, published_weights
 from lemma.serve.conversation import ProtocolMode, Remote
 from lemma.serve.isolation import isolate
-from lemma.serve.model_server import ModelServerPolicy
+from lemma.serve.model_server import ModelServer
 from lemma.serve.websocket import connect, is_address
 
 
@@ -60,7 +60,7 @@ def hang_up(policy: Any) -> None:
     if isinstance(policy, Composite):
         for part in policy.parts:
             hang_up(part)
-    elif isinstance(policy, Remote | ModelServerPolicy):
+    elif isinstance(policy, Remote | ModelServer):
         policy.close()
 
 

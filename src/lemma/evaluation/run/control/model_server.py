@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
-from lemma.core.robot_names import robot_names
 from lemma.env.control.modes import CONTROLS
 from lemma.env.learning.flat_view import STATES
 from lemma.policies.control.interfaces import CONTROL_OPTIONS
 from lemma.serve.conversation import ProtocolMode
-from lemma.serve.model_server import ModelServer, ModelServerPolicy
+from lemma.serve.model_server import ModelServer
 
 DEFAULTS: dict[str, Any] = {
     "control": "joint_position",
@@ -25,7 +24,7 @@ STATE = "state"
 
 def ask_model_server(
     url: str, mode: ProtocolMode, asked: Mapping[str, Any]
-) -> ModelServerPolicy:
+) -> ModelServer:
     """Return a model server as a policy.
 
     Its action space is the requested one, else the one that the server names in its
@@ -61,11 +60,8 @@ def ask_model_server(
             f"state={shown(state)} is impossible. Valid: some of {', '.join(STATES)}, "
             "joined by +."
         )
-    columns = CONTROLS[options["control"]].columns
-    # Teams of the benchmark have two robots; of others the environment tells.
-    names = [f"{robot}.{column}" for robot in robot_names(2) for column in columns]
-    server.check_actions(options["control"], names)
-    return ModelServerPolicy(server, options, columns, state)
+    server.use(options, CONTROLS[options["control"]].columns, state)
+    return server
 
 
 def _names(told: Any) -> tuple[str, ...]:
