@@ -1,4 +1,3 @@
-from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -8,9 +7,14 @@ import torch
 from lemma.core.seeding import stream
 from lemma.policies.text.encoder import TextConfig, TextEncoder, TextKind
 from lemma.policies.text.grammar import grammar
-from lemma.policies.text.paraphrase import ParaphraseConfig, paraphrase
-from lemma.policies.text.vocabulary import UNKNOWN, Vocabulary, edit_distance
-from lemma.policies.text.word_vectors import neighbours, word_vectors
+from lemma.policies.text.paraphrase import CHANCES, paraphrase
+from lemma.policies.text.words import (
+    UNKNOWN,
+    Vocabulary,
+    edit_distance,
+    neighbours,
+    word_vectors,
+)
 from lemma.tasks.language.bank import templates, vocabulary, words
 from lemma.tasks.suite import SUITE, load_instance
 
@@ -119,9 +123,8 @@ def test_vectors_place_words_by_meaning() -> None:
 
 def test_paraphrases_say_the_goal_in_words_of_training() -> None:
     rng = stream("test", "paraphrase")
-    mild = ParaphraseConfig(
-        ruled=0.0, swapped=0.0, left_out=0.0, strange=0.0, mistyped=0.0
-    )
+    none = dict.fromkeys(("ruled", "swapped", "left_out", "strange", "mistyped"), 0.0)
+    mild = {**CHANCES, **none}
     said = [paraphrase("poke", GOAL, rng, mild) for _ in range(200)]
     assert len(set(said)) > 150
     for text in said:
@@ -132,25 +135,13 @@ def test_paraphrases_say_the_goal_in_words_of_training() -> None:
     assert {"red", "blue", "white"} <= set(words(two))
 
 
-PLAIN = ParaphraseConfig(
-    ruled=0.0,
-    native=0.0,
-    turned=0.0,
-    fronted=0.0,
-    renamed=0.0,
-    clause_dropped=0.0,
-    clause_added=0.0,
-    swapped=0.0,
-    left_out=0.0,
-    strange=0.0,
-    mistyped=0.0,
-)
+PLAIN = {**dict.fromkeys(CHANCES, 0.0), "unmarked": 0.2}
 UNDER = {"under", "below", "bottom"}
 
 
 @pytest.mark.parametrize(("turned", "fronted"), [(1, 0), (0, 1), (1, 1), (0, 0)])
 def test_a_relation_is_turned_with_its_things(turned: int, fronted: int) -> None:
-    config = replace(PLAIN, turned=turned, fronted=fronted, renamed=1.0)
+    config = {**PLAIN, "turned": turned, "fronted": fronted, "renamed": 1.0}
     rng = stream("test", "turned")
     taught = templates("pass", "high_level")
     for _ in range(50):
@@ -163,7 +154,7 @@ def test_a_relation_is_turned_with_its_things(turned: int, fronted: int) -> None
 def test_a_place_that_comes_first_is_turned_too() -> None:
     rng = stream("test", "front")
     taught = [t for t in templates("pass", "human") if t.text.startswith("on the")]
-    text = paraphrase("pass", GOAL, rng, replace(PLAIN, turned=1.0), taught)
+    text = paraphrase("pass", GOAL, rng, {**PLAIN, "turned": 1.0}, taught)
     assert set(words(text)) & UNDER
     assert text.index("red") < text.index("blue")
 

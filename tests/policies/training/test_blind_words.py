@@ -14,8 +14,7 @@ from lemma.dataset.instructions import Language
 from lemma.policies.batch import Frames
 from lemma.policies.text.grammar import grammar
 from lemma.policies.text.paraphrase import paraphrase
-from lemma.policies.text.vocabulary import Vocabulary
-from lemma.policies.text.word_vectors import _neighbours, neighbours
+from lemma.policies.text.words import Vocabulary, _neighbours, neighbours
 from lemma.policies.training.instructions import with_instructions
 from lemma.policies.training.loop import train
 from lemma.tasks.language import blind

@@ -39,6 +39,10 @@ _NAMES = (
     *("that {c} {n}", "our {c} {n}", "the {c} {n} over there", "the nice {c} {n}"),
 )
 _FOREIGN = ("{n} {c}", "the {n} {c}", "{n} of color {c}", "{c} {n}", "the {n} of {c}")
+_COLOR, _BARE = ("{c}",), ("{c} one", "the {c} one", "{c}")
+_ONE = ("the {c} one", "the {c} one", "the {c}", "{c}")
+_FULL = ("the {c} {n}",)
+_OF_STYLE = {"short": ("{c} {n}",), "foreign": _FOREIGN}
 _ROBOTS = (
     *("one robot", "the other robot", "one arm", "the second arm", "the first robot"),
     *("the left robot", "the right arm", "one of you", "the other one of you"),
@@ -154,8 +158,8 @@ class _Speaker:
         return self.draws.pop()
 
     def of(self, options: Sequence[str]) -> str:
-        """Return one of several texts."""
-        return options[int(self.draw() * len(options))]
+        """Return one of several texts; nothing is drawn for a single one."""
+        return options[int(self.draw() * len(options)) if len(options) > 1 else 0]
 
     def make(self, name: str, pair: int = 0, form: int = 0) -> str:
         """Return a text for a name."""
@@ -194,31 +198,27 @@ class _Speaker:
 
     def mention(self, entity: Entity) -> str:
         """Return a name for an entity, shorter ones where its kind is clear."""
-        color, kind, style = entity.color, entity.kind, self.style
+        kind, style = entity.kind, self.style
         known = any(other.kind is kind for other in self.named)
         again = entity in self.named
         self.named.add(entity)
         draw = self.draw()
         # The noun is left out more often with two cubes than with a cube and a pad.
         if style == "bare" and (kind.cargo or draw < 0.4):
-            forms = (f"{color} one", f"the {color} one") if self.on_cubes else ()
-            return color if draw < 0.6 or not forms else self.of((*forms, color))
-        if (style == "mixed" and known and draw < 0.65) or (again and draw < 0.3):
-            return self.of(
-                (f"the {color} one", f"the {color} one", f"the {color}", color)
-            )
-        if style == "mixed" and kind.cargo and draw > 0.92:
-            return color
-        noun = self.nouns[kind.name]
-        if style != "full" and draw < 0.15:
-            noun = self.make(kind.name)
-        if style == "short":
-            return f"{color} {noun}"
-        if style == "foreign":
-            return self.of(_FOREIGN).format(c=color, n=noun)
-        if self.draw() < 0.8:
-            return f"the {color} {noun}"
-        return self.of(_NAMES).format(c=color, n=noun)
+            forms = _BARE if self.on_cubes and draw >= 0.6 else _COLOR
+        elif (style == "mixed" and known and draw < 0.65) or (again and draw < 0.3):
+            forms = _ONE
+        elif style == "mixed" and kind.cargo and draw > 0.92:
+            forms = _COLOR
+        else:
+            noun = self.nouns[kind.name]
+            if style != "full" and draw < 0.15:
+                noun = self.make(kind.name)
+            forms = _OF_STYLE.get(style, _FULL)
+            if forms is _FULL and self.draw() >= 0.8:
+                forms = _NAMES
+            return self.of(forms).format(c=entity.color, n=noun)
+        return self.of(forms).format(c=entity.color)
 
     def other(self) -> str:
         """Return a name for something that the goal does not ask for."""

@@ -7,26 +7,27 @@ made by rules, see :mod:`lemma.policies.text.grammar`. None is a held-out templa
 """
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
-from itertools import accumulate
+from itertools import accumulate, chain
+from typing import TypeVar
 
 import numpy as np
 
 from lemma.policies.text.grammar import Grammar, grammar, speaks_of
-from lemma.policies.text.word_vectors import neighbours, word_vectors
+from lemma.policies.text.words import neighbours, word_vectors
 from lemma.scene.objects.cube import CUBE
-from lemma.scene.objects.entity import entity_named, kind_of
+from lemma.scene.objects.entity import Entity, entity_named
 from lemma.scene.objects.pad import PAD
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import bank_for, words
 from lemma.tasks.language.template import SLOT, GoalPairs, Template
 from lemma.tasks.suite import SUITE
 
-NOUNS = {kind.name: kind.nouns for kind in (CUBE, PAD)}
-"""Names of things that the training templates use."""
-_ALL_NOUNS = {noun for nouns in NOUNS.values() for noun in nouns}
+T = TypeVar("T")
+
+_ALL_NOUNS = {*CUBE.nouns, *PAD.nouns}
 _NOUN = "(?:cube|block|box|pad|circle|target)"
 _ROLE = r"\{(?P<role>(?:top|bottom)[12]?)(?:\.color)?\}"
 _MENTION = re.compile(
@@ -43,38 +44,38 @@ _RELATION = re.compile(rf"\b{_WHERE}(?= (?:the )?$)")
 _FRONT = re.compile(rf"(?:^|, |\. |\band ){_WHERE}(?= (?:the )?$)", re.IGNORECASE)
 _PIECE = re.compile(r"[a-z]+(?:['-][a-z]+)*|\d|[^\sa-z\d]+")
 _JOINTS = (" and ", ", and ", ". ", ", ", ", then ", ". then ", ", and then ")
+_PAIRS = ({"top", "bottom"}, {"top1", "bottom1"}, {"top2", "bottom2"})
 _SHORT = 16
 """Words of the longest sentence that is joined with another."""
 
 
-@dataclass(frozen=True)
-class ParaphraseConfig:
-    """How far sentences are taken apart; all are chances."""
-
-    ruled: float = 0.65
-    """Probability of a sentence from the rules of a grammar, without any template."""
-    native: float = 0.3
-    """Probability of a sentence of the task, as it stands, but for single words."""
-    turned: float = 0.3
-    """Probability of inverting each relation: the lower object under the upper."""
-    fronted: float = 0.2
-    """Probability of beginning with the place: on the pad goes the cube."""
-    renamed: float = 0.6
-    """Probability of another name for a thing, each time it is mentioned."""
-    clause_dropped: float = 0.4
-    """Probability of leaving out a clause that mentions nothing."""
-    clause_added: float = 0.25
-    """Probability of adding such a clause of another template."""
-    swapped: float = 0.15
-    """Probability of replacing each word but colors by a similar English word."""
-    left_out: float = 0.03
-    """Probability of leaving out a word, for each but colors."""
-    strange: float = 0.02
-    """Probability of any English word in its place, for each but colors."""
-    mistyped: float = 0.01
-    """Probability of a typing error, for each but colors."""
-    unmarked: float = 0.2
-    """Probability of a sentence without punctuation."""
+CHANCES: Mapping[str, float] = {
+    # Of a sentence from the rules of a grammar, without any template.
+    "ruled": 0.65,
+    # Of a sentence of the task, as it stands, but for single words.
+    "native": 0.3,
+    # Of inverting each relation: the lower object under the upper.
+    "turned": 0.3,
+    # Of beginning with the place: on the pad goes the cube.
+    "fronted": 0.2,
+    # Of another name for a thing, each time it is mentioned.
+    "renamed": 0.6,
+    # Of leaving out a clause that mentions nothing.
+    "clause_dropped": 0.4,
+    # Of adding such a clause of another template.
+    "clause_added": 0.25,
+    # Of replacing each word but colors by a similar English word.
+    "swapped": 0.15,
+    # Of leaving out a word, for each but colors.
+    "left_out": 0.03,
+    # Of any English word in its place, for each but colors.
+    "strange": 0.02,
+    # Of a typing error, for each but colors.
+    "mistyped": 0.01,
+    # Of a sentence without punctuation.
+    "unmarked": 0.2,
+}
+"""How far sentences are taken apart."""
 
 
 @dataclass(frozen=True)
@@ -86,17 +87,12 @@ class _Sentence:
     said: tuple[str, ...]
     """The mentions as the template writes them, with a slot for the color."""
 
-    @property
-    def pairs(self) -> int:
-        """Number of On(top, bottom) that it says."""
-        return 2 if any(role.endswith("2") for role in self.roles) else 1
-
 
 def paraphrase(
     task: str,
     goal_pairs: GoalPairs,
     rng: np.random.Generator,
-    config: ParaphraseConfig | None = None,
+    chances: Mapping[str, float] = CHANCES,
     taught: Sequence[Template] = (),
     rules: Grammar | None = None,
 ) -> str:
@@ -106,84 +102,89 @@ def paraphrase(
         task: Name of the task, whose own templates come first.
         goal_pairs: One or two (top, bottom) pairs of entities.
         rng: Where all draws come from.
-        config: How far sentences are taken apart.
+        chances: How far sentences are taken apart, as :data:`CHANCES`.
         taught: The only templates to use; all that training may see if empty.
         rules: Rules of the sentences made without templates; those that come with the
             package if None.
     """
-    config = config or ParaphraseConfig()
     used = tuple(taught) or None
-    if not used and rng.random() < config.ruled and speaks_of(goal_pairs):
+    if not used and rng.random() < chances["ruled"] and speaks_of(goal_pairs):
         text = _ruled(goal_pairs, rng, rules or grammar())
-        return _noisy(text, rng, replace(config, swapped=0.4 * config.swapped))
-    if rng.random() < config.native or len(goal_pairs) > 2:
-        own = _own(task, used)
-        text = own[int(rng.integers(len(own)))].render(goal_pairs)
+        return _noisy(text, rng, {**chances, "swapped": 0.4 * chances["swapped"]})
+    if rng.random() < chances["native"] or len(goal_pairs) > 2:
+        text = _one(_own(task, used), rng).render(goal_pairs)
     elif len(goal_pairs) == 2 and rng.random() < 0.5:
         short = _sentences(1, used, _SHORT)
-        both = [_say(_drawn(short, rng), (pair,), rng, config) for pair in goal_pairs]
-        text = both[0].rstrip(".") + _JOINTS[rng.integers(len(_JOINTS))] + both[1]
+        both = [_say(_one(short, rng), (pair,), rng, chances) for pair in goal_pairs]
+        text = both[0].rstrip(".") + _one(_JOINTS, rng) + both[1]
     else:
         fitting = _sentences(len(goal_pairs), used)
-        text = _say(_drawn(fitting, rng), goal_pairs, rng, config)
-    return _noisy(_with_clauses(text, rng, config, _fillers(used)), rng, config)
+        text = _say(_one(fitting, rng), goal_pairs, rng, chances)
+    kept = [
+        clause
+        for clause in _clauses(text)
+        if any(word in OBJECT_COLORS for word in words(clause))
+        or rng.random() >= chances["clause_dropped"]
+    ]
+    pool = _fillers(used)
+    if pool and rng.random() < chances["clause_added"]:
+        clause = _one(pool, rng)
+        kept.insert(0 if rng.random() < 0.5 else len(kept), clause)
+    return _noisy(", ".join(kept), rng, chances)
+
+
+def _one(options: Sequence[T], rng: np.random.Generator) -> T:
+    """Return one of several options, each as likely."""
+    return options[int(rng.integers(len(options)))]
 
 
 def _ruled(goal_pairs: GoalPairs, rng: np.random.Generator, rules: Grammar) -> str:
     """Return a sentence by the rules that no held-out template says."""
     while True:
         text = rules.say(goal_pairs, rng)
-        if _wording(text) not in _held_out():
+        wording = ("*" if word in OBJECT_COLORS else word for word in words(text))
+        if tuple(wording) not in _held_out():
             return text
-
-
-def _wording(text: str) -> tuple[str, ...]:
-    return tuple("*" if word in OBJECT_COLORS else word for word in words(text))
 
 
 @cache
 def _held_out() -> frozenset[tuple[str, ...]]:
-    banks = [bank_for(task) for task in SUITE]
     return frozenset(
-        tuple(re.sub(r"[^a-z*' -]", " ", t.wording()).split())
-        for bank in banks
-        for t in bank.unseen
+        tuple(re.sub(r"[^a-z*' -]", " ", template.wording()).split())
+        for task in SUITE
+        for template in bank_for(task).unseen
     )
-
-
-def _drawn(sentences: tuple[_Sentence, ...], rng: np.random.Generator) -> _Sentence:
-    return sentences[int(rng.integers(len(sentences)))]
 
 
 def _say(
     sentence: _Sentence,
     goal_pairs: GoalPairs,
     rng: np.random.Generator,
-    config: ParaphraseConfig,
+    chances: Mapping[str, float],
 ) -> str:
     """Return a sentence about a goal, whose things may be of other kinds."""
-    entities: dict[str, str] = {}
+    entities: dict[str, Entity] = {}
     for number, pair in enumerate(goal_pairs, 1):
-        suffix = str(number) if sentence.pairs == 2 else ""
-        entities |= {f"top{suffix}": pair[0], f"bottom{suffix}": pair[1]}
-    sentence = _turned(sentence, rng, config.turned)
-    if rng.random() < config.fronted:
+        # A sentence of one pair does not number its roles.
+        suffix = number if sentence.roles[-1][-1].isdigit() else ""
+        for role, name in zip(("top", "bottom"), pair, strict=True):
+            entities[f"{role}{suffix}"] = entity_named(name)
+    sentence = _turned(sentence, rng, chances["turned"])
+    if rng.random() < chances["fronted"]:
         sentence = _fronted(sentence)
     # One name for each role throughout, in most sentences.
-    nouns = {role: _noun(entity, rng) for role, entity in entities.items()}
+    nouns = {role: _one(entity.kind.nouns, rng) for role, entity in entities.items()}
     text, told = sentence.pieces[0], set()
     mentions = zip(sentence.roles, sentence.said, sentence.pieces[1:], strict=True)
     for role, said, piece in mentions:
-        entity = entity_named(entities[role])
-        color, kind = entity.color, entity.kind
-        noun = nouns[role]
+        color, kind, noun = entities[role].color, entities[role].kind, nouns[role]
         named = set(words(said)) & _ALL_NOUNS
         fits = named <= set(kind.nouns) and (named or role in told)
-        if rng.random() < config.renamed or not fits:
+        if rng.random() < chances["renamed"] or not fits:
             forms = [f"{color} {noun}"] * 6
             forms += [f"{noun} that is {color}", f"{color} coloured {noun}"]
             forms += [f"{color} one"] * (2 if role in told else 0)
-            said = forms[int(rng.integers(len(forms)))]
+            said = _one(forms, rng)
         text += said.replace("*", color) + piece
         told.add(role)
     return text
@@ -194,15 +195,14 @@ def _turned(sentence: _Sentence, rng: np.random.Generator, chance: float) -> _Se
     pieces, roles = list(sentence.pieces), list(sentence.roles)
     for i in range(1, len(roles)):
         first, second = roles[i - 1 : i + 1]
-        if _conjunct(first) != _conjunct(second) or first == second:
+        if {first, second} not in _PAIRS:
             continue
         upright = first.startswith("top")
         # "x on y", or "on y goes x".
         for j, pattern, on in ((i, _RELATION, upright), (i - 1, _FRONT, not upright)):
             found = pattern.search(pieces[j])
             if found and on is bool(found["on"]) and rng.random() < chance:
-                options = _UNDER if on else _ON
-                other = options[int(rng.integers(len(options)))]
+                other = _one(_UNDER if on else _ON, rng)
                 start, end = found.span("relation")
                 pieces[j] = pieces[j][:start] + other + pieces[j][end:]
                 roles[i - 1 : i + 1] = second, first
@@ -221,41 +221,14 @@ def _fronted(sentence: _Sentence) -> _Sentence:
     return _Sentence(pieces, sentence.roles[::-1], sentence.said[::-1])
 
 
-def _conjunct(role: str) -> str:
-    return role.removeprefix("top").removeprefix("bottom")
-
-
-def _noun(entity: str, rng: np.random.Generator) -> str:
-    names = kind_of(entity).nouns
-    return names[int(rng.integers(len(names)))]
-
-
-def _with_clauses(
-    text: str,
-    rng: np.random.Generator,
-    config: ParaphraseConfig,
-    pool: tuple[str, ...],
-) -> str:
-    kept = [
-        clause
-        for clause in _clauses(text)
-        if _mentions(clause) or rng.random() >= config.clause_dropped
-    ]
-    if pool and rng.random() < config.clause_added:
-        clause = pool[int(rng.integers(len(pool)))]
-        kept.insert(0 if rng.random() < 0.5 else len(kept), clause)
-    return ", ".join(kept)
-
-
-def _noisy(text: str, rng: np.random.Generator, config: ParaphraseConfig) -> str:
+def _noisy(text: str, rng: np.random.Generator, chances: Mapping[str, float]) -> str:
     """Return a text in lower case with words left out, exchanged or mistyped."""
     pieces = _PIECE.findall(text.lower())
     draws = rng.random((len(pieces) + 1, 2)).tolist()
-    marked = draws.pop()[0] >= config.unmarked
+    marked = draws.pop()[0] >= chances["unmarked"]
     english = word_vectors().words
-    upto = list(
-        accumulate((config.left_out, config.swapped, config.strange, config.mistyped))
-    )
+    errors = ("left_out", "swapped", "strange", "mistyped")
+    upto = list(accumulate(chances[error] for error in errors))
     out = []
     for piece, (draw, which) in zip(pieces, draws, strict=True):
         if not piece[0].isalpha():
@@ -275,10 +248,6 @@ def _noisy(text: str, rng: np.random.Generator, config: ParaphraseConfig) -> str
 
 def _clauses(text: str) -> list[str]:
     return [part.strip() for part in re.split(r"[.,;:?!]", text) if part.strip()]
-
-
-def _mentions(clause: str) -> bool:
-    return any(word in OBJECT_COLORS for word in words(clause))
 
 
 @cache
@@ -309,11 +278,7 @@ def _all(used: tuple[Template, ...] | None) -> tuple[Template, ...]:
 def _taken_apart(template: Template) -> _Sentence:
     pieces, roles, said, end = [], [], [], 0
     kinds = dict(
-        pair
-        for roles_, kinds_ in zip(
-            template.roles, template.entity_kinds or (), strict=True
-        )
-        for pair in zip(roles_, kinds_, strict=True)
+        zip(chain(*template.roles), chain(*template.entity_kinds or ()), strict=True)
     )
     for match in _MENTION.finditer(template.text):
         role = match["role"] or match["role2"]

@@ -19,11 +19,11 @@ from lemma.policies.batch import NOBODY
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import TransformerLayer, made_without_numbers
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS
-from lemma.policies.text.encoder import WordEmbedding
-from lemma.policies.text.sentences import (
+from lemma.policies.text.encoder import (
     NO_NAME,
     SentenceReader,
     Sentences,
+    WordEmbedding,
     groups_of,
 )
 from lemma.tasks.language.template import GoalPairs
