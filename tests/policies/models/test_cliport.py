@@ -21,8 +21,8 @@ from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import PRIMITIVES
 from lemma.policies.entities import BENCHMARK
 from lemma.policies.interfaces import Grounder
-from lemma.policies.models.cliport.model import CLIPort, CLIPortConfig
-from lemma.policies.models.cliport.poses import Poses, score_poses
+from lemma.policies.models.cliport.model import CLIPort, Poses, score_poses
+from lemma.policies.models.cliport.networks import CLIPortConfig
 from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
@@ -133,11 +133,11 @@ def test_a_second_look_learns_to_undo_what_was_done_to_a_place() -> None:
     zoom = model.zoom
     assert zoom is not None
     image, _, sentence = model.look(batch)
-    seen = (image, sentence.detach())
+    sentence = sentence.detach()
     with torch.no_grad():
-        fit = model.place(*seen, labels.pick_pose, batch.raster)
+        fit = model.place(image, sentence, labels.pick_pose, batch.raster)
     optimizer = torch.optim.Adam(zoom.parameters(), 3e-3)
-    given = (seen, fit, labels.pick_pose)
+    given = ((image, sentence, fit), labels.pick_pose)
     steps = 300
     for step in range(steps):
         optimizer.param_groups[0]["lr"] = 3e-3 * (1.0 - step / steps)

@@ -18,7 +18,7 @@ from batches import (
 
 from lemma.policies.batch import PRIMITIVES, STOP
 from lemma.policies.interfaces import Policy
-from lemma.policies.models.cliport.end_to_end import MCLIPort, MCLIPortConfig
+from lemma.policies.models.cliport.model import MCLIPort, MCLIPortConfig
 from lemma.tasks.subtask import Primitive
 
 TINY = MCLIPortConfig(**TINY_STREAMS)

@@ -7,12 +7,13 @@ import torch
 from batches import RASTER
 from torch.nn import functional as F
 
-from lemma.policies.models.cliport.grid import Cells, read_at
-from lemma.policies.models.cliport.heads import correlate
-from lemma.policies.models.cliport.rotations import (
+from lemma.policies.models.cliport.grid import (
+    Cells,
     bin_yaws,
+    correlate,
     crop_about,
     nearest_bins,
+    read_at,
     turned,
     wrapped,
     yaw_of,

@@ -1,16 +1,21 @@
 """The base class of trained models, and the registry of all models."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import is_dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, is_dataclass
 from typing import Any, ClassVar, Literal
 
+import torch
 from torch import Tensor, nn
 
+from lemma.core.arguments import Height, Size
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
-from lemma.policies.batch import Batch
+from lemma.policies.batch import Batch, batch_of
 from lemma.policies.entities import EntitySet
+from lemma.policies.interfaces import PolicyInput
+from lemma.scene.raster import RASTER, Raster
 
 
 class Model(nn.Module, ABC):
@@ -56,6 +61,54 @@ class Model(nn.Module, ABC):
         Args:
             batch: With labels.
         """
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapConfig:
+    """Options of models that see one map a frame."""
+
+    cell_m: Size = RASTER.cell_m
+    """Side of a cell of the map [m]."""
+    floor_m: Height = RASTER.floor_m
+    """Lowest height of the map [m]."""
+
+    def raster(self, given: PolicyInput) -> Raster:
+        """Return where the cells of a view are."""
+        rows, columns = given.view.height_m.shape
+        return Raster(rows, columns, self.cell_m, self.floor_m)
+
+
+class MapModel(Model):
+    """A model that decides by one map a frame."""
+
+    at_once: ClassVar[int] = 32
+    """Frames that are decided at once."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return next(self.parameters()).device
+
+    @contextmanager
+    def deciding(self) -> Iterator[None]:
+        """Switch training off for a while."""
+        was = self.training
+        self.eval()
+        try:
+            with torch.inference_mode():
+                yield
+        finally:
+            self.train(was)
+
+    def batches(
+        self, inputs: Sequence[PolicyInput], sub_instructions: Sequence[str] = ()
+    ) -> Iterator[Batch]:
+        """Yield the inputs, and the sub-instructions to ground, in batches."""
+        for start in range(0, len(inputs), self.at_once):
+            rows = slice(start, start + self.at_once)
+            raster = self.config.raster(inputs[start])
+            told = sub_instructions[rows]
+            yield batch_of(inputs[rows], raster, told, self.device, self.entities)
 
 
 def _check_model(name: str, record: tuple[type[Any], type[Any]]) -> None:

@@ -3,7 +3,6 @@
 from dataclasses import asdict
 from typing import Any
 
-import lemma.policies.models.cliport.end_to_end
 import lemma.policies.models.cliport.model
 import lemma.policies.models.episodic_transformer.model
 import lemma.policies.models.reachnet.model  # noqa: F401

@@ -203,6 +203,7 @@ class _Speaker:
         again = entity in self.named
         self.named.add(entity)
         draw = self.draw()
+        forms: Sequence[str]
         # The noun is left out more often with two cubes than with a cube and a pad.
         if style == "bare" and (kind.cargo or draw < 0.4):
             forms = _BARE if self.on_cubes and draw >= 0.6 else _COLOR

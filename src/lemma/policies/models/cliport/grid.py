@@ -1,13 +1,19 @@
-"""Cells of feature maps, which are coarser than the map, and positions in the world.
+"""Where things are on maps: cells, yaws, turned crops, and how kernels fit on maps.
 
 Every cell of a map that a network makes covers ``stride`` x ``stride`` cells of the
-raster. A position is told by the cell that holds it and by where it is in that cell.
+raster. A position is told by the cell that holds it and by where it is in that cell;
+a yaw, counter-clockwise seen from above, by a bin and a residual. Rows of a map go
+down, towards -y, columns to the right, towards +x; a crop about a pose has its columns
+along the pose's x axis.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
+from scipy.fft import next_fast_len
 from torch import Tensor
+from torch.nn import functional as F
 
 from lemma.scene.raster import Raster
 
@@ -38,7 +44,9 @@ class Cells:
         Args:
             xy_m: World frame [m], (..., 2).
         """
-        column, row = self._continuous(xy_m).floor().long().unbind(-1)
+        x, y = xy_m.unbind(-1)
+        column = (x / self.cell_m + self.columns / 2).floor().long()
+        row = (self.rows / 2 - y / self.cell_m).floor().long()
         return row.clamp(0, self.rows - 1) * self.columns + column.clamp(
             0, self.columns - 1
         )
@@ -78,11 +86,6 @@ class Cells:
         """Return the positions [m] that :meth:`offsets` would describe so."""
         return self.centres(numbers) + offsets * self.cell_m
 
-    def _continuous(self, xy_m: Tensor) -> Tensor:
-        x, y = xy_m.unbind(-1)
-        column = x / self.cell_m + self.columns / 2
-        return torch.stack([column, self.rows / 2 - y / self.cell_m], -1)
-
 
 def read_at(features: Tensor, numbers: Tensor) -> Tensor:
     """Return the features of cells.
@@ -97,3 +100,116 @@ def read_at(features: Tensor, numbers: Tensor) -> Tensor:
     flat = features.flatten(2)
     index = numbers[:, None, :].expand(-1, flat.shape[1], -1)
     return flat.gather(2, index).transpose(1, 2)
+
+
+def wrapped(angle: Tensor) -> Tensor:
+    """Return angles [rad] in [-pi, pi)."""
+    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+
+
+def bin_yaws(bins: int, device: torch.device | None = None) -> Tensor:
+    """Return the yaws in the middle of bins of a whole turn [rad], (bins,)."""
+    return torch.arange(bins, device=device) * (2 * math.pi / bins)
+
+
+def nearest_bins(yaw: Tensor, bins: int) -> tuple[Tensor, Tensor]:
+    """Return the nearest bin and the second nearest, and how far off they are.
+
+    Args:
+        yaw: [rad], (...).
+        bins: Number of bins of a whole turn.
+
+    Returns:
+        Bins, (..., 2) int64, and what is to be added to them, in widths of a bin,
+        (..., 2), in [-1, 1].
+    """
+    width = 2 * math.pi / bins
+    position = torch.remainder(yaw, 2 * math.pi) / width
+    nearest = position.round()
+    rest = position - nearest
+    side = torch.where(rest < 0, -1.0, 1.0)
+    both = torch.stack([nearest, nearest + side], -1)
+    return torch.remainder(both, bins).long(), torch.stack([rest, rest - side], -1)
+
+
+def yaw_of(bin_number: Tensor, residual: Tensor, bins: int) -> Tensor:
+    """Return the yaw [rad] that :func:`nearest_bins` would describe so."""
+    return wrapped((bin_number + residual) * (2 * math.pi / bins))
+
+
+def crop_about(
+    image: Tensor, pose: Tensor, raster: Raster, size: int, side_m: float
+) -> Tensor:
+    """Cut a square out of maps, turned with a pose.
+
+    Args:
+        image: (B, C, rows, columns), on the cells of the raster.
+        pose: x, y [m], yaw [rad] of the middle of the square, (B, 3).
+        raster: Where the cells are.
+        size: Cells along a side of the square.
+        side_m: Its side [m].
+
+    Returns:
+        (B, C, size, size); 0 outside the map.
+    """
+    cell_m = side_m / size
+    steps = (torch.arange(size, device=image.device) + 0.5 - size / 2) * cell_m
+    ahead, left = steps[None, None, :], -steps[None, :, None]
+    x, y, yaw = (value[:, None, None] for value in pose.unbind(1))
+    cos, sin = yaw.cos(), yaw.sin()
+    at_x = x + cos * ahead - sin * left
+    at_y = y + sin * ahead + cos * left
+    half_width = raster.columns * raster.cell_m / 2
+    half_height = raster.rows * raster.cell_m / 2
+    grid = torch.stack([at_x / half_width, -at_y / half_height], -1)
+    return F.grid_sample(image, grid, align_corners=False)
+
+
+def turned(features: Tensor, yaws: Tensor, scale: float = 1.0) -> Tensor:
+    """Turn square feature maps by several angles about their middles.
+
+    Args:
+        features: (B, C, n, n).
+        yaws: [rad], counter-clockwise, (R,).
+        scale: How many times larger their cells are than those of the result.
+
+    Returns:
+        (B, R, C, s, s) with s odd, n * scale or the next one, so that a cell lies in
+        the middle.
+    """
+    count, channels, size, _ = features.shape
+    wide = round(size * scale)
+    side = wide + 1 - wide % 2
+    steps = (torch.arange(side, device=features.device) - side // 2) * (2.0 / wide)
+    right, up = steps[None, None, :], -steps[None, :, None]
+    cos, sin = yaws.cos()[:, None, None], yaws.sin()[:, None, None]
+    ahead = cos * right + sin * up
+    left = cos * up - sin * right
+    grid = torch.stack([ahead, -left], -1).flatten(0, 1)
+    found = F.grid_sample(features, grid.expand(count, -1, -1, -1), align_corners=False)
+    return found.view(count, channels, len(yaws), side, side).transpose(1, 2)
+
+
+def correlate(key: Tensor, kernels: Tensor) -> Tensor:
+    """Correlate each sample's map with each of its kernels, by their spectra.
+
+    The kernels see a metre of table: sliding them over the map would take far longer.
+
+    Args:
+        key: (B, C, rows, columns).
+        kernels: (B, R, C, s, s) with s odd.
+
+    Returns:
+        (B, R, rows, columns) float32: how well the kernel fits with its middle on the
+        cell; nothing lies outside the map.
+    """
+    rows, columns = key.shape[-2:]
+    half = kernels.shape[-1] // 2
+    # Values that wrap around must fall into the padding.
+    size = tuple(next_fast_len(n + half, real=True) for n in (rows, columns))
+    with torch.autocast(key.device.type, enabled=False):
+        key_spectrum = torch.fft.rfft2(key.float(), s=size)
+        kernel_spectra = torch.fft.rfft2(kernels.float(), s=size)
+        product = (key_spectrum[:, None] * kernel_spectra.conj()).sum(2)
+        fits = torch.fft.irfft2(product, s=size)
+    return torch.roll(fits, (half, half), (-2, -1))[..., :rows, :columns]

@@ -13,139 +13,76 @@ all cells and turns. The differences make it small and turn grippers:
 - what lies around the place is seen again, to correct it; an option, on by default.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.core.arguments import (
-    Count,
-    Depth,
-    Extent,
-    Height,
-    Share,
-    Size,
-    Width,
-    Widths,
-)
+from lemma.core.arguments import Depth, Share
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
-from lemma.policies.batch import Batch, batch_of
-from lemma.policies.interfaces import PolicyInput
-from lemma.policies.models.base import MODELS, Model
-from lemma.policies.models.cliport.heads import HeadsConfig, PickHead, PlaceHead
-from lemma.policies.models.cliport.networks import STRIDE, image_of
-from lemma.policies.models.cliport.poses import (
-    Poses,
-    counted,
-    pick_losses,
-    picks,
-    place_losses,
-    places,
-    score_poses,
+from lemma.core.robot_names import robot_name
+from lemma.policies.batch import PRIMITIVES, STOP, Batch, Labels
+from lemma.policies.entities import BENCHMARK, EntitySet, traits_of
+from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.models.base import MODELS, MapModel
+from lemma.policies.models.cliport.grid import nearest_bins, read_at, wrapped, yaw_of
+from lemma.policies.models.cliport.networks import (
+    Attention,
+    CLIPortConfig,
+    PickHead,
+    PlaceHead,
+    Zoom,
+    image_of,
+    pick_cells,
+    place_cells,
 )
-from lemma.policies.models.cliport.refinement import Zoom
 from lemma.policies.text.encoder import TextConfig, TextEncoder
-from lemma.scene.objects.stick import STICK_KIND
-from lemma.scene.raster import RASTER, Raster
+from lemma.scene.raster import Raster
+from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
-_ROOM_M = 0.06
+_PRIMITIVES = tuple(name for name in PRIMITIVES if name != PRIMITIVES[STOP])
+_STOP_WIDTH = 128
+_YAW_WEIGHT = 0.5
+_NEAR_M = 0.02
+_NEAR_SHARED_M = 0.06
+_NEAR_PICK_YAW = math.radians(10.0)
+_NEAR_PLACE_YAW = math.radians(8.0)
+_LEAST_RAD = 1e-3
+_MOVE = PRIMITIVES.index("move")
 
 
-def _stick_reach_m() -> float:
-    """Return how far from its grasp the stick reaches along itself [m]."""
-    grasp = STICK_KIND.grasp
-    assert grasp is not None
-    return max(axis.end[0] for axis in STICK_KIND.shell.capsules) - grasp.at.x
+class Poses(NamedTuple):
+    """Gripper where it closes and where its motion ends: x, y [m], yaw [rad].
+
+    (B, 3) each; the yaw of the place is the pick's and at most half a turn.
+    """
+
+    pick: Tensor
+    place: Tensor
 
 
-_CROP_M = 2 * round(_stick_reach_m() + _ROOM_M, 2)
-AT_ONCE = 16
-"""Frames that are decided at once: their spectra need memory."""
-
-
-@dataclass(frozen=True)
-class CLIPortConfig:
-    """Options of :class:`CLIPort`."""
-
-    widths: Widths = (32, 64, 128, 224)
-    """Channels at a quarter to a 32nd of the map's resolution."""
-    query_widths: Widths = (32, 64, 96, 128)
-    """The same of the network that sees what lies around the pick."""
-    bins: Count = 12
-    """Number of bins of yaw; each is refined by a residual."""
-    kernel_channels: Width = 8
-    """Channels that are correlated."""
-    crop: Count = 128
-    """Cells along a side of what is seen around the pick, and around the place."""
-    crop_m: Extent = _CROP_M
-    """Side of that [m]; it should hold the stick, wherever it is grasped."""
-    zoom: bool = True
-    """Whether to look again at the place that was found, which CLIPort does not."""
-    text_width: Width = 192
-    """Width of a word."""
-    text_layers: Depth = 2
-    """Transformer layers over the words."""
-    word_dropout: Share = 0.0
-    """Share of words that are unknown in training; each word of a sub-instruction
-    counts."""
-    cell_m: Size = RASTER.cell_m
-    """Side of a cell of the map [m]."""
-    floor_m: Height = RASTER.floor_m
-    """Lowest height of the map [m]."""
-
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        for name in ("widths", "query_widths"):
-            if len(getattr(self, name)) != 4:
-                raise InvalidConfigError(
-                    f"{name}={getattr(self, name)!r}: there are four levels. Give four "
-                    "numbers of channels, such as (32, 64, 128, 224)."
-                )
-        if self.crop < 2 * STRIDE or self.crop % STRIDE:
-            raise InvalidConfigError(
-                f"crop={self.crop} is no multiple of {STRIDE}. Take 128."
-            )
-
-    def heads(self, extra_channels: int = 0) -> HeadsConfig:
-        """Return the sizes of the two heads."""
-        return HeadsConfig(
-            widths=self.widths,
-            query_widths=self.query_widths,
-            sentence_width=self.text_width,
-            bins=self.bins,
-            kernel_channels=self.kernel_channels,
-            crop=self.crop,
-            crop_m=self.crop_m,
-            extra_channels=extra_channels,
-        )
-
-    def raster(self, given: PolicyInput) -> Raster:
-        """Return where the cells of a view are."""
-        rows, columns = given.view.height_m.shape
-        return Raster(rows, columns, self.cell_m, self.floor_m)
-
-
-class PickAndPlace(Model):
+class PickAndPlace(MapModel):
     """The common base of CLIPort and M-CLIPort: sentence and map to two poses."""
 
+    # Spectra need memory.
+    at_once = 16
     former_names: ClassVar[Mapping[str, str]] = {r"_text\.reader\.": "_text."}
 
-    def __init__(self, config: CLIPortConfig, extra_channels: int = 0) -> None:
+    def __init__(self, config: CLIPortConfig, extra: int = 0) -> None:
         """Make the weights.
 
         Args:
             config: Sizes.
-            extra_channels: Further outputs of the pick head for each cell.
+            extra: Further outputs of the pick head for each cell.
         """
         super().__init__()
         self.config: CLIPortConfig = config
-        heads = config.heads(extra_channels)
         text = TextConfig(
             width=config.text_width,
             layers=config.text_layers,
@@ -154,9 +91,9 @@ class PickAndPlace(Model):
         # One each: the pick listens for other words than the place.
         self.pick_text = TextEncoder(text)
         self.place_text = TextEncoder(text)
-        self.pick = PickHead(heads)
-        self.place = PlaceHead(heads)
-        self.zoom = Zoom(heads) if config.zoom else None
+        self.pick = PickHead(config, extra)
+        self.place = PlaceHead(config)
+        self.zoom = Zoom(config) if config.zoom else None
 
     def sentences(self, batch: Batch) -> list[str]:
         """Return the sentences that the model reads."""
@@ -172,21 +109,89 @@ class PickAndPlace(Model):
         )
         return image_of(batch), to_pick, to_place
 
-    @contextmanager
-    def deciding(self) -> Iterator[None]:
-        """Switch training off for a while."""
-        was = self.training
-        self.eval()
-        try:
-            with torch.inference_mode():
-                yield
-        finally:
-            self.train(was)
+    def picked(self, seen: Attention, raster: Raster) -> tuple[Tensor, Tensor]:
+        """Return the best pick poses, (B, 3), and the cells that hold them, (B,)."""
+        numbers = seen.logits.argmax(1, keepdim=True)
+        offsets, yaws, residuals = self.pick.at(seen, numbers)
+        best = yaws.argmax(-1, keepdim=True)
+        xy = pick_cells(raster).positions(numbers, offsets)
+        yaw = yaw_of(best, residuals.gather(-1, best), self.pick.bins)
+        return torch.cat([xy, yaw], -1)[:, 0], numbers[:, 0]
 
-    @property
-    def device(self) -> torch.device:
-        """Where the weights are."""
-        return self.place.scale.device
+    def placed(
+        self, image: Tensor, sentence: Tensor, pick: Tensor, raster: Raster
+    ) -> Tensor:
+        """Return the best place poses for pick poses, (B, 3)."""
+        cells = place_cells(raster)
+        fit = self.place(image, sentence, pick, raster)
+        best = fit.logits.flatten(1).argmax(1, keepdim=True)
+        bin_number, number = best // len(cells), best % len(cells)
+        offsets, residual = self.place.at(fit, number, bin_number, pick, cells)
+        xy = cells.positions(number, offsets)[:, 0]
+        place = torch.cat([xy, yaw_of(bin_number, residual, self.place.bins)], 1)
+        if self.zoom is not None:
+            correction = self.zoom((image, sentence, fit), pick, place, raster)
+            place = self.zoom.corrected(place, correction)
+        # The arm turns from one to the other: never the long way round.
+        yaw = pick[:, 2:] + wrapped(place[:, 2:] - pick[:, 2:])
+        return torch.cat([place[:, :2], yaw], 1)
+
+    def pick_losses(self, seen: Attention, batch: Batch) -> dict[str, Tensor]:
+        """Return the losses of the pick; ``stop`` has none."""
+        assert batch.labels is not None
+        counts, pick, _ = counted(batch.labels)
+        cells = pick_cells(batch.raster)
+        numbers = cells.holding(pick[:, :2])
+        chosen = F.cross_entropy(seen.logits, numbers, reduction="none")
+        near = cells.around(numbers)
+        offsets, yaws, residuals = self.pick.at(seen, near)
+        wanted = cells.offsets(pick[:, None, :2], near)
+        both, rests = nearest_bins(pick[:, 2], self.pick.bins)
+        yaw = F.cross_entropy(yaws[:, 4], both[:, 0], reduction="none")
+        index = both[:, None].expand(-1, near.shape[1], -1)
+        residual = F.smooth_l1_loss(
+            residuals.gather(2, index),
+            rests[:, None].expand(index.shape),
+            reduction="none",
+        )
+        return {
+            "pick": mean_over(chosen, counts),
+            "pick_offset": mean_over(_distance(offsets, wanted), counts),
+            "pick_yaw": _YAW_WEIGHT * mean_over(yaw, counts),
+            "pick_residual": mean_over(residual.mean((1, 2)), counts),
+        }
+
+    def place_losses(
+        self, image: Tensor, sentence: Tensor, batch: Batch
+    ) -> dict[str, Tensor]:
+        """Return the losses of the place, after the expert's pick."""
+        assert batch.labels is not None
+        counts, pick, place = counted(batch.labels)
+        cells = place_cells(batch.raster)
+        fit = self.place(image, sentence, pick, batch.raster)
+        numbers = cells.holding(place[:, :2])
+        both, rests = nearest_bins(place[:, 2], self.place.bins)
+        chosen = F.cross_entropy(
+            fit.logits.flatten(1), both[:, 0] * len(cells) + numbers, reduction="none"
+        )
+        near = cells.around(numbers)
+        count = near.shape[1]
+        bin_numbers = both.repeat_interleave(count, 1)
+        near = near.repeat(1, both.shape[1])
+        offsets, residuals = self.place.at(fit, near, bin_numbers, pick, cells)
+        wanted = cells.offsets(place[:, None, :2], near)
+        residual = F.smooth_l1_loss(
+            residuals, rests.repeat_interleave(count, 1), reduction="none"
+        )
+        losses = {
+            "place": mean_over(chosen, counts),
+            "place_offset": mean_over(_distance(offsets, wanted), counts),
+            "place_residual": mean_over(residual.mean(1), counts),
+        }
+        if self.zoom is not None:
+            again = self.zoom.loss((image, sentence, fit), pick, place, batch.raster)
+            losses["place_zoom"] = mean_over(again, counts)
+        return losses
 
 
 class CLIPort(PickAndPlace):
@@ -208,21 +213,9 @@ class CLIPort(PickAndPlace):
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Return the losses of pick and place; ``stop`` has none."""
-        assert batch.labels is not None
-        counts, pick, place = counted(batch.labels)
         image, to_pick, to_place = self.look(batch)
-        return {
-            **pick_losses(
-                self.pick, self.pick(image, to_pick), pick, counts, batch.raster
-            ),
-            **place_losses(
-                (self.place, self.zoom),
-                (image, to_place),
-                Poses(pick, place),
-                counts,
-                batch.raster,
-            ),
-        }
+        picking = self.pick_losses(self.pick(image, to_pick), batch)
+        return picking | self.place_losses(image, to_place, batch)
 
     def score(self, batch: Batch) -> dict[str, Tensor]:
         """Return how near the poses come; see :func:`score_poses`."""
@@ -233,9 +226,8 @@ class CLIPort(PickAndPlace):
     def poses(self, batch: Batch) -> Poses:
         """Return where the gripper shall go in each frame."""
         image, to_pick, to_place = self.look(batch)
-        pick, _ = picks(self.pick, self.pick(image, to_pick), batch.raster)
-        seen = (image, to_place)
-        return Poses(pick, places(self.place, self.zoom, seen, pick, batch.raster))
+        pick, _ = self.picked(self.pick(image, to_pick), batch.raster)
+        return Poses(pick, self.placed(image, to_place, pick, batch.raster))
 
     def ground(
         self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
@@ -244,21 +236,14 @@ class CLIPort(PickAndPlace):
         texts = [_words(*pair) for pair in zip(inputs, subtasks, strict=True)]
         told = [i for i, text in enumerate(texts) if text]
         found: list[GroundedSubTask | None] = [None] * len(texts)
-        for start in range(0, len(told), AT_ONCE):
-            rows = told[start : start + AT_ONCE]
-            batch = batch_of(
-                [inputs[i] for i in rows],
-                self.config.raster(inputs[rows[0]]),
-                [texts[i] for i in rows],
-                self.device,
-                self.entities,
-            )
-            with self.deciding():
+        places = iter(told)
+        said = [texts[i] for i in told]
+        with self.deciding():
+            for batch in self.batches([inputs[i] for i in told], said):
                 poses = self.poses(batch)
-            for i, pick, place in zip(
-                rows, poses.pick.tolist(), poses.place.tolist(), strict=True
-            ):
-                found[i] = grounded(subtasks[i], pick, place)
+                for pick, place in zip(*map(Tensor.tolist, poses), strict=True):
+                    i = next(places)
+                    found[i] = grounded(subtasks[i], pick, place)
         return found
 
 
@@ -279,4 +264,204 @@ def _words(given: PolicyInput, subtask: SubTask) -> str:
         return ""
 
 
+def counted(labels: Labels) -> tuple[Tensor, Tensor, Tensor]:
+    """Return which frames have poses, (B,), and the poses; 0 where there are none."""
+    counts = labels.decision[:, 1] != STOP
+    return counts, labels.pick_pose.nan_to_num(), labels.place_pose.nan_to_num()
+
+
+def mean_over(values: Tensor, counts: Tensor) -> Tensor:
+    """Return the mean of one value a frame, (B,), over those that count."""
+    return (values * counts).sum() / counts.sum().clamp(min=1)
+
+
+def _distance(offsets: Tensor, wanted: Tensor) -> Tensor:
+    return F.smooth_l1_loss(offsets, wanted, reduction="none", beta=0.5).mean((1, 2))
+
+
+def score_poses(
+    found: Poses, labels: Labels, entities: EntitySet = BENCHMARK
+) -> dict[str, Tensor]:
+    """Return how near poses come to the expert's, (B,) each; NaN for ``stop``.
+
+    ``grounded`` says whether pick and place are right, in all frames and in those of
+    each primitive.
+
+    A pick is right within 2 cm and 10 degrees, where half a turn makes no difference,
+    and a quarter turn none of a cube; a place within 2 cm, with the stick also within
+    8 degrees, and within 6 cm where anything in the shared space will do. Round
+    objects may be held from any side.
+
+    Args:
+        found: Predicted poses.
+        labels: The expert's.
+        entities: Whose numbers the labels have.
+    """
+    counts, pick, place = counted(labels)
+    _, primitive, entity, goal = labels.decision.unbind(1)
+    turns = traits_of(entities, pick.device).turn_rad[entity.clamp(min=0)]
+    is_stick = entity == entities.stick
+    pick_m = (found.pick[:, :2] - pick[:, :2]).norm(dim=1)
+    pick_yaw = _apart(found.pick[:, 2] - pick[:, 2], turns)
+    place_m = (found.place[:, :2] - place[:, :2]).norm(dim=1)
+    # The held object turns by the difference.
+    turn = (found.place[:, 2] - found.pick[:, 2]) - (place[:, 2] - pick[:, 2])
+    held = torch.where(is_stick, 2 * math.pi, turns)
+    place_yaw = _apart(turn, held) + torch.where(is_stick, pick_yaw, 0.0)
+    near_m = torch.where(goal == entities.shared, _NEAR_SHARED_M, _NEAR_M)
+    right_pick = (pick_m < _NEAR_M) & (pick_yaw < _NEAR_PICK_YAW)
+    right_place = (place_m < near_m) & (
+        (primitive == _MOVE) | (place_yaw < _NEAR_PLACE_YAW)
+    )
+    right = (right_pick & right_place).float()
+    by_primitive = {
+        f"grounded_{name}": right.where(primitive == number, math.nan)
+        for number, name in enumerate(PRIMITIVES)
+        if number != STOP
+    }
+    scores = {
+        **by_primitive,
+        "grounded": right,
+        "right_pick": right_pick.float(),
+        "right_place": right_place.float(),
+        "minus_pick_mm": -1000.0 * pick_m,
+        "minus_place_mm": -1000.0 * place_m,
+        "minus_place_deg": -torch.rad2deg(place_yaw),
+    }
+    return {name: value.where(counts, math.nan) for name, value in scores.items()}
+
+
+def _apart(angle: Tensor, symmetry: Tensor) -> Tensor:
+    """Return how far an angle is from the next multiple of a symmetry [rad].
+
+    Args:
+        angle: [rad], (B,).
+        symmetry: [rad], (B,); 0 where any angle looks the same.
+    """
+    turn = symmetry.clamp(min=_LEAST_RAD)
+    return (torch.remainder(angle + turn / 2, turn) - turn / 2).abs()
+
+
+@dataclass(frozen=True)
+class MCLIPortConfig(CLIPortConfig):
+    """Options of :class:`MCLIPort`."""
+
+    word_dropout: Share = 0.1
+    """Share of words that are unknown in training."""
+    robots: Depth = 2
+    """Number of robots of every scene."""
+
+
+class MCLIPort(PickAndPlace):
+    """CLIPort end to end, from an instruction to robot, primitive, poses.
+
+    The networks are CLIPort's. The pick head says for each cell also which robot and
+    which primitive would pick there (paper, section V); they are read where it picks.
+    ``stop`` picks nowhere, so it is read from the picture as a whole. It remembers
+    nothing.
+    """
+
+    selection = "decided"
+
+    def __init__(self, config: MCLIPortConfig | None = None) -> None:
+        """Make the weights.
+
+        Args:
+            config: Options; the defaults if None.
+        """
+        config = config or MCLIPortConfig()
+        super().__init__(config, config.robots + len(_PRIMITIVES))
+        self.robots = config.robots
+        self.stop = nn.Sequential(
+            nn.Linear(self.pick.context_width, _STOP_WIDTH),
+            nn.SiLU(),
+            nn.Linear(_STOP_WIDTH, 1),
+        )
+
+    def sentences(self, batch: Batch) -> list[str]:
+        """Return the instructions."""
+        return batch.instructions
+
+    def loss(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the losses of the poses, the robot, the primitive and ``stop``."""
+        assert batch.labels is not None
+        counts, pick, _ = counted(batch.labels)
+        image, to_pick, to_place = self.look(batch)
+        seen = self.pick(image, to_pick)
+        cells = pick_cells(batch.raster)
+        who, what = self._symbols(seen, cells.around(cells.holding(pick[:, :2])))
+        robot, primitive = batch.labels.decision[:, :2].unbind(1)
+        robot, primitive = robot.clamp(min=0), primitive.clamp(max=STOP - 1)
+        stops = self.stop(seen.context).float()[:, 0]
+        return {
+            **self.pick_losses(seen, batch),
+            **self.place_losses(image, to_place, batch),
+            "robot": mean_over(_mean_entropy(who, robot), counts),
+            "primitive": mean_over(_mean_entropy(what, primitive), counts),
+            "stop": F.binary_cross_entropy_with_logits(stops, (~counts).float()),
+        }
+
+    def score(self, batch: Batch) -> dict[str, Tensor]:
+        """Return whether decisions are the expert's, and how near the poses come."""
+        assert batch.labels is not None
+        with self.deciding():
+            stop, who, what, poses = self._decide(batch)
+            scores = score_poses(poses, batch.labels, batch.entities)
+            robot, primitive = batch.labels.decision[:, :2].unbind(1)
+            stops = primitive == STOP
+            right_robot = (who == robot).float()
+            right_primitive = (what == primitive).float()
+            acts = right_robot * right_primitive * scores["grounded"].nan_to_num()
+            decided = torch.where(stops, stop.float(), acts * ~stop)
+            return {
+                "decided": decided,
+                "right_stop": (stop == stops).float(),
+                "right_robot": right_robot.masked_fill(stops, torch.nan),
+                "right_primitive": right_primitive.masked_fill(stops, torch.nan),
+                **scores,
+            }
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the next decision of each episode; it names no entities."""
+        found = []
+        with self.deciding():
+            for batch in self.batches(inputs):
+                *symbols, poses = self._decide(batch)
+                rows = (part.tolist() for part in (*symbols, *poses))
+                found += [_decision(*row) for row in zip(*rows, strict=True)]
+        return found
+
+    def _decide(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor, Poses]:
+        """Return whether to stop, robots and primitives, (B,) each, and poses."""
+        image, to_pick, to_place = self.look(batch)
+        seen = self.pick(image, to_pick)
+        pick, numbers = self.picked(seen, batch.raster)
+        place = self.placed(image, to_place, pick, batch.raster)
+        who, what = (
+            part[:, 0].argmax(-1) for part in self._symbols(seen, numbers[:, None])
+        )
+        return self.stop(seen.context)[:, 0] > 0.0, who, what, Poses(pick, place)
+
+    def _symbols(self, seen: Attention, numbers: Tensor) -> tuple[Tensor, Tensor]:
+        """Return logits of robots and primitives in pick cells, (B, K, ...)."""
+        read = read_at(seen.maps[:, 1:], numbers).float()
+        return read[..., : self.robots], read[..., self.robots :]
+
+
+def _mean_entropy(logits: Tensor, wanted: Tensor) -> Tensor:
+    """Return the cross-entropy of each frame, (B,), over cells (B, K, classes)."""
+    each = wanted[:, None].expand(-1, logits.shape[1])
+    return F.cross_entropy(logits.transpose(1, 2), each, reduction="none").mean(1)
+
+
+def _decision(
+    stops: bool, robot: int, primitive: int, pick: list[float], place: list[float]
+) -> Decision:
+    if stops:
+        return Decision(STOP_SUBTASK, None)
+    subtask = SubTask(robot_name(robot), Primitive(_PRIMITIVES[primitive]))
+    return Decision(subtask, grounded(subtask, pick, place))
+
+
 MODELS.add("cliport", (CLIPort, CLIPortConfig))
+MODELS.add("m-cliport", (MCLIPort, MCLIPortConfig))

@@ -1,22 +1,49 @@
-"""The two-stream networks of CLIPort, slim: where things are, and what they are.
+"""The networks of CLIPort, slim: two streams, pick attention, place transport, zoom.
 
-The spatial stream sees color and height and not the sentence; the semantic stream sees
-color and the sentence, which scales and shifts its features at every level of decoding.
-Features of the spatial stream are added to it at every level of decoding.
+Of the streams, the spatial one sees color and height and not the sentence; the semantic
+one sees color and the sentence, which scales and shifts its features at every level of
+decoding. Features of the spatial stream are added to it at every level of decoding.
+
+Attention says for each cell whether to pick there. Transport cuts out what lies around
+the pick, turns it, and says for each cell and each turn how well it fits there. Cells
+are coarse; small networks that read the features of a cell say where in it, and which
+yaw near the middle of a bin.
+
+The zoom looks again at the place, as the gripper there would see it. A stick that shall
+touch a cube reaches half a metre from the gripper, so that centimetres and degrees
+count. CLIPort has no such step; RVT-2 (Goyal et al., 2024) zooms in likewise.
 """
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.core.arguments import Count, Depth, Extent, Share, Width, Widths
+from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import Batch
 from lemma.policies.layers import Network, ResidualBlock, norm, upsample_to
+from lemma.policies.models.base import MapConfig
+from lemma.policies.models.cliport.grid import (
+    Cells,
+    bin_yaws,
+    correlate,
+    crop_about,
+    read_at,
+    turned,
+    wrapped,
+)
+from lemma.scene.objects.stick import STICK_KIND
+from lemma.scene.raster import Raster
 
 STRIDE = 4
 """Cells of the map along a side of a cell of features."""
+_FINER = 2
+"""The pick has so many cells along a side of a cell of features."""
 IMAGE_CHANNELS = 8
 _SEMANTIC = (0, 1, 2, 6, 7)
 _HEIGHT_SCALES_M = (0.3, 0.05)
@@ -24,6 +51,56 @@ _HEIGHT_LIMIT = 2.0
 _LOUDNESS = 3.0
 """First scale of the sentence's effect. With a scale of 1 it stayed without effect for
 thousands of steps: a network that picks any cube hardly learns colors any more."""
+_READ_WIDTH = 128
+_FIRST_SCALE = 1 / 16
+_FAR_M = 0.5
+_UNIT_M, _UNIT_RAD = 0.03, math.radians(15.0)
+_NOISE_M, _NOISE_RAD = 0.03, math.radians(10.0)
+_GRASP = STICK_KIND.grasp
+assert _GRASP is not None
+_STICK_M = max(axis.end[0] for axis in STICK_KIND.shell.capsules) - _GRASP.at.x
+"""How far from its grasp the stick reaches along itself."""
+_CROP_M = 2 * round(_STICK_M + 0.06, 2)
+
+
+@dataclass(frozen=True)
+class CLIPortConfig(MapConfig):
+    """Options of CLIPort."""
+
+    widths: Widths = (32, 64, 128, 224)
+    """Channels at a quarter to a 32nd of the map's resolution."""
+    query_widths: Widths = (32, 64, 96, 128)
+    """The same of the network that sees what lies around the pick."""
+    bins: Count = 12
+    """Number of bins of yaw; each is refined by a residual."""
+    kernel_channels: Width = 8
+    """Channels that are correlated."""
+    crop: Count = 128
+    """Cells along a side of what is seen around the pick, and around the place."""
+    crop_m: Extent = _CROP_M
+    """Side of that [m]; it should hold the stick, wherever it is grasped."""
+    zoom: bool = True
+    """Whether to look again at the place that was found, which CLIPort does not."""
+    text_width: Width = 192
+    """Width of a word."""
+    text_layers: Depth = 2
+    """Transformer layers over the words."""
+    word_dropout: Share = 0.0
+    """Share of words that are unknown in training; each word of a sub-instruction
+    counts."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not len(self.widths) == len(self.query_widths) == 4:
+            raise InvalidConfigError(
+                f"widths={self.widths!r}, query_widths={self.query_widths!r}: there "
+                "are four levels. Give four numbers of channels to each, such as (32, "
+                "64, 128, 224)."
+            )
+        if self.crop < 2 * STRIDE or self.crop % STRIDE:
+            raise InvalidConfigError(
+                f"crop={self.crop} is no multiple of {STRIDE}. Take 128."
+            )
 
 
 def image_of(batch: Batch) -> Tensor:
@@ -173,3 +250,250 @@ class TwoStreams(Network):
             what = self.films[i + 1](what, sentence)
             what = self.laterals[i + 1](what, where)
         return what, context
+
+
+@dataclass(frozen=True)
+class Attention:
+    """Output of the pick head."""
+
+    maps: Tensor
+    """(B, 1 + extra, rows, columns): first how much to pick there."""
+    features: Tensor
+    """(B, C, rows / 2, columns / 2)."""
+    context: Tensor
+    """(B, D): of the picture as a whole."""
+
+    @property
+    def logits(self) -> Tensor:
+        """How much to pick in each cell, (B, cells), float32."""
+        return self.maps[:, 0].flatten(1).float()
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Output of the place head."""
+
+    logits: Tensor
+    """How well what is picked fits, (B, bins, rows, columns), float32."""
+    features: Tensor
+    """(B, C, rows, columns)."""
+    query: Tensor
+    """(B, D): of the crop as a whole."""
+
+
+Looked = tuple[Tensor, Tensor, Fit]
+"""Picture, sentence, and what the place head made of them."""
+
+
+def pick_cells(raster: Raster) -> Cells:
+    """Return the cells in which something is picked."""
+    return Cells.of(raster, STRIDE // _FINER)
+
+
+def place_cells(raster: Raster) -> Cells:
+    """Return the cells in which something is placed."""
+    return Cells.of(raster, STRIDE)
+
+
+class PickHead(nn.Module):
+    """Predicts the pick pose: position and yaw."""
+
+    def __init__(self, config: CLIPortConfig, extra: int) -> None:
+        """Make the weights; further outputs of each cell are ``extra``."""
+        super().__init__()
+        self.streams = TwoStreams(config.widths, config.text_width)
+        width = self.streams.width
+        self.context_width = self.streams.context_width
+        self.maps = nn.Sequential(
+            nn.Conv2d(width, width, 3, padding=1),
+            nn.SiLU(),
+            nn.Conv2d(width, (1 + extra) * _FINER**2, 1),
+        )
+        self.read = reader(width + _FINER**2, 2 + 2 * config.bins)
+        self.bins = config.bins
+
+    def forward(self, image: Tensor, sentence: Tensor) -> Attention:
+        """Look at the whole picture, (B, 8, rows, columns)."""
+        features, context = self.streams(image, sentence)
+        maps = F.pixel_shuffle(self.maps(features), _FINER)
+        return Attention(maps, features, context)
+
+    def at(self, seen: Attention, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Say more about some cells.
+
+        Args:
+            seen: From :meth:`forward`.
+            numbers: Numbers of pick cells, (B, K).
+
+        Returns:
+            Offsets in the cell, (B, K, 2), logits of the bins of yaw, (B, K, bins),
+            and residuals for each of them in widths of a bin, (B, K, bins); float32.
+        """
+        columns = seen.maps.shape[-1]
+        row, column = numbers // columns, numbers % columns
+        coarse = (row // _FINER) * seen.features.shape[-1] + column // _FINER
+        part = (row % _FINER) * _FINER + column % _FINER
+        features = read_at(seen.features, coarse)
+        which = F.one_hot(part, _FINER**2).to(features.dtype)
+        found = self.read(torch.cat([features, which], -1)).float()
+        offsets, bins, residuals = found.split([2, self.bins, self.bins], -1)
+        return offsets, bins, residuals
+
+
+class PlaceHead(nn.Module):
+    """Predicts the place pose of the picked object: position and yaw."""
+
+    def __init__(self, config: CLIPortConfig) -> None:
+        """Make the weights."""
+        super().__init__()
+        self.key = TwoStreams(config.widths, config.text_width)
+        self.query = TwoStreams(config.query_widths, config.text_width)
+        width, channels = self.key.width, config.kernel_channels
+        self.to_key = nn.Conv2d(width, channels, 1)
+        self.to_kernel = nn.Conv2d(self.query.width, channels, 1)
+        # Scores of places that do not depend on the held object.
+        self.alone = nn.Conv2d(width, config.bins, 1)
+        self.scale = nn.Parameter(torch.tensor(_FIRST_SCALE))
+        query = self.query.context_width
+        self.read = reader(width + query + config.bins + 4, 3)
+        self.bins, self.crop, self.crop_m = config.bins, config.crop, config.crop_m
+
+    def forward(
+        self, image: Tensor, sentence: Tensor, pick: Tensor, raster: Raster
+    ) -> Fit:
+        """Try what is picked everywhere, turned in all ways.
+
+        Args:
+            image: (B, 8, rows, columns).
+            sentence: (B, width).
+            pick: Gripper where it closes: x, y [m], yaw [rad], (B, 3).
+            raster: Where the cells are.
+        """
+        features, _ = self.key(image, sentence)
+        crop = crop_about(image, pick, raster, self.crop, self.crop_m)
+        around, query = self.query(crop, sentence)
+        # A kernel has cells of the same size as the map that it is slid over.
+        kernels = turned(
+            self.to_kernel(around).float(),
+            bin_yaws(self.bins, image.device),
+            self.crop_m / (self.crop * raster.cell_m),
+        )
+        fits = correlate(self.to_key(features), kernels) * self.scale
+        return Fit(fits + self.alone(features).float(), features, query)
+
+    def at(
+        self,
+        seen: Fit,
+        numbers: Tensor,
+        bin_numbers: Tensor,
+        pick: Tensor,
+        cells: Cells,
+    ) -> tuple[Tensor, Tensor]:
+        """Say more about some cells and bins.
+
+        Args:
+            seen: From :meth:`forward`.
+            numbers: Numbers of place cells, (B, K).
+            bin_numbers: Numbers of the bins of yaw, (B, K).
+            pick: As in :meth:`forward`.
+            cells: Where the cells are.
+
+        Returns:
+            Offsets in the cell, (B, K, 2), and residuals of yaw in widths of a bin,
+            (B, K); float32.
+        """
+        features = read_at(seen.features, numbers)
+        query = seen.query[:, None].expand(-1, numbers.shape[1], -1)
+        yaws = bin_yaws(self.bins, pick.device)[bin_numbers]
+        turn = wrapped(pick[:, None, 2] - yaws)
+        way = (pick[:, None, :2] - cells.centres(numbers)) / _FAR_M
+        known = torch.cat([way, turn.cos()[..., None], turn.sin()[..., None]], -1)
+        which = F.one_hot(bin_numbers, self.bins)
+        parts = [features, query, which, known]
+        found = self.read(torch.cat([x.to(features.dtype) for x in parts], -1)).float()
+        return found[..., :2], found[..., 2]
+
+
+def reader(width: int, out: int) -> nn.Sequential:
+    """Return the small network that reads the features of a cell."""
+    return nn.Sequential(
+        nn.Linear(width, _READ_WIDTH),
+        nn.SiLU(),
+        nn.Linear(_READ_WIDTH, _READ_WIDTH),
+        nn.SiLU(),
+        nn.Linear(_READ_WIDTH, out),
+    )
+
+
+class Zoom(nn.Module):
+    """Corrects where the place head would go."""
+
+    def __init__(self, config: CLIPortConfig) -> None:
+        """Make the weights."""
+        super().__init__()
+        self.streams = TwoStreams(config.query_widths, config.text_width)
+        width = self.streams.width + self.streams.context_width
+        self.read = reader(width + config.widths[0] + 6, 3)
+        self.crop, self.crop_m = config.crop, config.crop_m
+
+    def forward(
+        self, seen: Looked, pick: Tensor, place: Tensor, raster: Raster
+    ) -> Tensor:
+        """Look around a place.
+
+        Args:
+            seen: Picture, sentence, and what the place head made of them.
+            pick: Gripper where it closes, (B, 3).
+            place: Gripper where the motion shall end, about, (B, 3).
+            raster: Where the cells are.
+
+        Returns:
+            How far ahead, to the left and counter-clockwise it should be, (B, 3), in
+            units of some centimetres and degrees; float32.
+        """
+        image, sentence, fit = seen
+        crop = crop_about(image, place, raster, self.crop, self.crop_m)
+        around, context = self.streams(crop, sentence)
+        # The four cells in the middle.
+        row, column = around.shape[-2] // 2, around.shape[-1] // 2
+        middle = around[..., row - 1 : row + 1, column - 1 : column + 1].mean((2, 3))
+        there = read_at(fit.features, place_cells(raster).holding(place[:, None, :2]))[
+            :, 0
+        ]
+        known = [_seen_from(place, pick[:, :2]) / _FAR_M]
+        for angle in (pick[:, 2] - place[:, 2], place[:, 2]):
+            known.append(torch.stack([angle.cos(), angle.sin()], 1))
+        parts = [middle, context, there, torch.cat(known, 1)]
+        found: Tensor = self.read(torch.cat([x.to(around.dtype) for x in parts], 1))
+        return found.float()
+
+    def corrected(self, place: Tensor, correction: Tensor) -> Tensor:
+        """Return a place with what :meth:`forward` said of it, (B, 3)."""
+        ahead, left = (correction[:, :2] * _UNIT_M).unbind(1)
+        cos, sin = place[:, 2].cos(), place[:, 2].sin()
+        return torch.stack(
+            [
+                place[:, 0] + cos * ahead - sin * left,
+                place[:, 1] + sin * ahead + cos * left,
+                place[:, 2] + correction[:, 2] * _UNIT_RAD,
+            ],
+            1,
+        )
+
+    def loss(self, seen: Looked, pick: Tensor, place: Tensor, raster: Raster) -> Tensor:
+        """Return how wrong the corrections of places near the expert's are, (B,)."""
+        tried = place
+        if self.training:
+            noise = torch.rand_like(place) * 2.0 - 1.0
+            tried = place + noise * place.new_tensor([_NOISE_M, _NOISE_M, _NOISE_RAD])
+        found = self(seen, pick, tried, raster)
+        yaw = wrapped(place[:, 2] - tried[:, 2]) / _UNIT_RAD
+        wanted = torch.cat([_seen_from(tried, place[:, :2]) / _UNIT_M, yaw[:, None]], 1)
+        return F.smooth_l1_loss(found, wanted, reduction="none", beta=0.3).mean(1)
+
+
+def _seen_from(pose: Tensor, xy_m: Tensor) -> Tensor:
+    """Return positions ahead and to the left of poses [m], (B, 2)."""
+    x, y = (xy_m - pose[:, :2]).unbind(1)
+    cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
+    return torch.stack([cos * x + sin * y, cos * y - sin * x], 1)
