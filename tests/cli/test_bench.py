@@ -1,30 +1,20 @@
 import json
-from dataclasses import replace
 from functools import partial
 
 import pytest
 
-from lemma.bench.expert_loop import measure_expert_loop, record_loop, time_loop
-from lemma.bench.speed import Trial, expert_figures, measure_speed, run_trials
+from lemma.bench.episodes import Trial, expert_figures, run_trials
+from lemma.bench.speed import (
+    measure_expert_loop,
+    measure_speed,
+    record_loop,
+    time_loop,
+)
 from lemma.cli import bench as bench_verb
 from lemma.cli.main import main
 from lemma.core.errors import PhysicsError
 from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.suite import load_instance
-
-SPEED = {
-    *("realtime_factor", "camera_fps", "map_ms"),
-    *("sample_ms", "reset_state_ms", "reset_images_ms", "peak_mb"),
-}
-LOOP = {"expert_realtime", "bare_realtime", "ratio", "lowest_ratio"}
-CONTROL = {
-    *("bare_physics_hz", "joint_position_hz", "joint_position_ratio"),
-    *("ee_pose_hz", "ee_pose_ratio", "rgbd_hz"),
-}
-EXPERT = {
-    *("episodes", "success_rate", "raw_success_rate"),
-    *("mean_sim_s", "max_sim_s", "rejection_rate"),
-}
 
 
 def test_one_thing_is_measured_at_a_time(capsys: pytest.CaptureFixture[str]) -> None:
@@ -50,16 +40,16 @@ def test_bench_as_json(
     assert end.value.code == 0
     report = json.loads(capsys.readouterr().out)
     assert set(report) == {"machine", "speed", "loop", "control", "expert"}
-    assert set(report["loop"]) == LOOP
+    assert set(report["loop"]) == set(bench_verb._LOOP_TARGETS)
     assert 0.0 < report["loop"]["lowest_ratio"] <= report["loop"]["ratio"]
-    assert set(report["control"]) == CONTROL
+    assert set(report["control"]) == set(bench_verb._CONTROL_TARGETS)
     assert 0.0 < report["control"]["ee_pose_ratio"] < 1.0
     assert 0.0 < report["control"]["joint_position_ratio"] < 1.0
-    assert set(report["speed"]) == SPEED
+    assert set(report["speed"]) == set(bench_verb._TARGETS)
     assert all(value > 0 for value in report["speed"].values())
     assert report["speed"]["peak_mb"] > 50
     assert set(report["expert"]) == {"stack"}
-    assert set(report["expert"]["stack"]) == EXPERT
+    assert set(report["expert"]["stack"]) == set(bench_verb._EXPERT_FORMS)
     assert report["expert"]["stack"]["episodes"] == 1
     assert report["machine"]["cores"] >= 1
 
@@ -72,13 +62,15 @@ def test_figures_keep_frozen_and_fresh_apart() -> None:
         Trial("stack", True, False, 99.0, 3),
     ]
     figures = expert_figures(trials)["stack"]
-    assert figures.episodes == 2
-    assert figures.success_rate == 1.0
-    assert figures.raw_success_rate == 0.5
-    assert figures.mean_sim_s == 15.0
-    assert figures.max_sim_s == 20.0
-    # Five tables were set for two fresh instances, and three were refused.
-    assert figures.rejection_rate == pytest.approx(3 / 5)
+    assert figures == {
+        "episodes": 2,
+        "success_rate": 1.0,
+        "raw_success_rate": 0.5,
+        "mean_sim_s": 15.0,
+        "max_sim_s": 20.0,
+        # Five tables were set for two fresh instances, and three were refused.
+        "rejection_rate": pytest.approx(3 / 5),
+    }
 
 
 @pytest.mark.slow
@@ -93,7 +85,7 @@ def test_bare_physics_must_do_the_work_of_the_expert() -> None:
     changed = recorded.commands.copy()
     changed[len(changed) // 2, 0] += 1e-6
     with pytest.raises(PhysicsError, match="another state"):
-        time_loop(instance, replace(recorded, commands=changed))
+        time_loop(instance, recorded._replace(commands=changed))
 
 
 @pytest.mark.slow

@@ -59,7 +59,7 @@ def test_tables_fit_a_terminal(
     for heading in ("episodes", "sub-tasks", "distractors", "margin"):
         assert heading in text
     assert "…" not in text
-    assert re.search(r"^ all +4 +100% +2\.00 ", text, re.MULTILINE)
+    assert re.search(r"^all +4 +100% +2\.00 ", text, re.MULTILINE)
     assert re.search(r"^sub-tasks +move \d+\.\d s$", text, re.MULTILINE)
 
 

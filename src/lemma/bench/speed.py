@@ -1,162 +1,106 @@
-"""The figures of `lemma bench`: how fast it is, how much memory, how good the expert.
+"""The figures of `lemma bench` about speed and memory, by name.
 
-Every figure has one function, which returns plain numbers.
+A figure beside bare physics is timed in turns with that, from the same states, by the
+time of the thread: so the ratio says the same on a busy machine as on an idle one.
 """
 
 import statistics
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
-from lemma.bench.control import ControlFigures
-from lemma.bench.expert_loop import ExpertLoopFigures
-from lemma.core.workers.pool import ProcessPool, run_in_order
+import numpy as np
+
+from lemma.core.engine import mujoco
+from lemma.core.errors import PhysicsError
+from lemma.core.poses import FloatArray
+from lemma.core.workers.pool import ProcessPool
 from lemma.core.workers.resources import peak_memory_mb
+from lemma.env.config import EnvConfig
+from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
+from lemma.scene.build import TIME_STEP_S
 from lemma.scene.cameras import CameraImage
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
 from lemma.tasks.instance import Instance
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import FREE_SPLIT, TASKS, load_instance
+from lemma.tasks.suite import FREE_SPLIT, TASKS
 from lemma.viz.recording import record
 
+Figures = dict[str, float]
+"""Numbers by the name that the JSON has; `lemma bench` says what each means."""
 
-@dataclass(frozen=True, slots=True)
-class Speed:
-    """How fast the benchmark runs on this machine."""
-
-    realtime_factor: float
-    """Simulated seconds per second, expert episodes without images, on one core."""
-    camera_fps: float
-    """Camera pictures per second, 640 x 480, color and depth together."""
-    map_ms: float
-    """Fusing two cameras into the top-down map."""
-    sample_ms: float
-    """Sampling a new instance, mean over the tasks."""
-    reset_state_ms: float
-    """From an instance to its first state."""
-    reset_images_ms: float
-    """From an instance to its first state and the pictures of both cameras."""
-    peak_mb: float
-    """Largest memory of a process that solves one instance, with cameras and maps."""
+HZ = 20.0
+"""Control steps per simulated second."""
+IMAGE_SIZE = (320, 240)
+_KEPT_STEPS = 7
+"""How long a random action is kept up."""
 
 
-@dataclass(frozen=True, slots=True)
-class ExpertFigures:
-    """How the expert does at one task."""
-
-    episodes: int
-    """Frozen instances, and as many freshly sampled ones."""
-    success_rate: float
-    """On the frozen instances."""
-    raw_success_rate: float
-    """On fresh ones, before any filter that keeps only what the expert solves."""
-    mean_sim_s: float
-    """Mean simulated time of the frozen instances [s]."""
-    max_sim_s: float
-    """Longest simulated time of the frozen instances [s]."""
-    rejection_rate: float
-    """Part of all tables set that the sampler refused, for the fresh instances."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """One instance that the expert worked on."""
-
-    task: str
-    fresh: bool
-    """Whether it was sampled for this, or comes from a frozen list."""
-    success: bool
-    simulated_s: float
-    rejected: int
-    """Tables that the sampler refused before it."""
-
-
-def measure_speed(instances: list[Instance], repeats: int = 30) -> Speed:
-    """Measure everything but the expert's success.
+def measure_speed(instances: list[Instance], repeats: int = 30) -> Figures:
+    """Measure episodes without images, images, sampling, resets and memory.
 
     Args:
         instances: Episodes to run; what is fast in one task is slow in another.
         repeats: How often to time what takes milliseconds.
     """
     record(instances[0], horizon_s=2.0)
+    recordings = [record(instance) for instance in instances]
+    simulated = sum(recording.elapsed_s for recording in recordings)
     renderer = Renderer()
-    fps, map_ms = measure_images(instances[0], renderer, repeats)
-    state_ms, images_ms = measure_reset(instances, renderer, repeats)
-    return Speed(
-        realtime_factor=measure_realtime_factor(instances),
-        camera_fps=fps,
-        map_ms=map_ms,
-        sample_ms=measure_sampling([instance.task for instance in instances]),
-        reset_state_ms=state_ms,
-        reset_images_ms=images_ms,
-        peak_mb=measure_peak_mb(instances[-1]),
-    )
+    state_s, images_s = _time_resets(instances, renderer, repeats)
+    (peak_mb,) = ProcessPool(1).run(_peak_mb_of_episode, [(instances[-1],)])
+    return {
+        "realtime_factor": simulated / sum(r.wall_s for r in recordings),
+        **_measure_images(instances[0], renderer, repeats),
+        "sample_ms": 1e3 * _time_sampling({one.task for one in instances}),
+        "reset_state_ms": 1e3 * state_s,
+        "reset_images_ms": 1e3 * images_s,
+        "peak_mb": peak_mb,
+    }
 
 
-def measure_sampling(tasks: list[str], each: int = 10) -> float:
-    """Return milliseconds to sample an instance, tables that are rejected included.
-
-    Args:
-        tasks: Names of tasks, in any number.
-        each: Instances of each task.
-    """
-    records = [TASKS[task] for task in dict.fromkeys(tasks)]
+def _time_sampling(tasks: Iterable[str], each: int = 10) -> float:
+    """Return the time to sample an instance, rejected tables included [s]."""
+    records = [TASKS[task] for task in sorted(tasks)]
     # The first has kernels compiled and reach computed.
     sample(records[0], FREE_SPLIT, each)
     start = time.perf_counter()
     for task in records:
         for index in range(each):
             sample(task, FREE_SPLIT, index)
-    return 1000.0 * (time.perf_counter() - start) / (each * len(records))
+    return (time.perf_counter() - start) / (each * len(records))
 
 
-def measure_realtime_factor(instances: Iterable[Instance]) -> float:
-    """Return simulated time over real time of whole expert episodes."""
-    recordings = [record(instance) for instance in instances]
-    simulated = sum(recording.elapsed_s for recording in recordings)
-    return simulated / sum(recording.wall_s for recording in recordings)
-
-
-def measure_images(
-    instance: Instance, renderer: Renderer, repeats: int
-) -> tuple[float, float]:
-    """Return camera pictures per second, and milliseconds per fused map."""
+def _measure_images(instance: Instance, renderer: Renderer, repeats: int) -> Figures:
     scene = Episode(instance).simulation.scene
     images = _look(scene, renderer)
     fuse(images)
-    look_ms = _median_ms(lambda: _look(scene, renderer), repeats)
-    map_ms = _median_ms(lambda: fuse(images), repeats)
-    return 1000.0 * len(images) / look_ms, map_ms
+    look_s = _median_s(lambda: _look(scene, renderer), repeats)
+    map_s = _median_s(lambda: fuse(images), repeats)
+    return {"camera_fps": len(images) / look_s, "map_ms": 1e3 * map_s}
 
 
-def measure_reset(
+def _time_resets(
     instances: list[Instance], renderer: Renderer, repeats: int
 ) -> tuple[float, float]:
-    """Return milliseconds to a first state, and to the first pictures."""
-    state_ms, images_ms = [], []
+    """Return the times to a first state, and to the first pictures [s]."""
+    times = []
     for i in range(repeats):
-        instance = instances[i % len(instances)]
         start = time.perf_counter()
-        scene = Episode(instance).simulation.scene
+        scene = Episode(instances[i % len(instances)]).simulation.scene
         middle = time.perf_counter()
         _look(scene, renderer)
-        end = time.perf_counter()
-        state_ms.append(1000.0 * (middle - start))
-        images_ms.append(1000.0 * (end - start))
-    return statistics.median(state_ms), statistics.median(images_ms)
-
-
-def measure_peak_mb(instance: Instance) -> float:
-    """Return the peak memory of a new process that does all an environment does."""
-    (peak_mb,) = ProcessPool(1).run(_peak_mb_of_episode, [(instance,)])
-    return float(peak_mb)
+        times.append((middle - start, time.perf_counter() - start))
+    state_s, images_s = np.median(times, axis=0).tolist()
+    return state_s, images_s
 
 
 def _peak_mb_of_episode(instance: Instance) -> float:
+    """Do all that an environment does, in a new process."""
     episode = Episode(instance)
     renderer = Renderer()
     scene = episode.simulation.scene
@@ -164,63 +108,6 @@ def _peak_mb_of_episode(instance: Instance) -> float:
     for _ in solve(episode, Expert(scene, instance.goal)):
         fuse(_look(scene, renderer))
     return peak_memory_mb()
-
-
-def run_trials(tasks: Iterable[str], episodes: int, workers: int) -> Iterator[Trial]:
-    """Let the expert work on frozen and on fresh instances, in several processes.
-
-    Args:
-        tasks: Names of the tasks.
-        episodes: Instances per task and kind.
-        workers: Processes.
-
-    Yields:
-        The trials, in a fixed order.
-    """
-    jobs = [
-        (task, fresh, index)
-        for task in tasks
-        for fresh in (False, True)
-        for index in range(episodes)
-    ]
-    yield from run_in_order(ProcessPool(workers), run_trial, jobs)
-
-
-def run_trial(task: str, fresh: bool, index: int) -> Trial:
-    """Let the expert work on one instance.
-
-    Args:
-        task: Name of the task.
-        fresh: Whether to sample it, instead of taking it from the frozen list.
-        index: Number of the instance.
-    """
-    rejected = 0
-    if fresh:
-        drawn = sample(TASKS[task], FREE_SPLIT, index)
-        instance, rejected = drawn.instance, drawn.rejected
-    else:
-        instance = load_instance(task, "test", index)
-    done = record(instance)
-    return Trial(task, fresh, done.success, done.elapsed_s, rejected)
-
-
-def expert_figures(trials: Iterable[Trial]) -> dict[str, ExpertFigures]:
-    """Return the figures of every task that occurs in the trials."""
-    by_task: dict[str, tuple[list[Trial], list[Trial]]] = {}
-    for trial in trials:
-        by_task.setdefault(trial.task, ([], []))[trial.fresh].append(trial)
-    figures = {}
-    for task, (frozen, fresh) in by_task.items():
-        refused = sum(trial.rejected for trial in fresh)
-        figures[task] = ExpertFigures(
-            episodes=len(frozen),
-            success_rate=statistics.fmean(trial.success for trial in frozen),
-            raw_success_rate=statistics.fmean(trial.success for trial in fresh),
-            mean_sim_s=statistics.fmean(trial.simulated_s for trial in frozen),
-            max_sim_s=max(trial.simulated_s for trial in frozen),
-            rejection_rate=refused / (refused + len(fresh)),
-        )
-    return figures
 
 
 def _look(scene: Scene, renderer: Renderer) -> list[CameraImage]:
@@ -231,17 +118,168 @@ def _look(scene: Scene, renderer: Renderer) -> list[CameraImage]:
     ]
 
 
-def _median_ms(work: Callable[[], object], repeats: int) -> float:
+def _median_s(work: Callable[[], object], repeats: int) -> float:
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
         work()
         times.append(time.perf_counter() - start)
-    return 1000.0 * statistics.median(times)
+    return statistics.median(times)
 
 
-def rounded(
-    figures: Speed | ExpertLoopFigures | ControlFigures | ExpertFigures,
-) -> dict[str, float]:
-    """Return figures as plain data with three decimals, ready for JSON."""
-    return {name: round(value, 3) for name, value in asdict(figures).items()}
+def measure_control(instance: Instance, steps: int = 200) -> Figures:
+    """Measure the control level with random actions.
+
+    Args:
+        instance: The scene.
+        steps: Control steps of each measurement; a fifth of them with images.
+    """
+    angles, bare = _time_steps(instance, steps, "joint_position")
+    poses, bare_poses = _time_steps(instance, steps, "ee_pose")
+    rgbd, _ = _time_steps(instance, max(1, steps // 5), "joint_position", "rgbd")
+    return {
+        "bare_physics_hz": 1.0 / float(np.median(bare)),
+        "joint_position_hz": 1.0 / float(np.median(angles)),
+        "joint_position_ratio": float(np.median(bare / angles)),
+        "ee_pose_hz": 1.0 / float(np.median(poses)),
+        "ee_pose_ratio": float(np.median(bare_poses / poses)),
+        "rgbd_hz": 1.0 / float(np.median(rgbd)),
+    }
+
+
+def _time_steps(
+    instance: Instance, steps: int, control: str, observation: str = "state"
+) -> tuple[FloatArray, FloatArray]:
+    """Return the time of each step, and of bare physics from the same state [s]."""
+    width, height = IMAGE_SIZE
+    config = EnvConfig(
+        task=instance.task,
+        control=control,
+        control_hz=HZ,
+        observation=observation,
+        width=width,
+        height=height,
+    )
+    env = ControlEnv(config)
+    env.reset(options={"instance": instance})
+    rng, layout = np.random.default_rng(0), env.action_layout
+    scene = env.episode.simulation.scene
+    spare = mujoco.MjData(scene.model)
+    times: list[tuple[float, float]] = []
+    # The thread's own time says the same on a busy machine; OpenGL has other threads.
+    clock = time.thread_time if observation == "state" else time.perf_counter
+    # The first warms up.
+    for step in range(steps + 1):
+        if step % _KEPT_STEPS == 0:
+            action = rng.uniform(layout.low, layout.high, layout.shape)
+        mujoco.mj_copyData(spare, scene.model, scene.data)
+        start = clock()
+        for _ in range(round(1.0 / HZ / TIME_STEP_S)):
+            mujoco.mj_step(scene.model, spare)
+        middle = clock()
+        env.step(action)
+        times.append((clock() - middle, middle - start))
+    env.close()
+    found = np.array(times[1:])
+    return found[:, 0], found[:, 1]
+
+
+class RecordedLoop(NamedTuple):
+    """Motor commands of one episode of the expert."""
+
+    start: FloatArray
+    """The full integration state before the first step."""
+    commands: FloatArray
+    """Commands of every physics step, (n, nu)."""
+    end: FloatArray
+    """The state after the last."""
+    simulated_s: float
+
+
+def measure_expert_loop(instances: Iterable[Instance], turns: int = 5) -> Figures:
+    """Measure the expert's loop beside bare physics with the same motor commands.
+
+    The loop is planning, grounding, skills, RMPflow and physics, from the first state
+    of an episode to its end. Beside it ``mj_step`` and nothing else ends in the same
+    state to the bit, so that both did the same work. Times are medians of several turns
+    of each sub-task, summed over the episodes.
+
+    Args:
+        instances: The problems.
+        turns: How often both do each instance.
+
+    Raises:
+        PhysicsError: The same commands did not lead to the same state.
+    """
+    found = []
+    for instance in instances:
+        # This warms up as well.
+        recorded = record_loop(instance)
+        times = np.array([time_loop(instance, recorded) for _ in range(turns)])
+        loop_s, bare_s = np.median(times, axis=0).sum(axis=0).tolist()
+        found.append((recorded.simulated_s, loop_s, bare_s))
+    simulated, loop, bare = (sum(column) for column in zip(*found, strict=True))
+    return {
+        "expert_realtime": simulated / loop,
+        "bare_realtime": simulated / bare,
+        "ratio": bare / loop,
+        "lowest_ratio": min(bare_s / loop_s for _, loop_s, bare_s in found),
+    }
+
+
+def record_loop(instance: Instance) -> RecordedLoop:
+    """Let the expert solve an instance; record its motor commands."""
+    episode = Episode(instance)
+    scene = episode.simulation.scene
+    start = scene.snapshot()
+    commands: list[FloatArray] = []
+
+    def note(_: mujoco.MjModel, data: mujoco.MjData) -> None:
+        commands.append(data.ctrl.copy())
+
+    mujoco.set_mjcb_control(note)
+    try:
+        for _ in solve(episode, Expert(scene, instance.goal)):
+            pass
+    finally:
+        mujoco.set_mjcb_control(None)
+    return RecordedLoop(start, np.array(commands), scene.snapshot(), scene.time_s)
+
+
+def time_loop(instance: Instance, recorded: RecordedLoop) -> list[tuple[float, float]]:
+    """Return how long the loop took for each sub-task, and bare physics [s].
+
+    Args:
+        instance: The problem.
+        recorded: The expert's earlier run of it.
+
+    Raises:
+        PhysicsError: The same commands did not lead to the same state.
+    """
+    episode = Episode(instance)
+    scene = episode.simulation.scene
+    steps = solve(episode, Expert(scene, instance.goal))
+    bare = Scene(instance.scene)
+    bare.restore(recorded.start)
+    model, data, done, times = bare.model, bare.data, 0, []
+    control: FloatArray = data.ctrl
+    going = True
+    while going:
+        start = time.thread_time()
+        # The last turn finds that nothing is left to do, and stands still.
+        going = next(steps, None) is not None
+        middle = time.thread_time()
+        until = round(scene.time_s / TIME_STEP_S)
+        again = time.thread_time()
+        for row in recorded.commands[done:until]:
+            control[:] = row
+            mujoco.mj_step(model, data)
+        times.append((middle - start, time.thread_time() - again))
+        done = until
+    for ended in (scene, bare):
+        if not np.array_equal(ended.snapshot(), recorded.end):
+            raise PhysicsError(
+                "The same motor commands from the same start led to another state. "
+                "Physics are not repeatable on this machine."
+            )
+    return times

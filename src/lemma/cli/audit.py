@@ -1,20 +1,17 @@
 """`lemma audit`: one robot alone attacks instances, in physics."""
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-import tyro
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
+from typing import TYPE_CHECKING, Literal
 
 from lemma.cli.options import (
+    ALL,
     Folder,
     JsonFlag,
+    Listed,
     Number,
     messages,
-    output,
     print_json,
+    print_table,
     words,
 )
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
@@ -23,33 +20,20 @@ if TYPE_CHECKING:
     from lemma.audit.run import Found, Tally
     from lemma.viz.video import VideoStyle
 
-_ALL = "all"
 _AT_INTERRUPT = "{done} of {total} instances were done; nothing is kept."
-
-
-@dataclass(frozen=True, slots=True)
-class AuditOptions:
-    """Instances and attacks."""
-
-    tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
-    """Names of tasks, separated by commas."""
-    split: str = "test"
-    """Frozen list of instances; or free, which samples them and needs --episodes."""
-    episodes: Number = None
-    """Number of instances of every task; the whole list by default."""
-    start: int = 0
-    """Index of the first instance."""
-    level: Literal["skill", "control", "both"] = "both"
-    """Attacks with grounded sub-tasks, with motor commands, or both."""
-    attacks: Annotated[str, tyro.conf.arg(metavar="ATTACK,...")] = _ALL
-    """Names of attacks, separated by commas."""
-
-
-_EVERYTHING = AuditOptions()
+_HEADER = (
+    *("task", "attack", "level"),
+    *("tried", "executed", "succeeded", "best progress"),
+)
 
 
 def audit(
-    wanted: Annotated[AuditOptions, tyro.conf.arg(name="")] = _EVERYTHING,
+    tasks: Listed = ALL,
+    split: str = "test",
+    episodes: Number = None,
+    start: int = 0,
+    level: Literal["skill", "control", "both"] = "both",
+    attacks: Listed = ALL,
     working: WorkerOptions = DEFAULT,
     videos: Folder = None,
     as_json: JsonFlag = False,
@@ -59,7 +43,13 @@ def audit(
     Exits with 1 if an attack succeeds.
 
     Args:
-        wanted: Instances and attacks.
+        tasks: Names of tasks, separated by commas.
+        split: Frozen list of instances; or free, which samples them and needs
+            --episodes.
+        episodes: Number of instances of every task; the whole list by default.
+        start: Index of the first instance.
+        level: Attacks with grounded sub-tasks, with motor commands, or both.
+        attacks: Names of attacks, separated by commas.
         working: Worker processes.
         videos: Folder for a video of every success.
         as_json: Print one JSON object instead of a table.
@@ -68,8 +58,8 @@ def audit(
     from lemma.audit.run import audit as run
     from lemma.audit.run import tally, to_dict
 
-    names = _attacks(wanted)
-    keys = _keys(wanted)
+    names = _attacks(attacks, level)
+    keys = _keys(tasks, split, start, episodes)
     if videos is not None:
         # A folder that cannot be made is better refused before the work than after.
         videos.mkdir(parents=True, exist_ok=True)
@@ -79,7 +69,7 @@ def audit(
     if as_json:
         print_json(to_dict(tally(found)))
     else:
-        output().print(table(tally(found)))
+        _print(tally(found))
     for one in won:
         messages().print(
             f"{one.task}/{one.split}/{one.index}: {one.attack} by {one.robot}, "
@@ -96,25 +86,31 @@ def audit(
     return 1 if won else 0
 
 
-def _attacks(wanted: AuditOptions) -> tuple[str, ...]:
+def _attacks(listed: str, level: str) -> tuple[str, ...]:
+    """Return the names of the wanted attacks.
+
+    Raises:
+        UnknownNameError: No such attack.
+        InvalidConfigError: One is of the other level.
+    """
     from lemma.audit.attack import ATTACKS
     from lemma.audit.run import names_at
     from lemma.core.errors import InvalidConfigError
 
-    at_level = names_at(wanted.level)
-    if wanted.attacks == _ALL:
-        return at_level
-    names = words(wanted.attacks)
+    at_level = names_at(level)
+    names = words(listed, every=at_level)
     for name in names:
         if ATTACKS[name].name not in at_level:
             raise InvalidConfigError(
                 f"The attack {name} is at {ATTACKS[name].level} level. Leave out "
-                f"--level {wanted.level}, or name others."
+                f"--level {level}, or name others."
             )
     return names
 
 
-def _keys(wanted: AuditOptions) -> list[tuple[str, str, int]]:
+def _keys(
+    listed: str, split: str, first: int, count: int | None
+) -> list[tuple[str, str, int]]:
     """Return task, split and index of the wanted instances.
 
     Raises:
@@ -125,10 +121,10 @@ def _keys(wanted: AuditOptions) -> list[tuple[str, str, int]]:
     from lemma.tasks.instance import SPLITS
     from lemma.tasks.suite import SUITE, check_split
 
-    tasks = SUITE if wanted.tasks == _ALL else words(wanted.tasks)
+    tasks = words(listed, every=SUITE)
     for task in tasks:
-        check_split(task, wanted.split)
-    size, first, count = SPLITS.get(wanted.split), wanted.start, wanted.episodes
+        check_split(task, split)
+    size = SPLITS.get(split)
     if count is None and size is None:
         raise InvalidConfigError(
             "The split free needs --episodes, because it has any number of instances."
@@ -137,33 +133,25 @@ def _keys(wanted: AuditOptions) -> list[tuple[str, str, int]]:
     if not 0 <= first < end or (size is not None and end > size):
         has = "from 0 on" if size is None else f"0 to {size - 1}"
         raise InvalidConfigError(
-            f"--start {first} and --episodes {_ALL if count is None else count} do not "
-            f"fit the split {wanted.split}, which has instances {has}."
+            f"--start {first} and --episodes {ALL if count is None else count} do not "
+            f"fit the split {split}, which has instances {has}."
         )
-    return [
-        (task, wanted.split, index) for task in tasks for index in range(first, end)
-    ]
+    return [(task, split, index) for task in tasks for index in range(first, end)]
 
 
-def table(tallies: "dict[str, dict[str, Tally]]") -> Table:
-    """Return sums as a table, by task and attack."""
-    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for heading in ("task", "attack", "level"):
-        shown.add_column(heading, no_wrap=True)
-    for heading in ("tried", "executed", "succeeded", "best progress"):
-        shown.add_column(heading, justify="right")
+def _print(tallies: "dict[str, dict[str, Tally]]") -> None:
+    """Print sums by task and attack; those of attacks that succeeded stand out."""
     tasks = dict.fromkeys(task for of_tasks in tallies.values() for task in of_tasks)
-    for task in tasks:
-        for attack, of_tasks in tallies.items():
-            sums = of_tasks[task]
-            style = "bold red" if sums.succeeded else None
-            shown.add_row(
-                *(task, attack, sums.level, str(sums.tried), str(sums.executed)),
-                *(str(sums.succeeded), f"{sums.best_progress:.0%}"),
-                style=style,
-            )
-        shown.add_section()
-    return shown
+    sums = [(t, attack, tallies[attack][t]) for t in tasks for attack in tallies]
+    rows = [
+        (
+            *(task, attack, of.level, of.tried, of.executed, of.succeeded),
+            f"{of.best_progress:.0%}",
+        )
+        for task, attack, of in sums
+    ]
+    won = [number for number, (*_, of) in enumerate(sums) if of.succeeded]
+    print_table(_HEADER, rows, labels=3, bold=won)
 
 
 def write_videos(

@@ -1,22 +1,18 @@
 """`lemma bench`: the benchmark's own figures, measured here."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from rich.progress import track
-from rich.table import Table
 
-from lemma.bench.control import HZ, ControlFigures, measure_control
-from lemma.bench.expert_loop import ExpertLoopFigures, measure_expert_loop
+from lemma.bench.episodes import expert_figures, measure_policy, run_trials
 from lemma.bench.machine import describe_machine
-from lemma.bench.policy import PolicyFigures, measure_policy
 from lemma.bench.speed import (
-    ExpertFigures,
-    Speed,
-    expert_figures,
+    HZ,
+    Figures,
+    measure_control,
+    measure_expert_loop,
     measure_speed,
-    rounded,
-    run_trials,
 )
 from lemma.cli.options import (
     Flag,
@@ -25,11 +21,13 @@ from lemma.cli.options import (
     TaskNames,
     messages,
     output,
+    print_figures,
     print_json,
+    print_table,
 )
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.resources import usable_cores
-from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.instance import SPLITS
 from lemma.tasks.suite import SUITE, TASKS, load_instance
 
 _SPLIT = "test"
@@ -66,6 +64,26 @@ _POLICY_TARGETS = {
     "success_rate": ("success in these episodes", "{:.0%}", ""),
     "peak_mb": ("memory of a process that plays", "{:.0f} MB", "< 1500 MB"),
 }
+_GROUPS = {
+    "speed": (f"Speed (first {{each}} of split {_SPLIT!r} per task)", _TARGETS),
+    "loop": (
+        "The expert's loop beside bare physics, one instance per task",
+        _LOOP_TARGETS,
+    ),
+    "control": (
+        f"Control level, {HZ:g} steps per simulated second, random actions",
+        _CONTROL_TARGETS,
+    ),
+    "policy": ("Policy {policy}", _POLICY_TARGETS),
+}
+_EXPERT_FORMS = {
+    "episodes": ("episodes", "{:.0f}"),
+    "success_rate": ("solved", "{:.1%}"),
+    "raw_success_rate": ("solved, fresh", "{:.1%}"),
+    "mean_sim_s": ("mean sim s", "{:.1f}"),
+    "max_sim_s": ("longest", "{:.1f}"),
+    "rejection_rate": ("rejected", "{:.1%}"),
+}
 
 
 def bench(
@@ -95,114 +113,59 @@ def bench(
             f"--episodes goes from 1 to {SPLITS[_SPLIT]}, the length of the frozen "
             f"list, and --workers from 1 up; not {episodes} and {workers}."
         )
+    if policy is not None and expert:
+        raise InvalidConfigError(
+            "--policy and --expert measure different things. Name one of them."
+        )
     each = min(episodes, _SPEED_EPISODES)
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
     if policy is not None:
-        if expert:
-            raise InvalidConfigError(
-                "--policy and --expert measure different things. Name one of them."
-            )
-        _bench_policy(machine, policy, instances, as_json)
-        return 0
-    with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
-        speed = measure_speed(instances)
-        loop = measure_expert_loop(instances[::each])
-        control = measure_control(instances[0])
-    figures: dict[str, ExpertFigures] = {}
-    if expert:
-        trials = track(
-            run_trials(names, episodes, workers or usable_cores()),
-            "The expert at work",
-            total=2 * episodes * len(names),
-            console=messages(),
-        )
-        figures = expert_figures(trials)
-    if as_json:
-        print_json(report(machine, speed, loop, control, figures))
+        with messages().status(f"Playing {len(instances)} episodes ..."):
+            found = {"policy": measure_policy(policy, instances)}
     else:
-        _print_machine(machine)
-        _print_speed(f"first {each} of split {_SPLIT!r} per task", speed, loop, control)
-        if figures:
-            _print_expert(figures)
+        with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
+            found = {
+                "speed": measure_speed(instances),
+                "loop": measure_expert_loop(instances[::each]),
+                "control": measure_control(instances[0]),
+            }
+    experts = _measure_expert(names, episodes, workers) if expert else {}
+    if as_json:
+        told: dict[str, object] = {n: _rounded(of) for n, of in found.items()}
+        if policy is None:
+            told["expert"] = {task: _rounded(of) for task, of in experts.items()}
+        print_json({"machine": machine, **told})
+        return 0
+    output().print(", ".join(f"{key} {value}" for key, value in machine.items()))
+    for name, figures in found.items():
+        title, targets = _GROUPS[name]
+        print_figures(figures, targets, title.format(policy=policy, each=each))
+    if experts:
+        _print_experts(experts)
     return 0
 
 
-def _bench_policy(
-    machine: dict[str, Any], policy: str, instances: list[Instance], as_json: bool
-) -> None:
-    with messages().status(f"Playing {len(instances)} episodes ..."):
-        found = measure_policy(policy, instances)
-    if as_json:
-        print_json({"machine": machine, "policy": found.to_dict()})
-    else:
-        _print_policy(machine, found, policy)
+def _measure_expert(
+    names: tuple[str, ...], episodes: int, workers: int | None
+) -> dict[str, Figures]:
+    trials = track(
+        run_trials(names, episodes, workers or usable_cores()),
+        "The expert at work",
+        total=2 * episodes * len(names),
+        console=messages(),
+    )
+    return expert_figures(trials)
 
 
-def report(
-    machine: dict[str, Any],
-    speed: Speed,
-    loop: ExpertLoopFigures,
-    control: ControlFigures,
-    figures: dict[str, ExpertFigures],
-) -> dict[str, Any]:
-    """Return the one object that ``--json`` prints."""
-    return {
-        "machine": machine,
-        "speed": rounded(speed),
-        "loop": rounded(loop),
-        "control": rounded(control),
-        "expert": {task: rounded(found) for task, found in figures.items()},
-    }
+def _rounded(figures: Figures) -> Figures:
+    return {name: round(value, 3) for name, value in figures.items()}
 
 
-def _print_speed(
-    instances: str, speed: Speed, loop: ExpertLoopFigures, control: ControlFigures
-) -> None:
-    output().print(_figures(f"Speed ({instances})", speed, _TARGETS))
-    title = "The expert's loop beside bare physics, one instance per task"
-    output().print(_figures(title, loop, _LOOP_TARGETS))
-    title = f"Control level, {HZ:g} steps per simulated second, random actions"
-    output().print(_figures(title, control, _CONTROL_TARGETS))
-
-
-def _print_expert(figures: dict[str, ExpertFigures]) -> None:
-    table = Table(title="The expert", title_justify="left")
-    table.add_column("task", style="bold")
-    for heading in (
-        *("episodes", "solved", "solved, fresh"),
-        *("mean sim s", "longest", "rejected"),
-    ):
-        table.add_column(heading, justify="right")
-    for task, found in figures.items():
-        table.add_row(
-            task,
-            str(found.episodes),
-            f"{found.success_rate:.1%}",
-            f"{found.raw_success_rate:.1%}",
-            f"{found.mean_sim_s:.1f}",
-            f"{found.max_sim_s:.1f}",
-            f"{found.rejection_rate:.1%}",
-        )
-    output().print(table)
-
-
-def _print_policy(machine: dict[str, Any], found: PolicyFigures, policy: str) -> None:
-    _print_machine(machine)
-    output().print(_figures(f"Policy {policy}", found, _POLICY_TARGETS))
-
-
-def _print_machine(machine: dict[str, Any]) -> None:
-    output().print(", ".join(f"{key} {value}" for key, value in machine.items()))
-
-
-def _figures(
-    title: str, found: object, targets: dict[str, tuple[str, str, str]]
-) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column("figure")
-    table.add_column("measured", justify="right", style="bold")
-    table.add_column("target", justify="right")
-    for name, (words, form, target) in targets.items():
-        table.add_row(words, form.format(getattr(found, name)), target)
-    return table
+def _print_experts(experts: dict[str, Figures]) -> None:
+    header = ("task", *(heading for heading, _ in _EXPERT_FORMS.values()))
+    rows = (
+        (task, *(form.format(of[n]) for n, (_, form) in _EXPERT_FORMS.items()))
+        for task, of in experts.items()
+    )
+    print_table(header, rows, "The expert")

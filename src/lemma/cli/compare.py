@@ -5,19 +5,13 @@ from typing import Annotated
 
 import tyro
 
-from lemma.cli.options import JsonFlag, messages, output, print_json
-from lemma.core.tables import Table
+from lemma.cli.options import JsonFlag, messages, print_json, print_table
 from lemma.evaluation.analysis.comparison import Comparison
 from lemma.evaluation.analysis.comparison import compare as run
 
 _HEADER = (
-    "success [%]",
-    "1st",
-    "2nd",
-    "difference (95 %)",
-    "only 1st",
-    "only 2nd",
-    "p",
+    *("success [%]", "1st", "2nd", "difference (95 %)"),
+    *("only 1st", "only 2nd", "p"),
 )
 ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 """A result that ``lemma evaluate`` or ``lemma reproduce`` wrote."""
@@ -61,7 +55,7 @@ def compare(
             # Last of a kind, all of its tasks once more, leniently.
             name = kind.replace("_", "-") if task == "all" else f"  {task}"
             rows.append((name, *_cells(one)))
-    output().print(Table(_HEADER, tuple(rows)).terminal())
+    print_table(_HEADER, rows)
     return 0
 
 

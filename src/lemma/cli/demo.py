@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from lemma.cli.options import Flag, JsonFlag, TaskNames, messages, output, print_json
 from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
 from lemma.core.errors import InvalidConfigError
+from lemma.core.tables import Table
 from lemma.evaluation.run.rollout import Player
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.tasks.instance import Instance
@@ -35,6 +34,10 @@ _OUT = Path("out/demo")
 _REPLAYS = "replays"
 _FINER = 4
 _WHO = "The policy at work"
+_SUMMARY = (
+    *("task", "instruction", "team", "success"),
+    *("steps", "sim s", "wall s", "× real"),
+)
 
 
 def demo(
@@ -83,7 +86,7 @@ def demo(
         page = out / "index.html"
         recordings = _solve_and_film(console, instances, player, page)
     console.print()
-    console.print(summary(recordings))
+    console.print(summary(recordings).terminal())
     if page:
         words = f"Videos and a page to look at them: {page}"
         console.print(words, markup=False, soft_wrap=True)
@@ -200,23 +203,13 @@ def _report(console: Console, line: Line, robots: Mapping[str, str]) -> None:
 
 def summary(recordings: list[Recording]) -> Table:
     """Return the table at the end: how every task went."""
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("task", style="bold", no_wrap=True)
-    table.add_column("instruction", min_width=16)
-    table.add_column("team", no_wrap=True)
-    for heading in ("steps", "sim s", "wall s", "× real"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("success")
-    for done in recordings:
-        answer = "yes" if done.success else f"no: {done.failure}"
-        table.add_row(
-            done.instance.task,
-            main_sentence(done.instance),
-            done.instance.team,
-            str(len(done.lines)),
-            f"{done.elapsed_s:.1f}",
-            f"{done.wall_s:.2f}",
+    rows = tuple(
+        (
+            *(done.instance.task, main_sentence(done.instance), done.instance.team),
+            "yes" if done.success else f"no: {done.failure}",
+            *(f"{len(done.lines)}", f"{done.elapsed_s:.1f}", f"{done.wall_s:.2f}"),
             f"{done.realtime_factor:.0f}",
-            Text(answer, style="green" if done.success else "bold red"),
         )
-    return table
+        for done in recordings
+    )
+    return Table(_SUMMARY, rows, labels=4)

@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from lemma.cli.options import (
+    ALL,
     Arguments,
     File,
     Flag,
     JsonFlag,
+    Listed,
     Number,
     Word,
     arguments,
     complain,
     output,
     print_json,
+    words,
 )
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.policies.interfaces import TIMEOUT_S
@@ -28,7 +31,6 @@ if TYPE_CHECKING:
     from lemma.evaluation.records import Row
     from lemma.evaluation.run.config import EvaluationConfig
 
-_ALL = "all"
 _COMPLAINTS = 5
 _AT_INTERRUPT = (
     "{done} of {total} episodes are kept in episodes.jsonl. The same command goes on "
@@ -41,10 +43,10 @@ _AT_INTERRUPT = (
 class EvaluateOptions:
     """Options of the evaluation."""
 
-    instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
+    instructions: Listed = "high-level"
     """Kinds of instructions: high-level, human, unseen, blind; or all, for every kind
     of the tasks."""
-    tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
+    tasks: Listed = ALL
     """Names of tasks, separated by commas."""
     split: Word = None
     """Frozen list of instances, test by default; or free, which samples instances and
@@ -86,26 +88,20 @@ class LanguageModelOptions(ChatOptions):
     """File of recorded requests and answers; recorded requests are not sent."""
 
 
-EVERYTHING = EvaluateOptions()
-"""High-level instructions, all tasks, the whole test split."""
+_EVERYTHING = EvaluateOptions()
 NO_MODEL = LanguageModelOptions()
 """No language model is asked."""
-
-QuestionOptions = Annotated[EvaluateOptions, tyro.conf.arg(name="")]
-"""The fields as options of the verb."""
-ModelOptions = Annotated[
-    LanguageModelOptions, tyro.conf.arg(name=""), tyro.conf.FlagCreatePairsOff
-]
-"""The same of a language model."""
 
 
 def evaluate(
     policy: Annotated[str, tyro.conf.arg(metavar="POLICY")],
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
-    ask: QuestionOptions = EVERYTHING,
+    ask: Annotated[EvaluateOptions, tyro.conf.arg(name="")] = _EVERYTHING,
     working: WorkerOptions = DEFAULT,
     as_json: JsonFlag = False,
-    model: ModelOptions = NO_MODEL,
+    model: Annotated[
+        LanguageModelOptions, tyro.conf.arg(name=""), tyro.conf.FlagCreatePairsOff
+    ] = NO_MODEL,
 ) -> int:
     """Let a policy play the episodes of a frozen split, and count its successes.
 
@@ -160,8 +156,8 @@ def _config(
     from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
     own = Instance.load(ask.instance) if ask.instance else None
-    tasks = _names(ask.tasks, SUITE)
-    if own is not None and ask.tasks == _ALL:
+    tasks = words(ask.tasks, every=SUITE)
+    if own is not None and ask.tasks == ALL:
         tasks, split = (own.task,), OWN_SPLIT
     else:
         split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
@@ -178,7 +174,7 @@ def _config(
         ),
         tasks=tasks,
         split=split,
-        kinds=_names(ask.instructions.replace("-", "_"), kinds_of(tasks, split)),
+        kinds=words(ask.instructions.replace("-", "_"), every=kinds_of(tasks, split)),
         episodes=ask.episodes,
         language=ask.language,
         perturb_start=ask.perturb_start,
@@ -223,11 +219,6 @@ def complain_of(rows: "list[Row]") -> None:
         f"{len(faulty)} of {len(rows)} episodes failed because the policy did "
         "(policy_error in episodes.jsonl)."
     )
-
-
-def _names(text: str, every: tuple[str, ...]) -> tuple[str, ...]:
-    listed = tuple(name.strip() for name in text.split(","))
-    return every if listed == (_ALL,) else listed
 
 
 def _rates(

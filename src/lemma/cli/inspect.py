@@ -3,10 +3,16 @@
 from dataclasses import asdict
 from pathlib import Path
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-
-from lemma.cli.options import File, JsonFlag, Number, Word, messages, output, print_json
+from lemma.cli.options import (
+    File,
+    JsonFlag,
+    Number,
+    Word,
+    messages,
+    output,
+    print_json,
+    print_table,
+)
 from lemma.cli.replay import Folder, choose
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.files import open_table
@@ -19,7 +25,7 @@ from lemma.viz.picture_files import check_picture_path, save_picture
 
 _SPLIT = "test"
 _HEADINGS = (
-    *("episodes", "solved", "sub-tasks", "objects", "distractors"),
+    *("", "episodes", "solved", "sub-tasks", "objects", "distractors"),
     *("time", "margin"),
 )
 
@@ -85,27 +91,19 @@ def _print_episode(record: EpisodeRecord) -> None:
         ("outcome", f"{ending} after {record.elapsed_s:.1f} simulated s"),
     ):
         console.print(f"{name:<11}{text}", soft_wrap=True)
-    table = Table()
-    for heading in ("", "start", "takes", "sub-task", "outcome"):
-        table.add_column(heading)
-    for number, row in enumerate(record.subtasks, 1):
-        times = (f"{row.start_s:.1f} s", f"{row.duration_s:.1f} s")
-        table.add_row(str(number), *times, row.instruction, row.outcome)
-    console.print(table)
+    rows = (
+        (n, row.instruction, row.outcome, f"{row.start_s:.1f}", f"{row.duration_s:.1f}")
+        for n, row in enumerate(record.subtasks, 1)
+    )
+    print_table(("", "sub-task", "outcome", "start [s]", "takes [s]"), rows, labels=3)
 
 
 def _print(found: RecipeSummary, size_mb: float) -> None:
     """Print the numbers by task, by split, by team, and of all."""
-    # Eighty columns are enough without padding.
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
-    for heading in ("", *_HEADINGS):
-        table.add_column(heading, justify="right" if heading else "left")
-    for group in (found.tasks, found.splits, found.teams):
-        for name, summary in group.items() if len(group) > 1 else ():
-            table.add_row(name, *_cells(summary))
-        table.add_section()
-    table.add_row(ALL, *_cells(found.total), style="bold")
-    output().print(table)
+    groups = [g for g in (found.tasks, found.splits, found.teams) if len(g) > 1]
+    rows = [(name, *_cells(one)) for group in groups for name, one in group.items()]
+    rows.append((ALL, *_cells(found.total)))
+    print_table(_HEADINGS, rows, bold=[len(rows) - 1])
     means = (f"{name} {s.mean:.1f} s" for name, s in found.primitives_s.items())
     output().print(f"sub-tasks  {', '.join(means)}", soft_wrap=True)
     output().print(f"size       {size_mb:.1f} MB")

@@ -1,13 +1,12 @@
 """`lemma instructions`: sentences that a task is asked for with."""
 
 from collections.abc import Iterator
+from itertools import count, islice
 from typing import Literal
 
 import numpy as np
-from rich.table import Table
-from rich.text import Text
 
-from lemma.cli.options import JsonFlag, TaskName, output, print_json
+from lemma.cli.options import JsonFlag, TaskName, print_json, print_table
 from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
 from lemma.dataset.instructions import draw_instruction
@@ -17,6 +16,7 @@ from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.bank import instruct, robot_phrases, sub_instruction
 from lemma.tasks.suite import TASKS, default_split, load_instance
 
+_HEADER = ("instance", "instruction")
 Kind = Literal["training", "high_level", "human", "unseen", "sub"]
 
 
@@ -42,39 +42,34 @@ def instructions(
         raise InvalidConfigError(
             f"--n goes from 1 up and --seed from 0, not {n} and {seed}."
         )
-    records = [
-        {"instance": instance.key, "instruction": text}
-        for (instance, text), _ in zip(_draw(task, kind, seed), range(n), strict=False)
-    ]
+    drawn = islice(_draw(task, kind, seed), n)
+    rows = [(instance.key, text) for instance, text in drawn]
     if as_json:
-        print_json(records)
-        return 0
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for record in records:
-        table.add_row(Text(record["instance"], style="dim"), record["instruction"])
-    output().print(table)
+        print_json([dict(zip(_HEADER, row, strict=True)) for row in rows])
+    else:
+        print_table(_HEADER, rows, labels=2)
     return 0
 
 
 def _draw(task: str, kind: Kind, seed: int) -> Iterator[tuple[Instance, str]]:
     """Yield training instances, sampled if there is no list, and sentences for them."""
     draws = stream("instructions", task, seed)
-    for count in range(10**9):
+    for number in count():
         index = int(draws.integers(SPLITS["train"]))
         instance = load_instance(task, default_split(task), index)
-        for text in _sentences(instance, kind, seed, count, draws):
+        for text in _sentences(instance, kind, seed, number, draws):
             yield instance, text
 
 
 def _sentences(
-    instance: Instance, kind: Kind, seed: int, count: int, draws: np.random.Generator
+    instance: Instance, kind: Kind, seed: int, epoch: int, draws: np.random.Generator
 ) -> list[str]:
     pairs = instance.goal.pairs
     if kind == "sub":
         return _plan(instance)
     if kind == "training":
         return [
-            draw_instruction(instance.task, pairs, instance.key, seed=seed, epoch=count)
+            draw_instruction(instance.task, pairs, instance.key, seed=seed, epoch=epoch)
         ]
     return [instruct(instance.task, kind, pairs, draws)]
 

@@ -1,8 +1,10 @@
 """The `lemma` command: one verb per file, and one way of reporting errors."""
 
+import ast
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from pathlib import Path
 
 import tyro
 from rich.table import Table
@@ -14,40 +16,16 @@ from lemma.core.plugins import load_plugins, split_names
 from lemma.core.version import VERSION as __version__
 from lemma.core.version import extra_of
 
-VERBS = {
-    "tasks": "List the eight tasks of the suite, and those of plugins.",
-    "play": "Open a page in the browser: say something, and watch two robots do it.",
-    "demo": "Let a policy solve one instance of each task; write videos and a page.",
-    "show": "Draw an instance: cameras, depth, map, reach, goal and instructions, "
-    "in one PNG.",
-    "doctor": "Check versions, rendering, physics and the expert; say what is missing.",
-    "bench": "Measure speed, memory and, if asked to, the expert's success.",
-    "audit": "Attack instances with one robot alone, in physics.",
-    "generate": "Let the expert solve the frozen instances, and write what it did.",
-    "replay": "Play a recipe again, and say where its states cannot be reproduced.",
-    "inspect": "Say what is in a recipe; with --task and --index, draw one episode.",
-    "push-to-hub": "Check a dataset and upload it to the Hugging Face Hub.",
-    "pull": "Fetch a dataset from the Hugging Face Hub, or published weights.",
-    "render": "Make images, or a LeRobotDataset, from a recipe.",
-    "instructions": "Draw instructions of a task, as training sees them or of one "
-    "kind.",
-    "train": "Train a model, or continue a run that was stopped.",
-    "evaluate": "Let a policy play the episodes of a frozen split, and count its "
-    "successes.",
-    "serve": "Answer for a policy over a socket, until Ctrl-C; or test a server with "
-    "--check.",
-    "verify": "Play the recorded decisions of results again, and compare everything "
-    "recorded.",
-    "compare": "Compare two policies on the same episodes, one by one.",
-    "report": "Write results as a page with tables, figures and failures, and as "
-    "Markdown.",
-    "reproduce": "Evaluate every row of the tables, and write the tables.",
-}
-"""The first sentence of each verb's help.
+VERBS = (
+    *("tasks", "play", "demo", "show", "doctor", "bench", "audit", "generate"),
+    *("replay", "inspect", "push-to-hub", "pull", "render", "instructions", "train"),
+    *("evaluate", "serve", "verify", "compare", "report", "reproduce"),
+)
+"""The verbs, in the order of the help.
 
 A verb is a function of the same name in a module of the same name in this package, with
-underscores for dashes. It is imported when it is called, and when it is asked for help:
-what all of them need takes seconds to import.
+underscores for dashes. Its parameters are its options. It is imported when it is
+called, and when it is asked for help: what all of them need takes seconds to import.
 """
 
 _DESCRIPTION = (
@@ -151,13 +129,25 @@ def _imported(verb: str) -> Callable[..., int]:
     return function
 
 
+def summary_of(verb: str) -> str:
+    """Return the first line of a verb's help, without an import of its module."""
+    name = verb.replace("-", "_")
+    source = Path(__file__).with_name(f"{name}.py").read_text("utf-8")
+    (function,) = (
+        node
+        for node in ast.parse(source).body
+        if isinstance(node, ast.FunctionDef) and node.name == name
+    )
+    return (ast.get_docstring(function) or "").partition("\n")[0]
+
+
 def _print_help() -> None:
     console = output()
     options = "[--help] [--version] [--plugin NAME]"
     console.print(f"usage: lemma {options} VERB ...\n\n{_DESCRIPTION}\n")
     verbs = Table.grid(padding=(0, 2))
-    for verb, summary in VERBS.items():
-        verbs.add_row(f"  {verb}", Text(summary))
+    for verb in VERBS:
+        verbs.add_row(f"  {verb}", Text(summary_of(verb)))
     console.print(verbs)
     console.print(
         "\n'lemma VERB --help' says more about each verb. --plugin my_module, or "

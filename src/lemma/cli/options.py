@@ -5,6 +5,7 @@ import io
 import json
 import os
 import sys
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +13,7 @@ import tyro
 from rich.console import Console
 
 from lemma.core.errors import InvalidConfigError
+from lemma.core.tables import Table
 
 # The hint would repeat "(default: None)" where the help says what happens.
 Flag = Annotated[
@@ -36,6 +38,9 @@ MaybeTask = Annotated[
 """A task, where a file may say which."""
 Word = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 """An optional name."""
+ALL = "all"
+Listed = Annotated[str, tyro.conf.arg(metavar="NAME,...")]
+"""Names separated by commas, or ``all``; see :func:`words`."""
 Arguments = Annotated[
     str, tyro.conf.arg(metavar="NAME=VALUE,...", help_behavior_hint="")
 ]
@@ -75,6 +80,46 @@ def print_json(document: Any) -> None:
     sys.stdout.write(f"{text}\n")
 
 
+def print_table(
+    header: tuple[str, ...],
+    rows: Iterable[tuple[object, ...]],
+    title: str = "",
+    labels: int = 1,
+    bold: Container[int] = (),
+) -> None:
+    """Print a table on the output.
+
+    Args:
+        header: Headings of the columns.
+        rows: Cells, row by row.
+        title: Above the table, if any.
+        labels: Columns from the left that hold words, not numbers.
+        bold: Numbers of rows that stand out.
+    """
+    cells = tuple(tuple(map(str, row)) for row in rows)
+    if title:
+        output().print(f"\n{title}", style="bold", soft_wrap=True)
+    output().print(Table(header, cells, labels).terminal(bold))
+
+
+def print_figures(
+    found: Mapping[str, float], forms: Mapping[str, tuple[str, ...]], title: str
+) -> None:
+    """Print figures on the output, one a line.
+
+    Args:
+        found: The figures by name.
+        forms: Meaning and format of each, and what it should be, if anything.
+        title: Above the table.
+    """
+    header = ("figure", "measured", "target")[: max(map(len, forms.values()))]
+    rows = (
+        (meaning, form.format(found[name]), *target)
+        for name, (meaning, form, *target) in forms.items()
+    )
+    print_table(header, rows, title)
+
+
 def prepare_streams() -> None:
     """Let both streams print a question mark for letters that their locale lacks.
 
@@ -88,12 +133,18 @@ def prepare_streams() -> None:
             stream.reconfigure(errors="replace")
 
 
-def words(listed: str) -> tuple[str, ...]:
+def words(listed: str, every: tuple[str, ...] | None = None) -> tuple[str, ...]:
     """Return the words of a list separated by commas, each once.
+
+    Args:
+        listed: The list.
+        every: Words that ``all`` stands for; None where it stands for itself.
 
     Raises:
         InvalidConfigError: There is none.
     """
+    if every is not None and listed.strip() == ALL:
+        return every
     found = tuple(dict.fromkeys(w.strip() for w in listed.split(",") if w.strip()))
     if not found:
         raise InvalidConfigError(

@@ -15,8 +15,6 @@ from lemma.tasks.task import TASKS
 from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
 
 if TYPE_CHECKING:
-    import viser
-
     from lemma.viewer.failures import FailurePage
     from lemma.viewer.page import Page
 
@@ -43,25 +41,11 @@ class Listening:
 _HERE = Listening()
 
 
-@dataclass(frozen=True, slots=True)
-class Beginning:
-    """The first table."""
-
-    index: Number = None
-    """Number of the instance; 0 by default."""
-    split: Word = None
-    """Frozen list to take it from: train, val or test; or free, which samples it. By
-    default test, and free for tasks of your own."""
-    instance: File = None
-    """A JSON file with an instance of your own, to begin with."""
-
-
-_FIRST_ONE = Beginning()
-
-
 def play(
     task: MaybeTask = None,
-    which: Annotated[Beginning, tyro.conf.arg(name="")] = _FIRST_ONE,
+    index: Number = None,
+    split: Word = None,
+    instance: File = None,
     policy: Word = None,
     say: Annotated[
         str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")
@@ -74,7 +58,10 @@ def play(
     Args:
         task: Task to begin with, hook_stack by default; with --failures a folder of
             results.
-        which: Selection of an instance of the task.
+        index: Number of the instance; 0 by default.
+        split: Frozen list to take it from: train, val or test; or free, which samples
+            it. By default test, and free for tasks of your own.
+        instance: A JSON file with an instance of your own, to begin with.
         policy: As in lemma evaluate. By default reachnet where torch is
             installed, else the expert, which reads the benchmark's sentences alone.
         say: A sentence of your own, which is acted on at once.
@@ -85,17 +72,18 @@ def play(
     Returns:
         Exit code: 0 after Ctrl-C.
     """
-    _warn_of(at.host)
+    if at.host not in (LOOPBACK, "localhost", "::1"):
+        _warn(f"Everybody who reaches {at.host} can use this page: it has no password.")
     if failures:
-        if which != _FIRST_ONE or say is not None:
+        if (index, split, instance, say) != (None,) * 4:
             raise InvalidConfigError(
                 "--failures takes --policy, no instance and no sentence."
             )
         return _open(_failures(task, policy, at), at)
     from lemma.viewer.episode.session import Session, choices
     from lemma.viewer.page import Page
+    from lemma.viewer.server import open_server
 
-    split, index, instance = which.split, which.index, which.instance
     own = None
     if instance is not None:
         own = read_instance(instance, task, Selection(split=split, index=index))
@@ -107,8 +95,9 @@ def play(
     kind = "high_level" if say is None else OWN_WORDS
     who = policy or policies[0]
     request = EpisodeRequest(task, split, index or 0, kind, say or "", who, own)
-    server = _listen(at)
-    return _open(Page(Session(request, policies, acts=say is not None), server), at)
+    session = Session(request, policies, acts=say is not None)
+    server = open_server(at.host, at.port, at.allow_host, _warn)
+    return _open(Page(session, server), at)
 
 
 def _failures(folder: str | None, policy: str | None, at: Listening) -> "FailurePage":
@@ -133,13 +122,6 @@ def _failures(folder: str | None, policy: str | None, at: Listening) -> "Failure
     return FailurePage(cases, at.host, at.port, policy, at.allow_host, _warn)
 
 
-def _listen(at: Listening) -> "viser.ViserServer":
-    """Start the server of a page."""
-    from lemma.viewer.server import open_server
-
-    return open_server(at.host, at.port, at.allow_host, _warn)
-
-
 def _warn(text: str) -> None:
     messages().print(text, style="yellow", markup=False, soft_wrap=True)
 
@@ -156,8 +138,3 @@ def _open(page: "Page | FailurePage", at: Listening) -> int:
     finally:
         page.close()
     return 0
-
-
-def _warn_of(host: str) -> None:
-    if host not in (LOOPBACK, "localhost", "::1"):
-        _warn(f"Everybody who reaches {host} can use this page: it has no password.")

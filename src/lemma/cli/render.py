@@ -8,7 +8,15 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lemma.cli.options import Flag, JsonFlag, output, print_json, words
+from lemma.cli.options import (
+    ALL,
+    Flag,
+    JsonFlag,
+    Listed,
+    output,
+    print_json,
+    words,
+)
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import Engine
@@ -25,7 +33,6 @@ from lemma.tasks.language.template import KINDS
 _AT_INTERRUPT = (
     "{done} of {total} episodes are made. The same command goes on from there."
 )
-_ALL = "all"
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
 """A recipe."""
@@ -39,11 +46,9 @@ _ROWS = {"keyframes": "keyframes", "lerobot": "frames"}
 class RenderOptions:
     """Episodes and look."""
 
-    tasks: Annotated[str, tyro.conf.arg(metavar="TASK,...")] = _ALL
+    tasks: Listed = ALL
     """Names of tasks, separated by commas."""
-    splits: Annotated[str, tyro.conf.arg(metavar="SPLIT,...", aliases=["--split"])] = (
-        _ALL
-    )
+    splits: Annotated[Listed, tyro.conf.arg(aliases=["--split"])] = ALL
     """Names of splits, separated by commas."""
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "640x480"
     """Size of camera images [px]."""
@@ -54,7 +59,7 @@ class RenderOptions:
     cameras: Annotated[str, tyro.conf.arg(metavar="CAMERA,...")] = ""
     """LeRobotDataset: cameras, such as robot_0,robot_1,robot_0_wrist or overview; each
     robot's own by default."""
-    instructions: Annotated[str, tyro.conf.arg(metavar="KIND,...")] = "high-level"
+    instructions: Listed = "high-level"
     """LeRobotDataset: kinds of instructions, high-level, human, unseen, or all; for
     each of them there is an episode of which it is the task."""
     no_images: Flag = False
@@ -74,26 +79,17 @@ class RenderOptions:
 EVERYTHING = RenderOptions()
 """All episodes, at the usual size and rate."""
 _FILMED = (
-    "fps",
-    "no_depth",
-    "cameras",
-    "instructions",
-    "no_images",
-    "environment_state",
-    "control",
-    "renderer",
+    *("fps", "no_depth", "cameras", "instructions", "no_images"),
+    *("environment_state", "control", "renderer"),
 )
 """Options of LeRobotDatasets alone."""
-
-LookOptions = Annotated[RenderOptions, tyro.conf.arg(name="")]
-"""The fields as options of a verb."""
 
 
 def render(
     data: Folder,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     form: FormName = "keyframes",
-    look: LookOptions = EVERYTHING,
+    look: Annotated[RenderOptions, tyro.conf.arg(name="")] = EVERYTHING,
     working: WorkerOptions = DEFAULT,
     as_json: JsonFlag = False,
 ) -> int:
@@ -112,9 +108,8 @@ def render(
         working: Options of the workers.
         as_json: Print one JSON object instead of words.
     """
-    order = RenderConfig(
-        recipe=data, out=out, tasks=_chosen(look.tasks), splits=_chosen(look.splits)
-    )
+    tasks, splits = words(look.tasks, every=()), words(look.splits, every=())
+    order = RenderConfig(recipe=data, out=out, tasks=tasks, splits=splits)
     make = choose_form(form, order, look)
     engine = working.make_engine()
     with progress_bar("render", order.episodes(), _AT_INTERRUPT) as advance:
@@ -155,18 +150,13 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
         height_px=height,
         depth=not look.no_depth,
         cameras=words(look.cameras) if look.cameras else (),
-        instructions=_chosen(look.instructions.replace("-", "_")) or KINDS,
+        instructions=words(look.instructions.replace("-", "_"), every=KINDS),
         images=not look.no_images,
         environment_state=look.environment_state,
         control=look.control,
         renderer=choose_renderer(look.renderer),
     )
     return partial(write_dataset, LeRobotConfig(source=order, style=style))
-
-
-def _chosen(listed: str) -> tuple[str, ...]:
-    """Return names that a user typed, separated by commas; none if all are meant."""
-    return () if listed == _ALL else words(listed)
 
 
 def parse_size(text: str) -> tuple[int, int]:

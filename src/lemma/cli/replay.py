@@ -1,15 +1,22 @@
 """`lemma replay`: play episodes again, and compare their states to the bit."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from shlex import quote
 from time import perf_counter
 from typing import Annotated, Any
 
 import tyro
-from rich.table import Table
 
-from lemma.cli.options import Flag, JsonFlag, Number, Word, output, print_json
+from lemma.cli.options import (
+    Flag,
+    JsonFlag,
+    Number,
+    Word,
+    output,
+    print_json,
+    print_table,
+)
 from lemma.cli.options import Folder as OutFolder
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
@@ -34,24 +41,11 @@ Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
 """A recipe, or an episode that was led by hand."""
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
-    """Which episodes."""
-
-    task: Word = None
-    """Only the episodes of this task."""
-    split: Word = None
-    """Only the episodes of this split."""
-    limit: Number = None
-    """Only the first so many of those; with --browser 8 by default."""
-
-
-_ALL = Part()
-
-
 def replay(
     data: Folder,
-    part: Annotated[Part, tyro.conf.arg(name="")] = _ALL,
+    task: Word = None,
+    split: Word = None,
+    limit: Number = None,
     working: WorkerOptions = DEFAULT,
     browser: OutFolder = None,
     validate: Flag = False,
@@ -65,18 +59,28 @@ def replay(
 
     Args:
         data: Folder of the recipe, or file of an episode that was led by hand.
-        part: Which episodes.
+        task: Only the episodes of this task.
+        split: Only the episodes of this split.
+        limit: Only the first so many of those; with --browser 8 by default.
         working: Options of the workers.
         browser: Folder for a page that needs neither a server nor a network, and a
             .viser file of each episode.
         validate: No effect: every replay validates.
         as_json: Print one JSON object instead of words.
     """
+    if limit is not None and limit < 1:
+        raise InvalidConfigError(f"--limit is 1 or more, not {limit}.")
+    by_hand = is_teleoperated(data)
+    if by_hand and (task, split, limit) != (None, None, None):
+        raise InvalidConfigError(
+            f"{data} is one episode that was led by hand: leave --task, --split and "
+            "--limit out."
+        )
     if browser is not None:
-        return _show(data, browser, part)
-    if is_teleoperated(data):
-        return _again(data, part, as_json=as_json)
-    recipe = choose(load(data), part.task, part.split, part.limit)
+        return _show(data, browser, task, split, limit or _IN_A_PAGE)
+    if by_hand:
+        return _again(data, as_json=as_json)
+    recipe = choose(load(data), task, split, limit)
     engine = working.make_engine()
     start = perf_counter()
     with progress_bar("replay", len(recipe), _AT_INTERRUPT) as advance:
@@ -89,31 +93,27 @@ def replay(
     return 1 if drifting else 0
 
 
-def _show(data: Path, out: Path, part: Part) -> int:
+def _show(data: Path, out: Path, task: str | None, split: str | None, most: int) -> int:
     from lemma.viewer.recording.pages import write_folder
     from lemma.viewer.recording.sources import replays_in
 
-    _check_part(data, part)
-    _check(part.limit)
-    most = part.limit or _IN_A_PAGE
-    count, replays = replays_in(data, part.task, part.split, most)
+    count, replays = replays_in(data, task, split, most)
     done = []
     with progress_bar("replay", count, "no page was written.") as advance:
-        for replay in replays:
-            done.append(replay)
+        for one in replays:
+            done.append(one)
             advance(1)
     page = write_folder(out, done)
     output().print(f"Episodes: {count}. Page: {page}", soft_wrap=True)
     return 0
 
 
-def _again(file: Path, part: Part, *, as_json: bool) -> int:
+def _again(file: Path, *, as_json: bool) -> int:
     """Play an episode again that was led by hand.
 
     Raises:
-        InvalidConfigError: A part of it is asked for, or a step is impossible.
+        InvalidConfigError: A step is impossible.
     """
-    _check_part(file, part)
     done = Teleoperation.load(file)
     start = perf_counter()
     episode = Episode(done.instance)
@@ -133,19 +133,6 @@ def _again(file: Path, part: Part, *, as_json: bool) -> int:
     return 0 if same else 1
 
 
-def _check_part(data: Path, part: Part) -> None:
-    if part != _ALL and is_teleoperated(data):
-        raise InvalidConfigError(
-            f"{data} is one episode that was led by hand: leave --task, --split and "
-            "--limit out."
-        )
-
-
-def _check(limit: int | None) -> None:
-    if limit is not None and limit < 1:
-        raise InvalidConfigError(f"--limit is 1 or more, not {limit}.")
-
-
 def choose(
     recipe: Recipe, task: str | None, split: str | None, limit: int | None = None
 ) -> Recipe:
@@ -154,7 +141,6 @@ def choose(
     Raises:
         InvalidConfigError: There are none.
     """
-    _check(limit)
     chosen = recipe.select(task=task, split=split)[:limit]
     if not len(chosen):
         raise InvalidConfigError(
@@ -183,12 +169,8 @@ def _print(episodes: int, drifting: list[Replay], seconds: float) -> None:
         )
         return
     console.print(f"{len(drifting)} of {episodes} episodes drift.", style="bold red")
-    table = Table()
-    for heading in ("episode", "first at keyframe", "largest difference"):
-        table.add_column(heading, justify="left" if heading == "episode" else "right")
-    for found in drifting[:_SHOWN]:
-        table.add_row(found.key, str(found.drift_at), f"{found.worst:.3g}")
-    console.print(table)
+    rows = [(one.key, one.drift_at, f"{one.worst:.3g}") for one in drifting[:_SHOWN]]
+    print_table(("episode", "first at keyframe", "largest difference"), rows)
     if len(drifting) > _SHOWN:
         console.print(f"... and {len(drifting) - _SHOWN} more; --json lists them all.")
     console.print(_WHY)

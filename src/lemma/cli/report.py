@@ -58,18 +58,14 @@ class ReportOptions:
     """Processes that draw; one per core by default."""
 
 
-DEFAULT = ReportOptions()
-"""Pictures of some failures, no videos."""
-
-WishOptions = Annotated[ReportOptions, tyro.conf.arg(name="")]
-"""The fields as options of the verb."""
+_DEFAULT = ReportOptions()
 
 
 def report(
     results: ResultPaths,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("report"),
     complete: Flag = False,
-    wishes: WishOptions = DEFAULT,
+    wishes: Annotated[ReportOptions, tyro.conf.arg(name="")] = _DEFAULT,
 ) -> int:
     """Write results as a page with tables, figures and failures, and as Markdown.
 

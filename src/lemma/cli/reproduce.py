@@ -1,6 +1,5 @@
 """`lemma reproduce`: the experiments of the tables, from the weights that ship."""
 
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -12,11 +11,7 @@ from lemma.cli.report import print_written
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import DatasetError
 from lemma.core.files import write_text
-from lemma.evaluation.experiments.catalog import (
-    CONTROL_LEVEL,
-    Experiment,
-    selected,
-)
+from lemma.evaluation.experiments.catalog import CONTROL_LEVEL, Experiment, selected
 from lemma.evaluation.experiments.published import check_experiment
 from lemma.evaluation.experiments.reproduction import (
     MissingWeightsError,
@@ -33,33 +28,13 @@ _AT_INTERRUPT = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ReproduceOptions:
-    """From which weights, and how many episodes."""
-
-    weights: Folder = None
-    """Folder with one training run for each name of weights; by default those that
-    ship."""
-    check: Flag = False
-    """Write nothing: play the first episode of each task and kind, or --episodes of
-    them, and say whether they are equal to the published lines in --out."""
-    split: Annotated[str, tyro.conf.arg(metavar="SPLIT")] = "test"
-    """Frozen list of instances."""
-    episodes: Number = None
-    """Only the first so many of every task; for trying."""
-
-
-EVERYTHING = ReproduceOptions()
-"""All episodes of the test split, from the weights that ship."""
-
-ExtentOptions = Annotated[ReproduceOptions, tyro.conf.arg(name="")]
-"""The fields as options of the verb."""
-
-
 def reproduce(
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results"),
-    extent: ExtentOptions = EVERYTHING,
+    weights: Folder = None,
+    check: Flag = False,
+    split: Annotated[str, tyro.conf.arg(metavar="SPLIT")] = "test",
+    episodes: Number = None,
     working: WorkerOptions = DEFAULT,
     print_commands: Annotated[Flag, tyro.conf.arg(name="print")] = False,
 ) -> int:
@@ -73,21 +48,25 @@ def reproduce(
             or one experiment.
         out: Folder of all results: one folder per experiment, one file per training
             seed.
-        extent: From which weights, and how many episodes.
+        weights: Folder with one training run for each name of weights; by default
+            those that ship.
+        check: Write nothing: play the first episode of each task and kind, or
+            --episodes of them, and say whether they are equal to the published lines
+            in --out.
+        split: Frozen list of instances.
+        episodes: Only the first so many of every task; for trying.
         working: Options of the workers.
         print_commands: Print how the weights of all seeds are trained and evaluated,
             and do nothing.
     """
     experiments = selected(name)
-    if extent.check:
-        return _check(experiments, out, extent, working)
+    if check:
+        return _check(experiments, out, episodes or 1, working)
     if print_commands:
         for line in commands(experiments):
             output().print(line, soft_wrap=True)
         return 0
-    plan = Reproduction(
-        out=out, weights=extent.weights, split=extent.split, episodes=extent.episodes
-    )
+    plan = Reproduction(out=out, weights=weights, split=split, episodes=episodes)
     for result in read_results([out]) if out.exists() else []:
         check_protocol({"protocol": quote()}, result.about, "What is asked for", out)
     engine = working.make_engine()
@@ -108,7 +87,7 @@ def reproduce(
 def _check(
     experiments: list[Experiment],
     results: Path,
-    extent: ReproduceOptions,
+    episodes: int,
     working: WorkerOptions,
 ) -> int:
     """Say whether policies still decide as published; leave with 1 if one does not."""
@@ -119,9 +98,8 @@ def _check(
             messages().print(f"Skipped {name}: lerobot is not installed here.")
             continue
         try:
-            found = check_experiment(
-                experiment, results, extent.episodes or 1, working.make_engine()
-            )
+            engine = working.make_engine()
+            found = check_experiment(experiment, results, episodes, engine)
         except DatasetError as error:
             complain(f"{name}: {error}")
             failed += 1

@@ -19,7 +19,7 @@ _HOST = "127.0.0.1"
 _PORT = 8000
 
 
-def serve(  # noqa: PLR0913 - by name, all have a default
+def serve(
     policy: Word = None,
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = _HOST,
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = _PORT,

@@ -2,13 +2,14 @@
 
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
-
-from lemma.cli.options import JsonFlag, output, print_json
+from lemma.cli.options import JsonFlag, print_json, print_table
 from lemma.scene.objects.entity import STICK
 from lemma.tasks.suite import TASKS, default_split, load_instance
+
+_HEADER = (
+    *("task", "what happens, and how it is asked for"),
+    *("sub-\ntasks", "objects", "distractors", "stick"),
+)
 
 
 def tasks(as_json: JsonFlag = False) -> int:
@@ -21,26 +22,17 @@ def tasks(as_json: JsonFlag = False) -> int:
     if as_json:
         print_json(records)
         return 0
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 1, 0))
-    table.add_column("task", style="bold", no_wrap=True)
-    for heading in ("sub-\ntasks", "objects", "distractors"):
-        table.add_column(heading, justify="right")
-    table.add_column("stick")
-    table.add_column("what happens, and how it is asked for", ratio=1)
-    for record in records:
-        low, high = record["objects"]
-        few, many = record["distractors"]
-        table.add_row(
-            Text.assemble(record["task"], "\n", (record["gym_id"], "not bold dim")),
-            str(record["subtasks"]),
-            f"{low}-{high}",
-            f"{few}-{many}",
-            "used" if record["stick"] else "–",
-            Text.assemble(
-                record["summary"], "\n", (record["high_level"], "italic dim")
-            ),
+    rows = [
+        (
+            f"{one['task']}\n{one['gym_id']}",
+            f"{one['summary']}\n“{one['high_level']}”\n",
+            one["subtasks"],
+            *("{}-{}".format(*one[name]) for name in ("objects", "distractors")),
+            "used" if one["stick"] else "–",
         )
-    output().print(table)
+        for one in records
+    ]
+    print_table(_HEADER, rows, labels=2)
     return 0
 
 

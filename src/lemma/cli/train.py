@@ -4,10 +4,15 @@ from dataclasses import asdict
 from typing import Annotated
 
 import tyro
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from lemma.cli.options import Flag, JsonFlag, messages, output, print_json
+from lemma.cli.options import (
+    Flag,
+    JsonFlag,
+    messages,
+    output,
+    print_json,
+    print_table,
+)
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.training.config import TrainingConfig
 
@@ -61,16 +66,13 @@ def train(
 
 def _print(config: TrainingConfig, report: object) -> None:
     told = vars(report)
-    table = Table(box=SIMPLE_HEAD, title_justify="left")
-    table.add_column("score")
-    table.add_column("best weights", justify="right")
     kinds = told["scores_by_kind"]
-    for kind in kinds:
-        table.add_column(kind.replace("_", " "), justify="right")
-    for name, score in told["scores"].items():
-        of_kinds = [f"{kinds[kind][name]:.4f}" for kind in kinds]
-        table.add_row(name, f"{score:.4f}", *of_kinds)
-    output().print(table)
+    rows = [
+        (name, *(f"{of[name]:.4f}" for of in (told["scores"], *kinds.values())))
+        for name in told["scores"]
+    ]
+    header = ("score", "best weights", *(kind.replace("_", " ") for kind in kinds))
+    print_table(header, rows)
     output().print(
         f"{config.out / 'weights.safetensors'}: {told['parameters']:,} weights from "
         f"step {told['best_step']} of {told['steps']}, in {told['seconds']:.0f} s of "

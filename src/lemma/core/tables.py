@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+from collections.abc import Container
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -79,8 +80,12 @@ class Table:
             lines.append(rf"  \label{{{label}}}")
         return "\n".join((*lines, r"\end{table}")) + "\n"
 
-    def terminal(self) -> "rich.table.Table":
-        """Return it for a terminal, numbers to the right."""
+    def terminal(self, bold: Container[int] = ()) -> "rich.table.Table":
+        """Return it for a terminal, numbers to the right.
+
+        Args:
+            bold: Numbers of rows that stand out.
+        """
         # Imported here, so that packages without a terminal do without it.
         from rich.box import SIMPLE_HEAD  # noqa: PLC0415
         from rich.table import Table as RichTable  # noqa: PLC0415
@@ -89,12 +94,15 @@ class Table:
         # Four kinds of instructions fit into 80 columns without the edge.
         shown = RichTable(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
         for number, heading in enumerate(self.header):
-            if number < self.labels:
-                shown.add_column(Text(heading), style="bold", no_wrap=True)
-            else:
-                shown.add_column(Text(heading), justify="right", no_wrap=True)
-        for row in self.rows:
-            shown.add_row(*map(Text, row))
+            shown.add_column(
+                Text(heading),
+                style="bold" if number == 0 else "",
+                justify="left" if number < self.labels else "right",
+                # Sentences may take several lines; names and numbers do not.
+                no_wrap=not 0 < number < self.labels,
+            )
+        for number, row in enumerate(self.rows):
+            shown.add_row(*map(Text, row), style="bold" if number in bold else "")
         return shown
 
 

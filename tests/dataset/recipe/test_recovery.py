@@ -19,7 +19,7 @@ from perturbed_recipes import (
 )
 from recipes import bytes_of, small_order, small_recipe
 
-from lemma.cli.generate import GenerateOptions
+from lemma.cli.generate import order_of
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import read_json, write_json
 from lemma.core.workers.pool import ProcessPool
@@ -320,13 +320,13 @@ def test_the_verb_says_what_it_came_to(
 
 
 def test_perturbed_executions_have_a_place_of_their_own() -> None:
-    order = GenerateOptions(perturb=0.3).order(None)
+    order = order_of(perturb=0.3)
     assert order.out == Path("data/lemma-v2-recovery")
     assert order.splits == ("train",)
-    assert GenerateOptions().order(None).out == Path("data/lemma-v2")
-    assert GenerateOptions().order(None).splits == ("train", "val", "test")
+    assert order_of().out == Path("data/lemma-v2")
+    assert order_of().splits == ("train", "val", "test")
     with pytest.raises(InvalidConfigError, match="Add --perturb"):
-        GenerateOptions(perturb_seed=1).order(None)
+        order_of(perturb_seed=1)
 
 
 @pytest.mark.parametrize("probability", [0.0, -0.1, 1.1, math.nan])
