@@ -22,14 +22,6 @@ def run(code: str) -> str:
     return done.stdout
 
 
-def test_import_loads_nothing_heavy() -> None:
-    heavy = run(
-        "import sys, lemma\n"
-        "print({'mujoco', 'numba', 'scipy', 'torch', 'pettingzoo'} & set(sys.modules))"
-    )
-    assert heavy == "set()\n"
-
-
 def test_what_is_wrong_with_a_module_is_not_hidden(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

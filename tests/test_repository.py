@@ -159,17 +159,12 @@ def test_test_files_have_different_names() -> None:
 def test_import_is_silent_and_light() -> None:
     code = (
         "import sys, lemma\n"
-        "heavy = {'torch', 'mujoco', 'numba'} & set(sys.modules)\n"
+        "heavy = {'torch', 'mujoco', 'numba', 'scipy', 'pettingzoo'}\n"
+        "heavy &= set(sys.modules)\n"
         "sys.exit(f'imported {sorted(heavy)}' if heavy else 0)"
     )
     done = run_python("-W", "error", "-c", code)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-
-
-def test_public_names_resolve() -> None:
-    names = vars(lemma)["__all__"]
-    assert names
-    assert [name for name in names if getattr(lemma, name, None) is None] == []
 
 
 def test_public_names_stand_on_a_page_of_the_api() -> None:

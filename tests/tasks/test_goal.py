@@ -92,14 +92,6 @@ def test_beside_a_cube(scene: Scene, away: float, bearing: float) -> None:
         assert not ON_CUBE.holds(scene)
 
 
-def test_on_the_cube_on_the_cube_is_not_on_the_lower_one(scene: Scene) -> None:
-    put(scene, "green_cube", 0.3, 0.3, HALF)
-    put(scene, "blue_cube", 0.3, 0.3, 3 * HALF - PRESS)
-    put(scene, "red_cube", 0.3, 0.3, 5 * HALF - 2 * PRESS)
-    assert ON_CUBE.holds(scene)
-    assert not On("red_cube", "green_cube").holds(scene)
-
-
 def test_a_tower_on_a_pad_puts_only_its_foot_on_the_pad(scene: Scene) -> None:
     foot = PAD_THICKNESS_M + HALF
     put(scene, "blue_cube", PAD.x, PAD.y, foot)

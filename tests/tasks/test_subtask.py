@@ -8,17 +8,6 @@ from lemma.core.poses import Pose2
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 
-def test_primitives_are_those_of_the_paper() -> None:
-    assert [str(p) for p in Primitive] == [
-        "move",
-        "prehook",
-        "hook",
-        "prepoke",
-        "poke",
-        "stop",
-    ]
-
-
 @pytest.mark.parametrize(
     "subtask",
     [
