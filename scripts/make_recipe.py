@@ -16,13 +16,65 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from lemma.core.errors import DatasetError
+from lemma.core.files import write_json, write_text
 from lemma.core.workers.pool import ProcessPool
-from lemma.dataset.recipe.digests import export
+from lemma.dataset.files import (
+    MANIFEST,
+    content_digest,
+    listed_files,
+    listed_versions,
+)
+from lemma.dataset.recipe.files import load
 from lemma.dataset.recipe.generate import GenerateConfig, generate
-from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.replay import replay_all
+from lemma.dataset.recipe.schema import executions, perturbed_as
 
+VERSIONS = ("benchmark", "format", "mujoco", "revision")
+"""Entries that are kept with the digests."""
 STEPS = ("generate", "replay", "digests")
+
+
+def export(folder: Path, out: Path) -> dict[str, Any]:
+    """Write the digests of a recipe as files to be committed.
+
+    Args:
+        folder: The recipe.
+        out: Where they go, ``src/lemma/dataset/digests``.
+
+    Returns:
+        The manifest that was written beside them.
+
+    Raises:
+        DatasetError: The recipe holds perturbed executions.
+    """
+    versions = listed_versions(folder)
+    if perturbed_as(versions):
+        raise DatasetError(
+            f"{folder} holds {executions(versions)}, which are no part of the "
+            "benchmark. Export the digests of demonstrations."
+        )
+    lists: dict[str, dict[str, list[str]]] = {}
+    for name, entry in listed_files(folder).items():
+        split, _, task = name.removesuffix(".parquet").partition("/")
+        lists.setdefault(split, {})[task] = entry["digests"]
+    for split, tasks in lists.items():
+        for task, digests in tasks.items():
+            write_text(out / f"{task}-{split}.txt", "\n".join(digests) + "\n")
+    manifest = {
+        "versions": {name: versions[name] for name in VERSIONS},
+        "splits": {
+            split: {
+                "episodes": sum(len(digests) for digests in tasks.values()),
+                "sha256": content_digest(
+                    [d for task in sorted(tasks) for d in tasks[task]]
+                ),
+            }
+            for split, tasks in lists.items()
+        },
+    }
+    write_json(out / MANIFEST, manifest)
+    return manifest
 
 
 class Progress:

@@ -12,7 +12,7 @@ from lemma.registration import make, parallel_env, register_environments
 
 if TYPE_CHECKING:
     from lemma.core.plugins import load_plugins
-    from lemma.dataset.recipe.reader import load
+    from lemma.dataset.recipe.files import load
     from lemma.env.episode import Episode
     from lemma.evaluation.evaluation import Evaluation, evaluate
     from lemma.expert.expert import Expert, solve
@@ -71,7 +71,7 @@ _HOMES = {
     "TASKS": "lemma.tasks.suite",
     "Task": "lemma.tasks.task",
     "evaluate": "lemma.evaluation.evaluation",
-    "load": "lemma.dataset.recipe.reader",
+    "load": "lemma.dataset.recipe.files",
     "load_instance": "lemma.tasks.suite",
     "load_plugins": "lemma.core.plugins",
     "solve": "lemma.expert.expert",

@@ -28,7 +28,6 @@ from lemma.core.workers.resumable import check_same_job
 from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.recipe import files
-from lemma.dataset.recipe.digests import export
 from lemma.dataset.recipe.files import (
     METADATA_KEY,
     REVISION_VARIABLE,
@@ -40,6 +39,7 @@ from lemma.dataset.recipe.files import (
 from lemma.dataset.recipe.generate import generate
 from lemma.dataset.recipe.schema import SCHEMA, from_table, to_table
 from lemma.tasks.instance import BENCHMARK_VERSION
+from make_recipe import export
 
 ABOUT = versions(BENCHMARK_VERSION)
 

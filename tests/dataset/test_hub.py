@@ -18,7 +18,7 @@ from recipes import bytes_of, made_up, write_recipe
 from lemma.core.errors import DatasetError
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.hub import pull, push
-from lemma.dataset.recipe.reader import load
+from lemma.dataset.recipe.files import load
 
 NAME = "me/data"
 

@@ -15,13 +15,14 @@ from lemma.dataset.lerobot.frames import Style, frames
 from lemma.dataset.lerobot.sources import check_source
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import count_steps, iterate_steps
-from lemma.dataset.teleoperation.perform import perform
-from lemma.dataset.teleoperation.record import files_in, read_record
-from lemma.dataset.teleoperation.schema import (
+from lemma.dataset.teleoperation import (
     Commanded,
     Executed,
     Teleoperation,
+    files_in,
     joints_sha256,
+    perform,
+    read_record,
 )
 from lemma.env.episode import Episode
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
@@ -44,7 +45,8 @@ def done() -> Teleoperation:
         pass
     step = rollout.steps[0]
     assert step.grounded is not None
-    begun = Executed(0.0, step.subtask, step.grounded, until_s=STARTS_S)
+    begun = Executed.begin(0.0, step.subtask, step.grounded)
+    begun = replace(begun, until_s=STARTS_S)
     episode = Episode(instance)
     draft = Teleoperation(instance, "put it there", (begun,), (), STARTS_S, "")
     perform(draft, episode)

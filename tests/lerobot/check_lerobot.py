@@ -26,9 +26,13 @@ from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.labels import label
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import iterate_steps
-from lemma.dataset.teleoperation.perform import perform
-from lemma.dataset.teleoperation.record import read_record
-from lemma.dataset.teleoperation.schema import Executed, Teleoperation, joints_sha256
+from lemma.dataset.teleoperation import (
+    Executed,
+    Teleoperation,
+    joints_sha256,
+    perform,
+    read_record,
+)
 from lemma.env.episode import Episode
 from lemma.scene.rendering.renderer import Renderer
 from lemma.tasks.instance import Instance
@@ -239,7 +243,7 @@ def test_what_was_led_by_hand_becomes_a_data_set(tmp_path: Path) -> None:
     instance = Instance.from_dict(known.instance_data())
     row = known.subtasks[0]
     names = row.robot, Primitive(row.primitive), row.pick, row.place
-    begun = Executed(0.0, SubTask(*names), row.grounded, until_s=2.0)
+    begun = replace(Executed.begin(0.0, SubTask(*names), row.grounded), until_s=2.0)
     episode = Episode(instance)
     done = Teleoperation(instance, "Watch me.", (begun,), (), 3.0, "")
     perform(done, episode)

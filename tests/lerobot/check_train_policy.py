@@ -14,7 +14,7 @@ from small_recipe import TASKS, recipe
 import lemma
 from demonstration_film import AROUND, FIRST, FOCUS, Film, film
 from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style, frames
-from lemma.dataset.recipe.reader import read_group
+from lemma.dataset.recipe.files import read_group
 from lemma.env.learning.motor_state import WAYPOINT
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.control.interfaces import ControlInput

@@ -5,8 +5,8 @@ from pathlib import Path
 from kept import kept_folder
 
 from lemma.core.workers.serial import Serial
+from lemma.dataset.recipe.files import load
 from lemma.dataset.recipe.generate import GenerateConfig, generate
-from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.schema import PerturbedRecord
 from lemma.expert.disturbances import Perturbation
 

@@ -14,8 +14,7 @@ from kept import kept_folder
 
 from lemma.core.files import sha256_of, write_json
 from lemma.core.workers.serial import Serial
-from lemma.dataset.files import MANIFEST
-from lemma.dataset.recipe.digests import content_digest, shorten
+from lemma.dataset.files import MANIFEST, content_digest, shorten
 from lemma.dataset.recipe.files import versions, write_table
 from lemma.dataset.recipe.generate import GenerateConfig, generate, recipe_file
 from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord, to_table

@@ -15,7 +15,7 @@ from lemma import make
 from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
-from lemma.dataset.teleoperation.schema import Commanded, Executed, Teleoperation
+from lemma.dataset.teleoperation import Commanded, Executed, Teleoperation
 from lemma.evaluation.run.loading import load_policy
 from lemma.policies.control.recorded import Recorded
 from lemma.policies.spec import PolicySpec

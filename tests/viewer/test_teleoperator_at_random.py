@@ -9,8 +9,13 @@ from looked_at import session_of, until
 
 from lemma.core.errors import LemmaError
 from lemma.core.poses import Pose2
-from lemma.dataset.teleoperation.perform import is_same, perform
-from lemma.dataset.teleoperation.schema import Commanded, Executed, Teleoperation
+from lemma.dataset.teleoperation import (
+    Commanded,
+    Executed,
+    Teleoperation,
+    is_same,
+    perform,
+)
 from lemma.env.episode import Episode
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.request import EpisodeRequest

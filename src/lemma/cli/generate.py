@@ -19,11 +19,11 @@ from lemma.cli.options import (
 )
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.recipe.digests import differing
+from lemma.dataset.recipe.files import load
 from lemma.dataset.recipe.generate import GenerateConfig, GenerateSummary
 from lemma.dataset.recipe.generate import generate as write_recipe
-from lemma.dataset.recipe.reader import load
-from lemma.dataset.recipe.recovery import RecoveryFigures, recovery_figures
+from lemma.dataset.recipe.replay import differing
+from lemma.dataset.recipe.summary import RecoveryFigures, recovery_figures
 from lemma.expert.disturbances import Perturbation
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
@@ -94,7 +94,7 @@ def generate(
     recovery = recovery_figures(load(out)) if order.perturb else None
     others = None if recovery else differing(out)
     if as_json:
-        told = {"recovery": recovery.to_dict()} if recovery else {"differing": others}
+        told = {"recovery": asdict(recovery)} if recovery else {"differing": others}
         print_json({**found, **told})
         return 0
     shown = _FORMS if found["made"] else {n: _FORMS[n] for n in _IF_NOTHING_WAS_MADE}

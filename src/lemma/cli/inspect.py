@@ -15,8 +15,7 @@ from lemma.cli.options import (
 )
 from lemma.cli.replay import Folder, choose
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.recipe.files import open_table
-from lemma.dataset.recipe.reader import Recipe, load
+from lemma.dataset.recipe.files import Recipe, load, open_table
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.recipe.summary import ALL, GroupSummary, RecipeSummary, summarize
 from lemma.tasks.language.template import KINDS

@@ -25,7 +25,7 @@ from lemma.dataset.lerobot.frames import EnvironmentState, Style
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.dataset.rendered.render import render as render_form
-from lemma.dataset.teleoperation.record import files_in
+from lemma.dataset.teleoperation import files_in
 from lemma.env.learning.motor_state import MotorControl
 from lemma.scene.rendering.batch import choose_renderer
 from lemma.tasks.language.template import KINDS

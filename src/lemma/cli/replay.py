@@ -20,10 +20,9 @@ from lemma.cli.options import (
 from lemma.cli.options import Folder as OutFolder
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.recipe.reader import Recipe, load
+from lemma.dataset.recipe.files import Recipe, load
 from lemma.dataset.recipe.replay import Replay, replay_all
-from lemma.dataset.teleoperation.perform import is_same, perform
-from lemma.dataset.teleoperation.schema import Teleoperation, is_teleoperated
+from lemma.dataset.teleoperation import Teleoperation, is_same, is_teleoperated, perform
 from lemma.env.episode import Episode
 
 _AT_INTERRUPT = (

@@ -1,5 +1,8 @@
-"""The manifest of a data set, and its checksums."""
+"""The manifest of a data set, its checksums, and its card."""
 
+import hashlib
+from collections.abc import Iterable
+from importlib.resources import files as resources
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -21,6 +24,17 @@ class _Entry(msgspec.Struct):
     digests: tuple[str, ...] = ()
     bytes: int = 0
     episodes: int = 0
+
+
+def card(name: str, **values: object) -> str:
+    """Return the README of a data set, with the header that the Hub reads.
+
+    Args:
+        name: Name of a text in the folder ``cards``.
+        **values: Values of its fields.
+    """
+    text = resources("lemma.dataset") / "cards" / f"{name}.md"
+    return text.read_text(encoding="utf-8").format(**values)
 
 
 def check_free(folder: Path, *, begun: bool) -> None:
@@ -121,3 +135,13 @@ def check_sum(path: Path, entry: dict[str, Any], written: str) -> None:
             f"damaged. Fetch it again, or delete it and run '{written}' again: it "
             "writes what is missing."
         )
+
+
+def shorten(digest: str) -> str:
+    """Return the first 128 bits of a SHA-256, as hexadecimal digits."""
+    return digest[:32]
+
+
+def content_digest(digests: Iterable[str]) -> str:
+    """Return the SHA-256 of a list of digests: of what a file or a split says."""
+    return hashlib.sha256("".join(digests).encode()).hexdigest()

@@ -10,21 +10,19 @@ from recipes import made_up, small_recipe, write_recipe
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.files import read_json
-from lemma.dataset.files import MANIFEST
-from lemma.dataset.recipe.digests import (
-    content_digest,
-    differing,
-    digest_manifest,
-    expected_digests,
-    export,
-    shorten,
-)
+from lemma.dataset.files import MANIFEST, content_digest, shorten
 from lemma.dataset.recipe.files import versions
 from lemma.dataset.recipe.record import record_episode
+from lemma.dataset.recipe.replay import (
+    differing,
+    expected_digests,
+)
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import SUITE, load_instance
+from make_recipe import export
 
 LISTS = [(task, split) for task in SUITE for split in SPLITS]
+DIGESTS = Path(str(files("lemma.dataset") / "digests"))
 SEED = 20230802
 
 
@@ -37,22 +35,21 @@ def test_every_frozen_instance_has_a_digest(task: str, split: str) -> None:
 
 @pytest.mark.parametrize("split", SPLITS)
 def test_the_manifest_has_the_sha256_of_every_split(split: str) -> None:
-    entry = digest_manifest()["splits"][split]
+    entry = read_json(DIGESTS / MANIFEST)["splits"][split]
     every = [d for task in sorted(SUITE) for d in expected_digests(task, split)]
     assert entry == {"episodes": len(every), "sha256": content_digest(every)}
 
 
 def test_digests_are_of_this_benchmark_and_engine() -> None:
     here = versions(BENCHMARK_VERSION)
-    found = digest_manifest()["versions"]
+    found = read_json(DIGESTS / MANIFEST)["versions"]
     assert found["benchmark"] == here["benchmark"]
     assert found["format"] == here["format"]
     assert found["mujoco"] == here["mujoco"]
 
 
 def test_digests_are_small() -> None:
-    folder = files("lemma.dataset") / "digests"
-    assert sum(len(entry.read_bytes()) for entry in folder.iterdir()) < 400_000
+    assert sum(len(entry.read_bytes()) for entry in DIGESTS.iterdir()) < 400_000
 
 
 @pytest.mark.skipif(

@@ -15,16 +15,15 @@ from lemma.core.workers.pool import ProcessPool
 from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe import generate as generating
-from lemma.dataset.recipe.digests import differing
-from lemma.dataset.recipe.files import open_table, versions, write_table
+from lemma.dataset.recipe.files import load, open_table, versions, write_table
 from lemma.dataset.recipe.generate import (
     GenerateConfig,
     generate,
     generate_part,
     recipe_file,
 )
-from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.record import record_episode
+from lemma.dataset.recipe.replay import differing
 from lemma.dataset.recipe.schema import EpisodeRecord, to_table
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.suite import SUITE
@@ -34,7 +33,7 @@ ABOUT = versions(BENCHMARK_VERSION)
 
 def test_has_every_episode_of_the_order() -> None:
     recipe = load(small_recipe())
-    keys = [header.key for header in recipe.headers()]
+    keys = [row["key"] for row in recipe.rows("key")]
     assert len(keys) == len(set(keys)) == small_order(recipe.folder).total == 12
     assert all(record.success for record in recipe)
 
@@ -89,7 +88,8 @@ def test_parts_are_taken_up(tmp_path: Path) -> None:
     parts = tmp_path / ".parts"
     write_json(parts / "about.json", ABOUT)
     for index in (0, 2):
-        generate_part("stack", "val", index, str(parts / "val-stack"), ABOUT)
+        path = parts / "val-stack" / f"{index:05d}.parquet"
+        generate_part("stack", "val", index, path, ABOUT)
     (parts / "val-stack" / ".00001.parquet.77.draft").write_text("half")
     counts: list[int] = []
     assert generate(order, Serial(), counts.append).made == 10

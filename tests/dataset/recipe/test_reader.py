@@ -9,9 +9,8 @@ import pytest
 from recipes import made_up, small_recipe, write_recipe
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.dataset.recipe import reader
-from lemma.dataset.recipe.files import versions
-from lemma.dataset.recipe.reader import EpisodeHeader, load
+from lemma.dataset.recipe import files
+from lemma.dataset.recipe.files import load, versions
 from lemma.tasks.instance import BENCHMARK_VERSION
 
 
@@ -49,15 +48,6 @@ def test_parts_by_task_and_split(long_recipe: Path) -> None:
     assert recipe.select(task="pass").files()[0].parent.name == "test"
 
 
-def test_headers_are_read_without_states(long_recipe: Path) -> None:
-    headers = list(load(long_recipe).headers())
-    first = made_up("pass", "test", 0)
-    assert headers[0] == EpisodeHeader(
-        *(first.key, "pass", "test", 0, first.team, first.distractors)
-    )
-    assert [header.index for header in headers[5:]] == list(range(45))
-
-
 def test_columns_are_read_alone(long_recipe: Path) -> None:
     rows = list(load(long_recipe)[4:7].rows("task", "index"))
     assert rows == [
@@ -89,7 +79,7 @@ def test_few_groups_are_kept(
     long_recipe: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reads: list[int] = []
-    read = reader.read_group
+    read = files.read_group
 
     def count(path: Path, group: int) -> list[object]:
         reads.append(group)
@@ -153,7 +143,7 @@ def test_reading_needs_neither_simulator_nor_torch() -> None:
         "record = recipe.find('stack', 'test', 2)\n"
         "assert record.state(0).dtype == '<f8' and record.state(0).size > 100\n"
         "assert schema.from_table(schema.to_table([record])) == [record]\n"
-        "print(record.key, len(list(recipe.headers())), record.digest()[:4])\n"
+        'print(record.key, len(list(recipe.rows("key"))), record.digest()[:4])\n'
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr == ""

@@ -24,14 +24,12 @@ from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import read_json, write_json
 from lemma.core.workers.pool import ProcessPool
 from lemma.core.workers.serial import Serial
-from lemma.dataset.files import MANIFEST
+from lemma.dataset.files import MANIFEST, shorten
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
-from lemma.dataset.recipe.digests import expected_digests, export, shorten
-from lemma.dataset.recipe.files import METADATA_KEY, open_table
+from lemma.dataset.recipe.files import METADATA_KEY, load, open_table
 from lemma.dataset.recipe.generate import generate, generate_part, recipe_file
-from lemma.dataset.recipe.reader import load
-from lemma.dataset.recipe.recovery import record_perturbed, recovery_figures
-from lemma.dataset.recipe.replay import replay_all
+from lemma.dataset.recipe.record import record_perturbed
+from lemma.dataset.recipe.replay import expected_digests, replay_all
 from lemma.dataset.recipe.schema import (
     PERTURBED_SCHEMA,
     SCHEMA,
@@ -41,6 +39,7 @@ from lemma.dataset.recipe.schema import (
     from_table,
     to_table,
 )
+from lemma.dataset.recipe.summary import recovery_figures
 from lemma.dataset.rendered.keyframes.capture import KeyframeForm
 from lemma.dataset.rendered.keyframes.dataset import KeyframeDataset
 from lemma.dataset.rendered.keyframes.schema import FORM, KEYFRAMES_VERSION, Header
@@ -54,6 +53,7 @@ from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import STOP
 from lemma.tasks.suite import load_instance
+from make_recipe import export
 
 DECISION = ("robot", "primitive", "pick", "place")
 
@@ -121,7 +121,8 @@ def test_processes_and_interrupted_runs_write_the_same_bytes(tmp_path: Path) -> 
     about = open_table(recipe_file(perturbed_recipe(), "train", "stack"))[1]
     parts = tmp_path / ".parts"
     write_json(parts / "about.json", dict(about))
-    generate_part("hook", "train", 1, str(parts / "train-hook"), about)
+    path = parts / "train-hook" / "00001.parquet"
+    generate_part("hook", "train", 1, path, about)
     counts: list[int] = []
     assert generate(order, ProcessPool(2), counts.append).made == 3
     assert counts[0] == 1

@@ -13,9 +13,8 @@ from recipes import made_up, small_recipe, write_recipe
 from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import ProcessPool
 from lemma.core.workers.serial import Serial
-from lemma.dataset.recipe.files import versions
+from lemma.dataset.recipe.files import load, versions
 from lemma.dataset.recipe.generate import recipe_file
-from lemma.dataset.recipe.reader import load
 from lemma.dataset.recipe.replay import check_versions, replay, replay_all
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.tasks.instance import BENCHMARK_VERSION

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from recipes import made_up, small_recipe, write_recipe
 
-from lemma.dataset.recipe.reader import load
+from lemma.dataset.recipe.files import load
 from lemma.dataset.recipe.summary import Spread, summarize
 
 

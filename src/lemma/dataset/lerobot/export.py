@@ -28,8 +28,7 @@ from lemma.core.files import (
 )
 from lemma.core.workers.pool import Engine
 from lemma.core.workers.resumable import NEW_FOLDER, PARTS, Part, begin, do_missing
-from lemma.dataset.files import CARD
-from lemma.dataset.lerobot.card import EXTRAS, card
+from lemma.dataset.files import CARD, card
 from lemma.dataset.lerobot.frames import (
     Style,
     describe_episode,
@@ -48,6 +47,8 @@ from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.names import task_rank
 
+EXTRAS = "extras"
+"""Folder of facts that the format has no place for."""
 REPO_ID = "lemma/export"
 """Name of the data sets, which lerobot asks for."""
 _GROUP = ".group"
@@ -322,7 +323,18 @@ def _assemble(
         {"episodes": [{"episode_index": n, **e} for n, e in enumerate(episodes)]},
     )
     keep_source(order.out / EXTRAS, files)
-    write_text(order.out / CARD, card(info))
+    rows = "\n".join(
+        f"| `{name}` | {each['dtype']} | {' x '.join(map(str, each['shape']))} |"
+        for name, each in info["features"].items()
+    )
+    text = card(
+        "lerobot",
+        episodes=info["total_episodes"],
+        frames=info["total_frames"],
+        fps=info["fps"],
+        features=rows,
+    )
+    write_text(order.out / CARD, text)
     for part in _PARTS:
         rmtree(order.out / part, ignore_errors=True)
         # Without pictures there are no videos.

@@ -10,12 +10,10 @@ from lemma.core.files import read_json, write_json, write_whole
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.instructions import TRAINING_KINDS, check_recorded
 from lemma.dataset.lerobot.frames import Style
-from lemma.dataset.recipe.files import open_table
-from lemma.dataset.recipe.reader import read_group
+from lemma.dataset.recipe.files import open_table, read_group
 from lemma.dataset.recipe.replay import check_versions
 from lemma.dataset.recipe.schema import EpisodeRecord, perturbed_as
-from lemma.dataset.teleoperation.record import read_record
-from lemma.dataset.teleoperation.schema import Commanded, Teleoperation
+from lemma.dataset.teleoperation import Commanded, Teleoperation, read_record
 from lemma.env.control.modes import CONTROLS
 from lemma.env.control.pose_controllers import PoseController
 from lemma.env.learning.motor_state import WAYPOINT

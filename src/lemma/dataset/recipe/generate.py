@@ -16,7 +16,13 @@ from typing import Any
 import pyarrow as pa
 
 from lemma.core.errors import DatasetError, InvalidConfigError, SamplingError
-from lemma.core.files import only_writer, read_json, sha256_of, write_json
+from lemma.core.files import (
+    only_writer,
+    read_json,
+    sha256_of,
+    write_json,
+    write_text,
+)
 from lemma.core.workers.pool import Engine
 from lemma.core.workers.resources import peak_memory_mb
 from lemma.core.workers.resumable import (
@@ -28,23 +34,29 @@ from lemma.core.workers.resumable import (
     do_missing,
 )
 from lemma.dataset.files import (
+    CARD,
     MANIFEST,
+    card,
     check_free,
     check_sum,
+    content_digest,
     listed_files,
     listed_versions,
+    shorten,
 )
-from lemma.dataset.recipe.card import write_card
-from lemma.dataset.recipe.digests import content_digest, shorten
 from lemma.dataset.recipe.files import (
     open_table,
     read_table,
     versions,
     write_table,
 )
-from lemma.dataset.recipe.record import record_episode
-from lemma.dataset.recipe.recovery import described, perturbation_of, record_perturbed
-from lemma.dataset.recipe.schema import EpisodeRecord, from_table, to_table
+from lemma.dataset.recipe.record import (
+    described,
+    perturbation_of,
+    record_episode,
+    record_perturbed,
+)
+from lemma.dataset.recipe.schema import EpisodeRecord, describe, from_table, to_table
 from lemma.expert.disturbances import Perturbation
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
@@ -117,14 +129,10 @@ class _File:
     task: str
     split: str
     path: Path
-    parts: Path
+    parts: tuple[Path, ...]
+    """Files of its episodes, one each, until all exist."""
     there: int
     """Episodes that the file holds already."""
-    wanted: int
-
-    def part(self, index: int) -> Path:
-        """Return the file of one episode until all exist."""
-        return part_file(self.parts, index)
 
 
 def recipe_file(folder: Path, split: str, task: str) -> Path:
@@ -168,7 +176,10 @@ def generate(
         made, worker_mb = _work(listed, engine, about, advance)
         rmtree(order.out / PARTS, ignore_errors=True)
         _write_manifest(order.out, about)
-        write_card(order.out, about)
+        name = "perturbed" if order.perturb else "recipe"
+        more = "\n".join(describe(perturbed=True).splitlines()[2:])
+        text = card(name, columns=describe(), more=more, **about)
+        write_text(order.out / CARD, text)
     size = sum(file.path.stat().st_size for file in listed)
     seconds = perf_counter() - start
     return GenerateSummary(order.total, made, seconds, size / 1e6, worker_mb)
@@ -187,26 +198,25 @@ def _work(
     """
     parts = []
     left: Counter[tuple[str, str]] = Counter()
-    by_name = {(file.split, file.task): file for file in listed}
+    by_name = {(file.task, file.split): file for file in listed}
     for name, file in by_name.items():
-        # Absolute, because workers of a cluster have another working folder.
-        folder = str(file.parts.absolute())
-        for index in range(file.wanted):
-            is_done = index < file.there or file.part(index).exists()
+        for index, path in enumerate(file.parts):
+            is_done = index < file.there or path.exists()
             left[name] += not is_done
-            job = (file.task, file.split, index, folder, about)
-            parts.append(Part(job, 1, is_done))
+            # Absolute, because workers of a cluster have another working folder.
+            parts.append(Part((*name, index, path.absolute(), about), 1, is_done))
         if not left[name]:
             _put_together(file, about)
     worker_mb, failures = 0.0, []
-    for _, made in do_missing(parts, generate_part, engine, advance):
-        worker_mb = max(worker_mb, made.worker_mb)
-        if made.failure is not None:
-            failures.append(made.failure)
+    for part, (failure, used_mb) in do_missing(parts, generate_part, engine, advance):
+        worker_mb = max(worker_mb, used_mb)
+        if failure is not None:
+            failures.append(failure)
             continue
-        left[made.split, made.task] -= 1
-        if not left[made.split, made.task]:
-            _put_together(by_name[made.split, made.task], about)
+        name = part.arguments[:2]
+        left[name] -= 1
+        if not left[name]:
+            _put_together(by_name[name], about)
         advance(1)
     if failures:
         raise DatasetError(
@@ -218,22 +228,14 @@ def _work(
     return sum(not part.is_done for part in parts), worker_mb
 
 
-@dataclass(frozen=True, slots=True)
-class Made:
-    """The answer of a worker about one episode."""
-
-    task: str
-    split: str
-    failure: str | None
-    """The episode that failed, and why; None if it was written."""
-    worker_mb: float
-    """Most memory that the worker ever held [MB]."""
-
-
 def generate_part(
-    task: str, split: str, index: int, parts: str, about: dict[str, str]
-) -> Made:
+    task: str, split: str, index: int, path: Path, about: dict[str, str]
+) -> tuple[str | None, float]:
     """Write one episode as a part, if the expert solves it, or if it was perturbed.
+
+    Returns:
+        The episode that failed and why, None if it was written; and the most memory
+        that this process ever held [MB].
 
     Raises:
         DatasetError: It cannot be written.
@@ -242,7 +244,7 @@ def generate_part(
     try:
         instance = load_instance(task, split, index)
     except SamplingError as error:
-        return Made(task, split, f"{task}/{split}/{index}: {error}", peak_memory_mb())
+        return f"{task}/{split}/{index}: {error}", peak_memory_mb()
     record: EpisodeRecord
     if perturbation is not None:
         record = record_perturbed(instance, perturbation)
@@ -252,13 +254,8 @@ def generate_part(
         if not record.success and split != FREE_SPLIT:
             failure = f"{record.key} ({record.failure})"
     if failure is None:
-        write_table(part_file(Path(parts), index), to_table([record]), about)
-    return Made(task, split, failure, peak_memory_mb())
-
-
-def part_file(parts: Path, index: int) -> Path:
-    """Return the file of one episode until all of its list exist."""
-    return parts / f"{index:05d}.parquet"
+        write_table(path, to_table([record]), about)
+    return failure, peak_memory_mb()
 
 
 def _look(order: GenerateConfig, split: str, task: str, about: dict[str, str]) -> _File:
@@ -267,19 +264,19 @@ def _look(order: GenerateConfig, split: str, task: str, about: dict[str, str]) -
     Raises:
         DatasetError: It is of another version, or holds more than is wanted.
     """
-    path = recipe_file(order.out, split, task)
+    path, there = recipe_file(order.out, split, task), 0
     parts, wanted = order.out / PARTS / f"{split}-{task}", order.count(split)
-    if not path.exists():
-        return _File(task, split, path, parts, 0, wanted)
-    file, found = open_table(path)
-    check_same_job(path, found, about)
-    there = file.metadata.num_rows
+    if path.exists():
+        file, found = open_table(path)
+        check_same_job(path, found, about)
+        there = file.metadata.num_rows
     if there > wanted:
         raise DatasetError(
             f"{path} holds {there} episodes, but {wanted} are wanted. Choose a new "
             "folder, or delete this file."
         )
-    return _File(task, split, path, parts, there, wanted)
+    paths = tuple(parts / f"{index:05d}.parquet" for index in range(wanted))
+    return _File(task, split, path, paths, there)
 
 
 def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
@@ -314,7 +311,7 @@ def _forget(
     A run that is killed after it wrote a file, and before the manifest, must not make
     that file look damaged.
     """
-    open_ended = {file.path for file in listed if file.there < file.wanted}
+    open_ended = {file.path for file in listed if file.there < len(file.parts)}
     kept = {
         name: entry
         for name, entry in known.items()
@@ -325,18 +322,16 @@ def _forget(
 
 
 def _put_together(file: _File, about: dict[str, str]) -> None:
-    if file.there == file.wanted:
+    if not (parts := file.parts[file.there :]):
         return
-    tables = [read_table(file.path)] if file.there else []
-    indices = range(file.there, file.wanted)
-    if gone := [index for index in indices if not file.part(index).exists()]:
+    if gone := [path for path in parts if not path.exists()]:
         raise DatasetError(
-            f"{file.part(gone[0])} was made, but is not there. All machines of a "
-            "cluster must see the same folder: choose one on a shared file system."
+            f"{gone[0]} was made, but is not there. All machines of a cluster must see "
+            "the same folder: choose one on a shared file system."
         )
-    tables += [read_table(file.part(index)) for index in indices]
-    write_table(file.path, pa.concat_tables(tables), about)
-    rmtree(file.parts, ignore_errors=True)
+    paths = [file.path, *parts] if file.there else parts
+    write_table(file.path, pa.concat_tables(map(read_table, paths)), about)
+    rmtree(parts[0].parent, ignore_errors=True)
 
 
 def _write_manifest(folder: Path, about: dict[str, str]) -> None:

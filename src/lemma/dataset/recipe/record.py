@@ -1,15 +1,32 @@
-"""Record an instance: the expert works, and keyframes are kept."""
+"""Record an instance: the expert works, and keyframes are kept.
+
+For recovery states the execution is perturbed. Executed sub-tasks are replayed, and are
+the memory of a policy; the expert's decisions are the labels that it learns.
+"""
 
 import json
-from collections.abc import Sequence
 from typing import Any
 
-from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord
+from lemma.core.poses import Pose2
+from lemma.core.seeding import stream
+from lemma.dataset.recipe.schema import (
+    PERTURB_KEYS,
+    EpisodeRecord,
+    ExpertRecord,
+    PerturbedRecord,
+    SubTaskRecord,
+    perturbed_as,
+)
 from lemma.env.episode import Episode
+from lemma.expert.disturbances import NONE, Mistake, Perturbation, Perturber
 from lemma.expert.expert import Expert, ExpertStep, solve
+from lemma.expert.symbolic_state import SymbolicState
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases, sub_instruction
-from lemma.tasks.subtask import SubTask
+from lemma.tasks.subtask import GroundedSubTask, SubTask
+
+_MAX_STEPS = 30
+"""Sub-tasks that a perturbed episode has at most, as those of the expert alone."""
 
 
 def record_episode(instance: Instance) -> EpisodeRecord:
@@ -51,7 +68,16 @@ class EpisodeRecorder:
         self._states.append(scene.snapshot().astype("<f8").tobytes())
         self._hashes.append(scene.state_hash())
         if step is not None:
-            self._rows.append(_row(self._episode.instance, step))
+            self._rows.append(
+                SubTaskRecord(
+                    **in_names(self._episode.instance, step.subtask),
+                    pick_pose=pose_row(step.grounded.pick),
+                    place_pose=pose_row(step.grounded.place),
+                    outcome=str(step.result.outcome),
+                    start_s=step.start_s,
+                    duration_s=step.result.duration_s,
+                )
+            )
 
     def columns(self) -> dict[str, Any]:
         """Return the fields of an :class:`EpisodeRecord`, now that it is over."""
@@ -82,26 +108,92 @@ class EpisodeRecorder:
         }
 
 
-def in_words(instance: Instance, subtask: SubTask) -> str:
-    """Return a sub-task as a sentence."""
-    if not subtask.robot:
-        return sub_instruction("", str(subtask.primitive))
-    names: Sequence[str] = robot_phrases(instance.scene.robots)
-    robot = names[instance.scene.robot_names.index(subtask.robot)]
-    return sub_instruction(robot, str(subtask.primitive), subtask.pick, subtask.place)
+def in_names(instance: Instance, subtask: SubTask) -> dict[str, str]:
+    """Return the columns of a sub-task without poses: its names, and a sentence."""
+    robot = ""
+    if subtask.robot:
+        number = instance.scene.robot_names.index(subtask.robot)
+        robot = robot_phrases(instance.scene.robots)[number]
+    names = subtask.to_dict()
+    words = sub_instruction(robot, names["primitive"], subtask.pick, subtask.place)
+    return {**names, "instruction": words}
 
 
-def _row(instance: Instance, step: ExpertStep) -> SubTaskRecord:
-    subtask, grounded = step.subtask, step.grounded
-    return SubTaskRecord(
-        robot=subtask.robot,
-        primitive=str(subtask.primitive),
-        pick=subtask.pick,
-        place=subtask.place,
-        instruction=in_words(instance, subtask),
-        pick_pose=(grounded.pick.x, grounded.pick.y, grounded.pick.yaw),
-        place_pose=(grounded.place.x, grounded.place.y, grounded.place.yaw),
-        outcome=str(step.result.outcome),
-        start_s=step.start_s,
-        duration_s=step.result.duration_s,
+def pose_row(pose: Pose2) -> tuple[float, float, float]:
+    """Return a pose as a column: x, y [m], yaw [rad]."""
+    return (pose.x, pose.y, pose.yaw)
+
+
+def record_perturbed(instance: Instance, perturbation: Perturbation) -> PerturbedRecord:
+    """Let the expert work on an instance while some of its sub-tasks go wrong.
+
+    At each keyframe an expert without memory decides. The episode ends where it says
+    ``stop``, where it has no plan, where it fails without a perturbation, and when the
+    time is up.
+
+    Args:
+        instance: The problem.
+        perturbation: How often, and which draw.
+
+    Returns:
+        The record; ``success`` says whether the expert managed in spite of it.
+    """
+    episode = Episode(instance)
+    scene = episode.simulation.scene
+    saboteur, keeper = Perturber(instance.scene), EpisodeRecorder(episode)
+    expert: list[ExpertRecord | None] = []
+    kinds: list[str] = []
+    keeper.keep()
+    for number in range(_MAX_STEPS):
+        subtask, grounded = Expert(scene, instance.goal).act()
+        if grounded is None:
+            solved = episode.progress == 1.0
+            expert.append(_known(instance, subtask, None) if solved else None)
+            break
+        expert.append(_known(instance, subtask, grounded))
+        rng = stream("perturb", instance.key, perturbation.seed, number)
+        done = Mistake(NONE, subtask, grounded)
+        if rng.random() < perturbation.probability:
+            now = SymbolicState.observe(scene)
+            done = saboteur.spoil(subtask, grounded, now, rng)
+        start = episode.elapsed_s
+        result = episode.execute(done.grounded)
+        keeper.keep(ExpertStep(done.subtask, done.grounded, result, start))
+        kinds.append(done.kind)
+        if episode.is_over:
+            break
+        if done.kind == NONE and not result.ok:
+            # The expert failed: no label.
+            expert[-1] = None
+            break
+    expert += [None] * (len(kinds) + 1 - len(expert))
+    episode.stop()
+    columns = keeper.columns()
+    columns["key"] += f"/perturbed-{perturbation.seed}"
+    return PerturbedRecord(**columns, expert=tuple(expert), perturbation=tuple(kinds))
+
+
+def _known(
+    instance: Instance, subtask: SubTask, grounded: GroundedSubTask | None
+) -> ExpertRecord:
+    return ExpertRecord(
+        **in_names(instance, subtask),
+        pick_pose=pose_row(grounded.pick) if grounded else None,
+        place_pose=pose_row(grounded.place) if grounded else None,
     )
+
+
+def described(perturbation: Perturbation | None) -> dict[str, str]:
+    """Return the entries of a record for a perturbation; none without one."""
+    if perturbation is None:
+        return {}
+    values = (f"{perturbation.probability:g}", str(perturbation.seed))
+    return dict(zip(PERTURB_KEYS, values, strict=True))
+
+
+def perturbation_of(about: dict[str, str]) -> Perturbation | None:
+    """Return the perturbation that a record names; None if none."""
+    if not perturbed_as(about):
+        return None
+    probability, seed = (about[name] for name in PERTURB_KEYS)
+    return Perturbation(float(probability), int(seed))

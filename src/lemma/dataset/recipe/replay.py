@@ -1,22 +1,29 @@
-"""Play a recipe again, and compare every state to the bit."""
+"""Compare a recipe with itself played again, and with the authors' digests.
 
+Every state is compared to the bit when a recipe is played again. The digest of every
+episode of the suite, 128 bits each, is in the package: a recipe that anybody generates
+from the frozen lists is compared with the authors' without fetching anything.
+"""
+
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from hashlib import sha256
+from functools import lru_cache
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
-from lemma.core.errors import DatasetError
+from lemma.core.errors import DatasetError, UnknownNameError
 from lemma.core.workers.pool import Engine
-from lemma.dataset.files import check_files
+from lemma.dataset.files import check_files, listed_files
 from lemma.dataset.playback import play_steps
-from lemma.dataset.recipe.files import open_table, versions
-from lemma.dataset.recipe.reader import Recipe, read_group
+from lemma.dataset.recipe.files import Recipe, open_table, read_group, versions
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.env.episode import Episode
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 
+_HERE = files("lemma.dataset") / "digests"
 _BINDING = ("format", "benchmark", "mujoco")
 """Versions that must be the same, or states cannot be."""
 
@@ -60,7 +67,7 @@ def replay(record: EpisodeRecord) -> Replay:
     drifts: list[Replay] = []
 
     def compare(keyframe: int) -> None:
-        written = sha256(record.keyframe_state[keyframe]).hexdigest()
+        written = hashlib.sha256(record.keyframe_state[keyframe]).hexdigest()
         if not scene.state_hash() == record.keyframe_sha256[keyframe] == written:
             difference = scene.snapshot() - record.state(keyframe)
             worst = float(np.abs(difference).max(initial=0.0))
@@ -101,3 +108,38 @@ def replay_group(path: Path, group: int, rows: tuple[int, ...]) -> list[Replay]:
     """Replay some episodes of one row group of a file."""
     records = read_group(path, group)
     return [replay(records[row]) for row in rows]
+
+
+def differing(folder: Path) -> list[str] | None:
+    """Return which episodes of a recipe are not what the authors' came to.
+
+    Args:
+        folder: The recipe.
+
+    Returns:
+        Task, split and index of each: ``"stack/test/3"``; empty if all are equal, None
+        if the authors have made none of its lists, such as those of a user's task.
+    """
+    found: list[str] | None = None
+    for name, entry in listed_files(folder).items():
+        split, _, task = name.removesuffix(".parquet").partition("/")
+        if not (_HERE / f"{task}-{split}.txt").is_file():
+            continue
+        pairs = zip(entry["digests"], expected_digests(task, split), strict=False)
+        others = [i for i, (mine, theirs) in enumerate(pairs) if mine != theirs]
+        found = [*(found or []), *(f"{task}/{split}/{i}" for i in others)]
+    return found
+
+
+@lru_cache
+def expected_digests(task: str, split: str) -> tuple[str, ...]:
+    """Return what the episodes of a task and split must come to, in order.
+
+    Raises:
+        UnknownNameError: There is no such list.
+    """
+    source = _HERE / f"{task}-{split}.txt"
+    if not source.is_file():
+        names = sorted(p.name.removesuffix(".txt") for p in _HERE.iterdir())
+        raise UnknownNameError("list of digests", f"{task}-{split}", names)
+    return tuple(source.read_text(encoding="ascii").split())

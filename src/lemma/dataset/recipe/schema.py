@@ -8,10 +8,11 @@ and a hash of each state, which a replay is compared with.
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 
@@ -23,120 +24,115 @@ FORMAT_VERSION = "1"
 PERTURB_KEYS = ("perturb", "perturb_seed")
 """Entries of a record that only recipes of perturbed executions have."""
 
-_TEXT = {
-    "key": "Unique name: benchmark version, task, split, index.",
-    "task": "Task.",
-    "split": "Split: train, val, test or free.",
-    "index": "Number in the split.",
-    "team": "Arm types from small to large, such as ur5+ur10.",
-    "distractors": "Objects that the goal does not need.",
-    "high_level": "The high-level instruction.",
-    "human": "The human-like instruction.",
-    "unseen": "The instruction of the unseen split; never train on it.",
-    "instance": "The whole instance as canonical JSON.",
-    "instance_sha256": "SHA-256 of that JSON.",
-    "subtasks": "What was done, in order.",
-    "keyframe_time_s": "Simulated time of every keyframe [s].",
-    "keyframe_state": "Integration state of MuJoCo, little-endian float64.",
-    "keyframe_sha256": "SHA-256 of every state.",
-    "success": "Whether the goal holds at the end.",
-    "progress": "Fraction of the goal that holds at the end.",
-    "failure": "Why it failed; null where it did not.",
-    "elapsed_s": "Simulated time that it took [s].",
-    "idle_s": "How long each robot waited [s], in the order of the robots.",
-}
-"""Meaning of every column, for the documentation and for the file itself."""
+_WORDS, _REAL = pa.string(), pa.float64()
+_NAMES = ("robot", "primitive", "pick", "place", "instruction")
 
-_PERTURBED_TEXT = {
-    "expert": "At each keyframe what the expert would do; null where it knows nothing.",
-    "perturbation": "What was done to each sub-task before it was executed, or none.",
+
+def _struct(**kinds: pa.DataType) -> pa.StructType:
+    return pa.struct([pa.field(n, kind, nullable=False) for n, kind in kinds.items()])
+
+
+_SUBTASK = _struct(
+    **dict.fromkeys(_NAMES, _WORDS),
+    **dict.fromkeys(("pick_pose", "place_pose"), pa.list_(_REAL, 3)),
+    outcome=_WORDS,
+    start_s=_REAL,
+    duration_s=_REAL,
+)
+# Poses of any length: not every pyarrow reads Parquet files in which a list of fixed
+# length is null.
+_EXPERT = pa.struct(
+    [
+        *_struct(**dict.fromkeys(_NAMES, _WORDS)),
+        *(pa.field(name, pa.list_(_REAL)) for name in ("pick_pose", "place_pose")),
+    ]
+)
+
+Columns = dict[str, tuple[pa.DataType, str]]
+"""Names of columns with type and meaning."""
+
+_COLUMNS: Columns = {
+    "key": (_WORDS, "Unique name: benchmark version, task, split, index."),
+    "task": (_WORDS, "Task."),
+    "split": (_WORDS, "Split: train, val, test or free."),
+    "index": (pa.int32(), "Number in the split."),
+    "team": (_WORDS, "Arm types from small to large, such as ur5+ur10."),
+    "distractors": (pa.int8(), "Objects that the goal does not need."),
+    "high_level": (_WORDS, "The high-level instruction."),
+    "human": (_WORDS, "The human-like instruction."),
+    "unseen": (_WORDS, "The instruction of the unseen split; never train on it."),
+    "instance": (_WORDS, "The whole instance as canonical JSON."),
+    "instance_sha256": (_WORDS, "SHA-256 of that JSON."),
+    "subtasks": (pa.list_(_SUBTASK), "What was done, in order."),
+    "keyframe_time_s": (pa.list_(_REAL), "Simulated time of every keyframe [s]."),
+    "keyframe_state": (
+        pa.list_(pa.binary()),
+        "Integration state of MuJoCo, little-endian float64.",
+    ),
+    "keyframe_sha256": (pa.list_(_WORDS), "SHA-256 of every state."),
+    "success": (pa.bool_(), "Whether the goal holds at the end."),
+    "progress": (_REAL, "Fraction of the goal that holds at the end."),
+    "failure": (_WORDS, "Why it failed; null where it did not."),
+    "elapsed_s": (_REAL, "Simulated time that it took [s]."),
+    "idle_s": (
+        pa.list_(_REAL),
+        "How long each robot waited [s], in the order of the robots.",
+    ),
+}
+
+_PERTURBED_COLUMNS: Columns = {
+    "expert": (
+        pa.list_(_EXPERT),
+        "At each keyframe what the expert would do; null where it knows nothing.",
+    ),
+    "perturbation": (
+        pa.list_(_WORDS),
+        "What was done to each sub-task before it was executed, or none.",
+    ),
 }
 """The columns that recipes of perturbed executions have beside all others."""
 
-_SUBTASK = pa.struct(
-    [
-        pa.field("robot", pa.string(), nullable=False),
-        pa.field("primitive", pa.string(), nullable=False),
-        pa.field("pick", pa.string(), nullable=False),
-        pa.field("place", pa.string(), nullable=False),
-        pa.field("instruction", pa.string(), nullable=False),
-        pa.field("pick_pose", pa.list_(pa.float64(), 3), nullable=False),
-        pa.field("place_pose", pa.list_(pa.float64(), 3), nullable=False),
-        pa.field("outcome", pa.string(), nullable=False),
-        pa.field("start_s", pa.float64(), nullable=False),
-        pa.field("duration_s", pa.float64(), nullable=False),
-    ]
-)
 
-_TYPES: dict[str, pa.DataType] = {
-    "index": pa.int32(),
-    "distractors": pa.int8(),
-    "subtasks": pa.list_(_SUBTASK),
-    "keyframe_time_s": pa.list_(pa.float64()),
-    "keyframe_state": pa.list_(pa.binary()),
-    "keyframe_sha256": pa.list_(pa.string()),
-    "success": pa.bool_(),
-    "progress": pa.float64(),
-    "elapsed_s": pa.float64(),
-    "idle_s": pa.list_(pa.float64()),
-}
-
-SCHEMA = pa.schema(
-    [
-        pa.field(
-            name,
-            _TYPES.get(name, pa.string()),
-            nullable=name == "failure",
-            metadata={"description": text},
-        )
-        for name, text in _TEXT.items()
-    ]
-)
-
-_EXPERT = pa.struct(
-    [
-        pa.field("robot", pa.string(), nullable=False),
-        pa.field("primitive", pa.string(), nullable=False),
-        pa.field("pick", pa.string(), nullable=False),
-        pa.field("place", pa.string(), nullable=False),
-        pa.field("instruction", pa.string(), nullable=False),
-        # Of any length: not every pyarrow reads Parquet files in which a list of fixed
-        # length is null.
-        pa.field("pick_pose", pa.list_(pa.float64())),
-        pa.field("place_pose", pa.list_(pa.float64())),
-    ]
-)
-
-PERTURBED_SCHEMA = pa.schema(
-    [
-        *SCHEMA,
-        *(
+def _schema(columns: Columns) -> pa.Schema:
+    return pa.schema(
+        [
             pa.field(
                 name,
                 kind,
-                nullable=False,
-                metadata={"description": _PERTURBED_TEXT[name]},
+                nullable=name == "failure",
+                metadata={"description": text},
             )
-            for name, kind in (
-                ("expert", pa.list_(_EXPERT)),
-                ("perturbation", pa.list_(pa.string())),
-            )
-        ),
-    ]
-)
+            for name, (kind, text) in columns.items()
+        ]
+    )
+
+
+SCHEMA = _schema(_COLUMNS)
+PERTURBED_SCHEMA = _schema({**_COLUMNS, **_PERTURBED_COLUMNS})
 """Columns of recipes of perturbed executions; see :class:`PerturbedRecord`."""
 
 
 @dataclass(frozen=True, slots=True)
-class SubTaskRecord:
-    """One executed sub-task."""
+class ExpertRecord:
+    """The expert's decision at a keyframe."""
 
     robot: str
+    """Empty for ``stop``, as are what to pick and where to place."""
     primitive: str
     pick: str
     place: str
     instruction: str
     """The sub-task in words."""
+    pick_pose: tuple[float, float, float] | None
+    """Gripper where it closes: x, y [m], yaw [rad]; None for ``stop``."""
+    place_pose: tuple[float, float, float] | None
+    """Gripper where the motion ends: x, y [m], yaw [rad]; None for ``stop``."""
+
+
+@dataclass(frozen=True, slots=True)
+class SubTaskRecord(ExpertRecord):
+    """One executed sub-task."""
+
     pick_pose: tuple[float, float, float]
     """Gripper where it closed: x, y [m], yaw [rad]."""
     place_pose: tuple[float, float, float]
@@ -199,10 +195,7 @@ class EpisodeRecord:
         summary = json.dumps(
             [
                 self.instance,
-                [
-                    [getattr(row, name) for name in SubTaskRecord.__slots__]
-                    for row in self.subtasks
-                ],
+                [astuple(row) for row in self.subtasks],
                 self.keyframe_time_s,
                 self.keyframe_sha256,
                 [self.success, self.progress, self.failure],
@@ -211,23 +204,6 @@ class EpisodeRecord:
             separators=(",", ":"),
         )
         return hashlib.sha256(summary.encode()).hexdigest()
-
-
-@dataclass(frozen=True, slots=True)
-class ExpertRecord:
-    """The expert's decision at a keyframe."""
-
-    robot: str
-    """Empty for ``stop``, as are what to pick and where to place."""
-    primitive: str
-    pick: str
-    place: str
-    instruction: str
-    """The sub-task in words."""
-    pick_pose: tuple[float, float, float] | None
-    """Gripper where it closes: x, y [m], yaw [rad]; None for ``stop``."""
-    place_pose: tuple[float, float, float] | None
-    """Gripper where the motion ends: x, y [m], yaw [rad]; None for ``stop``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,10 +227,7 @@ class PerturbedRecord(EpisodeRecord):
 
     def digest(self) -> str:
         """Return the SHA-256 of everything in the record."""
-        rows = [
-            row and [getattr(row, name) for name in ExpertRecord.__slots__]
-            for row in self.expert
-        ]
+        rows = [row and astuple(row) for row in self.expert]
         # super() does not know a class with slots.
         summary = json.dumps(
             [EpisodeRecord.digest(self), rows, self.perturbation],
@@ -280,41 +253,14 @@ def executions(about: dict[str, str]) -> str:
 def to_table(records: Sequence[EpisodeRecord]) -> pa.Table:
     """Return records as an Arrow table of :data:`SCHEMA`, or of the perturbed one."""
     perturbed = any(isinstance(record, PerturbedRecord) for record in records)
-    schema = PERTURBED_SCHEMA if perturbed else SCHEMA
-    columns: dict[str, list[Any]] = {
-        name: [getattr(record, name) for record in records] for name in schema.names
-    }
-    parts = {"subtasks": SubTaskRecord.__slots__, "expert": ExpertRecord.__slots__}
-    for column, names in parts.items():
-        if column in columns:
-            columns[column] = [
-                [row and {name: getattr(row, name) for name in names} for row in rows]
-                for rows in columns[column]
-            ]
-    return pa.table(columns, schema=schema)
+    rows = [msgspec.to_builtins(record, builtin_types=(bytes,)) for record in records]
+    return pa.Table.from_pylist(rows, PERTURBED_SCHEMA if perturbed else SCHEMA)
 
 
 def from_table(table: pa.Table) -> list[EpisodeRecord]:
     """Return the records of a table: the inverse of :func:`to_table`."""
-    return [_record(row) for row in table.to_pylist()]
-
-
-def _record(row: dict[str, Any]) -> EpisodeRecord:
-    listed = {name: tuple(v) for name, v in row.items() if isinstance(v, list)}
-    subtasks = tuple(SubTaskRecord(**_with_poses(sub)) for sub in row["subtasks"])
-    values = {**row, **listed, "subtasks": subtasks}
-    if "expert" not in row:
-        return EpisodeRecord(**values)
-    expert = tuple(
-        None if known is None else ExpertRecord(**_with_poses(known))
-        for known in row["expert"]
-    )
-    return PerturbedRecord(**{**values, "expert": expert})
-
-
-def _with_poses(row: dict[str, Any]) -> dict[str, Any]:
-    poses = {name: row[name] for name in ("pick_pose", "place_pose")}
-    return {**row, **{name: pose and tuple(pose) for name, pose in poses.items()}}
+    kind = PerturbedRecord if "expert" in table.column_names else EpisodeRecord
+    return [msgspec.convert(row, kind) for row in table.to_pylist()]
 
 
 def describe(*, perturbed: bool = False) -> str:
@@ -324,9 +270,9 @@ def describe(*, perturbed: bool = False) -> str:
         perturbed: Whether to describe instead the columns that only recipes of
             perturbed executions have.
     """
-    texts = _PERTURBED_TEXT if perturbed else _TEXT
+    columns = _PERTURBED_COLUMNS if perturbed else _COLUMNS
     lines = ["| column | type | meaning |", "|---|---|---|"]
-    for name, text in texts.items():
-        kind = PERTURBED_SCHEMA.field(name).type
-        lines.append(f"| `{name}` | `{kind}` | {text} |")
+    lines += [
+        f"| `{name}` | `{kind}` | {text} |" for name, (kind, text) in columns.items()
+    ]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Figures of a recipe; states are not read."""
+"""Figures of a recipe, and of perturbed executions; states are not read."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -11,7 +11,8 @@ import numpy as np
 from lemma.core.files import parse_json
 from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_number
-from lemma.dataset.recipe.reader import Recipe
+from lemma.dataset.recipe.files import Recipe
+from lemma.expert.disturbances import KINDS, NONE
 from lemma.robots.reach import reach_of
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.suite import SUITE
@@ -126,4 +127,48 @@ def _group(rows: Sequence[dict[str, Any]]) -> GroupSummary:
         idle_share=float(np.mean(idle)),
         margin_m=Spread.of([margin for row in rows for margin in row["margins"]]),
         teams=dict(sorted(Counter(row["team"] for row in rows).items())),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RecoveryFigures:
+    """Figures of perturbed executions."""
+
+    episodes: int
+    solved: int
+    """Episodes in which the goal was reached nevertheless."""
+    subtasks: int
+    """Sub-tasks that were executed."""
+    mistakes: dict[str, int]
+    """Those that were perturbed, by kind."""
+    keyframes: int
+    """Keyframes that have a label."""
+    after: int
+    """Those of them that come after a mistake."""
+    unlabelled: int
+    """Keyframes without a label: no plan, a failure of the expert, no time."""
+
+
+def recovery_figures(recipe: Recipe) -> RecoveryFigures:
+    """Count what is in a recipe of perturbed executions, or in a part of one.
+
+    Args:
+        recipe: Its states are not read.
+    """
+    rows = list(recipe.rows("success", "expert", "perturbation"))
+    kinds = Counter(kind for row in rows for kind in row["perturbation"])
+    labelled = after = 0
+    for row in rows:
+        known = [*row["expert"], None].index(None)
+        mistakes = (i for i, kind in enumerate(row["perturbation"]) if kind != NONE)
+        labelled += known
+        after += max(0, known - 1 - next(mistakes, known))
+    return RecoveryFigures(
+        episodes=len(rows),
+        solved=sum(row["success"] for row in rows),
+        subtasks=kinds.total(),
+        mistakes={kind: kinds[kind] for kind in KINDS},
+        keyframes=labelled,
+        after=after,
+        unlabelled=sum(len(row["expert"]) for row in rows) - labelled,
     )

@@ -24,14 +24,19 @@ from lemma.core.workers.resumable import (
     check_same_job,
     do_missing,
 )
-from lemma.dataset.files import CARD, MANIFEST, check_files, check_free, listed_files
-from lemma.dataset.recipe.digests import content_digest
-from lemma.dataset.recipe.files import open_table, versions
-from lemma.dataset.recipe.reader import load, read_group
+from lemma.dataset.files import (
+    CARD,
+    MANIFEST,
+    check_files,
+    check_free,
+    content_digest,
+    listed_files,
+)
+from lemma.dataset.recipe.files import load, open_table, read_group, versions
 from lemma.dataset.recipe.replay import check_versions
 from lemma.dataset.recipe.schema import EpisodeRecord, perturbed_as
 from lemma.dataset.rendered.shards import changed, read_manifest
-from lemma.dataset.teleoperation.record import files_in
+from lemma.dataset.teleoperation import files_in
 from lemma.tasks.instance import BENCHMARK_VERSION
 
 _PERTURBED_NOTE = """

@@ -14,8 +14,7 @@ from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.poses import FloatArray
 from lemma.dataset.playback import play_steps
 from lemma.dataset.recipe.schema import EpisodeRecord
-from lemma.dataset.teleoperation.perform import perform
-from lemma.dataset.teleoperation.record import TeleoperatedRecord
+from lemma.dataset.teleoperation import TeleoperatedRecord, perform
 from lemma.env.episode import Episode
 from lemma.env.observation import object_poses
 from lemma.env.simulation import TICK_S

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.teleoperation.schema import Commanded, Teleoperation
+from lemma.dataset.teleoperation import Commanded, Teleoperation
 from lemma.policies.control.interfaces import Actions, ControlInput
 
 
@@ -19,7 +19,7 @@ class Recorded:
 
         Raises:
             LemmaError: It cannot be read, or holds more than motor commands; see
-                :meth:`~lemma.dataset.teleoperation.schema.Teleoperation.load`.
+                :meth:`~lemma.dataset.teleoperation.Teleoperation.load`.
         """
         done = Teleoperation.load(Path(file))
         first = done.parts[0]

@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from lemma.core.poses import FloatArray, Pose2
-from lemma.dataset.teleoperation.schema import (
+from lemma.dataset.recipe.record import pose_row
+from lemma.dataset.teleoperation import (
     Commanded,
     Executed,
     Nudged,
@@ -38,7 +39,7 @@ class EpisodeLog:
             start_s: Simulated time [s].
         """
         subtask, grounded = decision.subtask, decision.grounded
-        self._begun = None if grounded is None else Executed(start_s, subtask, grounded)
+        self._begun = grounded and Executed.begin(start_s, subtask, grounded)
 
     def end(self, until_s: float | None = None) -> None:
         """Note the end of the running sub-task.
@@ -69,7 +70,7 @@ class EpisodeLog:
             pose: Where to.
             time_s: Simulated time [s].
         """
-        self._nudged = (*self._nudged, Nudged(time_s, name, pose))
+        self._nudged = (*self._nudged, Nudged(time_s, name, pose_row(pose)))
 
     def kept(
         self, instance: Instance, said: str, latest: tuple[float, FloatArray]

@@ -16,8 +16,7 @@ from enum import Enum, auto
 
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.poses import Pose2
-from lemma.dataset.teleoperation.perform import nudge
-from lemma.dataset.teleoperation.schema import Teleoperation
+from lemma.dataset.teleoperation import Teleoperation, nudge
 from lemma.evaluation.protocol.language_controls import LanguageControl
 from lemma.evaluation.run.control.rollout import ControlPlayer
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 from lemma.dataset.playback import FrameTaker, play_steps
 from lemma.dataset.recipe.schema import EpisodeRecord
-from lemma.dataset.teleoperation.perform import is_same, perform
-from lemma.dataset.teleoperation.schema import LED, Commanded, Teleoperation
+from lemma.dataset.teleoperation import LED, Commanded, Teleoperation, is_same, perform
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.workers.pool import Engine
-from lemma.dataset.recipe.reader import Recipe, load
-from lemma.dataset.teleoperation.schema import Teleoperation, is_teleoperated
+from lemma.dataset.recipe.files import Recipe, load
+from lemma.dataset.teleoperation import Teleoperation, is_teleoperated
 from lemma.evaluation.report.episodes import Case, cases_of
 from lemma.evaluation.report.policy_results import entries_of, read_results
 from lemma.viewer.recording.pages import client_page, replay_of

@@ -1,0 +1,402 @@
+"""Teleoperated episodes: sub-tasks of a policy, motor commands by hand, and their file.
+
+Motor commands have no place in a recipe. The file of a teleoperated episode holds the
+instance and all steps, and :func:`perform` plays it again, to the bit. Readers of
+instances read it, too. :func:`read_record` makes it a record, which is filmed like
+those of a recipe.
+"""
+
+import json
+import math
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import TypedDict
+
+import msgspec
+import numpy as np
+
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.poses import FloatArray, Pose, Pose2
+from lemma.dataset.playback import MotorCommands, Watcher, carry_out, unwatched
+from lemma.dataset.recipe.record import EpisodeRecorder, in_names, pose_row
+from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord
+from lemma.env.episode import STILL_S, Episode
+from lemma.env.simulation import HORIZON_S, TICK_S, Simulation
+from lemma.expert.symbolic_state import SymbolicState
+from lemma.scene.objects.entity import entity_named
+from lemma.scene.overlaps import check_place
+from lemma.tasks.instance import Instance
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+
+KEY = "done"
+"""Key of the steps, beside the fields of the instance."""
+LED = "Led by hand"
+"""Words for motor commands that were given by hand."""
+LONGEST_S = HORIZON_S + STILL_S + TICK_S
+"""The longest episode, with its verdict and a tick [s]."""
+_EARLY_S = 0.5 * TICK_S
+_Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Executed:
+    """A sub-task that a policy executed; as the file holds it."""
+
+    start_s: float
+    """Simulated time at which it began [s]."""
+    robot: str
+    primitive: Primitive
+    pick: str
+    place: str
+    pick_pose: _Pose
+    """Gripper where it closes: x, y [m], yaw [rad]."""
+    place_pose: _Pose
+    """Gripper where the motion ends: x, y [m], yaw [rad]."""
+    until_s: float | None
+    """Simulated time at which it was broken off, because somebody took over [s]; None
+    if it came to its end."""
+
+    @classmethod
+    def begin(
+        cls, start_s: float, subtask: SubTask, grounded: GroundedSubTask
+    ) -> "Executed":
+        """Return a sub-task that begins."""
+        poses = pose_row(grounded.pick), pose_row(grounded.place)
+        names = subtask.robot, subtask.primitive, subtask.pick, subtask.place
+        return cls(start_s, *names, *poses, until_s=None)
+
+    @property
+    def subtask(self) -> SubTask:
+        """The sub-task by names."""
+        return SubTask(self.robot, self.primitive, self.pick, self.place)
+
+    @property
+    def grounded(self) -> GroundedSubTask:
+        """The sub-task by poses, ready to be executed."""
+        poses = Pose2(*self.pick_pose), Pose2(*self.place_pose)
+        return GroundedSubTask(self.robot, self.primitive, *poses)
+
+
+@dataclass(frozen=True, slots=True)
+class Commanded(MotorCommands):
+    """Motor commands that somebody gave by hand."""
+
+    start_s: float
+    """Simulated time of the first one [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Nudged:
+    """An object that somebody moved by hand."""
+
+    time_s: float
+    """Simulated time [s]."""
+    name: str
+    pose: _Pose
+    """Where to: x, y [m], yaw [rad]."""
+
+
+class _Commanded(TypedDict):
+    start_s: float
+    control: str
+    control_hz: float
+    rows: list[list[list[float]]]
+
+
+class _Data(TypedDict):
+    instruction: str
+    executed: list[Executed]
+    commanded: list[_Commanded]
+    nudged: list[Nudged]
+    end_s: float
+    end_sha256: str
+
+
+@dataclass(frozen=True)
+class Teleoperation:
+    """An episode of a policy and of somebody who took over."""
+
+    instance: Instance
+    instruction: str
+    """The spoken sentence."""
+    parts: tuple[Executed | Commanded, ...]
+    """Steps of the robots, in order."""
+    nudged: tuple[Nudged, ...]
+    """Objects that somebody moved meanwhile, in order."""
+    end_s: float
+    """Simulated time to which it goes [s]."""
+    end_sha256: str
+    """Digest of the joints' positions then, see :func:`joints_sha256`."""
+
+    def to_json(self) -> str:
+        """Return it as a file; what reads an instance reads it too."""
+        commanded: list[_Commanded] = [
+            {
+                "start_s": part.start_s,
+                "control": part.control,
+                "control_hz": part.control_hz,
+                "rows": [np.asarray(row, float).tolist() for row in part.rows],
+            }
+            for part in self.parts
+            if isinstance(part, Commanded)
+        ]
+        told: _Data = {
+            "instruction": self.instruction,
+            "executed": [part for part in self.parts if isinstance(part, Executed)],
+            "commanded": commanded,
+            "nudged": [*self.nudged],
+            "end_s": self.end_s,
+            "end_sha256": self.end_sha256,
+        }
+        data = {**self.instance.to_dict(), KEY: msgspec.to_builtins(told)}
+        return json.dumps(data) + "\n"
+
+    @classmethod
+    def load(cls, path: Path) -> "Teleoperation":
+        """Read a file.
+
+        Raises:
+            InvalidConfigError: It cannot be read, or does not say what was done.
+            UnknownNameError: Its instance names something that does not exist.
+        """
+        instance = Instance.load(path)
+        data = json.loads(path.read_bytes()).get(KEY)
+        try:
+            found = msgspec.convert(data, _Data)
+        except (msgspec.ValidationError, RecursionError) as error:
+            raise InvalidConfigError(
+                f"{path} holds an instance, but not what was done by hand: {error}. "
+                "lemma play saves such files."
+            ) from None
+        parts: list[Executed | Commanded] = [*found["executed"]]
+        for part in found["commanded"]:
+            rows = [np.asarray(row, float) for row in part["rows"] if row]
+            if not rows or any(row.shape != rows[0].shape for row in rows):
+                raise InvalidConfigError(f"{path}: motor commands have no one shape.")
+            parts.append(
+                Commanded(part["control"], part["control_hz"], rows, part["start_s"])
+            )
+        if not parts:
+            raise InvalidConfigError(f"{path}: nothing was done.")
+        if not 0.0 < found["end_s"] <= LONGEST_S:
+            raise InvalidConfigError(
+                f"{path} goes to {found['end_s']:g} s. Episodes end within "
+                f"{LONGEST_S:g} s."
+            )
+        return cls(
+            instance,
+            found["instruction"],
+            tuple(sorted(parts, key=lambda part: part.start_s)),
+            tuple(found["nudged"]),
+            found["end_s"],
+            found["end_sha256"],
+        )
+
+
+def is_teleoperated(path: Path) -> bool:
+    """Return whether a file claims to be a teleoperated episode."""
+    try:
+        data = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(data, dict) and KEY in data
+
+
+def joints_sha256(qpos: FloatArray) -> str:
+    """Return the SHA-256 of joints' positions, (nq,), as little-endian float64."""
+    return sha256(np.asarray(qpos, "<f8").tobytes()).hexdigest()
+
+
+class _ReachedError(Exception):
+    """The time is reached at which a step was broken off."""
+
+
+class _Clock:
+    """Moves objects and ends steps at the recorded times, between ticks."""
+
+    def __init__(self, simulation: Simulation, done: Teleoperation) -> None:
+        self._simulation = simulation
+        self._nudged = list(done.nudged)
+        self._end_s = done.end_s
+        self.until_s: float | None = None
+        simulation.observers.append(self._look)
+
+    def stop(self) -> None:
+        """Do so no longer."""
+        self._simulation.observers.remove(self._look)
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the end of the recording is reached."""
+        return self._simulation.time_s >= self._end_s - _EARLY_S
+
+    def _look(self) -> None:
+        now_s = self._simulation.time_s + _EARLY_S
+        while self._nudged and self._nudged[0].time_s <= now_s:
+            nudged = self._nudged.pop(0)
+            nudge(self._simulation, nudged.name, Pose2(*nudged.pose))
+        if self.at_end or (self.until_s is not None and self.until_s <= now_s):
+            raise _ReachedError
+
+
+def perform(
+    done: Teleoperation,
+    episode: Episode,
+    before: Watcher = unwatched,
+) -> None:
+    """Play a teleoperated episode again, up to the end of what was kept.
+
+    Args:
+        done: The recording.
+        episode: Episode of its instance, just begun; at the end it needs not be over.
+        before: Is told of each part.
+
+    Raises:
+        LemmaError: A step is impossible: the file was changed.
+    """
+    clock = _Clock(episode.simulation, done)
+    try:
+        _perform(done, episode, clock, before)
+    finally:
+        clock.stop()
+    before(len(done.parts))
+
+
+def _perform(
+    done: Teleoperation, episode: Episode, clock: _Clock, before: Watcher
+) -> None:
+    simulation = episode.simulation
+    for number, part in enumerate(done.parts):
+        try:
+            while simulation.time_s < part.start_s - _EARLY_S:
+                simulation.tick()
+            before(number)
+            if isinstance(part, Executed):
+                clock.until_s = part.until_s
+                carry_out(episode, part.grounded)
+            else:
+                carry_out(episode, part)
+        except _ReachedError:
+            if clock.at_end:
+                return
+        finally:
+            clock.until_s = None
+    try:
+        while not clock.at_end:
+            simulation.tick()
+    except _ReachedError:
+        pass
+
+
+def is_same(done: Teleoperation, episode: Episode) -> bool:
+    """Return whether the end of an episode is the recorded one, to the bit."""
+    return joints_sha256(episode.simulation.scene.data.qpos) == done.end_sha256
+
+
+def nudge(simulation: Simulation, name: str, pose: Pose2) -> None:
+    """Move an object on the table, at rest, between two steps of physics.
+
+    Args:
+        simulation: Between two ticks.
+        name: Name of the object.
+        pose: Where to put it.
+
+    Raises:
+        InvalidConfigError: It cannot be moved, or not there; nothing has moved.
+    """
+    scene = simulation.scene
+    _check_free(simulation, name)
+    before, kind = scene.snapshot(), entity_named(name).kind
+    half = pose.yaw / 2.0
+    turned = (math.cos(half), 0.0, 0.0, math.sin(half))
+    scene.set_pose(name, Pose((pose.x, pose.y, kind.origin_m), turned))
+    try:
+        check_place(scene, name)
+    except InvalidConfigError:
+        scene.restore(before)
+        raise
+
+
+def _check_free(simulation: Simulation, name: str) -> None:
+    scene, phrase = simulation.scene, entity_named(name).phrase
+    if name not in scene.movable_names:
+        raise InvalidConfigError(
+            f"The {phrase} is fixed. It is moved before an episode or after it."
+        )
+    if name in simulation.held().values():
+        raise InvalidConfigError(f"The {phrase} is in a gripper. Wait until it is not.")
+    above = SymbolicState.observe(scene).on_top_of(name)
+    if above is not None:
+        raise InvalidConfigError(
+            f"The {entity_named(above).phrase} lies on the {phrase}. Move that first."
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TeleoperatedRecord(EpisodeRecord):
+    """An episode with steps that are no sub-tasks; see ``done``."""
+
+    done: Teleoperation = field(repr=False)
+    """All steps."""
+
+
+def files_in(place: Path) -> list[Path]:
+    """Return the files of teleoperated episodes: one, or those of a folder.
+
+    Args:
+        place: A file or a folder; other files there are ignored.
+    """
+    found = [place] if place.is_file() else sorted(place.glob("*.json"))
+    return [path for path in found if is_teleoperated(path)]
+
+
+def read_record(path: Path) -> TeleoperatedRecord:
+    """Read a file, and play it again to get its states.
+
+    Raises:
+        DatasetError: It leads to another state here.
+        LemmaError: It cannot be read, or a step is impossible.
+    """
+    done = Teleoperation.load(path)
+    episode = Episode(done.instance)
+    keeper, times = EpisodeRecorder(episode), []
+
+    def keep(number: int) -> None:
+        keeper.keep()
+        times.append(episode.simulation.time_s)
+
+    perform(done, episode, keep)
+    if not is_same(done, episode):
+        raise DatasetError(
+            f"{path}: what was done leads to another state here. Read it with the "
+            "versions, and on the kind of machine, that it was written with."
+        )
+    ends = (*times[1:-1], done.end_s)
+    rows = (
+        _row(done.instance, part, end_s - part.start_s)
+        for part, end_s in zip(done.parts, ends, strict=True)
+    )
+    columns = keeper.columns() | {
+        "key": f"{done.instance.key}/{path.stem}",
+        "high_level": done.instruction,
+        "subtasks": tuple(rows),
+        "keyframe_time_s": tuple(times),
+    }
+    return TeleoperatedRecord(**columns, done=done)
+
+
+def _row(
+    instance: Instance, part: Executed | Commanded, duration_s: float
+) -> SubTaskRecord:
+    if isinstance(part, Commanded):
+        nobody = ("", "", "", "", f"{LED}.", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        return SubTaskRecord(*nobody, "by_hand", part.start_s, duration_s)
+    return SubTaskRecord(
+        **in_names(instance, part.subtask),
+        pick_pose=part.pick_pose,
+        place_pose=part.place_pose,
+        outcome="" if part.until_s is None else "taken_over",
+        start_s=part.start_s,
+        duration_s=duration_s,
+    )

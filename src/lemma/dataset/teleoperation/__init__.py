@@ -1,1 +1,0 @@
-"""Episodes that somebody led by hand: kept in files, and done again."""
