@@ -85,8 +85,8 @@ def test_few_groups_are_kept(
         reads.append(group)
         return list(read(path, group))
 
-    monkeypatch.setattr(reader, "read_group", count)
-    monkeypatch.setattr(reader, "_KEPT_GROUPS", 2)
+    monkeypatch.setattr(files, "read_group", count)
+    monkeypatch.setattr(files, "_KEPT_GROUPS", 2)
     recipe = load(long_recipe)
     for index in (5, 6, 25, 5, 45, 25, 5):
         recipe[index]
