@@ -113,9 +113,8 @@ def wants_cameras(part: object) -> bool:
 
     It says so by an attribute: ``cameras = True``.
     """
-    if isinstance(part, Composite):
-        return any(map(wants_cameras, part.parts))
-    return getattr(part, "cameras", False) is True
+    parts = part.parts if isinstance(part, Composite) else ()
+    return getattr(part, "cameras", False) is True or any(map(wants_cameras, parts))
 
 
 def keeps_state(part: object) -> bool:

@@ -24,7 +24,7 @@ TASKS = ("pass", "stack")
 
 @pytest.fixture(autouse=True)
 def no_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lemma.policies.planners.chat.WAITS_S", ())
+    monkeypatch.setattr("lemma.policies.planners.chat_client.WAITS_S", ())
 
 
 def order(out: Path, chat: ChatOptions, **changes: Any) -> EvaluationConfig:

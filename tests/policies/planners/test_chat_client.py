@@ -16,10 +16,10 @@ from lemma.policies.planners.answers import AnswerFormat
 from lemma.policies.planners.chat import (
     KEY_VARIABLE,
     ChatOptions,
-    ChatServer,
     PlannerUnavailableError,
     Reply,
 )
+from lemma.policies.planners.chat_client import ChatServer
 
 SECRET = "sk-very-secret"
 

@@ -117,18 +117,17 @@ class AnswerFormat:
 
     def every_subtask(self) -> list[SubTask]:
         """Return ``stop`` and every possible sub-task."""
-        found = [STOP]
         names = self.names
-        for robot in self.robots:
-            for name in self.primitives:
-                if name in (Primitive.STOP, WAIT):
-                    continue
-                for pick in names["pick"]:
-                    for place in names["place"]:
-                        subtask = SubTask(robot, Primitive(name), pick, place)
-                        if NONE not in (pick, place) and not self.why_not(subtask):
-                            found.append(subtask)
-        return found
+        primitives = [n for n in self.primitives if n not in (Primitive.STOP, WAIT)]
+        every = (
+            SubTask(robot, Primitive(name), pick, place)
+            for robot in self.robots
+            for name in primitives
+            for pick in names["pick"]
+            for place in names["place"]
+            if NONE not in (pick, place)
+        )
+        return [STOP, *(one for one in every if not self.why_not(one))]
 
     def read(self, text: str) -> Answer:
         """Return the answer in a text.

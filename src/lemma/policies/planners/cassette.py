@@ -170,19 +170,17 @@ class Cassette:
         """
         text = f"{self.path} has no answer to a request ({key_of(request)[:12]}). {why}"
         wanted = _flat(request)
-        alike = [
-            (SequenceMatcher(None, _flat(line.request), wanted).quick_ratio(), -number)
-            for number, _, line in self._read()
-            if line is not None
-        ]
-        if not alike:
+        nearest = max(
+            ((number, line.request) for number, _, line in self._read() if line),
+            key=lambda one: SequenceMatcher(None, _flat(one[1]), wanted).quick_ratio(),
+            default=None,
+        )
+        if nearest is None:
             return PlannerUnavailableError(f"{text} The cassette is empty.")
-        nearest = -max(alike)[1]
-        [other] = [line for number, _, line in self._read() if number == nearest]
-        assert other is not None
-        changes = "; ".join(differences(other.request, request))
+        number, other = nearest
+        changes = "; ".join(differences(other, request))
         return PlannerUnavailableError(
-            f"{text} The nearest request, in line {nearest}, differs: {changes}. Undo "
+            f"{text} The nearest request, in line {number}, differs: {changes}. Undo "
             "the change, or ask again with --cassette-mode record."
         )
 

@@ -16,7 +16,8 @@ from lemma.policies.interfaces import (
 )
 from lemma.policies.planners.answers import Answer, AnswerFormat, InvalidAnswerError
 from lemma.policies.planners.cassette import Cassette
-from lemma.policies.planners.chat import ChatOptions, ChatServer, Reply
+from lemma.policies.planners.chat import ChatOptions, Reply
+from lemma.policies.planners.chat_client import ChatServer
 from lemma.policies.planners.perception import (
     Perception,
     SceneText,
@@ -72,20 +73,17 @@ class Asker:
                 answers.
             DatasetError: The cassette is damaged, or cannot be written.
         """
-        cassette, server = self.cassette, self.server
+        cassette, strict = self.cassette, self.mode == "strict"
         known = cassette.find(request) if cassette else None
         if known is not None:
             return known
-        if self.mode == "strict" or server is None:
-            assert cassette is not None
-            strict = self.mode == "strict"
-            why = (
-                "In strict mode nobody is asked."
-                if strict
-                else "No --base-url is named."
+        if cassette is not None and (strict or self.server is None):
+            why = "No --base-url is named."
+            raise cassette.missing(
+                request, "In strict mode nobody is asked." if strict else why
             )
-            raise cassette.missing(request, why)
-        reply = server.ask(request)
+        assert self.server is not None
+        reply = self.server.ask(request)
         if cassette is None or self.mode != "record":
             return reply
         return cassette.keep(request, reply)
@@ -95,15 +93,13 @@ class Asker:
 class _Tally:
     """The effort of a decision so far."""
 
-    calls: int = 0
-    prompt_tokens: int = 0
-    completion_tokens: int = 0
+    replies: list[Reply] = field(default_factory=list)
     invalid: list[str] = field(default_factory=list)
 
     def effort(self) -> Effort:
-        return Effort(
-            self.calls, self.prompt_tokens, self.completion_tokens, tuple(self.invalid)
-        )
+        asked = sum(reply.prompt_tokens for reply in self.replies)
+        said = sum(reply.completion_tokens for reply in self.replies)
+        return Effort(len(self.replies), asked, said, tuple(self.invalid))
 
 
 class _GaveUpError(Exception):
@@ -146,10 +142,8 @@ class LanguageModelPlanner(Composite):
             raise InvalidConfigError(
                 "Which language model? Name it as its server does, as in llm:MODEL."
             )
-        seen = options.perception == "seen"
-        self.perception = perception or (
-            SeenPerception() if seen else TruthPerception()
-        )
+        source = SeenPerception if options.perception == "seen" else TruthPerception
+        self.perception: Perception = perception or source()
         self.cameras = options.pictures
         self.about = {"model": model, "prompts": PROMPTS, **options.settings()}
         self._model = model
@@ -158,8 +152,8 @@ class LanguageModelPlanner(Composite):
 
     @property
     def parts(self) -> tuple[object, ...]:
-        """Its perception, and whether it looks at camera images."""
-        return (self.perception, _Eyes(self.cameras))
+        """Its perception."""
+        return (self.perception,)
 
     @property
     def blind(self) -> bool:
@@ -242,9 +236,7 @@ class LanguageModelPlanner(Composite):
         reason = ""
         for _ in range(self._options.tries):
             reply = self._asker.ask(self._request(messages, answers))
-            tally.calls += 1
-            tally.prompt_tokens += reply.prompt_tokens
-            tally.completion_tokens += reply.completion_tokens
+            tally.replies.append(reply)
             if reply.failure:
                 raise _GaveUpError(reply.failure, reply.explanation)
             try:
@@ -284,13 +276,6 @@ class LanguageModelPlanner(Composite):
             },
         } | self._options.fields
         return {name: value for name, value in request.items() if value is not None}
-
-
-@dataclass(frozen=True)
-class _Eyes:
-    """Whether camera images are looked at."""
-
-    cameras: bool
 
 
 def _names(scene: SceneText) -> tuple[str, ...]:
