@@ -9,13 +9,13 @@ from collections.abc import Iterator
 
 import lemma
 from lemma.core.poses import Pose2
-from lemma.expert.geometry import GroundedOption, SceneGeometry
-from lemma.expert.primitives import Wish
-from lemma.expert.symbolic_state import TABLE, SymbolicState
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.moves import Motion, Moves
 from lemma.motion.obstacles import around
 from lemma.motion.skills import SkillRunner, stand_at
+from lemma.planning.geometry import GroundedOption, SceneGeometry
+from lemma.planning.primitives import Wish
+from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.scene.objects.entity import SHARED, STICK
 from lemma.tasks.drags import stick_discs

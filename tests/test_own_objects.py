@@ -21,8 +21,8 @@ from lemma.env.control.safety_filter import SafetyFilter
 from lemma.env.observation import object_poses
 from lemma.evaluation.protocol.language_controls import control_of
 from lemma.evaluation.run.fault_isolation import check
-from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.obstacles import around
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.batch import decision_numbers
 from lemma.policies.interfaces import Decision
 from lemma.scene.objects.entity import ENTITIES, kind_of, known_entities

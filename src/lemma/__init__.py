@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lemma.evaluation.evaluation import Evaluation, evaluate
     from lemma.expert.expert import Expert, solve
     from lemma.expert.policy import ExpertPolicy
-    from lemma.expert.primitives import PRIMITIVES, PrimitiveSpec
+    from lemma.planning.primitives import PRIMITIVES, PrimitiveSpec
     from lemma.robots.ur.arms import ARMS, ArmSpec
     from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
     from lemma.scene.objects.palette import OBJECT_COLORS
@@ -65,8 +65,8 @@ _HOMES = {
     "OBJECT_COLORS": "lemma.scene.objects.palette",
     "OBJECT_KINDS": "lemma.scene.objects.entity",
     "ObjectKind": "lemma.scene.objects.kind",
-    "PRIMITIVES": "lemma.expert.primitives",
-    "PrimitiveSpec": "lemma.expert.primitives",
+    "PRIMITIVES": "lemma.planning.primitives",
+    "PrimitiveSpec": "lemma.planning.primitives",
     "SUITE": "lemma.tasks.suite",
     "TASKS": "lemma.tasks.suite",
     "Task": "lemma.tasks.task",

@@ -17,8 +17,8 @@ from lemma.expert.disturbances import (
     Perturber,
 )
 from lemma.expert.expert import Expert
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.scene import Scene
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 from lemma.tasks.suite import load_instance

@@ -11,10 +11,10 @@ from tiers import slow_but
 from lemma.core.poses import Pose, Pose2
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.planner import find_plan
-from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.robots.could import could_of
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import STICK

@@ -10,10 +10,10 @@ from lemma.core.poses import Pose, Pose2
 from lemma.env.episode import Episode
 from lemma.env.simulation import Simulation
 from lemma.expert.expert import Expert
-from lemma.expert.grounding import GeometricGrounder, ground_or_refuse
-from lemma.expert.planner import find_plan
-from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
+from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.tasks.goal import Goal

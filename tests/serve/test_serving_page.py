@@ -20,7 +20,7 @@ from lemma.evaluation.run.fault_isolation import FARTHEST_M
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.evaluation.run.server_check import NEAR_M, NEAR_RAD, SCENE, first_subtask
 from lemma.expert.expert import Expert
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import TIMEOUT_S, Decision, PastStep, PolicyInput
 from lemma.policies.spec import PolicySpec
 from lemma.scene.raster import RASTER

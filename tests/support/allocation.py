@@ -11,9 +11,9 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import FloatArray
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.planner import Plan, utility
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import Plan, utility
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.goal import Goal
 
 

@@ -11,8 +11,8 @@ import pytest
 from lemma.audit.attack import ATTACKS
 from lemma.core import plugins
 from lemma.core.registry import Registry
-from lemma.expert.primitives import PRIMITIVES
 from lemma.motion.skills import SKILLS
+from lemma.planning.primitives import PRIMITIVES
 from lemma.robots.ur.arms import ARMS
 from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.objects.palette import OBJECT_COLORS

@@ -7,10 +7,10 @@ import numpy as np
 from lemma.audit.trial import AttemptOver, Trial
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode, EpisodeSnapshot
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.planner import Plan, find_plan
-from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import SkillResult
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import Plan, find_plan
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 

@@ -23,7 +23,7 @@ from lemma.dataset.recipe.record import EpisodeRecorder, in_names, pose_row
 from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord
 from lemma.env.episode import STILL_S, Episode
 from lemma.env.simulation import HORIZON_S, TICK_S, Simulation
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.objects.entity import entity_named
 from lemma.scene.overlaps import check_place
 from lemma.tasks.instance import Instance

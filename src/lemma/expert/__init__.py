@@ -1,1 +1,1 @@
-"""The oracle: symbolic planning and geometric grounding."""
+"""The oracle: it plans, grounds and acts, and makes mistakes on purpose."""

@@ -13,8 +13,8 @@ import numpy as np
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.objects.entity import STICK
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask

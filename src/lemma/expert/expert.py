@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lemma.env.episode import Episode
-from lemma.expert.grounding import GeometricGrounder, GroundedOption
-from lemma.expert.planner import Plan, find_plan
-from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import SkillResult
+from lemma.planning.grounding import GeometricGrounder, GroundedOption
+from lemma.planning.planner import Plan, find_plan
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.objects.entity import STICK
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal

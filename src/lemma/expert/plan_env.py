@@ -6,9 +6,9 @@ from lemma.env.action_spaces import Action, decode_plan, encode_plan, plan_space
 from lemma.env.config import EnvConfig
 from lemma.env.episode import Episode
 from lemma.env.skill_env import SubTaskEnv
-from lemma.expert.grounding import GeometricGrounder, ground_or_refuse
-from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import SkillResult
+from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.subtask import Primitive, SubTask
 
 

@@ -7,8 +7,8 @@ from weakref import WeakKeyDictionary
 from lemma.core.errors import InvalidConfigError
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import (
     Decision,
     Oracle,

@@ -14,7 +14,7 @@ class Primitive(StrEnum):
 
     The members are the benchmark's six, which action spaces and trained weights number
     in this order. ``Primitive("push")`` also finds what users have added to
-    :data:`lemma.expert.primitives.PRIMITIVES`.
+    :data:`lemma.planning.primitives.PRIMITIVES`.
     """
 
     MOVE = "move"
@@ -47,7 +47,7 @@ _added: dict[str, tuple[Primitive, str]] = {}
 
 
 def add_primitive(name: str, phrase: str) -> None:
-    """Make a name a primitive; see :data:`lemma.expert.primitives.PRIMITIVES`.
+    """Make a name a primitive; see :data:`lemma.planning.primitives.PRIMITIVES`.
 
     Args:
         name: A lower-case word.

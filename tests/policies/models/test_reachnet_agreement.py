@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from lemma.core.poses import Pose2
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.planner import find_plan
-from lemma.expert.symbolic_state import TABLE, SymbolicState
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.policies.batch import PRIMITIVES
 from lemma.policies.entities import BENCHMARK
 from lemma.policies.models.reachnet.drags import DragUtility

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.skill_trial import SkillTrial
-from lemma.expert.grounding import GroundedOption
-from lemma.expert.planner import find_plan
+from lemma.planning.grounding import GroundedOption
+from lemma.planning.planner import find_plan
 from lemma.scene.objects.entity import kind_of
 
 # No plan of the suite has more sub-tasks.

@@ -20,7 +20,7 @@ from lemma.dataset.recipe.schema import (
 from lemma.env.episode import Episode
 from lemma.expert.disturbances import NONE, Mistake, Perturbation, Perturber
 from lemma.expert.expert import Expert, ExpertStep, solve
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases, sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, SubTask

@@ -6,9 +6,9 @@ from itertools import islice, permutations, product
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.planner import find_plan
-from lemma.expert.symbolic_state import TABLE, SymbolicState
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.scene.objects.entity import entity_named, kind_of, known_entities
 from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.objects.palette import BENCHMARK_COLORS

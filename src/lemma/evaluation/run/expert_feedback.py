@@ -12,10 +12,10 @@ from typing import Any
 
 from lemma.env.episode import Episode
 from lemma.evaluation.records import Departure, Row
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.planner import find_plan
-from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision
 from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import STOP, Primitive, SubTask

@@ -26,9 +26,9 @@ from lemma.evaluation.run.clearance import ClearanceWatch
 from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise, left_in
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.evaluation.run.loading import load_policy
-from lemma.expert.grounding import GeometricGrounder, ground_or_refuse
-from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult
+from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import (
     Decision,
     Effort,

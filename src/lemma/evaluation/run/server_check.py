@@ -31,8 +31,8 @@ from lemma.evaluation.run.control.rollout import ControlPlayer, ControlRollout
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.evaluation.run.rollout import Rollout
 from lemma.expert.expert import Expert
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.control.interfaces import chunk_of
 from lemma.policies.interfaces import TIMEOUT_S
 from lemma.robots.gripper import FINGER_OPENING_M

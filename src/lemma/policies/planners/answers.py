@@ -7,7 +7,7 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
-from lemma.expert.primitives import PRIMITIVES
+from lemma.planning.primitives import PRIMITIVES
 from lemma.scene.objects.entity import SHARED, STICK, kind_of
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 

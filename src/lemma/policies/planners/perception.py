@@ -6,8 +6,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 from lemma.core.robot_names import robot_names
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Oracle, PolicyInput
 from lemma.policies.oracle import truth_of
 from lemma.robots.reach import reach_of

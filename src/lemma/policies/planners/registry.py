@@ -13,10 +13,10 @@ from typing import Any
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
 from lemma.env.episode import Episode
-from lemma.expert.grounding import GeometricGrounder, GroundedOption
-from lemma.expert.planner import candidates
-from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome
+from lemma.planning.grounding import GeometricGrounder, GroundedOption
+from lemma.planning.planner import candidates
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Oracle, Planner, PolicyInput
 from lemma.policies.oracle import OraclePlanner, truth_of
 from lemma.policies.planners.answers import AnswerFormat

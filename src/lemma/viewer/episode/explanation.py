@@ -6,8 +6,8 @@ from typing import Any
 
 from lemma.env.simulation import Simulation
 from lemma.evaluation.run.fault_isolation import Fault, check
-from lemma.expert.symbolic_state import TABLE, SymbolicState
 from lemma.motion.skills import DRAG_HEIGHT_M, stand_at
+from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.interfaces import Composite, Decision, Explainer, Insight, told
 from lemma.robots.reach import TRAVEL_HEIGHT_M

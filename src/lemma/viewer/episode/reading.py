@@ -6,9 +6,9 @@ from typing import Any
 
 from lemma.core.errors import LemmaError
 from lemma.evaluation.run.rollout import Player, Rollout
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.planner import find_plan
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Composite, PolicyInput, Reader
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal

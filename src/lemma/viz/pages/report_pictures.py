@@ -13,9 +13,9 @@ from lemma.dataset.playback import FrameTaker
 from lemma.env.episode import Episode
 from lemma.evaluation.report.episodes import Case
 from lemma.evaluation.run.replay import differences, play_again
-from lemma.expert.grounding import GeometricGrounder
-from lemma.expert.planner import find_plan
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.raster import RASTER
 from lemma.scene.rendering.renderer import Renderer

@@ -10,10 +10,10 @@ from small_tables import ARM_NAMES, cube, facing, pad, stick
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose, Pose2, wrap
 from lemma.env.simulation import Simulation
-from lemma.expert.free_spots import FreeSpots
-from lemma.expert.grounding import GeometricGrounder, GroundedOption
-from lemma.expert.planner import find_plan
-from lemma.expert.symbolic_state import TABLE, SymbolicState
+from lemma.planning.free_spots import FreeSpots
+from lemma.planning.grounding import GeometricGrounder, GroundedOption
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.entity import SHARED, STICK
 from lemma.scene.scene import Scene

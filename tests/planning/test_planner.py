@@ -11,9 +11,9 @@ from recorded_episodes import first_instance
 from small_tables import cube, facing, pad
 
 from lemma.core.poses import Pose, Pose2
-from lemma.expert.grounding import GeometricGrounder, GroundedOption
-from lemma.expert.planner import Plan, find_plan, utility
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.grounding import GeometricGrounder, GroundedOption
+from lemma.planning.planner import Plan, find_plan, utility
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.objects.entity import SHARED, STICK
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec

@@ -6,7 +6,7 @@ import pytest
 from small_tables import cube, facing, pad, stick
 
 from lemma.core.poses import Pose, Pose2
-from lemma.expert.symbolic_state import TABLE, SymbolicState
+from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.scene.objects.entity import SHARED, STICK
 from lemma.scene.scene import Scene
 from lemma.tasks.drags import PREPARE_GAP_M

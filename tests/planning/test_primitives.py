@@ -17,8 +17,8 @@ from lemma.dataset.recipe.replay import replay
 from lemma.env.action_spaces import plan_space, skill_space
 from lemma.env.skill_env import SkillEnv
 from lemma.expert.plan_env import PlanEnv
-from lemma.expert.primitives import PRIMITIVES, PrimitiveSpec
 from lemma.motion.skills import SKILLS
+from lemma.planning.primitives import PRIMITIVES, PrimitiveSpec
 from lemma.tasks.language.bank import phrase, sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask, primitive_names
 

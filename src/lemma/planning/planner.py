@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lemma.core.seeding import ordered_sum
-from lemma.expert.grounding import GeometricGrounder, GroundedOption
-from lemma.expert.primitives import PRIMITIVES, Wish
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.grounding import GeometricGrounder, GroundedOption
+from lemma.planning.primitives import PRIMITIVES, Wish
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.subtask import Primitive, SubTask

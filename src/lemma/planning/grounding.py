@@ -1,16 +1,16 @@
 """From a symbolic sub-task to gripper poses: the oracle's geometry.
 
 Each grounding also says what will be true afterwards and how good it is, which is what
-the planner's utility is made of. How each primitive is grounded stands in
-:mod:`lemma.expert.primitives`. A sub-task that cannot be done is refused with the same
-outcome at every level.
+the planner's utility is made of. :mod:`lemma.planning.primitives` says how each
+primitive is grounded. A sub-task that cannot be done is refused with the same outcome
+at every level.
 """
 
 from lemma.core.errors import UnknownNameError
-from lemma.expert.geometry import GroundedOption, SceneGeometry
-from lemma.expert.primitives import PRIMITIVES
-from lemma.expert.symbolic_state import SymbolicState
 from lemma.motion.outcome import Outcome, SkillResult, has_fallen
+from lemma.planning.geometry import GroundedOption, SceneGeometry
+from lemma.planning.primitives import PRIMITIVES
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import Primitive, SubTask
 

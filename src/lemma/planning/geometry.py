@@ -1,14 +1,14 @@
 """Geometry of a scene for grounding: reach, grasps, drags, free places.
 
-A ground function of :class:`lemma.expert.primitives.PrimitiveSpec` is given one.
+A ground function of :class:`lemma.planning.primitives.PrimitiveSpec` is given one.
 """
 
 import math
 from dataclasses import dataclass
 
 from lemma.core.poses import Pose2
-from lemma.expert.free_spots import FreeSpots
-from lemma.expert.symbolic_state import SymbolicState
+from lemma.planning.free_spots import FreeSpots
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.gripper import FINGER_CENTER_M, FINGER_DISC_M
 from lemma.robots.reach import reach_of

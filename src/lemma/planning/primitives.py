@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.core.registry import Registry
-from lemma.expert.geometry import GroundedOption, SceneGeometry
-from lemma.expert.symbolic_state import TABLE, SymbolicState
 from lemma.motion.skills import SKILLS, SkillMotion
+from lemma.planning.geometry import GroundedOption, SceneGeometry
+from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.drags import (

@@ -1,0 +1,1 @@
+"""Symbolic planning and geometric grounding, from the true state."""
