@@ -16,15 +16,15 @@ from lemma.planning.planner import find_plan
 from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.policies.batch import PRIMITIVES
 from lemma.policies.entities import BENCHMARK
-from lemma.policies.models.reachnet.drags import DragUtility
-from lemma.policies.models.reachnet.features import places
 from lemma.policies.models.reachnet.grounder import ReachNetGrounder
+from lemma.policies.models.reachnet.planner import places
 from lemma.policies.models.reachnet.scene_table import (
     FAR_M,
     SceneTable,
     folded,
     ground_of,
 )
+from lemma.policies.models.reachnet.utility import DragUtility
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.entity import STICK, kind_of

@@ -10,12 +10,6 @@ from torch import Tensor
 from lemma.core.poses import Pose2
 from lemma.policies.batch import PRIMITIVES
 from lemma.policies.entities import BENCHMARK
-from lemma.policies.models.reachnet.drags import (
-    SIGNS,
-    TRAVELS_M,
-    TURNS_RAD,
-    DragUtility,
-)
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
@@ -35,6 +29,12 @@ from lemma.policies.models.reachnet.scene_table import (
     folded,
     turned,
     turned_numbers,
+)
+from lemma.policies.models.reachnet.utility import (
+    SIGNS,
+    TRAVELS_M,
+    TURNS_RAD,
+    DragUtility,
 )
 from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.drags import stick_gap

@@ -12,10 +12,13 @@ from torch import Tensor, nn
 from lemma.core.arguments import Height, Size
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
-from lemma.policies.batch import Batch, batch_of
+from lemma.core.robot_names import robot_name
+from lemma.policies.batch import PRIMITIVES, STOP, Batch, batch_of
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import PolicyInput
 from lemma.scene.raster import RASTER, Raster
+from lemma.tasks.subtask import STOP as STOP_SUBTASK
+from lemma.tasks.subtask import Primitive, SubTask
 
 
 class Model(nn.Module, ABC):
@@ -109,6 +112,17 @@ class MapModel(Model):
             raster = self.config.raster(inputs[start])
             told = sub_instructions[rows]
             yield batch_of(inputs[rows], raster, told, self.device, self.entities)
+
+
+def subtask_of(numbers: Sequence[int], entities: EntitySet) -> SubTask:
+    """Return a sub-task of numbers: robot, primitive, pick, place."""
+    robot, primitive, pick, place = numbers
+    if primitive == STOP:
+        return STOP_SUBTASK
+    names = entities.places
+    return SubTask(
+        robot_name(robot), Primitive(PRIMITIVES[primitive]), names[pick], names[place]
+    )
 
 
 def _check_model(name: str, record: tuple[type[Any], type[Any]]) -> None:

@@ -30,7 +30,6 @@ from lemma.policies.batch import PRIMITIVES, STOP, Batch, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, traits_of
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.models.base import MODELS, MapModel
-from lemma.policies.models.cliport.grid import nearest_bins, read_at, wrapped, yaw_of
 from lemma.policies.models.cliport.networks import (
     Attention,
     CLIPortConfig,
@@ -41,6 +40,7 @@ from lemma.policies.models.cliport.networks import (
     pick_cells,
     place_cells,
 )
+from lemma.policies.models.grid import nearest_bins, read_at, wrapped, yaw_of
 from lemma.policies.text.encoder import TextConfig, TextEncoder
 from lemma.scene.raster import Raster
 from lemma.tasks.subtask import STOP as STOP_SUBTASK

@@ -28,7 +28,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import Batch
 from lemma.policies.layers import Network, ResidualBlock, norm, upsample_to
 from lemma.policies.models.base import MapConfig
-from lemma.policies.models.cliport.grid import (
+from lemma.policies.models.grid import (
     Cells,
     bin_yaws,
     correlate,

@@ -8,7 +8,6 @@ entities. The last three see no pixels, and so they also learn from labels with 
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
@@ -16,27 +15,26 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from lemma.core.arguments import Cost, Depth, Height, Size
+from lemma.core.arguments import Cost, Depth
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
-from lemma.policies.batch import (
-    STOP,
-    Batch,
-    Labels,
-    batch_of,
-)
+from lemma.policies.batch import STOP, Batch, Labels
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, Insight, PolicyInput
-from lemma.policies.models.base import MODELS, Model
+from lemma.policies.models.base import MODELS, MapConfig, MapModel, subtask_of
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
     goal_numbers,
     pairs_of,
 )
-from lemma.policies.models.reachnet.grounder import ReachNetGrounder
+from lemma.policies.models.reachnet.grounder import (
+    ReachNetGrounder,
+    demonstrated_reach,
+    score_decisions,
+    score_eye,
+)
 from lemma.policies.models.reachnet.perception import (
-    Marks,
     Perception,
     PerceptionConfig,
     reach_loss,
@@ -45,12 +43,8 @@ from lemma.policies.models.reachnet.planner import (
     PlannerConfig,
     ReachNetPlanner,
     decision_of,
-    failures_in,
-    likeliest,
-    named_in,
     number_of,
     numbers_of,
-    subtask_of,
 )
 from lemma.policies.models.reachnet.scene_table import (
     Noise,
@@ -61,22 +55,17 @@ from lemma.policies.models.reachnet.scene_table import (
     turned,
     turned_numbers,
 )
-from lemma.policies.models.reachnet.scores import (
-    demonstrated_reach,
-    score_decisions,
-    score_eye,
-)
-from lemma.scene.raster import RASTER, Raster
 from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
-_AT_ONCE = 32
 _REACH_POINTS = 128
 _LOUDEST = 25.0
+_SUCCESS = "success"
+_OPTIONS = 6
 
 
 @dataclass(frozen=True)
-class ReachNetConfig:
+class ReachNetConfig(MapConfig):
     """Options of ReachNet."""
 
     reach: Literal["simulator", "demonstrations", "none"] = "simulator"
@@ -100,10 +89,6 @@ class ReachNetConfig:
     """Whether the planner also learns from what perception finds."""
     failure_cost: Cost = 4.0
     """Loss of log-probability of a sub-task for each failure in a row."""
-    cell_m: Size = RASTER.cell_m
-    """Side of a cell of the map [m]."""
-    floor_m: Height = RASTER.floor_m
-    """Lowest height of the map [m]."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -113,13 +98,8 @@ class ReachNetConfig:
                 "are the least."
             )
 
-    def raster(self, given: PolicyInput) -> Raster:
-        """Return where the cells of a view are."""
-        rows, columns = given.view.height_m.shape
-        return Raster(rows, columns, self.cell_m, self.floor_m)
 
-
-class ReachNet(Model):
+class ReachNet(MapModel):
     """Plans and grounds from images, joints and a sentence."""
 
     selection = "decision"
@@ -145,11 +125,6 @@ class ReachNet(Model):
         self.planner = ReachNetPlanner(config.planner, config.robots, known)
         self.grounding = ReachNetGrounder(known)
 
-    @property
-    def device(self) -> torch.device:
-        """Where the weights are."""
-        return self.eye.nowhere.device
-
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Return the terms of the loss."""
         labels = batch.labels
@@ -158,26 +133,19 @@ class ReachNet(Model):
         goal = goal_numbers(labels.goals, self.device, batch.entities)
         reading = self.reader.loss(batch.instructions, goal)
         with torch.autocast(self.device.type, enabled=False):
-            bases = labels.bases[..., :2]
-            rings = self.eye.reach(coarse, batch, bases)
+            rings = self.eye.reach(coarse, batch, labels.bases[..., :2])
             known = self._true_rings(labels)
             told = rings if known is None else known
             truth = true_table(labels, told, batch.raster, batch.entities)
             seen = true_table(labels, rings, batch.raster, batch.entities)
             terms = self.eye.losses(marks, truth, batch)
             terms["reading"] = reading
-            terms |= self._reach_terms(seen, known, labels, batch)
-            terms |= self._table_terms(
-                truth, self._seen(marks, coarse, batch), goal, batch
-            )
-        return terms
-
-    def _seen(self, marks: Marks, coarse: Tensor, batch: Batch) -> SceneTable | None:
-        """Return what perception finds, for the planner to learn from."""
-        if not self.config.perceived:
-            return None
-        with torch.no_grad():
-            return self.eye.table(marks, coarse, batch)
+            terms["reach"] = self._reach_loss(seen, known, labels, batch)
+            found = None
+            if self.config.perceived:
+                with torch.no_grad():
+                    found = self.eye.table(marks, coarse, batch)
+            return terms | self._table_losses(truth, found, goal, batch)
 
     def _true_rings(self, labels: Labels) -> Tensor | None:
         """Return the true radii, where training may know them."""
@@ -192,25 +160,32 @@ class ReachNet(Model):
         radii = torch.tensor([[r.inner_m, r.travel_m, r.grasp_m] for r in found])
         return radii.to(self.device)[labels.arms]
 
-    def _reach_terms(
+    def _reach_loss(
         self, seen: SceneTable, known: Tensor | None, labels: Labels, batch: Batch
-    ) -> dict[str, Tensor]:
+    ) -> Tensor:
         if self.config.reach == "none":
             # Every weight has a gradient, which training on many GPUs asks for.
             unused = (self.planner.reach_sharpness, self.planner.reach_weight)
-            return {"reach": 0.0 * (seen.rings.sum() + sum(unused))}
-        if known is not None:
-            half = torch.tensor(
-                [batch.raster.columns, batch.raster.rows], device=self.device
-            ) * (batch.raster.cell_m / 2)
-            share = torch.rand(len(batch), _REACH_POINTS, 2, device=self.device) * 2 - 1
-            return {"reach": reach_loss(seen, known, seen.bases, share * half)}
-        return {"reach": demonstrated_reach(seen, labels)}
+            return 0.0 * (seen.rings.sum() + sum(unused))
+        if known is None:
+            return demonstrated_reach(seen, labels)
+        half = torch.tensor(
+            [batch.raster.columns, batch.raster.rows], device=self.device
+        ) * (batch.raster.cell_m / 2)
+        share = torch.rand(len(batch), _REACH_POINTS, 2, device=self.device) * 2 - 1
+        return reach_loss(seen, known, seen.bases, share * half)
 
-    def _table_terms(
+    def _table_losses(
         self, truth: SceneTable, seen: SceneTable | None, goal: Tensor, batch: Batch
     ) -> dict[str, Tensor]:
-        """Return the losses of planner and grounder."""
+        """Return the losses of planner and grounder.
+
+        Args:
+            truth: All true.
+            seen: What perception finds, for the planner to learn from it, too.
+            goal: Numbers of the goals.
+            batch: With labels.
+        """
         labels = batch.labels
         assert labels is not None
         decision, past, config = labels.decision, batch.past, self.config
@@ -221,14 +196,14 @@ class ReachNet(Model):
             draws[i] = turned(draws[i])
             pasts[i] = turned_numbers(past, config.robots)
             wanted[i] = turned_numbers(decision, config.robots)
-        counts = [torch.ones(len(batch), dtype=torch.bool, device=self.device)] * len(
-            draws
-        )
+        counts = [torch.ones_like(decision[:, 0], dtype=torch.bool)] * config.draws
         if seen is not None:
             draws.append(seen)
             pasts.append(past)
             wanted.append(decision)
-            named = named_in(decision, len(batch.entities))
+            # Only frames where all is seen that the sub-task picks or acts on.
+            numbers = torch.arange(len(batch.entities), device=self.device)
+            named = (decision[:, 2:, None] == numbers).any(1)
             counts.append((seen.present | ~named).all(1))
         scores = self.planner(
             SceneTable.joined(draws),
@@ -270,12 +245,12 @@ class ReachNet(Model):
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return the next sub-task of each episode."""
-        found = []
         with self.deciding():
-            for batch, failed in self._batches(inputs):
-                _, decision = self._decide(batch, failed)
-                found += [subtask_of(row, batch.entities) for row in decision.tolist()]
-        return found
+            return [
+                subtask_of(row, batch.entities)
+                for batch, failed in self._with_failures(inputs)
+                for row in self._decide(batch, failed)[1].tolist()
+            ]
 
     def ground(
         self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
@@ -285,19 +260,17 @@ class ReachNet(Model):
         robots, entities = self.config.robots, self.entities
         numbers = [numbers_of(subtask, robots, entities) for subtask in subtasks]
         with self.deciding():
-            for batch, _ in self._batches(inputs):
+            for batch in self.batches(inputs):
                 rows = numbers[len(found) : len(found) + len(batch)]
-                marks, coarse = self.eye(batch)
-                table = self.eye.table(marks, coarse, batch)
                 decision = torch.tensor(rows, device=self.device)
-                found += self._grounded(table, decision)
+                found += self._grounded(self.eye.see(batch), decision)
         return found
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         """Return the next decision of each episode."""
         found: list[Decision] = []
         with self.deciding():
-            for batch, failed in self._batches(inputs):
+            for batch, failed in self._with_failures(inputs):
                 table, decision = self._decide(batch, failed)
                 grounded = self._grounded(table, decision)
                 for row, poses in zip(decision.tolist(), grounded, strict=True):
@@ -313,9 +286,8 @@ class ReachNet(Model):
         """Return what each sentence asks for on its table, and how likely that is."""
         found: list[tuple[GoalPairs, float]] = []
         with self.deciding():
-            for batch, _ in self._batches(inputs):
-                marks, coarse = self.eye(batch)
-                present = self.eye.table(marks, coarse, batch).present
+            for batch in self.batches(inputs):
+                present = self.eye.see(batch).present
                 goals, likely = self.reader.weigh(batch.instructions, present)
                 for rows, share in zip(goals.tolist(), likely.tolist(), strict=True):
                     found.append((pairs_of(rows, batch.entities.places), share))
@@ -325,34 +297,32 @@ class ReachNet(Model):
         """Return what was seen, read and weighed for each decision."""
         found: list[Insight] = []
         with self.deciding():
-            for batch, failed in self._batches(inputs):
+            for batch, failed in self._with_failures(inputs):
                 table, goals, scores = self._weigh(batch, failed)
-                options = likeliest(scores, self.config.robots, batch.entities)
+                shares, numbers = scores.float().softmax(-1).topk(_OPTIONS)
+                options = decision_of(numbers, self.config.robots, batch.entities)
                 for row, rows in enumerate(goals.tolist()):
                     goal = pairs_of(rows, batch.entities.places)
-                    found.append(Insight(*table.seen(row), goal, options[row]))
+                    likely = zip(
+                        (subtask_of(o, batch.entities) for o in options[row].tolist()),
+                        shares[row].tolist(),
+                        strict=True,
+                    )
+                    found.append(Insight(*table.seen(row), goal, tuple(likely)))
         return found
 
-    @contextmanager
-    def deciding(self) -> Iterator[None]:
-        """Switch training off for a while."""
-        was = self.training
-        self.eval()
-        try:
-            with torch.inference_mode():
-                yield
-        finally:
-            self.train(was)
-
-    def _batches(
+    def _with_failures(
         self, inputs: Sequence[PolicyInput]
     ) -> Iterator[tuple[Batch, list[list[SubTask]]]]:
         """Yield batches, and what has failed since something last succeeded."""
-        for start in range(0, len(inputs), _AT_ONCE):
-            part = inputs[start : start + _AT_ONCE]
-            raster = self.config.raster(part[0])
-            failed = [failures_in(given) for given in part]
-            yield batch_of(part, raster, (), self.device, self.entities), failed
+        failed = []
+        for given in inputs:
+            outcomes = [step.outcome for step in reversed(given.past)]
+            since = [*outcomes, _SUCCESS].index(_SUCCESS)
+            failed.append([step.subtask for step in given.past[::-1][:since]])
+        for batch in self.batches(inputs):
+            yield batch, failed[: len(batch)]
+            failed = failed[len(batch) :]
 
     def _decide(
         self, batch: Batch, failed: Sequence[Sequence[SubTask]] = ()
@@ -366,9 +336,7 @@ class ReachNet(Model):
         self, batch: Batch, failed: Sequence[Sequence[SubTask]]
     ) -> tuple[SceneTable, Tensor, Tensor]:
         """Return what is seen and read, and the score of every sub-task, (B, N)."""
-        marks, coarse = self.eye(batch)
-        with torch.autocast(self.device.type, enabled=False):
-            table = self.eye.table(marks, coarse, batch)
+        table = self.eye.see(batch)
         goal = self.reader.read(batch.instructions, table.present)
         with torch.autocast(self.device.type, enabled=False):
             scores = self.planner(table, goal, batch.past, self.grounding.drags)
@@ -383,20 +351,15 @@ class ReachNet(Model):
     def _grounded(
         self, table: SceneTable, decision: Tensor
     ) -> list[GroundedSubTask | None]:
-        pick, place = self.grounding(table, decision)
         found: list[GroundedSubTask | None] = []
-        for row, start, end in zip(
-            decision.tolist(), pick.tolist(), place.tolist(), strict=True
-        ):
-            if row[1] == STOP or not all(map(math.isfinite, (*start, *end))):
-                found.append(None)
-                continue
-            subtask = subtask_of(row, table.entities)
-            found.append(
-                GroundedSubTask(
-                    subtask.robot, subtask.primitive, Pose2(*start), Pose2(*end)
-                )
-            )
+        rows = (part.tolist() for part in (decision, *self.grounding(table, decision)))
+        for numbers, *ends in zip(*rows, strict=True):
+            poses = None
+            if numbers[1] != STOP and all(map(math.isfinite, (*ends[0], *ends[1]))):
+                subtask = subtask_of(numbers, table.entities)
+                start, end = (Pose2(*pose) for pose in ends)
+                poses = GroundedSubTask(subtask.robot, subtask.primitive, start, end)
+            found.append(poses)
         return found
 
 

@@ -16,8 +16,13 @@ from lemma.core.arguments import Depth, Share, Width, Widths
 from lemma.policies.batch import Batch
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import ResidualBlock, norm, upsample_to
-from lemma.policies.models.reachnet.scene_table import COLUMNS, FAR_M, SceneTable
-from lemma.policies.models.reachnet.tool_shape import FAR_END_M
+from lemma.policies.models.grid import Cells
+from lemma.policies.models.reachnet.scene_table import (
+    COLUMNS,
+    FAR_END_M,
+    FAR_M,
+    SceneTable,
+)
 from lemma.scene.raster import RASTER
 
 STRIDE = 4
@@ -184,14 +189,20 @@ class Perception(nn.Module):
         logits: Tensor = self.ground(F.adaptive_avg_pool1d(profile, COLUMNS))
         return logits.squeeze(1).float()
 
+    def see(self, batch: Batch) -> SceneTable:
+        """Return what is on the table, found in a batch."""
+        marks, coarse = self(batch)
+        with torch.autocast(coarse.device.type, enabled=False):
+            return self.table(marks, coarse, batch)
+
     def table(self, marks: Marks, coarse: Tensor, batch: Batch) -> SceneTable:
         """Return what is on the table."""
         points, present = _read_points(marks, batch)
         count, cargo = len(self.entities), self.entities.cargo
         present, bases = present[:, :count], points[:, count + 1 :]
         xy = points[:, :count]
-        cos, sin = self._turns(marks, _cell_of(xy, batch, marks.shape)).unbind(2)
-        fold = self._fold(xy.device)
+        cos, sin = self._turns(marks, _cells(batch).holding(xy)).unbind(2)
+        fold = torch.tensor(_folds(self.entities), device=xy.device)
         along = points[:, count] - xy[:, self.entities.stick]
         yaw = torch.atan2(sin, cos) / fold.clamp(min=1)
         yaw = torch.where(fold > 0, yaw, 0.0)
@@ -208,10 +219,6 @@ class Perception(nn.Module):
             half_x_m=batch.raster.size_m[0] / 2,
             entities=self.entities,
         )
-
-    def _fold(self, device: torch.device) -> Tensor:
-        """Return by how many turns each entity looks the same, (E,); 0 for any."""
-        return torch.tensor(_folds(self.entities), device=device)
 
     def _turns(self, marks: Marks, cell: Tensor) -> Tensor:
         """Return cosine and sine of the folded yaw of each entity, (B, E, 2).
@@ -249,11 +256,13 @@ class Perception(nn.Module):
             ],
             1,
         )
-        inside, cell = _inside(xy, batch), _cell_of(xy, batch, marks.shape)
-        there = there & inside
+        cells = _cells(batch)
+        cell, place = cells.holding(xy), cells.continuous(xy)
+        limit = torch.tensor([cells.columns, cells.rows], device=xy.device)
+        there = there & ((place >= 0) & (place < limit)).all(-1)
         target = torch.where(there, cell, marks.points.shape[2] - 1)
         found = -marks.points.gather(2, target[..., None])
-        fold = self._fold(xy.device)
+        fold = torch.tensor(_folds(self.entities), device=xy.device)
         turn = self._turns(marks, cell[:, : len(self.entities)])
         wanted = fold * table.yaw
         wanted = torch.stack([wanted.cos(), wanted.sin()], -1)
@@ -273,7 +282,7 @@ class Perception(nn.Module):
     ) -> Tensor:
         """Return the error of positions, also from the cells around the right one."""
         rows, columns = marks.shape
-        place = _in_cells(xy, batch)
+        place = _cells(batch).continuous(xy)
         corner = place.floor()
         steps = torch.arange(-_NEAR, _NEAR + 1, device=xy.device)
         around = torch.cartesian_prod(steps, steps)
@@ -322,27 +331,8 @@ def _image(batch: Batch) -> Tensor:
     return torch.cat([image, x, y.expand(count, 1, -1, columns)], 1)
 
 
-def _in_cells(xy: Tensor, batch: Batch) -> Tensor:
-    """Return positions [m] as column and row of coarse cells, with fractions."""
-    raster = batch.raster
-    size = raster.cell_m * STRIDE
-    column = xy[..., 0] / size + raster.columns / STRIDE / 2
-    row = raster.rows / STRIDE / 2 - xy[..., 1] / size
-    return torch.stack([column, row], -1)
-
-
-def _inside(xy: Tensor, batch: Batch) -> Tensor:
-    place = _in_cells(xy, batch)
-    rows, columns = batch.raster.rows // STRIDE, batch.raster.columns // STRIDE
-    limit = torch.tensor([columns, rows], device=xy.device)
-    return ((place >= 0) & (place < limit)).all(-1)
-
-
-def _cell_of(xy: Tensor, batch: Batch, shape: tuple[int, int]) -> Tensor:
-    """Return the number of the coarse cell of positions; the nearest if outside."""
-    rows, columns = shape
-    column, row = _in_cells(xy, batch).floor().long().unbind(-1)
-    return row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
+def _cells(batch: Batch) -> Cells:
+    return Cells.of(batch.raster, STRIDE)
 
 
 def _read_points(marks: Marks, batch: Batch) -> tuple[Tensor, Tensor]:

@@ -7,47 +7,34 @@ paper's utility, the logarithm of how likely the robot reaches what it needs.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.core.arguments import Depth, Share, Width
-from lemma.core.robot_names import robot_name
 from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, decision_numbers
 from lemma.policies.entities import BENCHMARK, EntitySet
-from lemma.policies.interfaces import PolicyInput
 from lemma.policies.layers import TransformerLayer, drawn
-from lemma.policies.models.reachnet.drags import DragUtility
-from lemma.policies.models.reachnet.features import (
-    PAIR,
-    RELATIONS,
-    ROBOT_FEATURES,
-    drag_features,
-    entity_feature_count,
-    goal_state,
-    kinds,
-    last,
-    nearness,
-    places,
-    reach_features,
-    recent,
-    robot_features,
-    roles,
-    stick_state,
-    tool_features,
-)
-from lemma.policies.models.reachnet.scene_table import SceneTable
-from lemma.tasks.subtask import STOP as STOP_SUBTASK
-from lemma.tasks.subtask import Primitive, SubTask
+from lemma.policies.models.reachnet.scene_table import CONJUNCTS, SceneTable
+from lemma.policies.models.reachnet.utility import SIGNS, DragUtility
+from lemma.tasks.subtask import SubTask
 
 _TOOL_ROWS = ("prehook", "hook", "prepoke", "poke")
-_ROW_OF = {PRIMITIVES.index(name): row for row, name in enumerate(_TOOL_ROWS)}
 _ABSENT = -20.0
-_SUCCESS = "success"
-_OPTIONS = 6
+_RECENT = 2
+_DISTANCES_M = (0.0, 0.03, 0.07, 0.12, 0.25, 0.5, 1.0)
+_SUPPORTS_M = 0.035
+_UNIT_M = 0.05
+"""Unit of heights and radii of things [m]."""
+_KIND = 8
+
+ROBOT_FEATURES = 9
+_SIDE_OF = (0, 0, 1, 1)
+PAIR = len(_DISTANCES_M) + 2
+RELATIONS = PAIR + 4
 
 
 @dataclass(frozen=True)
@@ -233,6 +220,30 @@ def _mlp(wide: int, hidden: int, out: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(wide, hidden), nn.SiLU(), nn.Linear(hidden, out))
 
 
+@cache
+def _all_subtasks(
+    robots: int, entities: EntitySet, device: torch.device
+) -> tuple[Tensor, Tensor]:
+    """Return all sub-tasks, (N, 4), and their numbers by robot, primitive and so on.
+
+    Robots move cargo onto things and to where all reach, use the stick on cargo, lay
+    the stick down there; and ``stop``, with the number of all that makes no sense.
+    """
+    cargo, stick, shared = range(entities.cargo), entities.stick, entities.shared
+    ends = [(0, pick, place) for pick in cargo for place in (*range(stick), shared)]
+    ends += [(PRIMITIVES.index(name), stick, on) for name in _TOOL_ROWS for on in cargo]
+    ends.append((0, stick, shared))
+    found = [(robot, *end) for end in ends for robot in range(robots)]
+    shape = (robots, len(PRIMITIVES), len(entities), len(entities.places))
+    # Cached, so they must not be inference tensors.
+    with torch.inference_mode(False):
+        numbers = torch.full(shape, len(found))
+        for number, row in enumerate(found):
+            numbers[row] = number
+        rows = torch.tensor([*found, (NOBODY, STOP, NOBODY, NOBODY)])
+        return rows.to(device), numbers.to(device)
+
+
 def number_of(decision: Tensor, robots: int, entities: EntitySet = BENCHMARK) -> Tensor:
     """Return the number of sub-tasks among all, (B,).
 
@@ -241,79 +252,14 @@ def number_of(decision: Tensor, robots: int, entities: EntitySet = BENCHMARK) ->
         robots: Robots of a team.
         entities: Entities, in the order of their numbers.
     """
-    robot, primitive, pick, place = decision.unbind(-1)
-    cargo, stick, spots = entities.cargo, entities.stick, entities.stick + 1
-    spot = torch.where(place == entities.shared, stick, place)
-    moves = cargo * spots * robots
-    rows = torch.zeros(len(PRIMITIVES), dtype=torch.int64, device=decision.device)
-    for known, row in _ROW_OF.items():
-        rows[known] = row
-    move = (pick * spots + spot) * robots + robot
-    tool = moves + (rows[primitive] * cargo + place) * robots + robot
-    tools = moves + len(_TOOL_ROWS) * cargo * robots
-    hand = tools + robot
-    number = torch.where(primitive == 0, torch.where(pick == stick, hand, move), tool)
-    return torch.where(primitive == STOP, tools + robots, number)
+    numbers = _all_subtasks(robots, entities, decision.device)[1]
+    # -1, nobody, is the last robot and thing, which are never with ``stop``.
+    return numbers[decision.unbind(-1)]
 
 
 def decision_of(number: Tensor, robots: int, entities: EntitySet = BENCHMARK) -> Tensor:
     """Return the sub-tasks of numbers, (B, 4): the inverse of :func:`number_of`."""
-    cargo, stick, spots = entities.cargo, entities.stick, entities.stick + 1
-    shared = entities.shared
-    moves = cargo * spots * robots
-    tools = moves + len(_TOOL_ROWS) * cargo * robots
-    robot, rest = number % robots, number // robots
-    spot = rest % spots
-    zero = torch.zeros_like(number)
-    place = torch.where(spot == stick, shared, spot)
-    move = torch.stack([robot, zero, rest // spots, place], -1)
-    inner = (number - moves).clamp(min=0)
-    row = (inner // robots // cargo).clamp(max=len(_TOOL_ROWS) - 1)
-    primitives = torch.tensor(list(_ROW_OF), device=number.device)
-    tool_robot, cube = inner % robots, inner // robots % cargo
-    tool = torch.stack([tool_robot, primitives[row], zero + stick, cube], -1)
-    hand_robot = (number - tools).clamp(0, robots - 1)
-    hand = torch.stack([hand_robot, zero, zero + stick, zero + shared], -1)
-    none = torch.stack([zero - 1, zero + STOP, zero - 1, zero - 1], -1)
-    bands = (
-        number[:, None]
-        >= torch.tensor([moves, tools, tools + robots], device=number.device)
-    ).sum(-1)
-    table = torch.stack([move, tool, hand, none], 1)
-    return table[torch.arange(len(number), device=number.device), bands]
-
-
-def subtask_of(row: Sequence[int], entities: EntitySet = BENCHMARK) -> SubTask:
-    """Return a sub-task of numbers: robot, primitive, pick, place."""
-    places = entities.places
-    robot, primitive, pick, place = row
-    if primitive == STOP:
-        return STOP_SUBTASK
-    return SubTask(
-        robot_name(robot), Primitive(PRIMITIVES[primitive]), places[pick], places[place]
-    )
-
-
-def likeliest(
-    scores: Tensor, robots: int, entities: EntitySet = BENCHMARK
-) -> list[tuple[tuple[SubTask, float], ...]]:
-    """Return sub-tasks and how likely they are, for each of B scenes, likeliest first.
-
-    Args:
-        scores: Scores of every sub-task, (B, N).
-        robots: Robots of a team.
-        entities: Entities, in the order of their numbers.
-    """
-    shares, numbers = scores.float().softmax(-1).topk(_OPTIONS)
-    return [
-        tuple(
-            (subtask_of(code, entities), share)
-            for code, share in zip(
-                decision_of(row, robots, entities).tolist(), each.tolist(), strict=True
-            )
-        )
-        for row, each in zip(numbers, shares, strict=True)
-    ]
+    return _all_subtasks(robots, entities, number.device)[0][number]
 
 
 def numbers_of(
@@ -325,29 +271,216 @@ def numbers_of(
         numbers = decision_numbers(subtask.to_dict(), entities)
     except ValueError:
         return nothing
-    robot, _, pick, place = numbers
-    cargo, stick = range(entities.cargo), entities.stick
-    if subtask.primitive is Primitive.MOVE:
-        onto = place in range(stick) and place != pick
-        fits = (pick in cargo and (onto or place > stick)) or (
-            pick == stick and place > stick
-        )
-    else:
-        fits = pick == stick and place in cargo
-    return numbers if fits and 0 <= robot < robots else nothing
+    known = _all_subtasks(robots, entities, torch.device("cpu"))[0].tolist()
+    # A thing is not put on itself.
+    return numbers if numbers in known and numbers[2] != numbers[3] else nothing
 
 
-def named_in(decision: Tensor, count: int) -> Tensor:
-    """Return which of so many entities sub-tasks pick or act on, (B, E) bool."""
-    numbers = torch.arange(count, device=decision.device)
-    return (decision[:, 2:, None] == numbers).any(1)
+def entity_feature_count(robots: int) -> int:
+    """Return how many features an entity has."""
+    goal_state = 2 * CONJUNCTS * 5
+    drags = robots * len(SIGNS) * 3
+    state = 7 + 3 * robots + 2 * CONJUNCTS + goal_state + 8 + drags + 7 * _RECENT
+    return _KIND + state
 
 
-def failures_in(given: PolicyInput) -> list[SubTask]:
-    """Return what has failed since something last succeeded."""
-    failed = []
-    for step in reversed(given.past):
-        if step.outcome == _SUCCESS:
-            break
-        failed.append(step.subtask)
-    return failed
+def reach_features(table: SceneTable, use_reach: bool) -> Tensor:
+    """Return how far inside each robot's reach each entity is, (B, E, 3 R)."""
+    points = places(table)
+    margins = (
+        table.margins(points) if use_reach else torch.zeros_like(table.margins(points))
+    )
+    rays = points[:, None] - table.bases[:, :, None]
+    distances = rays.norm(dim=-1)
+    found = [
+        (margins / 0.02).tanh(),
+        (margins / 0.15).tanh(),
+        distances.clamp(max=2),
+    ]
+    there = table.present[:, None]
+    found = [torch.where(there, f, 0.0) for f in found]
+    return torch.cat([f.transpose(1, 2) for f in found], -1)
+
+
+def robot_features(table: SceneTable, use_reach: bool) -> Tensor:
+    """Return what is known of each robot, (B, R, ROBOT_FEATURES)."""
+    rings = table.rings if use_reach else torch.zeros_like(table.rings)
+    centre = torch.zeros(len(table), 1, 2, device=rings.device)
+    shared = table.margins(centre).squeeze(-1)
+    gap = (table.bases - table.bases.flip(1)).norm(dim=-1, keepdim=True)
+    overlap = rings[..., 1:2] + rings.flip(1)[..., 1:2] - gap
+    if not use_reach:
+        shared, overlap = torch.zeros_like(shared), torch.zeros_like(overlap)
+    return torch.cat(
+        [
+            table.bases,
+            rings,
+            gap,
+            (overlap / 0.3).tanh(),
+            (overlap / 0.05).tanh(),
+            (shared[..., None] / 0.1).tanh(),
+        ],
+        -1,
+    )
+
+
+def places(table: SceneTable) -> Tensor:
+    """Return where each entity would be grasped, (B, E, 2) [m]."""
+    return torch.cat([table.xy[:, : table.stick], table.grasp[:, None]], 1)
+
+
+def kinds(table: SceneTable) -> Tensor:
+    """Return what each entity is, by its kind's record, and where, (B, E, 15)."""
+    traits, count = table.traits, len(table.entities)
+    numbers = torch.arange(count, device=table.xy.device)
+    is_cargo, is_stick = numbers < table.cargo, numbers == table.stick
+    sizes = torch.stack([traits.height_m, traits.disc_m, traits.support_m], -1)
+    told = [is_cargo, is_stick, traits.graspable, traits.draggable, traits.faceted]
+    kind = torch.cat([torch.stack(told, -1).float(), sizes / _UNIT_M], -1)
+    there = table.present[..., None].float()
+    level = (raised(table) / _UNIT_M)[..., None]
+    heading = torch.stack([table.yaw.cos(), table.yaw.sin()], -1)
+    heading = heading * is_stick[:, None]
+    xy = torch.where(table.present[..., None], table.xy, 0.0)
+    away = xy.norm(dim=-1, keepdim=True)
+    kind = kind.expand(len(table), -1, -1)
+    return torch.cat([kind, there, xy, level, heading, away], -1)
+
+
+def raised(table: SceneTable) -> Tensor:
+    """Return how high above the table what is moved lies, (B, E) [m]; 0 for the rest.
+
+    The height of its top less its own is that of what it lies on.
+    """
+    numbers = torch.arange(len(table.entities), device=table.xy.device)
+    bottom = table.top - table.traits.height_m
+    return torch.where(table.present & (numbers < table.cargo), bottom, 0.0)
+
+
+def roles(goal: Tensor, count: int) -> Tensor:
+    """Return each entity's roles in the goal, (B, E, 2 * conjuncts).
+
+    Args:
+        goal: (B, conjuncts, 2); -1 for none.
+        count: E.
+    """
+    hot = F.one_hot(torch.where(goal == NOBODY, count, goal), count + 1)[..., :count]
+    return hot.flatten(1, 2).transpose(1, 2).float()
+
+
+def goal_state(table: SceneTable, goal: Tensor) -> Tensor:
+    """Return where each role's partner is, (B, E, 2 * conjuncts * 5)."""
+    index = goal.clamp(min=0)
+    named = goal != NOBODY
+    rows = torch.arange(len(table), device=goal.device)[:, None, None]
+    xy, rise = table.xy[rows, index], raised(table)[rows, index] / _UNIT_M
+    seen = table.present[rows, index] & named
+    offset = xy[:, :, 0] - xy[:, :, 1]
+    apart = offset.norm(dim=-1)
+    both = seen.all(-1)
+    facts = torch.stack(
+        [
+            both.float(),
+            seen[..., 0].float(),
+            torch.where(both, torch.exp(-apart / 0.03), 0.0),
+            torch.where(both, torch.sigmoid((_SUPPORTS_M - apart) / 0.004), 0.0),
+            torch.where(seen[..., 0], rise[:, :, 0], 0.0),
+        ],
+        -1,
+    )
+    count = len(table.entities)
+    has = roles(goal, count).view(len(table), count, CONJUNCTS, 2, 1)
+    return (has * facts[:, None, :, None]).flatten(2)
+
+
+def stick_state(table: SceneTable, ready: Tensor) -> Tensor:
+    """Return how the stick lies to each thing that is moved, (B, E, 8).
+
+    Args:
+        table: B scenes.
+        ready: Where each entity is, seen from the gripper, when the stick lies ready,
+            (S, E, 2) [m].
+    """
+    yaw = table.yaw[:, table.stick, None]
+    x, y = (table.xy - table.grasp[:, None]).unbind(-1)
+    u, v = x * yaw.cos() + y * yaw.sin(), y * yaw.cos() - x * yaw.sin()
+    both = table.present & table.present[:, table.stick, None]
+    numbers = torch.arange(len(table.entities), device=yaw.device)
+    both = both & (numbers < table.cargo)
+    found = []
+    for ahead, across in (one.unbind(-1) for one in ready):
+        du, dv = u - ahead, v - across
+        off = torch.maximum(du.abs(), dv.abs())
+        found += [(du / 0.1).tanh(), (dv / 0.1).tanh(), torch.exp(-off / 0.05)]
+        found.append(torch.sigmoid((0.025 - off) / 0.005))
+    return torch.where(both[..., None], torch.stack(found, -1), 0.0)
+
+
+def drag_features(values: Tensor, count: int) -> Tensor:
+    """Return what the stick can do with each entity, (B, E, R * S * 3).
+
+    Args:
+        values: Values for each moved object, (B, R, S, C, 3).
+        count: E.
+    """
+    flat = (values / 5.0).tanh().permute(0, 3, 1, 2, 4).flatten(2)
+    return F.pad(flat, (0, 0, 0, count - flat.shape[1]))
+
+
+def tool_features(values: Tensor, table: SceneTable, use_reach: bool) -> Tensor:
+    """Return the same for every sub-task with the stick, (B, 4, C, R, 7)."""
+    per = values.permute(0, 2, 3, 1, 4)[:, _SIDE_OF, :]
+    margins = table.detached().margins(table.grasp.detach()[:, None]).squeeze(-1)
+    if not use_reach:
+        margins = torch.zeros_like(margins)
+    grip = torch.stack([(margins / 0.02).tanh(), (margins / 0.15).tanh()], -1)
+    grip = grip[:, None, None].expand(-1, *per.shape[1:4], -1)
+    return torch.cat([(per / 5).tanh(), (per[..., 1:] / 1.0).tanh(), grip], -1)
+
+
+def nearness(table: SceneTable) -> Tensor:
+    """Return how entities lie to one another, (B, E, E, RELATIONS)."""
+    places = table.xy.detach()
+    both = table.present[:, :, None] & table.present[:, None]
+    offset = places[:, :, None] - places[:, None]
+    apart = offset.norm(dim=-1)
+    centres = torch.tensor(_DISTANCES_M, device=apart.device)
+    widths = 0.5 * centres.clamp(min=0.03)
+    bumps = torch.exp(-(((apart[..., None] - centres) / widths) ** 2))
+    top = table.top.detach()
+    rise = (top[:, :, None] - top[:, None]) / _UNIT_M
+    close = torch.sigmoid((_SUPPORTS_M - apart) / 0.004)
+    numbers = torch.arange(len(table.entities), device=apart.device)
+    is_cargo = numbers < table.cargo
+    kinds = torch.stack([is_cargo, ~is_cargo & (numbers < table.stick)], -1).float()
+    pairs = kinds[:, None, :, None] * kinds[None, :, None, :]
+    found = torch.cat([bumps, close[..., None], rise.clamp(-3, 3)[..., None]], -1)
+    found = torch.where(both[..., None], found, 0.0)
+    return torch.cat([found, pairs.flatten(2).expand(len(table), -1, -1, -1)], -1)
+
+
+def recent(past: Tensor, count_of_entities: int) -> Tensor:
+    """Return what was last done with each entity, (B, E, 7 * _RECENT)."""
+    count = (past[..., 1] != NOBODY).sum(1)
+    found = []
+    for back in range(1, _RECENT + 1):
+        index = (count - back).clamp(min=0)
+        step = past[torch.arange(len(past), device=past.device), index]
+        step = torch.where((count >= back)[:, None], step, NOBODY)
+        _, primitive, pick, place = step.unbind(-1)
+        numbers = torch.arange(count_of_entities, device=past.device)
+        picked = (pick[:, None] == numbers).float()[..., None]
+        placed = (place[:, None] == numbers).float()[..., None]
+        what = F.one_hot(primitive.clamp(min=0), len(PRIMITIVES))[:, None, :5].float()
+        found += [picked, placed, what * torch.maximum(picked, placed)]
+    return torch.cat(found, -1)
+
+
+def last(past: Tensor, robots: int) -> Tensor:
+    """Return the last primitive and its robot, (B, primitives + robots)."""
+    count = (past[..., 1] != NOBODY).sum(1)
+    step = past[torch.arange(len(past), device=past.device), (count - 1).clamp(min=0)]
+    done = (count > 0).float()[:, None]
+    primitive = F.one_hot(step[:, 1].clamp(min=0), len(PRIMITIVES))
+    robot = F.one_hot(step[:, 0].clamp(min=0), robots)
+    return torch.cat([primitive, robot], -1) * done

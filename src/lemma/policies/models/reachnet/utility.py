@@ -1,32 +1,40 @@
-"""ReachNet's drags: ways to move a cube with the stick, and what each is worth.
+"""ReachNet's utilities: of ways to drag with the stick, and of spots to put things.
 
-A drag is one of a few bearings and lengths. Its utility is learned from demonstrations:
-a weighted sum of what makes a drag good, and one soft threshold for each thing that
-makes it impossible. The thresholds act on what the network perceives: how far inside
-its reach maps the gripper and the cube would be, and what would be in the way.
+A drag is one of a few bearings and lengths, a spot for a cube or the stick one of many
+places. Utilities are learned from demonstrations: a weighted sum of what makes one
+good, and one soft threshold for each thing that makes it impossible. The thresholds act
+on what the network perceives: how far inside its reach maps the gripper and the cube
+would be, and what would be in the way.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.policies.models.reachnet.scene_table import SceneTable
-from lemma.policies.models.reachnet.tool_shape import (
+from lemma.policies.models.grid import wrapped
+from lemma.policies.models.reachnet.scene_table import (
     BAR_M,
+    FAR_M,
     HALF_M,
+    SceneTable,
     beyond,
+    stick_distance,
     swept_distance,
 )
-from lemma.tasks.drags import HAND_CLEARANCE_M, MAX_DRAG_M, PREPARE_GAP_M
+from lemma.tasks.drags import (
+    HAND_CLEARANCE_M,
+    LARGEST_TURN_RAD,
+    MAX_DRAG_M,
+    PREPARE_GAP_M,
+)
 
-TOOL_PRIMITIVES = ("hook", "poke")
 SIGNS = (-1.0, 1.0)
-"""Which way along the stick each of them moves the cube."""
+"""Which way along the stick it moves the cube when it hooks, and when it pokes."""
 TURNS_RAD = tuple(
     math.radians(d) for d in (-54, -42, -32, -24, -16, -8, 0, 8, 16, 24, 32, 42, 54)
 )
@@ -41,7 +49,6 @@ TRAVELS_M = tuple(
 _SCALES_M = (0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.1, 0.05)
 _FIRST = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, HAND_CLEARANCE_M / 0.02, 1.0, 10.0)
 """Thresholds at first, in these."""
-_CONSTRAINTS = len(_FIRST)
 _OF_REACH = 4
 """The first constraints are of reach."""
 _RECEIVER = 2
@@ -51,8 +58,13 @@ _WAYPOINTS = 6
 _SCALE_M = 0.02
 _READY_UNIT_M = 0.1
 _FIRST_GAP_M = HALF_M + PREPARE_GAP_M
-_FAR_M = 1.0
+_MOST_M = 1.0
 _SPEED = 10.0
+_ROOM_M = 0.3
+_HAND_M = HAND_CLEARANCE_M - 0.02
+"""Less than a hand needs by what a threshold is at first."""
+_LEEWAY_RAD = 0.2
+_YAWS = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +122,9 @@ class DragUtility(nn.Module):
                 for sign in SIGNS
             ]
         )
-        count = len(TOOL_PRIMITIVES)
+        count = len(SIGNS)
         self.threshold = Tuned([list(_FIRST)] * count)
-        self.sharpness = Tuned([[0.5] * _CONSTRAINTS] * count)
+        self.sharpness = Tuned([[0.5] * len(_FIRST)] * count)
         self.enough = Tuned([4.0] * count)
         self.weights = Tuned([[0.0] * 3] * count)
 
@@ -148,7 +160,8 @@ class DragUtility(nn.Module):
         )
         ahead = torch.stack([bearings.cos(), bearings.sin()], -1)
         left = torch.stack([-ahead[..., 1], ahead[..., 0]], -1)
-        ready = self._ready_for(table, cubes)
+        ready = self.ready(table.traits.drag_m[cubes]).detach()
+        ready = ready.movedim(0, 1)[:, None, :, :, None]
         at = cube[:, None, None, :, None]
         prepared = at - ready[..., :1] * ahead - ready[..., 1:] * left
         signs = torch.tensor(SIGNS, device=cube.device)[:, None, None, None, None]
@@ -214,11 +227,6 @@ class DragUtility(nn.Module):
         )
         return worth
 
-    def _ready_for(self, table: SceneTable, cubes: Tensor) -> Tensor:
-        """Return :meth:`ready` for things of scenes, (B, 1, S, C, 1, 2)."""
-        ready = self.ready(table.traits.drag_m[cubes]).detach()
-        return ready.movedim(0, 1)[:, None, :, :, None]
-
 
 def _room(
     table: SceneTable,
@@ -251,15 +259,15 @@ def _room(
     path = beyond(u, start + moved.clamp(max=0), start + moved.clamp(min=0))
     cube = path.hypot(v - ready[..., 1, None, None]) - radii
     own = F.one_hot(cubes, things.shape[1]).bool()[:, None, None, :, None, None]
-    stick = torch.where(own, _FAR_M, stick)
-    cube = torch.where(own, _FAR_M, cube)
+    stick = torch.where(own, _MOST_M, stick)
+    cube = torch.where(own, _MOST_M, cube)
     bases = torch.minimum(stick, cube)[..., stick_number:].amin(-1)
     # The dragged object lies before the stick, far from the hand.
     hand = beyond(u, back, forth).hypot(v) - radii
-    rooms = (stick, cube, torch.where(own, _FAR_M, hand))
+    rooms = (stick, cube, torch.where(own, _MOST_M, hand))
     found = [room[..., :stick_number].amin(-1) for room in rooms]
     # Room that is more than enough is all the same.
-    return [room.clamp(max=_FAR_M) for room in (*found, bases)]
+    return [room.clamp(max=_MOST_M) for room in (*found, bases)]
 
 
 def straight(table: SceneTable, points: Tensor) -> Tensor:
@@ -319,3 +327,173 @@ def _receiver(margins: Tensor) -> Tensor:
         given = torch.stack(others).amax(0)
         rows.append(torch.stack([margins[:, i, i, 0], given], 1))
     return torch.stack(rows, 1)
+
+
+def _grid(half_x_m: float, half_y_m: float, step_m: float) -> Tensor:
+    """Return the points of a grid around the origin, (N, 2) [m]."""
+    columns, rows = round(half_x_m / step_m), round(half_y_m / step_m)
+    # On "meta", torch would load its compiler for this.
+    x = step_m * torch.arange(-columns, columns + 1, device="cpu")
+    y = step_m * torch.arange(-rows, rows + 1, device="cpu")
+    return torch.cartesian_prod(x, y).float()
+
+
+class _Spots(nn.Module):
+    """Utility of candidates: soft thresholds, and what is better or worse."""
+
+    grid: Tensor
+
+    def __init__(
+        self, grid: Tensor, constraints: int, worths: int, use_reach: bool
+    ) -> None:
+        super().__init__()
+        self.use_reach = use_reach
+        self.register_buffer("grid", grid, persistent=False)
+        self.threshold = Tuned([1.0] * constraints)
+        self.sharpness = Tuned([0.5] * constraints)
+        self.enough = Tuned([4.0] * 2)
+        self.weights = Tuned([0.0] * worths)
+
+    def _able(self, constraints: Tensor) -> Tensor:
+        sharp = self.sharpness().exp()
+        return F.logsigmoid(sharp * (constraints / _SCALE_M - self.threshold())).sum(-1)
+
+    def _worst_margin(self, table: SceneTable, points: Tensor) -> Tensor:
+        worst = table.margins(points.expand(len(table), -1, -1)).amin(1)
+        return worst if self.use_reach else torch.zeros_like(worst)
+
+
+class CubeSpots(_Spots):
+    """Predicts the place for a cube."""
+
+    def __init__(self, use_reach: bool = True) -> None:
+        """Make the weights.
+
+        Args:
+            use_reach: Whether margins of reach count.
+        """
+        super().__init__(_grid(0.24, 0.44, 0.02), 3, 3, use_reach)
+
+    def forward(self, table: SceneTable, cube: Tensor) -> Tensor:
+        """Return the utility of each spot, (B, N).
+
+        Args:
+            table: B scenes.
+            cube: Which entity is put there, (B,).
+        """
+        table = _without(table, cube)
+        margin = self._worst_margin(table, self.grid)
+        apart = torch.cdist(
+            self.grid.expand(len(table), -1, -1), table.xy[:, : table.stick]
+        )
+        room = (apart - table.traits.disc_m[: table.stick]).amin(-1)
+        stick = stick_distance(
+            table.grasp[:, None], table.yaw[:, table.stick, None], self.grid
+        )
+        bases = torch.cdist(self.grid.expand(len(table), -1, -1), table.bases).amin(-1)
+        room = torch.minimum(room, stick - HALF_M).clamp(max=_ROOM_M)
+        able = self._able(torch.stack([margin, room, 0.2 * bases.clamp(max=1.0)], -1))
+        weights, enough = self.weights().exp(), self.enough()
+        utility: Tensor = (
+            able
+            + weights[0] * torch.minimum(margin / _SCALE_M, enough[0])
+            + weights[1] * torch.minimum(room / _SCALE_M, enough[1])
+            - weights[2] * self.grid.norm(dim=-1) / _SCALE_M
+        )
+        return utility
+
+    def number(self, xy: Tensor) -> Tensor:
+        """Return the spot nearest to positions (B, 2) [m]."""
+        return torch.cdist(xy, self.grid).argmin(-1)
+
+    def pose(self, number: Tensor) -> Tensor:
+        """Return the positions of spots, (B, 2) [m]."""
+        return self.grid[number]
+
+
+class StickSpots(_Spots):
+    """How to lay the stick down so that every robot can take it."""
+
+    def __init__(self, use_reach: bool = True) -> None:
+        """Make the weights.
+
+        Args:
+            use_reach: Whether margins of reach count.
+        """
+        super().__init__(_grid(0.16, 0.24, 0.04), 6, 3, use_reach)
+
+    def forward(self, table: SceneTable, robot: Tensor) -> Tensor:
+        """Return the utility of each spot with each yaw, (B, N * yaws).
+
+        Args:
+            table: B scenes.
+            robot: Number of the robot that brings it, (B,).
+        """
+        count, spots = len(table), len(self.grid)
+        yaws = torch.arange(_YAWS, device=self.grid.device) * (math.tau / _YAWS)
+        margin = self._worst_margin(table, self.grid)[..., None].expand(-1, -1, _YAWS)
+        ray = self.grid[None, None] - table.bases[:, :, None]
+        outward = torch.atan2(ray[..., 1], ray[..., 0])
+        heading = torch.cos(yaws - outward[..., None]).clamp(-1, 1).acos().amax(1)
+        own = outward[torch.arange(count, device=robot.device), robot]
+        turn = self._turn(table, robot, yaws - own[..., None])
+        grasps = self.grid.repeat_interleave(_YAWS, 0)[:, None]
+        turned = yaws.repeat(spots)[:, None]
+        things = table.xy[:, None, : table.stick]
+        radii = table.traits.disc_m[: table.stick]
+        room = stick_distance(grasps, turned, things) - radii
+        hand = torch.cdist(self.grid.expand(count, -1, -1), table.xy[:, : table.stick])
+        hand = (hand - radii).amin(-1).clamp(max=_ROOM_M)
+        hand = hand[..., None].expand(-1, -1, _YAWS)
+        bases = stick_distance(grasps, turned, table.bases[:, None]).amin(-1)
+        room = room.amin(-1).clamp(max=_ROOM_M).view(count, spots, _YAWS)
+        bases = bases.clamp(max=1.0).view(count, spots, _YAWS)
+        able = self._able(
+            torch.stack(
+                [
+                    *(margin, room, 0.2 * bases, 0.1 * (1.8 - heading)),
+                    *(hand - _HAND_M, 0.1 * (LARGEST_TURN_RAD + _LEEWAY_RAD - turn)),
+                ],
+                -1,
+            )
+        )
+        weights, enough = self.weights().exp(), self.enough()
+        worth: Tensor = (
+            weights[0] * torch.minimum(margin / _SCALE_M, enough[0])
+            - weights[1] * (self.grid.norm(dim=-1, keepdim=True) / _SCALE_M)
+            - weights[2] * heading * 10
+        )
+        return (able + worth).flatten(1)
+
+    def _turn(self, table: SceneTable, robot: Tensor, heading: Tensor) -> Tensor:
+        """Return how far the stick turns, seen from the base of who brings it.
+
+        The last joint turns it, and never beyond straight back to the base: from one
+        side of that to the other it goes the long way.
+
+        Args:
+            table: B scenes.
+            robot: (B,).
+            heading: Heading of the laid stick, from straight outward, (B, N, yaws).
+        """
+        rows = torch.arange(len(table), device=robot.device)
+        ray = table.grasp - table.bases[rows, robot]
+        outward = torch.atan2(ray[:, 1], ray[:, 0])
+        before = wrapped(table.yaw[:, table.stick] - outward)
+        return (wrapped(heading) - before[:, None, None]).abs()
+
+    def number(self, pose: Tensor) -> Tensor:
+        """Return the candidates nearest to gripper poses (B, 3)."""
+        spot = torch.cdist(pose[:, :2], self.grid).argmin(-1)
+        return spot * _YAWS + torch.round(pose[:, 2] * _YAWS / math.tau).long() % _YAWS
+
+    def pose(self, number: Tensor) -> Tensor:
+        """Return the gripper poses of candidates, (B, 3)."""
+        yaw = (number % _YAWS).float() * (math.tau / _YAWS)
+        return torch.cat([self.grid[number // _YAWS], yaw[:, None]], -1)
+
+
+def _without(table: SceneTable, entity: Tensor) -> SceneTable:
+    """Return the table with an entity taken away."""
+    gone = F.one_hot(entity, table.xy.shape[1]).bool()
+    return replace(table, xy=torch.where(gone.unsqueeze(-1), FAR_M, table.xy))

@@ -44,12 +44,16 @@ class Cells:
         Args:
             xy_m: World frame [m], (..., 2).
         """
-        x, y = xy_m.unbind(-1)
-        column = (x / self.cell_m + self.columns / 2).floor().long()
-        row = (self.rows / 2 - y / self.cell_m).floor().long()
+        column, row = self.continuous(xy_m).floor().long().unbind(-1)
         return row.clamp(0, self.rows - 1) * self.columns + column.clamp(
             0, self.columns - 1
         )
+
+    def continuous(self, xy_m: Tensor) -> Tensor:
+        """Return columns and rows with fractions, (..., 2), also beyond the map."""
+        x, y = xy_m.unbind(-1)
+        column = x / self.cell_m + self.columns / 2
+        return torch.stack([column, self.rows / 2 - y / self.cell_m], -1)
 
     def centres(self, numbers: Tensor) -> Tensor:
         """Return the centres of cells in the world frame [m], (..., 2)."""
