@@ -7,7 +7,7 @@ import torch
 from batches import RASTER
 from torch.nn import functional as F
 
-from lemma.policies.models.cliport.grid import (
+from lemma.policies.models.grid import (
     Cells,
     bin_yaws,
     correlate,
