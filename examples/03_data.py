@@ -13,8 +13,8 @@ import lemma
 from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.recipe.replay import replay
-from lemma.dataset.rendered.keyframes.capture import KeyframeForm
-from lemma.dataset.rendered.keyframes.dataset import KeyframeDataset
+from lemma.dataset.rendered.capture import KeyframeForm
+from lemma.dataset.rendered.dataset import KeyframeDataset
 from lemma.dataset.rendered.render import RenderConfig, render
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "out/first-data")

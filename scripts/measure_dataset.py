@@ -29,14 +29,14 @@ from lemma.core.workers.pool import ProcessPool
 from lemma.core.workers.resources import peak_memory_mb, usable_cores
 from lemma.dataset.instructions import Language
 from lemma.dataset.recipe.generate import GenerateConfig, generate
-from lemma.dataset.rendered.keyframes.capture import KeyframeForm
-from lemma.dataset.rendered.keyframes.dataset import (
+from lemma.dataset.rendered.capture import KeyframeForm
+from lemma.dataset.rendered.dataset import (
     CAMERA_COLUMNS,
     MAP_COLUMNS,
     POLICY_COLUMNS,
     KeyframeDataset,
+    MapsInMemory,
 )
-from lemma.dataset.rendered.keyframes.memory import MapsInMemory
 from lemma.dataset.rendered.render import RenderConfig, render
 
 BATCH = 32

@@ -14,8 +14,8 @@ from lemma.cli.main import main
 from lemma.core.errors import InvalidActionError, InvalidConfigError
 from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.replay import replay
-from lemma.dataset.rendered.keyframes.dataset import KeyframeDataset
-from lemma.dataset.rendered.labels import entity_poses
+from lemma.dataset.rendered.capture import entity_poses
+from lemma.dataset.rendered.dataset import KeyframeDataset
 from lemma.env.action_spaces import PICKS, PLACES, decode_plan, encode_plan, plan_space
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.env.observation import object_poses

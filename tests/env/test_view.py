@@ -9,7 +9,7 @@ import pytest
 from tiers import slow_but
 
 import lemma
-from lemma.dataset.rendered.keyframes.capture import stored
+from lemma.dataset.rendered.capture import stored
 from lemma.env.camera_rig import CameraRig, round_depth
 from lemma.env.view import View
 from lemma.evaluation.run.rollout import Rollout

@@ -23,7 +23,7 @@ from lemma.core.workers.serial import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset, write_shard
 from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.recipe.schema import EpisodeRecord
-from lemma.dataset.rendered.labels import label
+from lemma.dataset.rendered.capture import label
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import iterate_steps
 from lemma.dataset.teleoperation import (

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from lemma.core.files import sha256_of, write_json
 from lemma.core.seeding import stream
 from lemma.dataset.files import MANIFEST
-from lemma.dataset.rendered.keyframes.files import write_keyframes
-from lemma.dataset.rendered.keyframes.schema import (
+from lemma.dataset.rendered.keyframes import (
     FORM,
     KEYFRAMES_VERSION,
     Header,
+    write_keyframes,
 )
 from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.objects.palette import OBJECT_COLORS, STICK, TABLE

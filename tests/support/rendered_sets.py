@@ -8,7 +8,7 @@ from kept import kept_folder
 from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.files import Recipe, load
 from lemma.dataset.recipe.generate import GenerateConfig, generate
-from lemma.dataset.rendered.keyframes.capture import KeyframeForm
+from lemma.dataset.rendered.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, render
 
 TASKS = ("pass", "stack")

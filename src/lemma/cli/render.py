@@ -22,7 +22,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import Engine
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
 from lemma.dataset.lerobot.frames import EnvironmentState, Style
-from lemma.dataset.rendered.keyframes.capture import KeyframeForm
+from lemma.dataset.rendered.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.dataset.rendered.render import render as render_form
 from lemma.dataset.teleoperation import files_in

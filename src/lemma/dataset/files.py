@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Iterable
 from importlib.resources import files as resources
 from pathlib import Path, PurePosixPath
+from shlex import quote
 from typing import Any
 
 import msgspec
@@ -81,6 +82,27 @@ def check_files(folder: Path, *, partial: bool = False) -> None:
         check_sum(folder / name, files[name], written)
 
 
+def read_manifest(folder: Path, form: str) -> dict[str, dict[str, Any]]:
+    """Return what the manifest of a rendered data set says of its files.
+
+    Raises:
+        DatasetError: There is none, or it is one of another form.
+    """
+    if not (folder / MANIFEST).exists():
+        raise DatasetError(
+            f"{folder} has no {MANIFEST}: nothing was rendered there, or not to the "
+            f"end. Run 'lemma render --form {form} --out {quote(str(folder))}' "
+            "(again)."
+        )
+    manifest = read_json(folder / MANIFEST)
+    if manifest.get("form") != form:
+        raise DatasetError(
+            f"{folder} holds {manifest.get('form', 'recipe')!r}, not {form!r}. Choose "
+            f"another folder, or make one with 'lemma render --form {form}'."
+        )
+    return listed_files(folder)
+
+
 def listed_files(folder: Path) -> dict[str, dict[str, Any]]:
     """Return the entry of each file in the manifest.
 
@@ -118,23 +140,25 @@ def _damaged(folder: Path, why: str) -> str:
     )
 
 
-def check_sum(path: Path, entry: dict[str, Any], written: str) -> None:
-    """Check that a file is unchanged.
+def check_sum(path: Path, entry: dict[str, Any] | None, written: str) -> str:
+    """Return the SHA-256 of a file, and check that the file is unchanged.
 
     Args:
         path: The file.
-        entry: Its entry in the manifest.
+        entry: Its entry in the manifest, if there is one.
         written: The command that writes it.
 
     Raises:
         DatasetError: It was changed.
     """
-    if sha256_of(path) != entry["sha256"]:
+    found = sha256_of(path)
+    if entry is not None and found != entry["sha256"]:
         raise DatasetError(
             f"{path} has another checksum than {MANIFEST} says: it was changed or "
             f"damaged. Fetch it again, or delete it and run '{written}' again: it "
             "writes what is missing."
         )
+    return found
 
 
 def shorten(digest: str) -> str:

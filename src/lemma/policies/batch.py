@@ -12,10 +12,8 @@ from torch import Tensor
 
 from lemma.core.errors import DatasetError
 from lemma.core.robot_names import robot_number
-from lemma.dataset.rendered.keyframes.dataset import POLICY_COLUMNS
-from lemma.dataset.rendered.keyframes.memory import MapsInMemory
-from lemma.dataset.rendered.keyframes.schema import EXECUTED
-from lemma.dataset.rendered.shards import keyframe_shards
+from lemma.dataset.rendered.dataset import POLICY_COLUMNS, MapsInMemory, keyframe_shards
+from lemma.dataset.rendered.keyframes import EXECUTED
 from lemma.policies.entities import BENCHMARK, EntitySet, poses_of
 from lemma.policies.interfaces import PolicyInput
 from lemma.robots.ur.arms import ARMS
@@ -192,7 +190,7 @@ class Frames:
             device: Where batches shall be made.
             entities: Entities, in the order of their numbers.
             shared: Whether processes of this machine share the maps; see
-                :class:`~lemma.dataset.rendered.keyframes.memory.MapsInMemory`.
+                :class:`~lemma.dataset.rendered.dataset.MapsInMemory`.
 
         Raises:
             DatasetError: Files are missing, damaged or of another version, scenes do

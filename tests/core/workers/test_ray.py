@@ -21,7 +21,7 @@ from lemma.core.plugins import load_plugins
 from lemma.core.workers.pool import is_worker
 from lemma.core.workers.ray_cluster import RayCluster
 from lemma.core.workers.serial import Serial
-from lemma.dataset.rendered.keyframes.capture import KeyframeForm
+from lemma.dataset.rendered.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, render
 
 pytestmark = pytest.mark.slow

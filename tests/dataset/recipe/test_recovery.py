@@ -40,9 +40,9 @@ from lemma.dataset.recipe.schema import (
     to_table,
 )
 from lemma.dataset.recipe.summary import recovery_figures
-from lemma.dataset.rendered.keyframes.capture import KeyframeForm
-from lemma.dataset.rendered.keyframes.dataset import KeyframeDataset
-from lemma.dataset.rendered.keyframes.schema import FORM, KEYFRAMES_VERSION, Header
+from lemma.dataset.rendered.capture import KeyframeForm
+from lemma.dataset.rendered.dataset import KeyframeDataset
+from lemma.dataset.rendered.keyframes import FORM, KEYFRAMES_VERSION, Header
 from lemma.dataset.rendered.render import RenderConfig, render
 from lemma.env.episode import Episode
 from lemma.expert.disturbances import KINDS, NONE, Perturbation

@@ -26,15 +26,16 @@ from lemma.core.errors import DatasetError, UnknownNameError
 from lemma.core.files import read_json, write_json
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.instructions import Language
-from lemma.dataset.rendered.keyframes import dataset as keyframe_dataset
-from lemma.dataset.rendered.keyframes.dataset import (
+from lemma.dataset.rendered import dataset as keyframe_dataset
+from lemma.dataset.rendered.dataset import (
     CAMERA_COLUMNS,
     MAP_COLUMNS,
     POLICY_COLUMNS,
+    SHARED,
     KeyframeDataset,
+    MapsInMemory,
     Sample,
 )
-from lemma.dataset.rendered.keyframes.memory import SHARED, MapsInMemory
 from lemma.tasks.language.bank import templates
 
 pytestmark = pytest.mark.render

@@ -19,8 +19,8 @@ from rendered_sets import (
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose
 from lemma.dataset.recipe.files import REVISION_VARIABLE
-from lemma.dataset.rendered.keyframes.capture import KeyframeForm, stored
-from lemma.dataset.rendered.keyframes.dataset import (
+from lemma.dataset.rendered.capture import KeyframeForm, stored
+from lemma.dataset.rendered.dataset import (
     CAMERA_COLUMNS,
     MAP_COLUMNS,
     POLICY_COLUMNS,

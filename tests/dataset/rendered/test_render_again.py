@@ -17,14 +17,13 @@ from rendered_sets import (
 from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import ProcessPool
 from lemma.core.workers.serial import Serial
-from lemma.dataset.files import MANIFEST
+from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.hub import check
 from lemma.dataset.recipe.files import REVISION_VARIABLE, open_table
 from lemma.dataset.recipe.generate import GenerateConfig, generate
-from lemma.dataset.rendered.keyframes.capture import KeyframeForm
-from lemma.dataset.rendered.keyframes.dataset import KeyframeDataset
+from lemma.dataset.rendered.capture import KeyframeForm
+from lemma.dataset.rendered.dataset import KeyframeDataset
 from lemma.dataset.rendered.render import RenderConfig, render
-from lemma.dataset.rendered.shards import verify
 
 pytestmark = pytest.mark.render
 
@@ -128,13 +127,13 @@ def test_a_file_that_was_cut_short_is_told_and_made_again(
 
 def test_a_wrong_checksum_is_told(undisturbed: Path, tmp_path: Path) -> None:
     out = own_copy(undisturbed, tmp_path / "set")
-    assert verify(out) == 4
+    check_files(out)
     path = out / "cameras" / SPLIT / "pass-000.arrow"
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
     with pytest.raises(DatasetError, match=r"pass-000.arrow has another checksum"):
-        verify(out)
+        check_files(out)
     with pytest.raises(DatasetError, match=r"pass-000.arrow has another checksum"):
         render(order(out), SMALL, Serial())
 

@@ -6,7 +6,7 @@ from rendered_sets import SPLIT, TASKS, contents, recipe_folder
 from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.files import REVISION_VARIABLE
 from lemma.dataset.recipe.generate import GenerateConfig, generate
-from lemma.dataset.rendered.keyframes.capture import KeyframeForm
+from lemma.dataset.rendered.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, render
 from lemma.policies.training.run import check_data
 

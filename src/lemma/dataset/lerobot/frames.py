@@ -12,6 +12,7 @@ import numpy as np
 from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.schema import EpisodeRecord
+from lemma.dataset.rendered.capture import label
 from lemma.dataset.rendered.film import (
     Filming,
     Frame,
@@ -20,7 +21,6 @@ from lemma.dataset.rendered.film import (
     rig_of,
     robots_of,
 )
-from lemma.dataset.rendered.labels import label
 from lemma.dataset.rendered.steps import (
     NO_SUBTASK,
     DenseStep,

@@ -110,7 +110,7 @@ def open_table(path: Path) -> tuple[pq.ParquetFile, dict[str, str]]:
     Raises:
         DatasetError: It is truncated, or not of this format.
     """
-    with _explained(path):
+    with explained(path):
         file = pq.ParquetFile(path, page_checksum_verification=True)
     found = (file.schema_arrow.metadata or {}).get(METADATA_KEY)
     known = (SCHEMA.names, PERTURBED_SCHEMA.names)
@@ -139,7 +139,7 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
     Raises:
         DatasetError: It is damaged, or not of this format.
     """
-    with _explained(path):
+    with explained(path):
         return open_table(path)[0].read(columns=columns)
 
 
@@ -149,13 +149,17 @@ def read_group(path: Path, group: int) -> list[EpisodeRecord]:
     Raises:
         DatasetError: It is damaged.
     """
-    with _explained(path):
+    with explained(path):
         return from_table(open_table(path)[0].read_row_group(group))
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Turn an error of Parquet into a sentence.
+def explained(path: Path, written_by: str = WRITTEN_BY) -> Iterator[None]:
+    """Turn an error of Arrow about a file into a sentence.
+
+    Args:
+        path: The file.
+        written_by: The command that writes it.
 
     Raises:
         DatasetError: The sentence.
@@ -163,7 +167,7 @@ def _explained(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, pa.ArrowException) as error:
-        raise DatasetError(damaged(path, error, WRITTEN_BY)) from error
+        raise DatasetError(damaged(path, error, written_by)) from error
 
 
 @dataclass(frozen=True, slots=True)

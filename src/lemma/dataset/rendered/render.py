@@ -6,12 +6,12 @@ on, and the next run continues there. The same recipe gives
 the same bytes, wherever it was interrupted; for images, on machines that draw alike.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import rmtree
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.files import only_writer, sha256_of, write_json, write_text
@@ -27,83 +27,22 @@ from lemma.core.workers.resumable import (
 from lemma.dataset.files import (
     CARD,
     MANIFEST,
+    card,
     check_files,
     check_free,
+    check_sum,
     content_digest,
     listed_files,
+    read_manifest,
 )
 from lemma.dataset.recipe.files import load, open_table, read_group, versions
 from lemma.dataset.recipe.replay import check_versions
-from lemma.dataset.recipe.schema import EpisodeRecord, perturbed_as
-from lemma.dataset.rendered.shards import changed, read_manifest
+from lemma.dataset.recipe.schema import perturbed_as
+from lemma.dataset.rendered import keyframes
+from lemma.dataset.rendered.capture import KeyframeForm
+from lemma.dataset.rendered.keyframes import FORM, SUFFIX, Header, KeyframeFile
 from lemma.dataset.teleoperation import files_in
 from lemma.tasks.instance import BENCHMARK_VERSION
-
-_PERTURBED_NOTE = """
-## Perturbed executions
-
-These are no demonstrations and no part of the benchmark. Sub-tasks went wrong on
-purpose (`lemma generate --perturb {perturb} --perturb-seed {perturb_seed}`). Labels are
-what the expert would do in each state; what was done is in the columns `executed_*`.
-"""
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """A file that exists already."""
-
-    about: dict[str, Any]
-    """Versions and settings that decide its bytes."""
-    digests: tuple[str, ...]
-    """Digests of its episodes in the recipe."""
-    rows: int
-    """Keyframes or steps."""
-
-
-class Form(Protocol):
-    """A kind of files that are made from a recipe."""
-
-    @property
-    def name(self) -> str:
-        """Name of the form: ``"keyframes"``."""
-        ...
-
-    def paths(self, split: str, name: str) -> tuple[str, ...]:
-        """Return the files of a row group of the recipe, relative to the folder."""
-        ...
-
-    def about(self, versions: dict[str, str]) -> dict[str, Any]:
-        """Return the settings and versions that decide the bytes."""
-        ...
-
-    def look(self, path: Path) -> Found:
-        """Return the record that a file holds.
-
-        Raises:
-            DatasetError: It is damaged, or of another form or version.
-        """
-        ...
-
-    def write(
-        self,
-        paths: Sequence[Path],
-        records: Sequence[EpisodeRecord],
-        digests: tuple[str, ...],
-        about: dict[str, Any],
-    ) -> None:
-        """Write the files of some episodes.
-
-        Args:
-            paths: Files, in the order of :meth:`paths`.
-            records: The episodes.
-            digests: Their digests in the recipe.
-            about: The description that :meth:`about` returned.
-        """
-        ...
-
-    def card(self) -> str:
-        """Return the README of the folder."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +125,7 @@ class RenderSummary:
 
 def render(
     order: RenderConfig,
-    form: Form,
+    form: KeyframeForm,
     engine: Engine,
     advance: Callable[[int], None] = lambda count: None,
 ) -> RenderSummary:
@@ -194,7 +133,7 @@ def render(
 
     Args:
         order: Options of the rendering.
-        form: In which form.
+        form: Options of the images.
         engine: Workers that run the jobs.
         advance: Is told how many episodes are done already, then of each further one.
 
@@ -214,30 +153,36 @@ def render(
         check_versions(found)
         perturbed = perturbed_as(found)
     check_files(order.recipe, partial=True)
-    about = form.about({**versions(BENCHMARK_VERSION), **perturbed})
-    chunks = list(_chunks(order, form, groups))
-    total = sum(len(chunk.digests) for chunk in chunks)
+    header = form.header({**versions(BENCHMARK_VERSION), **perturbed})
+    chunks = list(_chunks(order, groups))
     with only_writer(order.out):
-        known = _known_files(order.out, form)
-        there = _look(order.out, form, about)
-        sums = _check_sums(order.out, there, known)
+        there, sums = _look(order.out, header.about())
         parts = []
         for chunk in chunks:
             is_done = _is_there(chunk, there)
-            job = (form, _absolute(chunk), about)
+            job = (form, _absolute(chunk), header)
             parts.append(Part(job, len(chunk.digests), is_done))
             for path in () if is_done else chunk.paths:
                 sums.pop(path, None)
-        begin(order.out, RECORD, about)
+        begin(order.out, RECORD, header.about())
         for part, _ in do_missing(parts, render_chunk, engine, advance):
             advance(part.size)
         rmtree(order.out / PARTS, ignore_errors=True)
-        rows, size = _write_manifest(order.out, form, about, sums)
-        note = _PERTURBED_NOTE.format(**perturbed) if perturbed else ""
-        write_text(order.out / CARD, form.card() + note)
-    made = sum(part.size for part in parts if not part.is_done)
-    seconds = perf_counter() - start
-    return RenderSummary(total, rows, made, seconds, size / 1e6)
+        files = _listed(order.out, sums)
+        about = {"form": FORM, "about": header.about(), "files": files}
+        write_json(order.out / MANIFEST, about)
+        text = card(
+            FORM, columns=keyframes.describe(), width=form.width, height=form.height
+        )
+        note = card(f"{FORM}_perturbed", **perturbed) if perturbed else ""
+        write_text(order.out / CARD, text + note)
+    return RenderSummary(
+        episodes=sum(part.size for part in parts),
+        rows=sum(entry["rows"] for entry in files.values()) // len(keyframes.PARTS),
+        made=sum(part.size for part in parts if not part.is_done),
+        seconds=perf_counter() - start,
+        size_mb=sum(entry["bytes"] for entry in files.values()) / 1e6,
+    )
 
 
 def _absolute(chunk: _Chunk) -> _Chunk:
@@ -246,14 +191,14 @@ def _absolute(chunk: _Chunk) -> _Chunk:
     return replace(chunk, source=chunk.source.absolute(), paths=paths)
 
 
-def render_chunk(form: Form, chunk: _Chunk, about: dict[str, Any]) -> None:
+def render_chunk(form: KeyframeForm, chunk: _Chunk, header: Header) -> None:
     """Make the files of one row group."""
     records = read_group(chunk.source, chunk.group)
-    form.write(chunk.paths, records, chunk.digests, about)
+    form.write(chunk.paths, records, chunk.digests, header)
 
 
 def _chunks(
-    order: RenderConfig, form: Form, groups: list[tuple[Path, int, tuple[int, ...]]]
+    order: RenderConfig, groups: list[tuple[Path, int, tuple[int, ...]]]
 ) -> Iterator[_Chunk]:
     """Yield the work of each row group.
 
@@ -273,26 +218,12 @@ def _chunks(
                 f"{MANIFEST} does not say what is in {source}: the recipe is not "
                 "complete. Run 'lemma generate' again."
             )
-        split, stem = source.parent.name, f"{source.stem}-{group:03d}"
-        paths = tuple(order.out / path for path in form.paths(split, stem))
+        place = Path(source.parent.name, f"{source.stem}-{group:03d}{SUFFIX}")
+        paths = tuple(order.out / part / place for part in keyframes.PARTS)
         yield _Chunk(source, group, paths, tuple(digests))
 
 
-def _look(folder: Path, form: Form, about: dict[str, Any]) -> dict[Path, Found]:
-    """Return the files that exist, and check that this job would write the same.
-
-    Raises:
-        DatasetError: One is of another job, or damaged.
-    """
-    there = {}
-    for pattern in form.paths("*", "*"):
-        for path in sorted(folder.glob(pattern)):
-            there[path] = form.look(path)
-            check_same_job(path, there[path].about, about)
-    return there
-
-
-def _is_there(chunk: _Chunk, there: dict[Path, Found]) -> bool:
+def _is_there(chunk: _Chunk, there: dict[Path, Header]) -> bool:
     """Return whether the files of a chunk are there, with all its episodes.
 
     Raises:
@@ -309,53 +240,45 @@ def _is_there(chunk: _Chunk, there: dict[Path, Found]) -> bool:
     return len(found) == len(chunk.paths) and all(d == chunk.digests for d in found)
 
 
-def _known_files(folder: Path, form: Form) -> dict[str, dict[str, Any]]:
-    """Return the entries of the manifest of an earlier run, if there is one.
+def _files(folder: Path) -> list[Path]:
+    parts = (sorted(folder.glob(f"{part}/*/*{SUFFIX}")) for part in keyframes.PARTS)
+    return [path for paths in parts for path in paths]
+
+
+def _look(
+    folder: Path, about: dict[str, Any]
+) -> tuple[dict[Path, Header], dict[Path, str]]:
+    """Return headers and checksums of the files that exist.
 
     Raises:
-        DatasetError: The folder holds something else.
+        DatasetError: One is of another job, damaged, or changed since it was written,
+            or the folder holds something else.
     """
+    known: dict[str, dict[str, Any]] = {}
+    paths = _files(folder)
     if (folder / MANIFEST).exists():
-        return read_manifest(folder, form.name)
-    begun = any(any(folder.glob(pattern)) for pattern in form.paths("*", "*"))
-    check_free(folder, begun=begun)
-    return {}
-
-
-def _check_sums(
-    folder: Path, there: Iterable[Path], known: dict[str, dict[str, Any]]
-) -> dict[Path, str]:
-    """Return the SHA-256 of files, and check it where the manifest knows them.
-
-    Raises:
-        DatasetError: One was changed since it was written.
-    """
-    sums = {}
-    for path in there:
-        sums[path] = sha256_of(path)
+        known = read_manifest(folder, FORM)
+    else:
+        check_free(folder, begun=bool(paths))
+    headers, sums = {}, {}
+    for path in paths:
+        headers[path] = KeyframeFile(path).header
+        check_same_job(path, headers[path].about(), about)
         entry = known.get(path.relative_to(folder).as_posix())
-        if entry is not None and entry["sha256"] != sums[path]:
-            raise DatasetError(changed(path))
-    return sums
+        sums[path] = check_sum(path, entry, keyframes.WRITTEN_BY)
+    return headers, sums
 
 
-def _write_manifest(
-    folder: Path, form: Form, about: dict[str, Any], sums: dict[Path, str]
-) -> tuple[int, int]:
-    """Write the checksums of all files; return their rows and bytes."""
-    files: dict[str, dict[str, Any]] = {}
-    rows = 0
-    for pattern in form.paths("*", "*"):
-        rows = 0
-        for path in sorted(folder.glob(pattern)):
-            found = form.look(path)
-            rows += found.rows
-            files[path.relative_to(folder).as_posix()] = {
-                "sha256": sums.get(path) or sha256_of(path),
-                "content_sha256": content_digest(found.digests),
-                "bytes": path.stat().st_size,
-                "episodes": len(found.digests),
-                "rows": found.rows,
-            }
-    write_json(folder / MANIFEST, {"form": form.name, "about": about, "files": files})
-    return rows, sum(entry["bytes"] for entry in files.values())
+def _listed(folder: Path, sums: dict[Path, str]) -> dict[str, dict[str, Any]]:
+    """Return the entries of all files for the manifest; some checksums are known."""
+    files = {}
+    for path in _files(folder):
+        header = KeyframeFile(path).header
+        files[path.relative_to(folder).as_posix()] = {
+            "sha256": sums.get(path) or sha256_of(path),
+            "content_sha256": content_digest(header.digests),
+            "bytes": path.stat().st_size,
+            "episodes": len(header.digests),
+            "rows": sum(header.keyframes),
+        }
+    return files

@@ -15,10 +15,10 @@ from lemma.core.files import read_json, write_json
 from lemma.core.seeding import stream
 from lemma.core.version import VERSION as __version__
 from lemma.core.workers.resumable import check_same_job
-from lemma.dataset.files import MANIFEST
+from lemma.dataset.files import MANIFEST, read_manifest
 from lemma.dataset.recipe.schema import executions, perturbed_as
-from lemma.dataset.rendered.keyframes.schema import FORM
-from lemma.dataset.rendered.shards import keyframe_shards, read_manifest
+from lemma.dataset.rendered.dataset import keyframe_shards
+from lemma.dataset.rendered.keyframes import FORM
 from lemma.policies.batch import Frames
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.models.base import Model

@@ -1,4 +1,4 @@
-"""Pictures and labels at the keyframes of an episode: the form ``keyframes``.
+"""Pictures and labels at the keyframes of an episode.
 
 Nothing is simulated: the recipe holds the state of every keyframe.
 """
@@ -6,29 +6,25 @@ Nothing is simulated: the recipe holds the state of every keyframe.
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.dataset.recipe.schema import EpisodeRecord, PerturbedRecord
-from lemma.dataset.rendered.keyframes.files import KeyframeFile, write_keyframes
-from lemma.dataset.rendered.keyframes.schema import (
+from lemma.core.poses import FloatArray
+from lemma.dataset.recipe.schema import EpisodeRecord, ExpertRecord, PerturbedRecord
+from lemma.dataset.rendered.keyframes import (
     EXECUTED,
     FORM,
     KEYFRAMES_VERSION,
     PARTS,
-    SUFFIX,
     Header,
     Row,
-    describe,
+    write_keyframes,
 )
-from lemma.dataset.rendered.labels import entity_poses, expert_label, label
-from lemma.dataset.rendered.render import Found
 from lemma.env.camera_rig import CameraRig
 from lemma.env.observation import object_poses
 from lemma.env.view import View
@@ -40,10 +36,11 @@ from lemma.scene.raster import RASTER, encode_depth
 from lemma.scene.rendering.gl_backend import choose_backend
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
+from lemma.tasks.language.bank import sub_instruction
+from lemma.tasks.subtask import STOP
 
-_STOPPED = str(Outcome.STOPPED)
 _DECISION = ("robot", "primitive", "pick", "place")
-_PER_FILE = ("part", "robots", "digests", "keyframes")
+_NOWHERE = (math.nan,) * 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,27 +56,14 @@ class KeyframeForm:
         """Check the size."""
         CameraRig(self.width, self.height)
 
-    @property
-    def name(self) -> str:
-        """Name of the form."""
-        return FORM
-
-    def paths(self, split: str, name: str) -> tuple[str, ...]:
-        """Return the files of a row group of the recipe, in the order of ``PARTS``."""
-        return tuple(f"{part}/{split}/{name}{SUFFIX}" for part in PARTS)
-
-    def about(self, versions: dict[str, str]) -> dict[str, Any]:
-        """Return the settings and versions that decide the bytes."""
-        header = asdict(self._header(versions, choose_backend().renderer))
-        return {name: header[name] for name in header if name not in _PER_FILE}
-
-    def _header(self, versions: dict[str, str], renderer: str) -> Header:
+    def header(self, versions: dict[str, str]) -> Header:
+        """Return the record that every file has, with the settings and versions."""
         return Header(
             form=FORM,
             part=PARTS[0],
             version=KEYFRAMES_VERSION,
             versions=versions,
-            renderer=renderer,
+            renderer=choose_backend().renderer,
             robots=2,
             width=self.width,
             height=self.height,
@@ -87,40 +71,25 @@ class KeyframeForm:
             entities=known_entities(),
         )
 
-    def look(self, path: Path) -> Found:
-        """Return the record that a file holds.
-
-        Raises:
-            DatasetError: It is damaged, or of another form or version.
-        """
-        file = KeyframeFile(path)
-        header = asdict(file.header)
-        return Found(
-            {name: header[name] for name in header if name not in _PER_FILE},
-            file.header.digests,
-            len(file),
-        )
-
     def write(
         self,
         paths: Sequence[Path],
         records: Sequence[EpisodeRecord],
         digests: tuple[str, ...],
-        about: dict[str, Any],
+        header: Header,
     ) -> None:
         """Render the keyframes of some episodes.
 
         Args:
-            paths: Files, in the order of :meth:`paths`.
+            paths: Files, in the order of ``PARTS``.
             records: The episodes.
             digests: Their digests in the recipe.
-            about: The description that :meth:`about` returned.
+            header: The record that :meth:`header` returned.
 
         Raises:
             DatasetError: A state is not the one that was recorded.
             RenderingError: OpenGL does not work here.
         """
-        base = self._header(about["versions"], about["renderer"])
         robots = {len(record.instance_data()["robots"]) for record in records}
         if len(robots) != 1:
             raise InvalidConfigError(
@@ -128,16 +97,8 @@ class KeyframeForm:
                 "into different tasks."
             )
         counts = tuple(_count(record) for record in records)
-        headers = [
-            replace(
-                base,
-                part=part,
-                robots=max(robots),
-                digests=digests,
-                keyframes=counts,
-            )
-            for part in PARTS
-        ]
+        mine = replace(header, robots=max(robots), digests=digests, keyframes=counts)
+        headers = [replace(mine, part=part) for part in PARTS]
         rows = (row for record in records for row in self.rows(record))
         write_keyframes(list(zip(paths, headers, strict=True)), rows)
 
@@ -165,10 +126,6 @@ class KeyframeForm:
                 "objects": entity_poses(object_poses(scene)),
                 **stored(_rig(self.width, self.height).look(scene)),
             }
-
-    def card(self) -> str:
-        """Return what the folder's README says."""
-        return _CARD.format(columns=describe(), width=self.width, height=self.height)
 
 
 def stored(view: View) -> Row:
@@ -224,31 +181,59 @@ def _count(record: EpisodeRecord) -> int:
     return record.keyframes
 
 
+def label(record: EpisodeRecord, subtask: int) -> dict[str, str]:
+    """Return a sub-task of an episode in symbols and in words.
+
+    Args:
+        record: The episode.
+        subtask: Its number; behind the last comes ``stop``, with no names.
+    """
+    if subtask == len(record.subtasks):
+        words = sub_instruction("", str(STOP.primitive))
+        return {**STOP.to_dict(), "sub_instruction": words}
+    return _names(record.subtasks[subtask])
+
+
+def _names(row: ExpertRecord) -> dict[str, str]:
+    names = {n: getattr(row, n) for n in _DECISION}
+    return {**names, "sub_instruction": row.instruction}
+
+
 def _labels(record: EpisodeRecord, keyframe: int) -> Row:
     """Return what comes next; in perturbed executions what should, and what came."""
-    done = {**label(record, keyframe), **_poses(record, keyframe)}
+    is_last = keyframe == len(record.subtasks)
+    row = None if is_last else record.subtasks[keyframe]
+    done = {
+        **label(record, keyframe),
+        "pick_pose": row.pick_pose if row else _NOWHERE,
+        "place_pose": row.place_pose if row else _NOWHERE,
+        "outcome": row.outcome if row else str(Outcome.STOPPED),
+    }
     if not isinstance(record, PerturbedRecord):
         return done
-    last = keyframe == len(record.subtasks)
+    right = record.expert[keyframe]
+    assert right is not None
     return {
         **{f"{EXECUTED}{name}": done[name] for name in _DECISION},
-        "perturbation": NONE if last else record.perturbation[keyframe],
+        "perturbation": NONE if is_last else record.perturbation[keyframe],
         "outcome": done["outcome"],
-        **expert_label(record, keyframe),
+        **_names(right),
+        "pick_pose": right.pick_pose or _NOWHERE,
+        "place_pose": right.place_pose or _NOWHERE,
     }
 
 
-def _poses(record: EpisodeRecord, keyframe: int) -> Row:
-    """Return the poses of the next sub-task; NaN at the end."""
-    if keyframe == len(record.subtasks):
-        nowhere = (math.nan,) * 3
-        return {"pick_pose": nowhere, "place_pose": nowhere, "outcome": _STOPPED}
-    row = record.subtasks[keyframe]
-    return {
-        "pick_pose": row.pick_pose,
-        "place_pose": row.place_pose,
-        "outcome": row.outcome,
-    }
+def entity_poses(poses: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the poses of all entities, (entities, 7); NaN where one is missing.
+
+    Args:
+        poses: Position [m] and quaternion wxyz by name, (7,) each.
+    """
+    entities = known_entities()
+    found = np.full((len(entities), 7), np.nan)
+    for name, pose in poses.items():
+        found[entities.index(name)] = pose
+    return found
 
 
 def _check_state(record: EpisodeRecord, keyframe: int) -> None:
@@ -258,17 +243,3 @@ def _check_state(record: EpisodeRecord, keyframe: int) -> None:
             f"The state of keyframe {keyframe} of {record.key} is damaged. Delete its "
             "file of the recipe and run 'lemma generate' again."
         )
-
-
-_CARD = """# Rendered keyframes of LEMMA Bench
-
-The scene before each sub-task and at the end of every episode of a recipe, as the
-robots' cameras ({width} x {height} px) see it, and from above. `lemma render --form
-keyframes` made this from the recipe; `manifest.json` holds the checksum of every file.
-
-Files are Arrow IPC, one record batch per keyframe; `maps/` and `cameras/` hold the same
-keyframes in the same order. Train on the sentences `high_level` and `human`, never on
-`unseen`.
-
-{columns}
-"""

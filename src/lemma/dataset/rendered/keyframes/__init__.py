@@ -1,1 +1,0 @@
-"""Keyframes: images, maps and labels before each sub-task."""
