@@ -9,8 +9,7 @@ from typing import Any
 
 import msgpack
 import pytest
-from faulty_policies import Scripted, given
-from serving_processes import end, start
+from faulty_policies import Scripted, end, given, start
 from websockets.exceptions import ConnectionClosed
 from websockets.sync import server as raw
 

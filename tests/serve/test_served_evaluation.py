@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from faulty_policies import Scripted, given
-from serving_processes import end, start
+from faulty_policies import Scripted, end, given, start
 
 from lemma.cli.evaluate import EvaluateOptions
 from lemma.cli.evaluate import evaluate as verb

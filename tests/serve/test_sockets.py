@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faulty_policies import BAD, MOVE, Hangs, Scripted, given, moved, view
-from serving_processes import end, start
+from faulty_policies import BAD, MOVE, Hangs, Scripted, end, given, moved, start, view
 
 from lemma.core.errors import InvalidConfigError
 from lemma.env.view import View

@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-_ROBOT = re.compile(r"^- (robot_\d)", re.MULTILINE)
 _OBJECT = re.compile(
     r"^- (\w+) at .*?, (?:reached by (.*)|(within|not in) your reach)$"
 )

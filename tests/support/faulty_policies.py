@@ -4,6 +4,7 @@ import math
 import os
 import re
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -121,29 +122,9 @@ class IsKilled(_Faulty):
         time.sleep(1000.0)
 
 
-class ForgetsOne(_Faulty):
-    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        return [moved() for one in inputs if one.instruction != BAD]
-
-
-class AnswersNumbers(_Faulty):
-    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        return [0.0 if one.instruction == BAD else moved() for one in inputs]  # type: ignore[misc]
-
-
 class AnswersNothing(_Faulty):
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         return None  # type: ignore[return-value]
-
-
-class FailsTheHumans(Scripted):
-    """Raises at human instructions of a real split, at the second decision."""
-
-    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        for one in inputs:
-            if one.past and not one.instruction[0].isupper():
-                raise ValueError("I do not understand people")
-        return super().act(inputs)
 
 
 class CannotBeMade:
@@ -168,13 +149,23 @@ class Grounds:
         ]
 
 
-if __name__ == "__main__":
-    # A server in a process of its own: CLASS PORT.
-    serve(
-        globals()[sys.argv[1]](),
-        port=int(sys.argv[2]),
-        on_ready=lambda url: os.write(1, f"{url}\n".encode()),
+def start(name: str, port: int = 0) -> tuple[subprocess.Popen[str], str]:
+    """Serve a policy in a process of its own, to be killed; return its address, too."""
+    process = subprocess.Popen(
+        [sys.executable, __file__, name, str(port)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     )
+    assert process.stdout is not None
+    return process, process.stdout.readline().strip()
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert process.stdout is not None
+    process.stdout.close()
 
 
 class StartsProcesses(Scripted):
@@ -188,3 +179,33 @@ class StartsProcesses(Scripted):
         if inputs[0].instruction == BAD:
             os._exit(3)
         return [Decision(STOP, None, str(self.child.pid)) for _ in inputs]
+
+
+class Remembering:
+    """Stops at once; raises if it has planned for another sentence before."""
+
+    reads_outcomes = True
+
+    def __init__(self) -> None:
+        self.heard: list[str] = []
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        self.heard += [given.instruction for given in inputs]
+        if len(set(self.heard)) > 1:
+            raise RuntimeError("it remembers")
+        return [STOP] * len(inputs)
+
+
+class Keeping(Remembering):
+    """The same, and says so."""
+
+    keeps_state = True
+
+
+if __name__ == "__main__":
+    # A server in a process of its own: CLASS PORT.
+    serve(
+        globals()[sys.argv[1]](),
+        port=int(sys.argv[2]),
+        on_ready=lambda url: os.write(1, f"{url}\n".encode()),
+    )

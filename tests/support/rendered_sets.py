@@ -1,7 +1,6 @@
 """A small recipe and what is rendered from it, made once for several tests."""
 
 from pathlib import Path
-from shutil import copytree
 
 from kept import kept_folder
 
@@ -38,18 +37,3 @@ def keyframes_folder() -> Path:
         render(RenderConfig(recipe=recipe_folder(), out=out), KeyframeForm(), Serial())
 
     return kept_folder("keyframes", make)
-
-
-def own_copy(folder: Path, to: Path) -> Path:
-    """Copy a folder, to be damaged."""
-    copytree(folder, to)
-    return to
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Return the bytes of every file in a folder."""
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }

@@ -21,8 +21,6 @@ ELBOW_UP = (0.0, -1.4, 1.8, -1.97, -1.57, 0.0)
 NO_OBSTACLES: FloatArray = np.zeros((0, 8))
 SUBSTEP_S = 0.0025
 
-Joints = Sequence[float] | FloatArray
-
 
 def arm_model(name: str) -> ArmModel:
     """Return the arm at the origin, as an ``ArmMotion`` makes it."""

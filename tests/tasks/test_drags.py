@@ -295,6 +295,14 @@ def test_a_stick_is_withdrawn_to_where_it_can_be_picked_up_again(
         assert reach.margin(BASE, nearer.x, nearer.y) < 0.015
 
 
+def aim_of(drag: Drag, cube: Pose2, receiver: Pose2) -> tuple[float, float]:
+    """How far aside of the receiver's base a cube is led [rad], and how far [m]."""
+    ahead = math.atan2(cube.y - receiver.y, cube.x - receiver.x)
+    if drag.primitive is Primitive.POKE:
+        ahead += math.pi
+    return wrap(drag.cube.yaw - ahead), cube.distance(drag.cube)
+
+
 QUARTERS = [Pose2(0.0, 0.0, quarter * math.pi / 2) for quarter in (1, 2, 3)]
 
 
@@ -329,8 +337,16 @@ def test_turning_everything_turns_the_drag(
     if drag is None or moved is None:
         return
     assert moved.score == pytest.approx(drag.score, abs=1e-6)
-    # Of drags that are equally good, rounding chooses.
-    assume(near(moved.cube, turn @ drag.cube, 1e-6))
+    aside, length = aim_of(drag, cube, to.base)
+    other_aside, other_length = aim_of(moved, turn @ cube, turn @ to.base)
+    assert other_length == pytest.approx(length)
+    assert abs(other_aside) == pytest.approx(abs(aside), abs=1e-9)
+    if other_aside * aside < -1e-9:
+        # The same angle to the other side, and as deep: rounding chooses, but only
+        # where the depth counts in full.
+        assert drag.score + 0.15 * length + 0.03 * abs(aside) < 0.10
+        return
+    assert near(moved.cube, turn @ drag.cube, 1e-6)
     assert near(moved.prepared, turn @ drag.prepared, 1e-6)
     assert near(moved.end, turn @ drag.end, 1e-6)
     assert near(moved.left, turn @ drag.left, 1e-6)

@@ -131,6 +131,10 @@ def find_drag(
     Returns:
         The drag that ends deepest in the receiver's reach, among equals the shortest
         and straightest; None if there is no way, or the kind cannot be dragged.
+        Two drags at one angle to either side of the receiver's base end equally deep:
+        rounding chooses between them. Scores are not rounded against it, because
+        recorded episodes hold what was chosen; whether there is a drag, which is all
+        that sampling asks, does not depend on it.
     """
     if kind.drag_m is None:
         return None

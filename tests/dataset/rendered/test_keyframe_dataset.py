@@ -8,6 +8,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
+from shutil import copytree
 from threading import Barrier
 from typing import Any
 
@@ -17,7 +18,6 @@ from rendered_sets import (
     SPLIT,
     TASKS,
     keyframes_folder,
-    own_copy,
     recipe,
     recipe_folder,
 )
@@ -270,7 +270,7 @@ def open_files(folder: Path) -> int:
 def test_threads_share_descriptors(tmp_path: Path) -> None:
     # A system allows a process about a thousand. In a folder of its own no other test
     # opens or closes any.
-    folder = own_copy(keyframes_folder(), tmp_path / "set")
+    folder = copytree(keyframes_folder(), tmp_path / "set")
     columns = (*MAP_COLUMNS, *POLICY_COLUMNS, *CAMERA_COLUMNS)
     found = KeyframeDataset(folder, SPLIT, columns=columns)
     start = Barrier(4)
@@ -291,7 +291,7 @@ def test_files_are_opened_again_where_too_many_are_open(
 ) -> None:
     expected = [dataset()[index] for index in range(len(dataset()))]
     monkeypatch.setattr(keyframe_dataset, "_OPEN_FILES", 1)
-    folder = own_copy(keyframes_folder(), tmp_path / "set")
+    folder = copytree(keyframes_folder(), tmp_path / "set")
     found = KeyframeDataset(folder, SPLIT)
     for _ in range(2):
         for index, sample in enumerate(expected):
@@ -308,7 +308,7 @@ def test_a_folder_without_keyframes_is_explained(tmp_path: Path) -> None:
 
 
 def test_a_manifest_of_another_set_is_noticed(tmp_path: Path) -> None:
-    copy = own_copy(keyframes_folder(), tmp_path / "set")
+    copy = copytree(keyframes_folder(), tmp_path / "set")
     path = copy / "maps" / SPLIT / "stack-000.arrow"
     with path.open("ab") as file:
         file.write(b"more")

@@ -1,15 +1,15 @@
 """Rendering that is interrupted, repeated, or finds what it should not."""
 
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 import pytest
 from in_process import Killed, KilledAfter
+from recipes import bytes_of
 from rendered_sets import (
     SPLIT,
     TASKS,
-    contents,
-    own_copy,
     recipe,
     recipe_folder,
 )
@@ -63,7 +63,7 @@ def test_a_run_that_was_killed_is_completed_with_the_same_bytes(
     seen: list[int] = []
     summary = render(order(out), SMALL, Serial(), seen.append)
     assert sum(seen) == summary.episodes == 4
-    assert contents(out) == contents(undisturbed)
+    assert bytes_of(out) == bytes_of(undisturbed)
 
 
 @pytest.mark.slow
@@ -71,7 +71,7 @@ def test_a_run_that_was_killed_is_completed_with_the_same_bytes(
 def test_processes_give_the_same_bytes(undisturbed: Path, tmp_path: Path) -> None:
     summary = render(order(tmp_path / "set"), SMALL, ProcessPool(2))
     assert summary.made == 4
-    assert contents(tmp_path / "set") == contents(undisturbed)
+    assert bytes_of(tmp_path / "set") == bytes_of(undisturbed)
 
 
 def test_a_second_run_makes_nothing(undisturbed: Path) -> None:
@@ -90,7 +90,7 @@ def test_tasks_can_be_rendered_one_after_the_other(
             order(tmp_path / "set", tasks=(task,), splits=(SPLIT,)), SMALL, Serial()
         )
         assert summary.episodes == 2
-    assert contents(tmp_path / "set") == contents(undisturbed)
+    assert bytes_of(tmp_path / "set") == bytes_of(undisturbed)
 
 
 def test_a_recipe_that_has_grown_is_rendered_again(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_a_recipe_that_has_grown_is_rendered_again(tmp_path: Path) -> None:
 def test_a_file_that_was_cut_short_is_told_and_made_again(
     undisturbed: Path, tmp_path: Path
 ) -> None:
-    out = own_copy(undisturbed, tmp_path / "set")
+    out = copytree(undisturbed, tmp_path / "set")
     path = out / "maps" / SPLIT / "stack-000.arrow"
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(DatasetError, match=r"stack-000.arrow .*cut short.*Delete"):
@@ -122,11 +122,11 @@ def test_a_file_that_was_cut_short_is_told_and_made_again(
     with pytest.raises(DatasetError, match=r"is missing. Run 'lemma render' again"):
         KeyframeDataset(out, SPLIT)
     render(order(out), SMALL, Serial())
-    assert contents(out) == contents(undisturbed)
+    assert bytes_of(out) == bytes_of(undisturbed)
 
 
 def test_a_wrong_checksum_is_told(undisturbed: Path, tmp_path: Path) -> None:
-    out = own_copy(undisturbed, tmp_path / "set")
+    out = copytree(undisturbed, tmp_path / "set")
     check_files(out)
     path = out / "cameras" / SPLIT / "pass-000.arrow"
     data = bytearray(path.read_bytes())
@@ -139,7 +139,7 @@ def test_a_wrong_checksum_is_told(undisturbed: Path, tmp_path: Path) -> None:
 
 
 def test_what_was_made_otherwise_is_refused(undisturbed: Path, tmp_path: Path) -> None:
-    before = contents(undisturbed)
+    before = bytes_of(undisturbed)
     with pytest.raises(DatasetError, match="height was 60 and is now 90"):
         render(order(undisturbed), KeyframeForm(80, 90), Serial())
     with pytest.raises(DatasetError, match="holds 'recipe', not 'keyframes'"):
@@ -155,7 +155,7 @@ def test_what_was_made_otherwise_is_refused(undisturbed: Path, tmp_path: Path) -
         render(
             RenderConfig(recipe=tmp_path / "other", out=undisturbed), SMALL, Serial()
         )
-    assert contents(undisturbed) == before
+    assert bytes_of(undisturbed) == before
 
 
 def test_another_engine_is_refused(

@@ -3,7 +3,7 @@
 import threading
 
 import pytest
-from remembering import Keeping, Remembering
+from faulty_policies import Keeping, Remembering
 
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.evaluation import Evaluation, evaluate
@@ -29,7 +29,7 @@ def test_an_object_plays_each_kind_as_it_was_at_first() -> None:
 
 @pytest.mark.parametrize("name", ["Remembering", "Keeping"])
 def test_so_does_a_class_in_a_process_of_its_own(name: str) -> None:
-    done = play(f"remembering:{name}", KINDS[:2])
+    done = play(f"faulty_policies:{name}", KINDS[:2])
     kept = name == "Keeping"
     assert [bool(fault) for fault in faults(done)] == [False, kept]
     assert [row.get("keeps_state", False) for row in done.rows] == [kept] * 2

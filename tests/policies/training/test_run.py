@@ -1,7 +1,8 @@
 from pathlib import Path
 
 import pytest
-from rendered_sets import SPLIT, TASKS, contents, recipe_folder
+from recipes import bytes_of
+from rendered_sets import SPLIT, TASKS, recipe_folder
 
 from lemma.core.workers.serial import Serial
 from lemma.dataset.recipe.files import REVISION_VARIABLE
@@ -29,7 +30,7 @@ def test_the_digest_of_data_is_of_what_decides_their_bits(
     digest = drawn("first", recipe_folder())
     # Another commit draws the same pictures into files with another name of it.
     assert drawn("later", recipe_folder()) == digest
-    assert contents(tmp_path / "later") != contents(tmp_path / "first")
+    assert bytes_of(tmp_path / "later") != bytes_of(tmp_path / "first")
     assert drawn("shorter", shorter) != digest
-    assert contents(tmp_path / "shorter").keys() == contents(tmp_path / "first").keys()
+    assert bytes_of(tmp_path / "shorter").keys() == bytes_of(tmp_path / "first").keys()
     assert drawn("larger", recipe_folder(), 90) != digest
