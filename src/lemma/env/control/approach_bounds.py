@@ -44,6 +44,10 @@ def place_and_move(arm: np.record, rates: FloatArray) -> None:
         twists[j + 1, 5] = twists[j, 5] + x * zy - y * zx
     for i in range(arm.world.shape[0]):
         enclose(arm.world[i])
+        link = int(arm.parts[i, 7])
+        for k in range(6):
+            arm.ends[k, i] = arm.world[i, k]
+            arm.part_twists[k, i] = twists[link, k]
 
 
 @kernel
@@ -57,27 +61,32 @@ def enclose(row: FloatArray) -> None:
 
 
 @kernel
-def pace(arm: np.record, part: int, link: int, expected: float) -> float:
-    """Return how fast a part can be, seen from a link, if speeds change as expected."""
-    t, u = arm.twists[int(arm.parts[part, 7])], arm.twists[link]
-    wx, wy, wz = t[0] - u[0], t[1] - u[1], t[2] - u[2]
-    world, fastest = arm.world[part], 0.0
-    for end in range(2):
-        x, y, z = world[3 * end], world[3 * end + 1], world[3 * end + 2]
-        vx = t[3] - u[3] + wy * z - wz * y
-        vy = t[4] - u[4] + wz * x - wx * z
-        vz = t[5] - u[5] + wx * y - wy * x
-        fastest = max(fastest, vx * vx + vy * vy + vz * vz)
-    # Between the ends of a rigid body nothing is faster than at both.
-    bound: float = math.sqrt(fastest) + arm.parts[part, 8] * expected
-    return bound
+def measure_gaps(arm: np.record, expected: float) -> None:
+    """Write the gaps from which on parts can be stopped in time, to ``arm.gaps``.
 
-
-@kernel
-def safe_gap(pace: float) -> float:
-    """Return the gap [m] from which on an approach [m/s] can be braked in time."""
-    gap = pace * pace / (2.0 * DECELERATION_M_S2) + CLEARANCE_M
-    return min(RANGE_M, gap) + ROUNDING
+    A part and what it approaches come nearer no faster than the part moves, seen from a
+    link, if joint speeds change by no more than a norm of ``expected`` [rad/s]; see
+    :data:`DECELERATION_M_S2`.
+    """
+    ends, twists, levers, gaps = arm.ends, arm.part_twists, arm.levers, arm.gaps
+    for link in range(gaps.shape[0]):
+        u = arm.twists[link]
+        u0, u1, u2, u3, u4, u5 = u[0], u[1], u[2], u[3], u[4], u[5]
+        # Column by column, so that the compiler takes several parts at once.
+        for i in range(gaps.shape[1]):
+            wx, wy, wz = twists[0, i] - u0, twists[1, i] - u1, twists[2, i] - u2
+            tx, ty, tz = twists[3, i] - u3, twists[4, i] - u4, twists[5, i] - u5
+            x, y, z = ends[0, i], ends[1, i], ends[2, i]
+            vx, vy, vz = tx + wy * z - wz * y, ty + wz * x - wx * z, tz + wx * y - wy * x
+            first = vx * vx + vy * vy + vz * vz
+            x, y, z = ends[3, i], ends[4, i], ends[5, i]
+            vx, vy, vz = tx + wy * z - wz * y, ty + wz * x - wx * z, tz + wx * y - wy * x
+            second = vx * vx + vy * vy + vz * vz
+            # Between the ends of a rigid body nothing is faster than at both.
+            fastest = math.sqrt(first if first > second else second)
+            pace = fastest + levers[i] * expected
+            gap = pace * pace / (2.0 * DECELERATION_M_S2) + CLEARANCE_M
+            gaps[link, i] = (gap if gap < RANGE_M else RANGE_M) + ROUNDING
 
 
 @kernel

@@ -29,6 +29,8 @@ CAPSULES = 10
 """Capsules of one arm, see :class:`~lemma.robots.collision_model.Envelope`."""
 CORNERS = 8
 """Number of corners of the fingers, wide open, and of the palm."""
+INNER_LINKS = 4
+"""Links, from the base on, that outer parts of the same arm may come near."""
 _PARTS = CAPSULES + CORNERS
 
 ARM = np.dtype(
@@ -39,6 +41,7 @@ ARM = np.dtype(
         # Capsules, then corners: ends and radius in the frame of a link, the link, and
         # a bound of how far a joint speed of norm 1 moves them.
         ("parts", np.float64, (_PARTS, 9)),
+        ("levers", np.float64, _PARTS),
         ("speeds", np.float64, 6),
         ("range", np.float64, 6),
         ("efforts", np.float64, 6),
@@ -56,9 +59,13 @@ ARM = np.dtype(
         # what is at the origin of the world.
         ("placed", np.float64, (7, 4, 4)),
         ("twists", np.float64, (7, 6)),
-        # Its parts in the world, and how fast they can be.
+        # Its parts in the world; their ends and the twists of their links again, one
+        # part a column.
         ("world", np.float64, (_PARTS, 12)),
-        ("pace", np.float64, _PARTS),
+        ("ends", np.float64, (6, _PARTS)),
+        ("part_twists", np.float64, (6, _PARTS)),
+        # Gaps at which parts can still stop, seen from the inner links.
+        ("gaps", np.float64, (INNER_LINKS, _PARTS)),
     ]
 )
 
@@ -71,6 +78,7 @@ def arm_records(arms: Sequence[ArmMotion]) -> NDArray[np.void]:
         row["dh"] = spec.dh
         row["world_from_base"] = robot.world_from_base
         row["parts"] = _parts(spec)
+        row["levers"] = row["parts"][:, 8]
         row["speeds"] = SPEED_FRACTION * np.array(spec.velocity_limits)
         row["range"] = spec.joint_range
         row["efforts"] = spec.effort_limits

@@ -23,9 +23,8 @@ from lemma.env.control.approach_bounds import (
     RANGE_M,
     ROUNDING,
     is_clear,
-    pace,
+    measure_gaps,
     place_and_move,
-    safe_gap,
 )
 from lemma.env.control.guarded_arm import CAPSULES, CORNERS
 from lemma.robots.collision_model import SELF_PAIRS, Triple, closest_points
@@ -124,8 +123,7 @@ def _constrain(
     rows: FloatArray,
 ) -> int:
     """Write all constraints that can matter; return how many."""
-    for i in range(arm.world.shape[0]):
-        arm.pace[i] = pace(arm, i, 0, expected)
+    measure_gaps(arm, expected)
     count = _add_table_rows(arm, expected, rows)
     count = _add_hand_rows(arm, objects, held, expected, rows, count)
     count = _add_self_rows(arm, expected, rows, count)
@@ -138,7 +136,7 @@ def _add_table_rows(arm: np.record, expected: float, rows: FloatArray) -> int:
     """Keep the links clear of the table."""
     count = 0
     for i in range(_FIRST_ABOVE_TABLE, _LAST_ABOVE_TABLE + 1):
-        safe, part = safe_gap(arm.pace[i]), arm.world[i]
+        safe, part = arm.gaps[0, i], arm.world[i]
         for end in range(2):
             x, y, z = part[3 * end], part[3 * end + 1], part[3 * end + 2]
             gap = z - part[6]
@@ -159,7 +157,7 @@ def _add_hand_rows(
 ) -> int:
     """Let the hand touch objects gently, and put down gently what it holds."""
     for k in range(CAPSULES, CAPSULES + CORNERS):
-        safe, corner = safe_gap(arm.pace[k]), arm.world[k]
+        safe, corner = arm.gaps[0, k], arm.world[k]
         x, y, z = corner[0], corner[1], corner[2]
         if z <= safe:
             found = z, (x, y, z), (x, y, z - 1.0)
@@ -189,7 +187,7 @@ def _add_self_rows(
     for k in range(_OWN_PAIRS.shape[0]):
         outer, inner = _OWN_PAIRS[k, 0], _OWN_PAIRS[k, 1]
         link = int(arm.parts[inner, 7])
-        safe = safe_gap(pace(arm, outer, link, expected)) + _SELF_MARGIN_M
+        safe = arm.gaps[link, outer] + _SELF_MARGIN_M
         if not is_clear(arm.world, outer, arm.world, inner, safe):
             gap, near, far = closest_points(arm.world[outer], arm.world[inner])
             found = gap - _SELF_MARGIN_M, near, far
@@ -208,7 +206,7 @@ def _add_arm_rows(
     """Keep the arm clear of the others."""
     for i in range(1, CAPSULES):
         # Both may move: each may use half of the distance.
-        safe = 2.0 * safe_gap(arm.pace[i])
+        safe = 2.0 * arm.gaps[0, i]
         for j in range(obstacles.shape[0]):
             if not is_clear(arm.world, i, obstacles, j, safe):
                 gap, near, far = closest_points(arm.world[i], obstacles[j])
@@ -228,7 +226,7 @@ def _add_object_rows(
     for m in range(objects.shape[0]):
         is_beside = False
         for i in range(_FIRST_ABOVE_TABLE, _FIRST_OF_HAND):
-            if is_clear(arm.world, i, objects, m, safe_gap(arm.pace[i])):
+            if is_clear(arm.world, i, objects, m, arm.gaps[0, i]):
                 continue
             thing = objects[m]
             if not is_beside and closest_points(tcp, thing)[0] + thing[6] < _IN_HAND_M:
