@@ -108,6 +108,9 @@ class ActionLayout:
 
     def _numbers(self, action: Any) -> FloatArray:
         """Return an action as numbers; the real ones of NumPy's many types."""
+        # Nearly every action: a copy of it, without a look at what else it could be.
+        if type(action) is np.ndarray and action.dtype.kind == "f":
+            return action.astype(np.float64)
         rows = action if isinstance(action, list | tuple) else (action,)
         try:
             values = np.asarray(action)

@@ -187,12 +187,16 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
 
     def info(self) -> dict[str, Any]:
         """Return what every step and reset reports."""
-        found = self._full_info()
+        return self._report()
+
+    def _report(self, progress: float | None = None) -> dict[str, Any]:
+        """Return :meth:`info`, given the present progress where that is known."""
+        found = self._full_info(progress)
         return numbers_of(found) if self.config.numeric_info else found
 
-    def _full_info(self) -> dict[str, Any]:
+    def _full_info(self, progress: float | None) -> dict[str, Any]:
         """Return names, words and poses as well as numbers."""
-        found = self.episode.info()
+        found = self.episode.info(progress)
         found["instruction"] = self.task_description
         found["state"] = object_poses(self.episode.simulation.scene)
         if self.rewards.potential is not None:

@@ -52,6 +52,7 @@ class ControlEnv(LemmaEnv):
         )
         self._controller: Controller | None = None
         self._settled_s = 0.0
+        self._progress: float | None = None
 
     def _begin(self, episode: Episode) -> None:
         super()._begin(episode)
@@ -107,7 +108,8 @@ class ControlEnv(LemmaEnv):
             ResetNeededError: The episode is over.
         """
         reward, terminated, truncated = self.advance(action)
-        return self.observe(), reward, terminated, truncated, self.info()
+        info = self._report(self._progress)
+        return self.observe(), reward, terminated, truncated, info
 
     def advance(self, action: ArrayLike) -> tuple[float, bool, bool]:
         """Step without looking: return reward, terminated and truncated."""
@@ -126,10 +128,15 @@ class ControlEnv(LemmaEnv):
             for _ in range(busy):
                 clock.busy_s += TICK_S
         step_s = 1.0 / self.config.control_hz
-        self._settled_s = self._settled_s + step_s if episode.is_success else 0.0
+        self._progress = episode.progress
+        success = episode.succeeds(self._progress)
+        self._settled_s = self._settled_s + step_s if success else 0.0
         if self._settled_s >= SETTLE_S - 0.5 * TICK_S:
             episode.stop()
         episode.conclude()
+        if episode.is_over:
+            # Time has passed since.
+            self._progress = None
         reward = self.rewards.reward(episode)
         return reward, episode.stopped, episode.out_of_time and not episode.stopped
 

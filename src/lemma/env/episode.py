@@ -80,7 +80,10 @@ class Episode:
     @property
     def elapsed_s(self) -> float:
         """Simulated time from the first state to the end, or until now [s]."""
-        return self.simulation.time_s if self._ended_s is None else self._ended_s
+        if self._ended_s is not None:
+            return self._ended_s
+        time_s: float = self.simulation.scene.data.time
+        return time_s
 
     @property
     def out_of_time(self) -> bool:
@@ -105,9 +108,10 @@ class Episode:
     @property
     def is_success(self) -> bool:
         """Whether it succeeded; before its end, whether it would if nothing changed."""
-        return self._succeeds(self.progress)
+        return self.succeeds(self.progress)
 
-    def _succeeds(self, progress: float) -> bool:
+    def succeeds(self, progress: float) -> bool:
+        """Return :attr:`is_success` for the present progress, where that is known."""
         if self._verdict is not None:
             return self._verdict
         return progress == 1.0 and not self.simulation.held()
@@ -163,7 +167,7 @@ class Episode:
             return
         self._ended_s = self.simulation.time_s
         self.simulation.stand_still(STILL_S)
-        self._verdict = self._succeeds(self.progress)
+        self._verdict = self.succeeds(self.progress)
 
     def stop(self) -> SkillResult:
         """End the episode and judge it."""
@@ -198,10 +202,15 @@ class Episode:
         self.stopped = snapshot.stopped
         self._ended_s, self._verdict = snapshot.ended_s, snapshot.verdict
 
-    def info(self) -> dict[str, Any]:
-        """Return the figures that every step and reset reports."""
-        progress = self.progress
-        success = self._succeeds(progress)
+    def info(self, progress: float | None = None) -> dict[str, Any]:
+        """Return the figures that every step and reset reports.
+
+        Args:
+            progress: The present progress, where that is known.
+        """
+        if progress is None:
+            progress = self.progress
+        success = self.succeeds(progress)
         elapsed = self.elapsed_s
         return {
             "is_success": success,

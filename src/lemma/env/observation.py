@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -311,6 +312,11 @@ def write_text(text: str) -> NDArray[np.uint8]:
     Gymnasium's own space of texts does not survive vector environments that share
     memory: their observations stay what they were.
     """
+    return _codes(text).copy()
+
+
+@lru_cache
+def _codes(text: str) -> NDArray[np.uint8]:
     codes = np.zeros(MAX_INSTRUCTION_LENGTH, np.uint8)
     codes[: len(text)] = np.frombuffer(text.encode("ascii"), np.uint8)
     return codes

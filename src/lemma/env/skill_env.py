@@ -64,8 +64,8 @@ class SubTaskEnv(LemmaEnv):
         truncated = episode.out_of_time and not episode.stopped
         return self.observe(), reward, episode.stopped, truncated, info
 
-    def _full_info(self) -> dict[str, Any]:
-        found = super()._full_info()
+    def _full_info(self, progress: float | None) -> dict[str, Any]:
+        found = super()._full_info(progress)
         result = self.last_result
         found["outcome"] = None if result is None else str(result.outcome)
         found["explanation"] = "" if result is None else result.explanation

@@ -9,8 +9,9 @@ into something. A real robot would make a protective stop instead.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -90,6 +91,7 @@ class Controller(ABC):
             *(guard.obstacles, guard.objects, data.qpos, data.ctrl),
         )
         self._busy_ticks = np.zeros(len(arms), np.int64)
+        self._count = partial(count_moving, guard.records, self.qvel, self._busy_ticks)
 
     def check(self, rows: FloatArray) -> None:  # noqa: B027 - bounds are mostly enough
         """Check an action; changes nothing.
@@ -110,7 +112,7 @@ class Controller(ABC):
 
     def count_busy(self) -> None:
         """Note which arms move, at the end of a servo tick."""
-        count_moving(self.guard.records, self.qvel, self._busy_ticks)
+        self._count()
 
     @abstractmethod
     def drive(self) -> None:
@@ -130,35 +132,45 @@ class Controller(ABC):
 class JointController(Controller):
     """Takes one number for each joint."""
 
+    kernel: Callable[..., None]
+    """Commands the motors of all arms before a physics step."""
+
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
         """Take over the arms where they are; every number is 0."""
         super().__init__(arms, step)
         self.wanted = np.zeros((len(arms), 6))
+        # Bound once: to collect the arguments takes as long as to pass them.
+        self._drive = partial(self.kernel, *self.shared, self.wanted)
 
     def command(self, rows: FloatArray) -> None:
         """Set joint angles [rad], speeds [rad/s] or torques [N m]."""
         super().command(rows)
         self.wanted[:] = rows[:, :6]
 
+    def drive(self) -> None:
+        """Advance the references."""
+        self._drive()
+
 
 class PositionController(JointController):
     """Leads the joints to angles, along a trapezoid of speed each."""
 
-    def drive(self) -> None:
-        """Advance the references."""
-        drive_positions(*self.shared, self.wanted)
+    kernel = staticmethod(drive_positions)
 
 
 class VelocityController(JointController):
-    """Turns the joints at given speeds; they stop at the ends of their range."""
+    """Turns the joints at given speeds; they stop at the ends of their range.
 
-    def drive(self) -> None:
-        """Advance the reference speeds; their angles are the measured."""
-        drive_velocities(*self.shared, self.wanted)
+    Angles of the references are the measured.
+    """
+
+    kernel = staticmethod(drive_velocities)
 
 
 class TorqueController(JointController):
     """Passes torques on, on top of gravity compensation, unless a joint is too fast."""
+
+    kernel = staticmethod(drive_torques)
 
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
         """Exert nothing."""
@@ -166,7 +178,8 @@ class TorqueController(JointController):
         data, count = self.scene.data, self.scene.model.nv
         self._efforts = np.array([arm.robot.arm.effort_limits for arm in arms])
         self._inertia = np.empty((count, count))
-        self._forces: tuple[FloatArray, ...] = (data.qfrc_bias, data.qfrc_passive)
+        forces = (data.qfrc_bias, data.qfrc_passive)
+        self._drive = partial(self._drive, self.qvel, self._inertia, *forces)
 
     def command(self, rows: FloatArray) -> None:
         """Exert joint torques [N m]."""
@@ -176,9 +189,7 @@ class TorqueController(JointController):
     def drive(self) -> None:
         """Command what the joints' speeds allow."""
         self._update_dynamics()
-        drive_torques(
-            *self.shared, self.wanted, self.qvel, self._inertia, *self._forces
-        )
+        self._drive()
 
     def _update_dynamics(self) -> None:
         """Compute inertias and bias forces of the present state."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -91,6 +92,9 @@ class PoseController(Controller):
         for k, space in enumerate(spaces):
             # The same memory, again.
             space.record = self._workspaces[k : k + 1]
+        self._drive = partial(
+            drive_poses, *self.shared, self._workspaces, self._spheres
+        )
 
     def check(self, rows: FloatArray) -> None:
         """Refuse numbers that are no rotation."""
@@ -128,7 +132,7 @@ class PoseController(Controller):
 
     def drive(self) -> None:
         """Advance the references."""
-        drive_poses(*self.shared, self._workspaces, self._spheres)
+        self._drive()
 
 
 class AxisAnglePoseController(PoseController):

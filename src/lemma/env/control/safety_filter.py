@@ -9,6 +9,7 @@ objects, but gently; the rest of an arm may not touch them.
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,22 +52,16 @@ class SafetyFilter:
         :data:`~lemma.env.control.approach_bounds.ROW`."""
         self.obstacles[:, :, 7] = ARM_RANGE_M
         scene = arms[0].scene
-        self._owners, self._capsules = _shells(scene)
-        self.objects = np.zeros((count, 2, len(self._capsules), ROW))
+        owners, capsules = _shells(scene)
+        self.objects = np.zeros((count, 2, len(capsules), ROW))
         """For each arm capsules of objects: first of those beside its hand, then of
         those in it; the arm's record says how many."""
-        self._qpos: FloatArray = scene.data.qpos
-
-    def look(self) -> None:
-        """Read the present poses of arms and objects."""
-        _look(
-            self.records,
-            self._owners,
-            self._capsules,
-            self._qpos,
-            self.obstacles,
-            self.objects,
+        self.look = partial(
+            _look,
+            *(self.records, owners, capsules, scene.data.qpos),
+            *(self.obstacles, self.objects),
         )
+        """Reads the present poses of arms and objects."""
 
 
 @kernel
