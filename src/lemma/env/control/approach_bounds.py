@@ -77,10 +77,12 @@ def measure_gaps(arm: np.record, expected: float) -> None:
             wx, wy, wz = twists[0, i] - u0, twists[1, i] - u1, twists[2, i] - u2
             tx, ty, tz = twists[3, i] - u3, twists[4, i] - u4, twists[5, i] - u5
             x, y, z = ends[0, i], ends[1, i], ends[2, i]
-            vx, vy, vz = tx + wy * z - wz * y, ty + wz * x - wx * z, tz + wx * y - wy * x
+            vx, vy = tx + wy * z - wz * y, ty + wz * x - wx * z
+            vz = tz + wx * y - wy * x
             first = vx * vx + vy * vy + vz * vz
             x, y, z = ends[3, i], ends[4, i], ends[5, i]
-            vx, vy, vz = tx + wy * z - wz * y, ty + wz * x - wx * z, tz + wx * y - wy * x
+            vx, vy = tx + wy * z - wz * y, ty + wz * x - wx * z
+            vz = tz + wx * y - wy * x
             second = vx * vx + vy * vy + vz * vz
             # Between the ends of a rigid body nothing is faster than at both.
             fastest = math.sqrt(first if first > second else second)
