@@ -18,7 +18,6 @@ Diffusion Policy of LeRobot reads text. With ``--observation privileged`` it is 
 truth instead, poses and goal, and sees nothing: an oracle.
 """
 
-import argparse
 import os
 import subprocess
 import time
@@ -27,6 +26,9 @@ from dataclasses import asdict, dataclass
 from operator import attrgetter
 from pathlib import Path
 from shutil import rmtree
+from typing import Annotated, Literal
+
+import tyro
 
 from lemma.core.files import read_json, write_json
 from lemma.evaluation.analysis.result import read_result
@@ -37,7 +39,8 @@ from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
 from side_by_side import start, visible_gpus
 
 POLICIES = ("act", "diffusion")
-OBSERVATIONS = ("rgb", "privileged")
+Observation = Literal["rgb", "privileged"]
+OBSERVATIONS: tuple[Observation, ...] = ("rgb", "privileged")
 PHASES = ("data", "train", "test", "curve")
 TRAINER = "scripts/train_lerobot_policy.py"
 CURVE_SPLIT = "val"
@@ -55,28 +58,41 @@ Run = tuple[str, int]
 class Plan:
     """The options of the command."""
 
-    out: Path
-    film: Path
-    """Folder of what is seen in the demonstrations."""
-    tasks: str
-    observation: str
-    cameras: str
+    out: Path = Path("runs")
+    film_folder: Annotated[Path | None, tyro.conf.arg(name="film")] = None
+    """Of what is seen in the demonstrations; in OUT if none, and /dev/shm is fast."""
+    tasks: str = ",".join(CONTROL_TASKS)
+    policies: str = ",".join(POLICIES)
+    seeds: str = "0"
+    phases: str = ",".join(PHASES)
+    """Some of these."""
+    observation: Observation = "rgb"
+    cameras: str = ""
     """Names, with commas; the robots' own if empty."""
-    size: str
-    fps: int
-    steps: int
-    train_s: float
+    size: str = "160x120"
+    fps: int = 5
+    steps: int = 20_000
+    train_s: float = 0.0
     """How long to train instead of a number of steps; 0 if these count."""
-    batch: int
-    points: int
+    batch: int = 128
+    points: int = 4
     """Of the learning curve: checkpoints."""
-    workers: int
-    episodes: int
-    """Of each task and split train."""
-    tests: int
-    """Of each task and split test."""
-    vals: int
+    workers: int = os.cpu_count() or 1
+    episodes: int = 0
+    """Of each task and split train; 0 for all."""
+    vals: Annotated[int, tyro.conf.arg(name="val")] = 10
     """Of each task and split val."""
+    tests: Annotated[int, tyro.conf.arg(name="test")] = 0
+    """Of each task and split test; 0 for all."""
+    stop_s: float = float("inf")
+    """When all ends [s]."""
+    print: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Only print the commands."""
+
+    @property
+    def film(self) -> Path:
+        """Folder of what is seen in the demonstrations."""
+        return self.film_folder or self.out / f"film-{self.observation}"
 
     @property
     def recipe(self) -> Path:
@@ -227,74 +243,25 @@ def write_curve(plan: Plan, run: Run) -> None:
         print(*run, *points, sep="\n", flush=True)
 
 
-def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
-    """Return what is asked for, on the command line by default."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("runs"))
-    parser.add_argument("--film", type=Path, help="in OUT; /dev/shm is fast")
-    parser.add_argument("--tasks", default=",".join(CONTROL_TASKS))
-    parser.add_argument("--policies", default=",".join(POLICIES))
-    parser.add_argument("--seeds", default="0")
-    parser.add_argument("--phases", default=",".join(PHASES), help="some of these")
-    parser.add_argument("--observation", default="rgb", choices=OBSERVATIONS)
-    parser.add_argument("--cameras", default="", help="robots' own if none")
-    parser.add_argument("--size", default="160x120")
-    parser.add_argument("--fps", type=int, default=5)
-    parser.add_argument("--steps", type=int, default=20_000)
-    parser.add_argument("--batch", type=int, default=128)
-    parser.add_argument("--points", type=int, default=4, help="of the learning curve")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--episodes", type=int, default=0, help="of each task; 0: all")
-    parser.add_argument("--val", type=int, default=10, help="episodes of each task")
-    parser.add_argument("--test", type=int, default=0, help="of each task; 0: all")
-    parser.add_argument("--train-s", type=float, default=0.0, help="instead of steps")
-    parser.add_argument("--stop-s", type=float, default=float("inf"), help="of all")
-    parser.add_argument("--print", action="store_true", help="do nothing")
-    args = parser.parse_args(words)
-    args.film = args.film or args.out / f"film-{args.observation}"
-    if unknown := set(args.phases.split(",")) - set(PHASES):
-        parser.error(f"{', '.join(unknown)}: valid are {', '.join(PHASES)}")
-    return args
-
-
-def plan_of(args: argparse.Namespace) -> Plan:
-    """Return what the arguments ask for."""
-    return Plan(
-        out=args.out,
-        film=args.film,
-        tasks=args.tasks,
-        observation=args.observation,
-        cameras=args.cameras,
-        size=args.size,
-        fps=args.fps,
-        steps=args.steps,
-        train_s=args.train_s,
-        batch=args.batch,
-        points=args.points,
-        workers=args.workers,
-        episodes=args.episodes,
-        tests=args.test,
-        vals=args.val,
-    )
-
-
 def main() -> None:
     """Do what the arguments say."""
-    args = arguments()
-    plan = plan_of(args)
-    seeds = [int(seed) for seed in args.seeds.split(",")]
-    runs = [(name, seed) for seed in seeds for name in args.policies.split(",")]
-    if args.print:
+    plan = tyro.cli(Plan, description=__doc__)
+    phases = plan.phases.split(",")
+    if unknown := set(phases) - set(PHASES):
+        raise SystemExit(f"{', '.join(unknown)}: valid are {', '.join(PHASES)}")
+    seeds = [int(seed) for seed in plan.seeds.split(",")]
+    runs = [(name, seed) for seed in seeds for name in plan.policies.split(",")]
+    if plan.print:
         print("\n".join(plan.commands(runs)))
         return
     begin = time.monotonic()
-    if "data" in args.phases:
+    if "data" in phases:
         for command in plan.data_commands():
             if start(command, plan.out / "data.log").wait():
                 raise SystemExit(f"This failed; see {plan.out}/data.log: {command}")
     try:
         used_s = time.monotonic() - begin
-        work(plan, runs, args.phases.split(","), args.stop_s - used_s)
+        work(plan, runs, phases, plan.stop_s - used_s)
     finally:
         for run in runs:
             write_curve(plan, run)

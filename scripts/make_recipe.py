@@ -3,15 +3,14 @@
     python scripts/make_recipe.py OUT --workers 16 [--digests FOLDER] [--only STEP]
 
 Steps: generate, replay, digests; all three by default. Generated files are kept, so a
-second run goes on where the first was stopped. Figures go to the output as one JSON
-object, progress to the error stream. Without --digests, the digests are written to
-OUT/digests; those of the package are in src/lemma/dataset/digests.
+second run goes on where the first was stopped. Figures are printed as one JSON object.
+Without --digests, the digests are written to OUT/digests; those of the package are in
+src/lemma/dataset/digests.
 """
 
 import argparse
 import json
 import platform
-import sys
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -77,22 +76,6 @@ def export(folder: Path, out: Path) -> dict[str, Any]:
     return manifest
 
 
-class Progress:
-    """Prints a line now and then."""
-
-    def __init__(self, what: str, total: int) -> None:
-        """Say what is done, and how much of it there is."""
-        self.what, self.total, self.done, self.said = what, total, 0, 0.0
-
-    def __call__(self, count: int) -> None:
-        """Take note of progress."""
-        self.done += count
-        if self.done == self.total or perf_counter() - self.said > 10:
-            self.said = perf_counter()
-            line = f"{self.what}: {self.done} of {self.total}"
-            print(line, file=sys.stderr, flush=True)
-
-
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     """Do the steps and return the figures."""
     order = GenerateConfig(out=arguments.out, episodes=arguments.episodes)
@@ -104,7 +87,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "workers": arguments.workers,
     }
     if "generate" in steps:
-        made = generate(order, engine, Progress("generate", order.total))
+        made = generate(order, engine)
         figures |= {
             "episodes": made.episodes,
             "made": made.made,
@@ -116,7 +99,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     if "replay" in steps:
         start = perf_counter()
         recipe = load(order.out)
-        drifting = replay_all(recipe, engine, Progress("replay", len(recipe)))
+        drifting = replay_all(recipe, engine)
         figures["replay_seconds"] = round(perf_counter() - start, 1)
         figures["drifting"] = [found.key for found in drifting]
     if "digests" in steps:

@@ -192,9 +192,9 @@ def test_missing_weights_are_explained(tmp_path: Path) -> None:
 
 def test_trainings_of_lerobot_are_found(tmp_path: Path) -> None:
     pytest.importorskip("torch")
-    for name, observation in (("act", "rgb"), ("act-privileged", "privileged")):
-        arguments = control_baselines.arguments(["--observation", observation])
-        plan = control_baselines.plan_of(arguments)
+    for observation in control_baselines.OBSERVATIONS:
+        name = "act" if observation == "rgb" else f"act-{observation}"
+        plan = control_baselines.Plan(observation=observation)
         made = tmp_path / plan.run("act", 1).relative_to(plan.out)
         told = made / "checkpoints/last/pretrained_model"
         told.mkdir(parents=True)
