@@ -15,13 +15,13 @@ from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
 from lemma.evaluation.report.tables import rates
 from lemma.evaluation.run.config import VERDICTS, EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate as play
+from lemma.policies.given_policy import GivenPolicy
 from lemma.policies.planners.registry import is_planner
 from lemma.policies.spec import (
     CONTROL,
     LEVELS,
     ORACLE,
     PLANNINGS,
-    GivenPolicy,
     PolicySpec,
     parts_of,
 )

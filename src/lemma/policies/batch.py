@@ -30,6 +30,8 @@ NOBODY = -1
 MAX_PAST = 12
 """Past decisions that a batch holds; older ones are forgotten."""
 
+_ARMS = tuple(ARMS)
+_SEEN = ("joints", "opening_m")
 _DECISION = ("robot", "primitive", "pick", "place")
 _COLUMNS = (*POLICY_COLUMNS, "objects", "goal", "instance")
 
@@ -87,7 +89,7 @@ class Labels:
     gap_m: Tensor
     """World x from and to which the table is missing [m], (B, 2); NaN if it is not."""
     arms: Tensor
-    """Number in ``frames.arm_names`` of each robot's type, (B, R). Never an input."""
+    """Number among :data:`ARMS` of each robot's type, (B, R). Never an input."""
     tasks: list[str]
     goals: list[GoalPairs]
     """The (top, bottom) entities that the instruction asks for."""
@@ -125,50 +127,46 @@ class Frames:
         self.rgb = torch.from_numpy(maps.rgb).to(self.device)
         # 0.1 mm in 16 bits: signed, because torch knows few operations on uint16.
         self.height = torch.from_numpy(maps.height.view(np.int16)).to(self.device)
-        self.arm_names = tuple(ARMS)
         self.tasks = [str(task) for task in columns["task"]]
-        self.keys = [str(key) for key in columns["key"]]
-        self.recorded = [str(text) for text in columns["instruction"]]
-        self.goals: list[GoalPairs] = [
-            tuple((top, bottom) for top, bottom in json.loads(goal))
-            for goal in columns["goal"]
-        ]
-        instances = [json.loads(text) for text in columns["instance"]]
-        self.robot_colors = [
-            tuple(color for _, color, *_ in instance["robots"])
-            for instance in instances
-        ]
-        gaps = [instance.get("gap_m") or (np.nan, np.nan) for instance in instances]
-        self._keyframe = self._tensor(columns["keyframe"], torch.int64)
-        self._episode = torch.cumsum((self._keyframe == 0).long(), 0) - 1
         self.instances = [
             (task, int(index))
             for task, index in zip(self.tasks, columns["index"], strict=True)
         ]
-        self._read_decisions(columns)
-        self._floats = {
-            name: self._tensor(np.stack(list(columns[name])), torch.float32)
-            for name in ("joints", "opening_m", "pick_pose", "place_pose", "bases")
+        instances = [json.loads(text) for text in columns["instance"]]
+        self._instructions = [str(text) for text in columns["instruction"]]
+        self._lists: dict[str, list[Any]] = {
+            "tasks": self.tasks,
+            "goals": [
+                tuple((top, bottom) for top, bottom in json.loads(goal))
+                for goal in columns["goal"]
+            ],
+            "robot_colors": [
+                tuple(color for _, color, *_ in instance["robots"])
+                for instance in instances
+            ],
         }
-        objects = np.stack(list(columns["objects"]))
-        self._floats["gap_m"] = self._tensor(gaps, torch.float32)
-        self._floats["objects"] = self._tensor(
-            poses_of(objects, recorded, entities), torch.float32
-        )
-
-    def _read_decisions(self, columns: dict[str, Any]) -> None:
-        """Read who did what, and who is there."""
-        decisions = _decisions(columns, self.entities)
-        self.perturbed = f"{EXECUTED}robot" in columns
-        executed = decisions
-        if self.perturbed:
-            executed = _decisions(columns, self.entities, EXECUTED)
-        self._decision = self._tensor(decisions, torch.int64)
-        self._past = self._tensor(_pasts(columns, executed), torch.int64)
-        self._arms = self._tensor(
-            [[self.arm_names.index(n) for n in s.split("+")] for s in columns["arms"]],
-            torch.int64,
-        )
+        perturbed = f"{EXECUTED}robot" in columns
+        decisions = executed = _decisions(columns, entities)
+        if perturbed:
+            executed = _decisions(columns, entities, EXECUTED)
+        arms = [[_ARMS.index(n) for n in s.split("+")] for s in columns["arms"]]
+        keyframe = self._tensor(columns["keyframe"], torch.int64)
+        gaps = [instance.get("gap_m") or (np.nan, np.nan) for instance in instances]
+        objects = poses_of(np.stack(list(columns["objects"])), recorded, entities)
+        self._tensors = {
+            "episode": torch.cumsum((keyframe == 0).long(), 0) - 1,
+            "keyframe": keyframe,
+            "decision": self._tensor(decisions, torch.int64),
+            "past": self._tensor(_pasts(columns, executed), torch.int64),
+            "arms": self._tensor(arms, torch.int64),
+            "objects": self._tensor(objects, torch.float32),
+            "gap_m": self._tensor(gaps, torch.float32),
+            "perturbed": self._tensor([perturbed] * len(decisions), torch.bool),
+            **{
+                name: self._tensor(np.stack(list(columns[name])), torch.float32)
+                for name in (*_SEEN, "pick_pose", "place_pose", "bases")
+            },
+        }
 
     @classmethod
     def load(
@@ -216,14 +214,14 @@ class Frames:
     @property
     def episodes(self) -> list[range]:
         """The frames of each episode, in order."""
-        starts = torch.nonzero(self._keyframe == 0).flatten().tolist()
+        starts = torch.nonzero(self._tensors["keyframe"] == 0).flatten().tolist()
         ends = [*starts[1:], len(self)]
         return [range(a, b) for a, b in zip(starts, ends, strict=True)]
 
     @property
     def robots(self) -> int:
         """Robots of every scene."""
-        return self._arms.shape[1]
+        return self._tensors["arms"].shape[1]
 
     def batch(
         self, indices: Tensor | Sequence[int], device: torch.device | None = None
@@ -242,34 +240,20 @@ class Frames:
         height = _sent(self.height.index_select(0, rows), device)
         coverage = height != 0
         height_m = height.float() * UNIT_M + (self.raster.floor_m - UNIT_M)
-        labels = Labels(
-            episode=self._episode[rows],
-            keyframe=self._keyframe[rows],
-            decision=self._decision[rows],
-            objects=self._floats["objects"][rows],
-            pick_pose=self._floats["pick_pose"][rows],
-            place_pose=self._floats["place_pose"][rows],
-            bases=self._floats["bases"][rows],
-            gap_m=self._floats["gap_m"][rows],
-            arms=self._arms[rows],
-            tasks=[self.tasks[i] for i in listed],
-            goals=[self.goals[i] for i in listed],
-            robot_colors=[self.robot_colors[i] for i in listed],
-            perturbed=torch.full_like(rows, self.perturbed, dtype=torch.bool),
-        )
+        tensors = {name: tensor[rows] for name, tensor in self._tensors.items()}
+        seen = {name: tensors.pop(name) for name in (*_SEEN, "past")}
+        lists = {name: [v[i] for i in listed] for name, v in self._lists.items()}
         batch = with_sub_instructions(
             Batch(
                 rgb=rgb,
                 height_m=torch.where(coverage, height_m, 0.0),
                 coverage=coverage,
-                joints=self._floats["joints"][rows],
-                opening_m=self._floats["opening_m"][rows],
-                past=self._past[rows],
-                instructions=[self.recorded[i] for i in listed],
+                **seen,
+                instructions=[self._instructions[i] for i in listed],
                 sub_instructions=[],
                 raster=self.raster,
                 entities=self.entities,
-                labels=labels,
+                labels=Labels(**tensors, **lists),  # type: ignore[arg-type]
             )
         )
         return _moved(batch, device)

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Mapping
-from copy import deepcopy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -30,9 +29,7 @@ from lemma.policies.interfaces import (
     Oracle,
     Planner,
     Policy,
-    Proposer,
     is_oracle,
-    keeps_state,
 )
 from lemma.policies.oracle import (
     GroundTruthAllocation,
@@ -53,8 +50,6 @@ commands."""
 CONTROL = LEVELS[2]
 _CLASS = re.compile(r"[\w.]+:[^\W\d][\w.<>]*")
 """``package.module:Class``, also of a class within a function."""
-
-
 Load = Callable[[str], Any]
 """Returns the planner, grounder or policy of a name."""
 
@@ -263,76 +258,50 @@ class PolicySpec:
         """
         first, *more = self.parts
         if self.controls:
-            return self._controller(load)
-        if self._is_planner(first):
-            grounder = self._grounder(more[0] if more else ORACLE, load)
-            return self._compose(self._registered(first), grounder)
-        if not more:
+            known = self.name == ORACLE
+            found = ExpertControl() if known else self._part(self.name, load)
+            told = "is no policy at control level: it has no act(inputs)."
+            return _able(found, Policy, f"{self.name} {told}")
+        if not (more or first == ORACLE or self._is_planner(first)):
             return self._whole(load)
         planner = OraclePlanner() if first == ORACLE else self._part(first, load)
-        if not _can(planner, Planner):
-            raise InvalidConfigError(f"{first} cannot plan; it has no plan(inputs).")
-        return self._compose(planner, self._grounder(more[0], load))
+        _able(planner, Planner, f"{first} cannot plan; it has no plan(inputs).")
+        registered = self._is_planner(first)
+        if registered and self.planning != PLANNINGS[0] and is_oracle(planner):
+            raise InvalidConfigError(
+                f"{first} is told how the table is before each sub-task, so it cannot "
+                "plan from the first image alone. Leave out --planning."
+            )
+        last = more[0] if more else ORACLE
+        grounder = OracleGrounder() if last == ORACLE else self._part(last, load)
+        told = "cannot ground; it has no ground(inputs, subtasks)."
+        return self._compose(planner, _able(grounder, Grounder, f"{last} {told}"))
 
     def _part(self, name: str, load: Load | None) -> Any:
         """Return the planner, grounder or policy of a name."""
+        if self._is_planner(name):
+            return self._planner(name)
         return load(name) if load else load_part(name, dict(self.arguments))
 
-    def _controller(self, load: Load | None) -> Any:
-        found = ExpertControl() if self.name == ORACLE else self._part(self.name, load)
-        if not _can(found, Policy):
-            raise InvalidConfigError(
-                f"{self.name} is no policy at control level: it has no act(inputs)."
-            )
-        return found
-
-    def _registered(self, name: str) -> Any:
-        """Return a planner that is registered.
-
-        Raises:
-            InvalidConfigError: It cannot plan from the first image alone.
-        """
-        planner = self._planner(name)
-        if self.planning != PLANNINGS[0] and is_oracle(planner):
-            raise InvalidConfigError(
-                f"{name} is told how the table is before each sub-task, so it cannot "
-                "plan from the first image alone. Leave out --planning."
-            )
-        return planner
-
-    def _grounder(self, name: str, load: Load | None) -> Grounder:
-        grounder = OracleGrounder() if name == ORACLE else self._part(name, load)
-        if not _can(grounder, Grounder):
-            raise InvalidConfigError(
-                f"{name} cannot ground; it has no ground(inputs, subtasks)."
-            )
-        found: Grounder = grounder
-        return found
-
     def _whole(self, load: Load | None) -> Policy:
-        """Return a policy that is one part: an oracle, or an object that can act.
+        """Return a policy that is one part: an object that can act.
 
         Raises:
             InvalidConfigError: It cannot act, or not in the way that is asked for.
         """
-        if self.name == ORACLE:
-            return self._compose(OraclePlanner(), OracleGrounder())
         whole = self._part(self.name, load)
         if has_options(whole):
             raise InvalidConfigError(f"{self.name} {IS_CONTROL}")
         if self.gta or self.planning != PLANNINGS[0]:
-            if _can(whole, Planner) and _can(whole, Grounder):
+            if can(whole, Planner) and can(whole, Grounder):
                 return self._compose(whole, whole)
             raise InvalidConfigError(
                 f"{self.name} does not plan in symbols, so neither multi-step "
                 "planning nor ground-truth allocation applies to it."
             )
-        if not _can(whole, Policy):
-            raise InvalidConfigError(
-                f"{self.name} is no whole policy: it has no act(inputs). Combine a "
-                "planner with a grounder, as in episodic-transformer+cliport."
-            )
-        found: Policy = whole
+        told = "is no whole policy: it has no act(inputs). Combine a planner with a "
+        told += "grounder, as in episodic-transformer+cliport."
+        found: Policy = _able(whole, Policy, f"{self.name} {told}")
         return found if _reads_outcomes(whole) else RetryingPolicy(found)
 
     def _compose(self, planner: Planner, grounder: Grounder) -> Policy:
@@ -346,105 +315,6 @@ class PolicySpec:
         return PlannerWithGrounder(planner, grounder)
 
 
-class GivenPolicy(PolicySpec):
-    """A policy that is an object of this process, not a name: no other one has it."""
-
-    _held: object
-    _as_it_was: object = None
-
-    @classmethod
-    def of(
-        cls,
-        held: object,
-        level: str = "",
-        planning: str = PLANNINGS[0],
-        *,
-        gta: bool = False,
-    ) -> "GivenPolicy":
-        """Return the spec of an object.
-
-        Args:
-            held: A policy, or a planner.
-            level: One of :data:`LEVELS`; a planner's sub-tasks get the expert's poses.
-                By default what it can do; what has ``control_options`` controls.
-            planning: How it plans.
-            gta: Whether the right robot replaces the one that the planner chose.
-
-        Raises:
-            InvalidConfigError: It is neither, or cannot plan in that way.
-        """
-        if isinstance(held, type):
-            raise InvalidConfigError(
-                f"{held.__name__} is a class, not a policy. Make an object of it: "
-                f"{held.__name__}(...)."
-            )
-        kind = type(held)
-        name = f"{kind.__module__}:{kind.__qualname__}"
-        if level == CONTROL or (not level and has_options(held)):
-            return cls._holding(held, cls(name, planning, gta, level=CONTROL))
-        whole = _can(held, Policy) or _can(held, Grounder)
-        if level == LEVELS[0] or (not level and _can(held, Planner) and not whole):
-            name += f"+{ORACLE}"
-        return cls._holding(held, cls(name, planning, gta))
-
-    @staticmethod
-    def _holding(held: object, found: "GivenPolicy") -> "GivenPolicy":
-        object.__setattr__(found, "_held", held)
-        found.load()
-        return found
-
-    @property
-    def oracle(self) -> bool:
-        """Whether some part of it is given the truth: results say so."""
-        return is_oracle(self.load())
-
-    def _part(self, name: str, load: Load | None) -> Any:
-        """Return the object: names are not looked up."""
-        return self._held
-
-    def renew(self) -> None:
-        """Hold a policy that remembers nothing: the first time itself, then copies.
-
-        The copies are of what it was the first time. A policy that says that it keeps
-        its state is left as it is.
-
-        Raises:
-            InvalidConfigError: It cannot be copied.
-        """
-        if keeps_state(self._held):
-            return
-        try:
-            if self._as_it_was is None:
-                object.__setattr__(self, "_as_it_was", deepcopy(self._held))
-            else:
-                object.__setattr__(self, "_held", deepcopy(self._as_it_was))
-        except Exception as error:
-            raise InvalidConfigError(
-                f"A policy is made anew for each kind of instruction, and {self.name} "
-                f"cannot be copied: {type(error).__name__}: {error}. Evaluate one kind "
-                "at a time, name its class instead (package.module:Class), or, if it "
-                "shall remember the episodes before, give it keeps_state = True."
-            ) from error
-
-    def _is_planner(self, part: str) -> bool:
-        """No: a module may have the name of a planner."""
-        return False
-
-    def planners(self) -> list[Any]:
-        """Return the object, if it has more to say than others."""
-        return [self._held] if isinstance(self._held, Proposer) else []
-
-    def _object(self, part: str) -> object:
-        return self._held
-
-    # Two objects of one class are two policies.
-    __hash__ = object.__hash__
-
-    def __eq__(self, other: object) -> bool:
-        """Whether it is the same spec."""
-        return self is other
-
-
 def _reads_outcomes(part: object) -> bool:
     """Whether a planner or policy looks at how its sub-tasks ended; by default, yes."""
     return bool(getattr(part, "reads_outcomes", True))
@@ -454,13 +324,24 @@ _VERBS = {Planner: ("plan", 1), Grounder: ("ground", 2), Policy: ("act", 1)}
 """The method of each interface, and how many arguments it takes."""
 
 
-def _can(part: Any, interface: type[Any]) -> bool:
+def can(part: Any, interface: type[Any]) -> bool:
     """Return whether an object has the method of an interface.
 
     ``isinstance`` looks at names alone: agents of other libraries have an ``act`` too.
     """
     verb, arguments = _VERBS[interface]
     return takes(getattr(part, verb, None), arguments)
+
+
+def _able(part: Any, interface: type[Any], otherwise: str) -> Any:
+    """Return an object that has the method of an interface.
+
+    Raises:
+        InvalidConfigError: It has not, with a sentence that says so.
+    """
+    if not can(part, interface):
+        raise InvalidConfigError(otherwise)
+    return part
 
 
 def load_part(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
@@ -473,8 +354,4 @@ def load_part(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
     Raises:
         LemmaError: There is none, or its weights are missing or damaged.
     """
-    if name == ORACLE:
-        return None
-    if ":" in name:
-        return instance_of(name, arguments)
-    return load_model(name)
+    return instance_of(name, arguments) if ":" in name else load_model(name)

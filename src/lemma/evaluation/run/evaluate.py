@@ -38,8 +38,9 @@ from lemma.evaluation.run.control.rollout import load_player
 from lemma.evaluation.run.expert_feedback import count_steps
 from lemma.evaluation.run.loading import hang_up
 from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
+from lemma.policies.given_policy import GivenPolicy
 from lemma.policies.interfaces import keeps_state
-from lemma.policies.spec import GivenPolicy, PolicySpec
+from lemma.policies.spec import PolicySpec
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.suite import load_instance
 
