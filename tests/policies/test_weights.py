@@ -225,11 +225,12 @@ def test_sizes_that_no_file_holds_take_no_memory(tmp_path: Path, name: str) -> N
         load_weights(hostile(tmp_path, {**PLAIN, "model": name, "options": large}))
 
 
-def test_layers_that_no_file_holds_take_no_time(tmp_path: Path) -> None:
-    about = {**PLAIN, "model": "reachnet"}
-    about["options"] = {"planner": {"layers": 64}, "reader": {"layers": 64}}
-    with pytest.raises(WeightsError, match=r"more than .* weights, and it has"):
-        load_weights(hostile(tmp_path, about))
+def test_layers_that_no_file_holds_are_refused(tmp_path: Path) -> None:
+    for layers, words in ((64, "is missing"), (65, "<= 64")):
+        options = {"planner": {"layers": layers}, "reader": {"layers": layers}}
+        about = {**PLAIN, "model": "reachnet", "options": options}
+        with pytest.raises(WeightsError, match=words):
+            load_weights(hostile(tmp_path, about))
 
 
 def test_heads_that_cannot_share_a_width_are_refused(tmp_path: Path) -> None:

@@ -10,8 +10,7 @@ memory is taken for it.
 import math
 import re
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,10 +22,6 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
-from torch.nn.modules.module import (
-    Module,
-    register_module_parameter_registration_hook,
-)
 from torch.overrides import TorchFunctionMode
 
 from lemma.core.errors import LemmaError, WeightsError
@@ -220,8 +215,8 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
         former = MODELS[metadata.model][0].former_names
         with safe_open(path, "pt") as file:
             found = {_renamed(name, former): name for name in file.keys()}  # noqa: SIM118
-            # First a model that takes no memory: sizes may be anything.
-            with torch.device("meta"), _Unfilled(), _at_most(len(found)):
+            # First a model that takes no memory: within their ranges, sizes may be large.
+            with torch.device("meta"), _Unfilled():
                 wanted = make_model(metadata.model, metadata.options).state_dict()
             _check_shapes(path, metadata, file, found, wanted)
             with _Unfilled():
@@ -265,36 +260,6 @@ class _Unfilled(TorchFunctionMode):
         if getattr(func, "__module__", "") == "torch.nn.init":
             return given["tensor"] if "tensor" in given else args[0]
         return func(*args, **given)
-
-
-@contextmanager
-def _at_most(tensors: int) -> Iterator[None]:
-    """Refuse to make a model with far more weights than a file has tensors.
-
-    Options may ask for a million layers, which would take minutes even without memory.
-
-    Args:
-        tensors: In the file.
-
-    Raises:
-        ValueError: There are far more weights; some may be made twice.
-    """
-    made = 0
-
-    def count(module: Module, name: str, weight: object) -> None:
-        nonlocal made
-        made += 1
-        if made > 4 * tensors + 1000:
-            raise ValueError(
-                f"its options are of a model with more than {made} weights, and it has "
-                f"{tensors} of them"
-            )
-
-    handle = register_module_parameter_registration_hook(count)
-    try:
-        yield
-    finally:
-        handle.remove()
 
 
 def _renamed(name: str, former: Mapping[str, str]) -> str:

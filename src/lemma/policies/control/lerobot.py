@@ -198,34 +198,31 @@ def control_options(
     Raises:
         InvalidConfigError: It observes or commands what there is not here.
     """
-    shapes: Mapping[str, tuple[int, ...]] = {
-        name: tuple(feature.shape)
-        for name, feature in {**config.input_features, **config.output_features}.items()
-    }
-    numbers = {
-        name: shape
-        for name, shape in shapes.items()
-        if not name.startswith(f"{OBS_IMAGES}.")
-    }
-    images = {
-        name.removeprefix(f"{OBS_IMAGES}."): shape
-        for name, shape in shapes.items()
-        if name not in numbers
-    }
-    options: dict[str, Any] = {
-        "control": _CONTROLS.get(shapes.get(ACTION, ())),
-        "control_hz": hz,
-        "clip_actions": True,
-    }
+    features = {**config.input_features, **config.output_features}
+    shapes = {name: tuple(feature.shape) for name, feature in features.items()}
+    eyes = [name for name in shapes if name.startswith(f"{OBS_IMAGES}.")]
+    images = {name.removeprefix(f"{OBS_IMAGES}."): shapes.pop(name) for name in eyes}
+    row = shapes.get(ACTION, ())
+    plain = {OBS_STATE: row, ACTION: row}
+    told = {**plain, OBS_ENV_STATE: (len(TRUTH) if privileged else SENTENCE_NUMBERS,)}
+    if row not in _CONTROLS or shapes not in ([told] if privileged else [plain, told]):
+        counts = " or ".join(str(count) for (count,) in _CONTROLS)
+        raise InvalidConfigError(
+            f"The policy has {shapes} beside its images. Valid: {OBS_STATE} and "
+            f"{ACTION} of {counts} numbers, as lemma render --form lerobot writes "
+            f"them, and {OBS_ENV_STATE} of {SENTENCE_NUMBERS}, with "
+            f"--environment-state sentence, or of {len(TRUTH)}, with "
+            "--environment-state privileged, which "
+            f"{LEROBOT_PRIVILEGED}CHECKPOINT is told."
+        )
+    options = {"control": _CONTROLS[row], "control_hz": hz, "clip_actions": True}
     if privileged:
-        _check_numbers(numbers, {OBS_ENV_STATE: (len(TRUTH),)})
         if images:
             raise InvalidConfigError(
                 f"The policy sees {', '.join(images)}: it is no one that is told the "
                 f"truth instead. Name it {LEROBOT}CHECKPOINT."
             )
         return {**options, "observation": "privileged"}
-    _check_numbers(numbers, {}, {OBS_ENV_STATE: (SENTENCE_NUMBERS,)})
     valid = camera_names(TEAM)
     if not images or set(images) - set(valid) or len(set(images.values())) > 1:
         raise InvalidConfigError(
@@ -233,34 +230,5 @@ def control_options(
             f"{', '.join(f'{OBS_IMAGES}.{name}' for name in valid)}, all of one size."
         )
     _, height, width = next(iter(images.values()))
-    return {
-        **options,
-        "observation": "rgb",
-        "cameras": tuple(images),
-        "width": width,
-        "height": height,
-    }
-
-
-def _check_numbers(
-    numbers: Mapping[str, tuple[int, ...]], *valid: Mapping[str, tuple[int, ...]]
-) -> None:
-    """Check which vectors a policy observes and commands, beside its images.
-
-    Args:
-        numbers: Shapes by name.
-        valid: Vectors that are allowed beside state and action.
-
-    Raises:
-        InvalidConfigError: There are others.
-    """
-    for row in _CONTROLS:
-        always = {OBS_STATE: row, ACTION: row}
-        if numbers in [{**always, **more} for more in valid]:
-            return
-    counts = " or ".join(str(row[0]) for row in _CONTROLS)
-    told = f"The policy has {dict(numbers)} beside its images. Valid: {OBS_STATE} and "
-    told += f"{ACTION} of {counts} numbers, as lemma render --form lerobot writes them,"
-    told += f" and {OBS_ENV_STATE} of {SENTENCE_NUMBERS}, with --environment-state "
-    told += f"sentence, or of {len(TRUTH)}, with --environment-state privileged, which "
-    raise InvalidConfigError(f"{told}{LEROBOT_PRIVILEGED}CHECKPOINT is told.")
+    seen = {"observation": "rgb", "cameras": tuple(images)}
+    return {**options, **seen, "width": width, "height": height}
