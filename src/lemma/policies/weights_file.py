@@ -215,7 +215,7 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
         former = MODELS[metadata.model][0].former_names
         with safe_open(path, "pt") as file:
             found = {_renamed(name, former): name for name in file.keys()}  # noqa: SIM118
-            # First a model that takes no memory: within their ranges, sizes may be large.
+            # First a model that takes no memory: sizes in their ranges may be large.
             with torch.device("meta"), _Unfilled():
                 wanted = make_model(metadata.model, metadata.options).state_dict()
             _check_shapes(path, metadata, file, found, wanted)
