@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 from lemma.bench.machine import describe_machine
 from lemma.core.workers.pool import ProcessPool
 from lemma.core.workers.resources import usable_cores
+from lemma.dataset.lerobot.frames import Style, robots_of
 from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.schema import EpisodeRecord
-from lemma.dataset.rendered.film import Filming, cameras_of, rig_of, robots_of
 from lemma.dataset.rendered.steps import iterate_steps
-from lemma.scene.rendering.batch import choose_renderer
-from lemma.scene.rendering.pictures import states_at_once
+from lemma.scene.rendering.batch import choose_renderer, states_at_once
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE, load_instance
 
@@ -102,22 +101,24 @@ def measure_filming(
     found = []
     for renderer in dict.fromkeys(("opengl", choose_renderer("auto"))):
         for width, height in sizes:
-            how = Filming(width=width, height=height, renderer=renderer)
+            how = Style(
+                width_px=width, height_px=height, depth=False, renderer=renderer
+            )
             jobs = [(records[n % len(records) :], how, least_s) for n in range(workers)]
             times = list(ProcessPool(workers).run(time_filming, jobs))
             found.append(_figures(how, times))
     return found
 
 
-def _figures(how: Filming, times: Sequence[_Times]) -> FilmingFigures:
+def _figures(how: Style, times: Sequence[_Times]) -> FilmingFigures:
     images = sum(one.images for one in times)
     rate = sum(one.images / one.total_s for one in times)
     states = sum(one.states for one in times)
     return FilmingFigures(
         renderer=how.renderer,
         drawn_by=times[0].drawn_by,
-        width=how.width,
-        height=how.height,
+        width=how.width_px,
+        height=how.height_px,
         workers=len(times),
         replay_ms=1000.0 * sum(one.replay_s for one in times) / states,
         render_ms=1000.0 * sum(one.render_s for one in times) / images,
@@ -128,7 +129,7 @@ def _figures(how: Filming, times: Sequence[_Times]) -> FilmingFigures:
 
 
 def time_filming(
-    records: Sequence[EpisodeRecord], how: Filming, least_s: float
+    records: Sequence[EpisodeRecord], how: Style, least_s: float
 ) -> _Times:
     """Film episodes, one after the other and then again, for some time.
 
@@ -137,7 +138,7 @@ def time_filming(
         how: How to film them.
         least_s: How long to go on [s].
     """
-    rig = rig_of(how.width, how.height, how.renderer)
+    rig = how.rig()
     times = _Times(drawn_by=rig.describe())
     # Compilation and start-up are not measured.
     _film_once(records[0], how, _Times())
@@ -148,26 +149,26 @@ def time_filming(
     return times
 
 
-def _film_once(record: EpisodeRecord, how: Filming, times: _Times) -> None:
+def _film_once(record: EpisodeRecord, how: Style, times: _Times) -> None:
     """Film an episode and add what each stage took."""
-    cameras = cameras_of(robots_of(record))
-    rig = rig_of(how.width, how.height, how.renderer)
+    cameras = how.cameras_of(robots_of(record))
+    rig = how.rig()
     start = time.perf_counter()
     states, scene = [], None
-    for step in iterate_steps(record, how.hz):
+    for step in iterate_steps(record, how.fps):
         scene = step.scene
         states.append(scene.data.qpos.copy())
     assert scene is not None
     times.replay_s += time.perf_counter() - start
     times.states += len(states)
-    together = states_at_once(how.width, how.height, len(cameras))
+    together = states_at_once(how.width_px, how.height_px, len(cameras))
     for first in range(0, len(states), together):
         start = time.perf_counter()
         chunk = np.array(states[first : first + together])
         rgb = rig.film(scene, chunk, cameras, depth=how.depth).rgb
         middle = time.perf_counter()
         for camera in range(len(cameras)):
-            encode(rgb[:, camera], how.hz)
+            encode(rgb[:, camera], how.fps)
         times.encode_s += time.perf_counter() - middle
         times.render_s += middle - start
         times.images += rgb.shape[0] * rgb.shape[1]

@@ -9,13 +9,13 @@ import pytest
 from lemma.core.errors import InvalidConfigError, RenderingError, UnknownNameError
 from lemma.core.poses import FloatArray
 from lemma.scene.cameras import Camera, FreeCamera
-from lemma.scene.rendering import batch, pictures
+from lemma.scene.rendering import batch
 from lemma.scene.rendering.batch import (
     BATCH_RENDERERS,
     OpenGLRenderer,
     choose_renderer,
+    states_at_once,
 )
-from lemma.scene.rendering.pictures import states_at_once
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import load_instance
@@ -65,8 +65,8 @@ def test_a_camera_of_another_size_is_refused() -> None:
 @pytest.mark.parametrize("sides", [(16, 16), (128, 128), (640, 480), (8192, 8192)])
 def test_memory_of_one_launch_is_bounded(sides: tuple[int, int]) -> None:
     states, pixels = states_at_once(*sides, 2), 2 * sides[0] * sides[1]
-    assert states == 1 or states * pixels <= pictures._MOST_PIXELS
-    assert 1 <= states <= pictures._MOST_STATES
+    assert states == 1 or states * pixels <= batch._MOST_PIXELS
+    assert 1 <= states <= batch._MOST_STATES
 
 
 def test_nothing_to_render_is_refused() -> None:

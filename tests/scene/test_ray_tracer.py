@@ -10,10 +10,9 @@ from lemma.core.errors import InvalidConfigError, RenderingError
 from lemma.core.poses import FloatArray
 from lemma.env.camera_rig import CameraRig, camera_names
 from lemma.env.episode import Episode
-from lemma.scene.rendering import ray_tracer
-from lemma.scene.rendering.batch import BATCH_RENDERERS
+from lemma.scene.rendering import batch
+from lemma.scene.rendering.batch import BATCH_RENDERERS, Pictures, RayTracer
 from lemma.scene.rendering.gl_backend import choose_backend
-from lemma.scene.rendering.pictures import Pictures
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import load_instance
 
@@ -97,14 +96,14 @@ def test_the_bounds_tell_states_and_cameras_apart() -> None:
 def test_states_do_not_depend_on_their_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     names = scene("pass").spec.robot_names
     whole = rig("warp").film(scene("pass"), states("pass"), names)
-    monkeypatch.setattr(ray_tracer, "states_at_once", lambda *_: 2)
+    monkeypatch.setattr(batch, "states_at_once", lambda *_: 2)
     parts = rig("warp").film(scene("pass"), states("pass"), names, depth=False)
     assert parts.depth_m is None
     assert np.array_equal(whole.rgb, parts.rgb)
 
 
 def test_scenes_of_the_same_shapes_share_a_context() -> None:
-    tracer = ray_tracer.RayTracer(*SIZE)
+    tracer = RayTracer(*SIZE)
     pictures = [
         tracer.render(
             one, one.data.qpos[None], lambda _: ["robot_0/camera"], depth=True
@@ -122,7 +121,7 @@ def test_scenes_of_the_same_shapes_share_a_context() -> None:
 
 
 def test_a_device_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    tracer = ray_tracer.RayTracer(*SIZE)
+    tracer = RayTracer(*SIZE)
 
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("Failed to allocate 1 bytes on device 'cuda:0'.")

@@ -30,8 +30,7 @@ from lemma.scene.cameras import (
 )
 from lemma.scene.model_cameras import camera_from_model
 from lemma.scene.raster import LARGEST, RASTER, UNIT_M, MapImage
-from lemma.scene.rendering.batch import BATCH_RENDERERS
-from lemma.scene.rendering.pictures import Pictures
+from lemma.scene.rendering.batch import BATCH_RENDERERS, Pictures
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
 

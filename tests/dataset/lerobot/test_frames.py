@@ -19,8 +19,8 @@ from lemma.dataset.lerobot.frames import (
     describe_episode,
     features,
     frames,
+    robots_of,
 )
-from lemma.dataset.rendered.film import robots_of
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import NO_SUBTASK, iterate_steps
 from lemma.env.learning.flat_view import FlatView

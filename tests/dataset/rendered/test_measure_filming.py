@@ -15,11 +15,11 @@ from lemma.tasks.suite import load_instance
 def test_filming_is_timed_by_stages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(filming, "ProcessPool", lambda workers: Serial())
     instances = [load_instance("pass", "val", 0)]
-    (found,) = filming.measure_filming(instances, 1, ((16, 16),), least_s=0.01)
+    (found,) = filming.measure_filming(instances, 1, ((32, 32),), least_s=0.01)
     stages = found.replay_ms / 2 + found.render_ms + found.encode_ms
     assert found.images_per_s == pytest.approx(1000.0 / stages)
     assert found.all_minutes == pytest.approx(5e4 / found.images_per_s)
-    assert (found.renderer, found.width, found.height) == ("opengl", 16, 16)
+    assert (found.renderer, found.width, found.height) == ("opengl", 32, 32)
 
 
 def test_videos_hold_what_was_encoded() -> None:

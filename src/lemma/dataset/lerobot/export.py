@@ -34,6 +34,7 @@ from lemma.dataset.lerobot.frames import (
     describe_episode,
     features,
     frames,
+    robots_of,
 )
 from lemma.dataset.lerobot.sources import (
     check_source,
@@ -42,7 +43,6 @@ from lemma.dataset.lerobot.sources import (
     read_records,
 )
 from lemma.dataset.recipe.files import versions
-from lemma.dataset.rendered.film import rig_of, robots_of
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.names import task_rank
@@ -212,7 +212,7 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
         "form": "lerobot",
         "versions": {**versions(BENCHMARK_VERSION), "lerobot": version("lerobot")},
         **asdict(order.style),
-        "renderer": rig_of(*order.style.rig).describe() if order.style.images else None,
+        "renderer": order.style.rig().describe() if order.style.images else None,
         "per_video": order.per_video,
         "recipe": {name_in_source(path): sha256_of(path) for path in files},
     }

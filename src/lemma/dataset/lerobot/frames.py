@@ -5,28 +5,24 @@ Nothing here needs the lerobot package.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import islice
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError
+from lemma.core.robot_names import robot_names
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.capture import label
-from lemma.dataset.rendered.film import (
-    Filming,
-    Frame,
-    cameras_of,
-    film,
-    rig_of,
-    robots_of,
-)
 from lemma.dataset.rendered.steps import (
     NO_SUBTASK,
     DenseStep,
     iterate_steps,
     ticks_per_step,
 )
+from lemma.env.camera_rig import CameraRig, camera_names
 from lemma.env.episode import Episode
 from lemma.env.learning.motor_state import (
     JOINT_POSITION,
@@ -38,6 +34,7 @@ from lemma.env.learning.motor_state import (
 )
 from lemma.env.observation import Observer, truth_names, truth_vector
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.rendering.batch import states_at_once
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.language.vector import NUMBERS, sentence_vector
@@ -51,7 +48,6 @@ NONE, SENTENCE, PRIVILEGED = ENVIRONMENT_STATES = get_args(EnvironmentState)
 """Nothing; :func:`lemma.tasks.language.vector.sentence_vector`; or the truth,
 :func:`lemma.env.observation.truth_vector`."""
 _SMALLEST_PX = 32
-_NO_PICTURES = np.zeros((0, 0, 0, 3), np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,23 +105,23 @@ class Style:
         Raises:
             UnknownNameError: The team has no such camera.
         """
-        return cameras_of(robots, self.cameras) if self.images else ()
+        valid, chosen = camera_names(robots), self.cameras or robots
+        return tuple(known("camera", n, valid) for n in chosen) if self.images else ()
 
-    @property
-    def rig(self) -> tuple[int, int, str]:
-        """Arguments of :func:`lemma.dataset.rendered.film.rig_of`."""
-        return self.width_px, self.height_px, self.renderer
+    def rig(self) -> CameraRig:
+        """Return the cameras of this process, which are started once."""
+        return _rig(self.width_px, self.height_px, self.renderer)
 
-    def filming(self) -> Filming:
-        """Return how episodes are filmed."""
-        return Filming(
-            hz=self.fps,
-            width=self.width_px,
-            height=self.height_px,
-            cameras=self.cameras,
-            depth=self.depth,
-            renderer=self.renderer,
-        )
+
+@lru_cache(maxsize=1)
+def _rig(width: int, height: int, renderer: str) -> CameraRig:
+    """Return cameras: starting them takes longer than a picture."""
+    return CameraRig(width, height, renderer)
+
+
+def robots_of(record: EpisodeRecord) -> tuple[str, ...]:
+    """Return the names of an episode's robots."""
+    return robot_names(len(record.instance_data()["robots"]))
 
 
 def image_key(camera: str) -> str:
@@ -203,22 +199,39 @@ def frames(
     task = getattr(record, kind)
     said = {f"annotation.instruction.{one}": getattr(record, one) for one in KINDS}
     tell = _teller(record, style, task)
-    for frame in _filmed(record, style):
+    for step, pictures in _filmed(record, style, cameras):
         yield {
-            **_numbers(record, frame.step, style.control),
-            **_images(cameras, frame),
+            **_numbers(record, step, style.control),
+            **pictures,
             **said,
-            **tell(frame.step),
+            **tell(step),
             "task": task,
         }
 
 
-def _filmed(record: EpisodeRecord, style: Style) -> Iterator[Frame]:
-    if style.images:
-        yield from film(record, style.filming())
+def _filmed(
+    record: EpisodeRecord, style: Style, cameras: tuple[str, ...]
+) -> Iterator[tuple[DenseStep, dict[str, Any]]]:
+    """Yield the steps of an episode, each with its pictures by feature.
+
+    Many states are rendered at a time. Only those are kept, so memory does not grow
+    with the length of an episode. The scene of a step has gone on to a later one.
+    """
+    steps = iterate_steps(record, style.fps)
+    if not cameras:
+        yield from ((step, {}) for step in steps)
         return
-    for step in iterate_steps(record, style.fps):
-        yield Frame(step, _NO_PICTURES, None)
+    rig = style.rig()
+    together = states_at_once(style.width_px, style.height_px, len(cameras))
+    while chunk := [(s, s.scene.data.qpos.copy()) for s in islice(steps, together)]:
+        states = np.array([qpos for _, qpos in chunk])
+        seen = rig.film(chunk[0][0].scene, states, cameras, depth=style.depth)
+        for number, (step, _) in enumerate(chunk):
+            found = dict(zip(map(image_key, cameras), seen.rgb[number], strict=True))
+            if seen.depth_m is not None:
+                depths = seen.depth_m[number][..., None]
+                found.update(zip(map(depth_key, cameras), depths, strict=True))
+            yield step, found
 
 
 def _teller(
@@ -274,14 +287,6 @@ def _numbers(record: EpisodeRecord, step: DenseStep, control: str) -> dict[str, 
     }
 
 
-def _images(cameras: tuple[str, ...], frame: Frame) -> dict[str, Any]:
-    found: dict[str, Any] = dict(zip(map(image_key, cameras), frame.rgb, strict=True))
-    if frame.depth_m is not None:
-        depths = frame.depth_m[..., None]
-        found.update(zip(map(depth_key, cameras), depths, strict=True))
-    return found
-
-
 def describe_episode(
     record: EpisodeRecord, style: Style, kind: str, length: int
 ) -> dict[str, Any]:
@@ -313,7 +318,7 @@ def _calibration(record: EpisodeRecord, style: Style) -> dict[str, dict[str, Any
     cameras = {}
     scene = Episode(Instance.from_dict(record.instance_data())).simulation.scene
     scene.refresh()
-    rig = rig_of(*style.rig)
+    rig = style.rig()
     for name in style.cameras_of(robots_of(record)):
         camera = rig.calibrated(scene, scene.data, name)
         lens = camera.intrinsics

@@ -90,20 +90,6 @@ def ticks_per_step(hz: int) -> int:
     return _TICKS_PER_S // hz
 
 
-def count_steps(record: EpisodeRecord, hz: int = 10) -> int:
-    """Return how many steps :func:`iterate_steps` yields, without simulating.
-
-    Args:
-        record: The episode.
-        hz: Steps per simulated second.
-
-    Raises:
-        InvalidConfigError: Servo ticks cannot be divided evenly.
-    """
-    ticks = round(record.keyframe_time_s[-1] / TICK_S)
-    return -(-ticks // ticks_per_step(hz)) + 1
-
-
 def iterate_steps(record: EpisodeRecord, hz: int = 10) -> Iterator[DenseStep]:
     """Yield an episode step by step, from its first state to its end.
 

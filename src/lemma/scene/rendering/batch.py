@@ -1,30 +1,102 @@
 """Renderers of color and depth of many states of a scene, by name.
 
 ``opengl`` draws one picture after the other, as environments do. ``warp`` traces the
-rays of hundreds of states at once on an NVIDIA GPU, see
-:mod:`lemma.scene.rendering.ray_tracer`. Both see the same to within a step of 8-bit
-color and a micrometre of depth, except where an edge runs through a pixel.
+rays of hundreds of states at once on an NVIDIA GPU, with MuJoCo Warp. Both see the same
+to within a step of 8-bit color and a micrometre of depth, except where an edge runs
+through a pixel.
+
+The optional packages ``mujoco-warp`` and ``warp-lang`` are imported by the first ray
+tracer. They also run on a CPU, slower than OpenGL, for tests. MuJoCo itself computes
+the poses, in double precision; the GPU gets where every geom, camera and lamp is and
+traces one ray per pixel. That keeps the simulation of MuJoCo Warp out of it: its ray
+tracer alone is compiled, once per machine and kinds of geoms.
 """
 
-from collections.abc import Callable
-from typing import Protocol
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.metadata import version
+from importlib.util import find_spec
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lemma.core.poses import FloatArray
+from lemma.core.engine import mujoco
+from lemma.core.errors import InvalidConfigError, RenderingError
+from lemma.core.poses import FloatArray, matrix_from_quaternion
 from lemma.core.registry import Registry
+from lemma.scene.cameras import Camera
+from lemma.scene.model_cameras import camera_from_model
 from lemma.scene.rendering.gl_backend import choose_backend
-from lemma.scene.rendering.pictures import Aim, Pictures
-from lemma.scene.rendering.ray_tracer import RayTracer, has_gpu
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 
 AUTO = "auto"
 """Stands for the fastest renderer that works here."""
+_MOST_STATES = 64
+_MOST_PIXELS = 2**22
+_VISIBLE_GROUPS = [0, 1, 2]
+_KEPT_CONTEXTS = 4
+"""Kept on the GPU: their meshes and trees serve every scene of the same shapes."""
+_LARGEST_PX = 8192
+# Arrays of a model that a context is made of; others are passed with each launch.
+_SHAPES = (
+    *("geom_type", "geom_group", "light_type", "light_attenuation"),
+    *("mesh_vert", "mesh_face", "mesh_faceadr", "mesh_vertadr"),
+    *("mesh_normal", "mesh_facenormal"),
+)
+
+Aim = Callable[[mujoco.MjData], Sequence[str | Camera]]
+"""Returns the cameras that look at a state with derived poses up to date: names in the
+scene, or calibrated cameras, which may move from state to state."""
 
 
-class BatchRenderer(Protocol):
-    """Renders many states of one scene. Make one per process and keep it."""
+class Pictures(NamedTuple):
+    """Pictures of some cameras in some states."""
+
+    rgb: NDArray[np.uint8]
+    """Color, shape (states, cameras, height, width, 3)."""
+    depth_m: NDArray[np.float32] | None
+    """Distance along the camera's z axis [m], shape (states, cameras, height, width);
+    0: nothing. None if it was not asked for."""
+
+
+def states_at_once(width: int, height: int, cameras: int) -> int:
+    """Return how many states to render together: memory is bounded by pixels.
+
+    Args:
+        width: Of every picture [px].
+        height: Of every picture [px].
+        cameras: How many look at each state.
+
+    Raises:
+        InvalidConfigError: There is nothing to render.
+    """
+    if min(width, height, cameras) < 1:
+        raise InvalidConfigError(
+            f"{cameras} cameras of {width} x {height} pixels see nothing. All three "
+            "must be at least 1."
+        )
+    return max(1, min(_MOST_STATES, _MOST_PIXELS // (width * height * cameras)))
+
+
+class OpenGLRenderer:
+    """Draws picture after picture, on a GPU if EGL finds one, else in software.
+
+    Make one per process and keep it.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        """Prepare; OpenGL is started by the first picture.
+
+        Raises:
+            InvalidConfigError: The size is impossible.
+        """
+        self._renderer = Renderer(width, height)
 
     def render(
         self, scene: Scene, qpos: FloatArray, aim: Aim, *, depth: bool
@@ -41,32 +113,6 @@ class BatchRenderer(Protocol):
             UnknownNameError: The scene has no such camera.
             RenderingError: It does not work here.
         """
-        ...
-
-    def describe(self) -> str:
-        """Return the software and the device that draw; both decide the bytes."""
-        ...
-
-    def close(self) -> None:
-        """Forget the last scene; the renderer can still be used afterwards."""
-        ...
-
-
-class OpenGLRenderer:
-    """Draws picture after picture, on a GPU if EGL finds one, else in software."""
-
-    def __init__(self, width: int, height: int) -> None:
-        """Prepare; OpenGL is started by the first picture.
-
-        Raises:
-            InvalidConfigError: The size is impossible.
-        """
-        self._renderer = Renderer(width, height)
-
-    def render(
-        self, scene: Scene, qpos: FloatArray, aim: Aim, *, depth: bool
-    ) -> Pictures:
-        """Render some states; see :class:`BatchRenderer`."""
         colors, depths = [], []
         for row in qpos:
             data = scene.posed(row)
@@ -84,15 +130,248 @@ class OpenGLRenderer:
         )
 
     def describe(self) -> str:
-        """Return the name that the OpenGL library gives itself."""
+        """Return the software and the device that draw; both decide the bytes."""
         return choose_backend().renderer
 
     def close(self) -> None:
-        """Forget the last scene."""
+        """Forget the last scene; the renderer can still be used afterwards."""
         self._renderer.close()
 
 
-MakeRenderer = Callable[[int, int], BatchRenderer]
+@cache
+def _packages() -> tuple[ModuleType, ModuleType]:
+    """Return warp and mujoco_warp.
+
+    Raises:
+        RenderingError: One is not installed.
+    """
+    try:
+        import warp  # noqa: PLC0415
+
+        # It speaks of devices and of everything that it compiles, from every worker.
+        warp.config.log_level = warp.LOG_WARNING
+        import mujoco_warp  # noqa: PLC0415
+    except ImportError as error:
+        raise RenderingError(
+            "The renderer 'warp' needs MuJoCo Warp, which is not installed: pip "
+            "install 'lemma-bench[warp]', or '.[warp]' in a checkout. The renderer "
+            "'opengl' needs nothing more."
+        ) from error
+    warp.init()
+    return warp, mujoco_warp
+
+
+def has_gpu() -> bool:
+    """Return whether MuJoCo Warp is installed and finds a GPU."""
+    if find_spec("mujoco_warp") is None:
+        return False
+    return bool(_packages()[0].is_cuda_available())
+
+
+@dataclass(slots=True)
+class _Poses:
+    """Poses in each state: the part of MuJoCo Warp's data that a launch reads."""
+
+    nworld: int
+    geom_xpos: Any
+    geom_xmat: Any
+    cam_xpos: Any
+    cam_xmat: Any
+    light_xpos: Any
+    light_xdir: Any
+    flexvert_xpos: Any
+
+
+class RayTracer:
+    """Renders many states at once, on a GPU; used like :class:`OpenGLRenderer`."""
+
+    def __init__(self, width: int, height: int) -> None:
+        """Prepare.
+
+        Args:
+            width: Width of every picture [px].
+            height: Height of every picture [px].
+
+        Raises:
+            InvalidConfigError: The size is impossible.
+            RenderingError: MuJoCo Warp is not installed.
+        """
+        if not (1 <= width <= _LARGEST_PX and 1 <= height <= _LARGEST_PX):
+            raise InvalidConfigError(
+                f"A picture of {width} x {height} pixels cannot be rendered. Both "
+                f"sides must be from 1 to {_LARGEST_PX}."
+            )
+        _packages()
+        self._size = (width, height)
+        self._contexts: OrderedDict[tuple[object, ...], Any] = OrderedDict()
+        self._scene: Scene | None = None
+        self._model: Any = None
+        self._shapes = ""
+
+    def render(
+        self, scene: Scene, qpos: FloatArray, aim: Aim, *, depth: bool
+    ) -> Pictures:
+        """Render some states; see :meth:`OpenGLRenderer.render`.
+
+        Raises:
+            UnknownNameError: The scene has no such camera.
+            RenderingError: The device could not do it.
+        """
+        self._take(scene)
+        places, cameras = [], []
+        for row in qpos:
+            data = scene.posed(row)
+            seen = [
+                camera_from_model(scene.model, data, camera, *self._size)
+                if isinstance(camera, str)
+                else camera
+                for camera in aim(data)
+            ]
+            places.append(_places(data))
+            cameras.append([_camera_row(camera) for camera in seen])
+        eyes = np.array(cameras)
+        together = states_at_once(*self._size, eyes.shape[1])
+        try:
+            parts = [
+                self._trace(
+                    places[i : i + together], eyes[i : i + together], depth=depth
+                )
+                for i in range(0, len(qpos), together)
+            ]
+        except RuntimeError as error:
+            raise RenderingError(
+                f"{self.describe()} could not render: {error} If there is too little "
+                "memory, use fewer worker processes, which share it; the renderer "
+                "'opengl' works without."
+            ) from error
+        rgb = np.concatenate([part.rgb for part in parts])
+        depths = [part.depth_m for part in parts if part.depth_m is not None]
+        return Pictures(rgb, np.concatenate(depths) if depth else None)
+
+    def describe(self) -> str:
+        """Return versions and device."""
+        warp, _ = _packages()
+        return f"MuJoCo Warp {version('mujoco-warp')}, {warp.get_device().name}"
+
+    def close(self) -> None:
+        """Forget everything that is held on the device."""
+        self._contexts.clear()
+        self._scene = self._model = None
+
+    def _take(self, scene: Scene) -> None:
+        """Bring a scene's colors, sizes and lamps to the device, if it is another."""
+        if self._scene is scene:
+            return
+        model = scene.model
+        digest = hashlib.sha256()
+        for name in _SHAPES:
+            digest.update(np.ascontiguousarray(getattr(model, name)).tobytes())
+        view, lamp = model.vis.map, model.vis.headlight
+        for value in (
+            *(view.znear, view.zfar, model.stat.extent, lamp.active),
+            *(*lamp.ambient, *lamp.diffuse, *lamp.specular),
+        ):
+            digest.update(np.float64(value).tobytes())
+        self._shapes = digest.hexdigest()
+        self._model = _packages()[1].put_model(model)
+        self._scene = scene
+
+    def _trace(
+        self, places: list[tuple[FloatArray, ...]], eyes: FloatArray, *, depth: bool
+    ) -> Pictures:
+        """Render states that fit into one launch."""
+        warp, tracer = _packages()
+        states, cameras = eyes.shape[:2]
+        context = self._context(cameras, depth=depth)
+        geoms, turns, lamps, beams = (
+            np.array(part) for part in zip(*places, strict=True)
+        )
+
+        def put(array: FloatArray, kind: Any) -> Any:
+            return warp.array(np.ascontiguousarray(array, np.float32), dtype=kind)
+
+        poses = _Poses(
+            nworld=states,
+            geom_xpos=put(geoms, warp.vec3),
+            geom_xmat=put(turns.reshape(*turns.shape[:2], 3, 3), warp.mat33),
+            cam_xpos=put(eyes[..., :3], warp.vec3),
+            cam_xmat=put(eyes[..., 3:12].reshape(states, cameras, 3, 3), warp.mat33),
+            light_xpos=put(lamps, warp.vec3),
+            light_xdir=put(beams, warp.vec3),
+            flexvert_xpos=warp.empty((states, 0), dtype=warp.vec3),
+        )
+        model = replace(
+            self._model,
+            cam_projection=warp.zeros(cameras, dtype=int),
+            cam_fovy=put(eyes[..., 12], float),
+            cam_sensorsize=warp.zeros(cameras, dtype=warp.vec2),
+            cam_intrinsic=warp.zeros((1, cameras), dtype=warp.vec4),
+        )
+        tracer.refit_bvh(model, poses, context)
+        tracer.render(model, poses, context)
+        width, height = self._size
+        packed = context.rgb_data[:states].numpy()
+        channels = packed.view(np.uint8).reshape(states, cameras, height, width, 4)
+        # Bytes are blue, green, red and opacity.
+        rgb = np.ascontiguousarray(channels[..., 2::-1])
+        if not depth:
+            return Pictures(rgb, None)
+        depth_m = context.depth_data[:states].numpy()
+        return Pictures(rgb, depth_m.reshape(states, cameras, height, width).copy())
+
+    def _context(self, cameras: int, *, depth: bool) -> Any:
+        """Return buffers and trees for scenes of these shapes, of any number of states.
+
+        There is always room for as many as fit into one launch: fewer cost no more.
+        """
+        warp, tracer = _packages()
+        key = (self._shapes, cameras, depth)
+        context = self._contexts.pop(key, None)
+        if context is None:
+            assert self._scene is not None
+            context = tracer.create_render_context(
+                self._scene.model,
+                nworld=states_at_once(*self._size, cameras),
+                cam_res=[self._size] * cameras,
+                # Any camera will do: poses and lenses come with every launch.
+                cam_active=[0] * cameras,
+                render_rgb=[True] * cameras,
+                render_depth=[depth] * cameras,
+                render_seg=[False] * cameras,
+                use_textures=False,
+                use_precomputed_rays=False,
+                enabled_geom_groups=_VISIBLE_GROUPS,
+            )
+            context.cam_id_map = warp.array(np.arange(cameras), dtype=int)
+        self._contexts[key] = context
+        if len(self._contexts) > _KEPT_CONTEXTS:
+            self._contexts.popitem(last=False)
+        return context
+
+
+def _places(data: mujoco.MjData) -> tuple[FloatArray, ...]:
+    """Return poses of geoms, and places and directions of lamps."""
+    return (
+        data.geom_xpos.copy(),
+        data.geom_xmat.copy(),
+        data.light_xpos.copy(),
+        data.light_xdir.copy(),
+    )
+
+
+def _camera_row(camera: Camera) -> FloatArray:
+    """Return position, rotation (as MuJoCo's: y up, z backward) and field of view.
+
+    Returns:
+        Shape (13,): position [m], rows of the rotation, vertical field of view [deg].
+    """
+    pose = camera.world_from_camera
+    rotation = matrix_from_quaternion(pose.quaternion) * np.array([1.0, -1.0, -1.0])
+    fovy_deg = np.degrees(camera.intrinsics.fovy_rad)
+    return np.array([*pose.position, *rotation.ravel(), fovy_deg])
+
+
+MakeRenderer = Callable[[int, int], OpenGLRenderer | RayTracer]
 
 BATCH_RENDERERS: Registry[MakeRenderer] = Registry("renderer", MakeRenderer)
 """Makers of renderers by name; each takes the width and height of pictures [px]."""
