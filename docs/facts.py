@@ -38,7 +38,7 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.subtask import Primitive, SubTask
 from lemma.tasks.suite import load_instance
-from lemma.viewer.recording.pages import write_recording
+from lemma.viewer.replays import write_recording
 from lemma.viz.recording import FRAME_S, describe_subtask, record, robot_titles
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))

@@ -10,9 +10,8 @@ import sys
 import threading
 import time
 
-from lemma.viewer.episode.request import EpisodeRequest
 from lemma.viewer.episode.session import Session
-from lemma.viewer.episode.status import ENDS
+from lemma.viewer.episode.status import ENDS, EpisodeRequest
 from lemma.viewer.page import Page
 from lemma.viewer.server import open_server
 

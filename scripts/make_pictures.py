@@ -18,8 +18,8 @@ from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import load_instance
 from lemma.viz.camera_fit import outline, overview
-from lemma.viz.caption import caption
 from lemma.viz.recording import pose, record
+from lemma.viz.video import caption
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,8 @@ from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import load_instance
-from lemma.viewer.episode.request import EpisodeRequest
 from lemma.viewer.episode.session import Session
-from lemma.viewer.episode.status import Phase
+from lemma.viewer.episode.status import EpisodeRequest, Phase
 from lemma.viewer.page import Page
 from lemma.viewer.server import open_server
 

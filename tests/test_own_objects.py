@@ -29,7 +29,7 @@ from lemma.scene.objects.entity import ENTITIES, kind_of, known_entities
 from lemma.scene.raster import RASTER
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import Primitive, SubTask
-from lemma.viz.instance_sheet import instance_sheet
+from lemma.viz.sheets import instance_sheet
 
 CAN = "purple_can"
 

@@ -15,7 +15,7 @@ from lemma.robots.could import could_of
 from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE, load_instance
-from lemma.viz.attack_video import replay_attack
+from lemma.viz.replay import replay_attack
 
 QUICK = (
     *("drag_home", "push_tower", "greedy_skills", "out_of_order"),

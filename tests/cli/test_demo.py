@@ -11,11 +11,10 @@ from PIL import Image
 
 from lemma.env.episode import STILL_S
 from lemma.tasks.suite import load_instance
-from lemma.viz.caption import caption
 from lemma.viz.pages.demo import Illustration, write_page
 from lemma.viz.pages.templates import jpeg
 from lemma.viz.recording import Recording, record
-from lemma.viz.video import VideoStyle
+from lemma.viz.video import VideoStyle, caption
 
 
 @pytest.fixture(scope="module")

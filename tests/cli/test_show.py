@@ -9,7 +9,7 @@ from PIL import Image
 
 from lemma.cli.main import main
 from lemma.tasks.suite import load_instance
-from lemma.viz.instance_sheet import SHEET_HEIGHT_PX, SHEET_WIDTH_PX, depth_picture
+from lemma.viz.sheets import SHEET_HEIGHT_PX, SHEET_WIDTH_PX, depth_picture
 
 
 @pytest.mark.render

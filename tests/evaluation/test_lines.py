@@ -235,7 +235,7 @@ def test_failures_of_several_results_are_played(
 ) -> None:
     pytest.importorskip("viser")
     from lemma.viewer.failures import policies_of  # noqa: PLC0415
-    from lemma.viewer.recording.sources import cases_in, replays_in  # noqa: PLC0415
+    from lemma.viewer.replays import cases_in, replays_in  # noqa: PLC0415
 
     for seed in range(2):
         found = json.loads((committed / "clumsy" / "seed-0.json").read_text())

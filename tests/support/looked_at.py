@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lemma.evaluation.run.control.rollout import ControlPlayer
-from lemma.evaluation.run.rollout import Player
+from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.policies.control.interfaces import ControlInput
 from lemma.policies.interfaces import (
     Decision,
@@ -19,12 +19,13 @@ from lemma.policies.interfaces import (
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 from lemma.viewer.episode.play import Play
-from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
 from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.status import OWN_WORDS, EpisodeRequest, Phase, Reading
 
 WAIT_S = 120.0
 STACK = EpisodeRequest("stack", "test", 0)
 SAID = "Put it there, please"
+EVIL = "<img src=x onerror=window.evil=1>{1+1}"
 
 
 def own(text: str, policy: str = "oracle") -> EpisodeRequest:
@@ -53,6 +54,13 @@ class Explains(Reads):
         robots = (SeenRobot((-0.7, 0.0), (0.2, 0.8)), SeenRobot((0.7, 0.0), (0.2, 0.8)))
         options = ((STOP, 0.9), (SubTask("robot_0", Primitive.MOVE, *pairs[0]), 0.1))
         return [Insight(things, robots, pairs, options) for _ in inputs]
+
+
+class Raises:
+    """Fails, with a message that would be markup."""
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        raise ValueError(EVIL)
 
 
 class StandsStill:
@@ -87,6 +95,20 @@ def until(
         if play is not None:
             play.transport.advance(1.0)
         time.sleep(0.002)
+
+
+def until_phase(play: Play, phase: Phase) -> None:
+    until(lambda: play.status.phase is phase, play)
+
+
+def reading_of(play: Play) -> Reading:
+    assert play.status.reading is not None
+    return play.status.reading
+
+
+def rollout_of(play: Play) -> Rollout:
+    assert play.rollout is not None
+    return play.rollout
 
 
 def session_of(request: EpisodeRequest = STACK, **policies: object) -> Session:

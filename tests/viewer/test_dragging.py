@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from looked_at import STACK, session_of, until
+from looked_at import STACK, rollout_of, session_of, until, until_phase
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
@@ -26,10 +26,6 @@ def session() -> Iterator[Session]:
     found.close()
 
 
-def until_phase(session: Session, phase: Phase) -> None:
-    until(lambda: session.play.status.phase is phase, session.play)
-
-
 def begin(session: Session) -> None:
     """Let an episode go on for a while, and pause it."""
     session.ask(STACK, acts=True)
@@ -40,23 +36,23 @@ def begin(session: Session) -> None:
 def test_moved_table_is_set_and_played(session: Session) -> None:
     at = INSTANCE.scene.placement(TOP).pose
     session.move(TOP, replace(at, y=at.y + 0.02))
-    until_phase(session, Phase.READY)
+    until_phase(session.play, Phase.READY)
     own = session.play.instance
     assert own is not None
     assert own.split == OWN_SPLIT
     assert own.scene.placement(TOP).pose.y == pytest.approx(at.y + 0.02)
     session.ask(replace(session.play.request), acts=True)
-    until_phase(session, Phase.SOLVED)
+    until_phase(session.play, Phase.SOLVED)
 
 
 def test_overlaps_are_reported_and_can_be_mended(session: Session) -> None:
     session.move(TOP, INSTANCE.scene.placement(BOTTOM).pose)
-    until_phase(session, Phase.BROKEN)
+    until_phase(session.play, Phase.BROKEN)
     assert "overlap" in session.play.status.note
     session.move(TOP, FREE)
-    until_phase(session, Phase.READY)
+    until_phase(session.play, Phase.READY)
     session.take_listed()
-    until_phase(session, Phase.READY)
+    until_phase(session.play, Phase.READY)
     assert session.play.instance == INSTANCE
 
 
@@ -77,8 +73,7 @@ def test_thing_is_moved_while_an_episode_waits(session: Session) -> None:
     assert play.moved is not None
     assert not play.moved.problem
     assert any("You moved" in line.words for line in play.status.lines)
-    assert play.rollout is not None
-    found = play.rollout.episode.simulation.scene.pose2(TOP)
+    found = rollout_of(play).episode.simulation.scene.pose2(TOP)
     assert found.distance(FREE) < 1e-3
     assert not play.transport.playing
     # The page shows the changed state.
@@ -100,13 +95,12 @@ def test_impossible_moves_are_undone(
 ) -> None:
     begin(session)
     play = session.play
-    assert play.rollout is not None
-    before = play.rollout.episode.simulation.scene.pose_row(name)
+    before = rollout_of(play).episode.simulation.scene.pose_row(name)
     session.move(name, pose)
     until(lambda: play.moved is not None)
     assert play.moved is not None
     assert says in play.moved.problem
-    after = play.rollout.episode.simulation.scene.pose_row(name)
+    after = rollout_of(play).episode.simulation.scene.pose_row(name)
     assert after == pytest.approx(before, abs=1e-5)
 
 

@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from browser import page_in_chromium
 from clumsy import FAILED, KINDS, play_clumsily
+from command import run as lemma
 
-from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.report.episodes import Case
 from lemma.viewer.failures import FailurePage
-from lemma.viewer.recording.sources import cases_in
+from lemma.viewer.replays import cases_in
 
 OTHER = "other"
 
@@ -38,20 +38,21 @@ def page(cases: list[Case]) -> Iterator[FailurePage]:
     loop.join(10.0)
 
 
-def data_of(page: FailurePage) -> Any:
-    content = page.answer("/")
-    assert content is not None
-    found = re.search(rb'id="data">(.*?)</script>', content, re.DOTALL)
+def data_in(page: FailurePage, path: str, name: str) -> Any:
+    """Return the JSON of a page."""
+    found = re.search(
+        rb'id="%b">(.*?)</script>' % name.encode(), page.answer(path) or b"", re.DOTALL
+    )
     assert found is not None
-    return json.loads(found[1])["failures"]
+    return json.loads(found[1])
+
+
+def data_of(page: FailurePage) -> Any:
+    return data_in(page, "/", "data")["failures"]
 
 
 def told_at(page: FailurePage, path: str) -> Any:
-    content = page.answer(path)
-    assert content is not None
-    found = re.search(rb'id="told">(.*?)</script>', content, re.DOTALL)
-    assert found is not None
-    (told,) = json.loads(found[1])
+    (told,) = data_in(page, path, "told")
     return told
 
 
@@ -136,9 +137,7 @@ def test_there_must_be_a_failure(cases: list[Case]) -> None:
 def test_verb_wants_results(
     more: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["play", *more])
-    assert left.value.code == 2
+    assert lemma("play", *more) == 2
     assert says in capsys.readouterr().err
 
 

@@ -2,37 +2,27 @@
 
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from browser import Page as Browser
 from browser import page_in_chromium
-from looked_at import STACK, seen_at, session_of, until
+from looked_at import EVIL, STACK, Raises, seen_at, session_of, until, until_phase
 
-from lemma.core.poses import FloatArray
-from lemma.policies.interfaces import Decision, PolicyInput
-from lemma.viewer.episode.request import OWN_WORDS
-from lemma.viewer.episode.status import Phase
+from lemma.viewer.episode.status import OWN_WORDS, Phase
 from lemma.viewer.page import Page
 from lemma.viewer.server import open_server
 
 TRIES, SETTLES_S, FRAMES, NEAR_M = 3, 0.5, 3, np.array([0.0, -0.95, 0.69])
-EVIL = "<img src=x onerror=window.evil=1>"
 SHOWS = "document.body.innerText.includes({!r})"
 CANVAS = "document.querySelector('canvas').getBoundingClientRect()"
 BUTTON = (
     "[...document.querySelectorAll('button')]"
     ".find(button => button.innerText.trim() == {!r})"
 )
-
-
-class Raises:
-    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        raise ValueError(EVIL)
 
 
 @pytest.fixture(scope="module")
@@ -63,12 +53,8 @@ def anew(page: Page, browser: Browser) -> None:
     panel.task.value, panel.policy.value = STACK.task, STACK.policy
     panel.index.value, panel.saying.value = STACK.index, "high_level"
     panel.set_table()
-    until_phase(page, Phase.READY)
+    until_phase(page.session.play, Phase.READY)
     browser.wait_for("document.querySelector('[data-phase=READY]')")
-
-
-def until_phase(page: Page, phase: Phase) -> None:
-    until(lambda: page.session.play.status.phase is phase)
 
 
 def press(browser: Browser, name: str) -> None:
@@ -81,16 +67,6 @@ def say(browser: Browser, text: str) -> None:
     browser.run("document.querySelector('textarea').select()")
     browser.run("document.querySelector('textarea').focus()")
     browser.type(text)
-
-
-def look_from(
-    browser: Browser, visitor: Any, eye: FloatArray, target: FloatArray
-) -> None:
-    """Place a visitor's camera, and wait until a browser, however slow, draws that."""
-    visitor.camera.position, visitor.camera.look_at = eye, target
-    time.sleep(SETTLES_S)
-    for _ in range(FRAMES):
-        browser.run("new Promise(requestAnimationFrame).then(() => true)")
 
 
 @pytest.mark.slow
@@ -136,11 +112,15 @@ def test_cube_is_dragged_and_the_table_is_ones_own(
     ((cube, _),) = page.session.play.instance.goal.pairs
     lies = page.session.play.instance.scene.placement(cube).pose
     to = (0.6 * lies.x, lies.y + 0.2)
-    # From near by, where a cube is large, and from the front: whoever pressed a key
+    # From near by, where a cube is large, and from the front: a key that was pressed
     # in a test before may have turned the scene.
     middle = np.array([*np.mean([lies.xy, to], 0), 0.0])
     for _ in range(TRIES):
-        look_from(browser, visitor, middle + NEAR_M, middle)
+        visitor.camera.position, visitor.camera.look_at = middle + NEAR_M, middle
+        # A browser, however slow, draws that before the mouse moves.
+        time.sleep(SETTLES_S)
+        for _ in range(FRAMES):
+            browser.run("new Promise(requestAnimationFrame).then(() => true)")
         size = browser.run(f"[{CANVAS}.width, {CANVAS}.height]")
         start, end = (seen_at(visitor, (*xy, 0.03), size) for xy in (lies.xy, to))
         browser.drag(start, end)
@@ -152,8 +132,8 @@ def test_cube_is_dragged_and_the_table_is_ones_own(
     assert own is not None
     assert own.scene.placement(cube).pose.xy == pytest.approx(to, abs=0.05)
     browser.wait_for(SHOWS.format("Your own table"))
-    page.panel.table.forget()
-    until_phase(page, Phase.READY)
+    page.session.take_listed()
+    until_phase(page.session.play, Phase.READY)
     browser.wait_for(f"!{SHOWS.format('Your own table')}")
 
 

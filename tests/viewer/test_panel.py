@@ -8,34 +8,29 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import viser
-from looked_at import STACK, Explains, Reads, own, session_of, until
+from looked_at import EVIL, STACK, Explains, Reads, own, session_of, until
 
-from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.policies.interfaces import Insight, SeenObject
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.subtask import STOP
 from lemma.tasks.suite import SUITE, load_instance
-from lemma.viewer.episode.explanation import Explanation
-from lemma.viewer.episode.request import OWN_WORDS
-from lemma.viewer.episode.status import Phase, Reading, Status
+from lemma.viewer.by_hand import CLOSE
+from lemma.viewer.episode.reading import Explanation
+from lemma.viewer.episode.status import OWN_WORDS, Phase, Reading, Status
 from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
-from lemma.viewer.origins import Guard
-from lemma.viewer.page import Page
-from lemma.viewer.panel.panel import PAUSE, PLAY, RESTART, STEP
-from lemma.viewer.panel.teleoperation import CLOSE
-from lemma.viewer.panel.words import (
+from lemma.viewer.page import PAUSE, PLAY, RESTART, STEP, Page
+from lemma.viewer.scene.pictures import MAP
+from lemma.viewer.server import open_server
+from lemma.viewer.words import (
     complaint_html,
     status_html,
     timeline_html,
     why_html,
 )
-from lemma.viewer.scene.pictures import MAP
-from lemma.viewer.server import address_of, open_server
 from lemma.viz.recording import Line
 
 VISITOR = SimpleNamespace(client_id=1)
-EVIL = "<img src=x onerror=alert(1)>{1+1}"
 
 
 def free_port() -> int:
@@ -54,6 +49,7 @@ def page() -> Iterator[Page]:
     session = session_of(STACK, vague=vague, knows=Explains(GOAL, 0.9))
     session.policies = (*session.policies, BY_HAND)
     found = Page(session, open_server("127.0.0.1", free_port()))
+    until_phase(found, Phase.READY)
     yield found
     found.close()
 
@@ -74,7 +70,6 @@ def until_phase(page: Page, phase: Phase) -> None:
 
 
 def test_table_is_shown_and_acted_on(page: Page) -> None:
-    until_phase(page, Phase.READY)
     assert page.panel.text.value == page.session.play.status.said
     assert page.stage.bodies is not None
     assert len(page.stage.bodies.nodes) > 10
@@ -99,7 +94,6 @@ def test_choosing_sets_another_table(page: Page) -> None:
 
 
 def test_typing_makes_the_sentence_ones_own(page: Page) -> None:
-    until_phase(page, Phase.READY)
     page.panel.text.value = EVIL
     page.panel.typed(VISITOR)
     assert page.panel.saying.value == OWN_WORDS
@@ -113,7 +107,6 @@ def test_typing_makes_the_sentence_ones_own(page: Page) -> None:
 
 
 def test_complaint_stays_until_the_next_request(page: Page) -> None:
-    until_phase(page, Phase.READY)
     page.panel.policy.value = "os:system"
     page.panel.act()
     page.tick(0.0)
@@ -125,7 +118,6 @@ def test_complaint_stays_until_the_next_request(page: Page) -> None:
 
 
 def test_step_pause_and_seek(page: Page) -> None:
-    until_phase(page, Phase.READY)
     page.panel.move(STEP)
     play = page.session.play
     until_true(page, lambda: bool(play.status.lines) and not play.transport.playing)
@@ -144,7 +136,6 @@ def test_step_pause_and_seek(page: Page) -> None:
 
 
 def test_overlays_are_switched(page: Page) -> None:
-    until_phase(page, Phase.READY)
     names = page.stage.overlays["reach"]
     assert not any(handle.visible for handle in names)
     page.panel.overlays["reach"].value = True
@@ -157,7 +148,6 @@ def test_overlays_are_switched(page: Page) -> None:
 
 
 def test_way_of_the_hand_is_drawn(page: Page) -> None:
-    until_phase(page, Phase.READY)
     page.panel.overlays["path"].value = True
     page.panel.move(PLAY)
     until_true(page, lambda: bool(page.stage.overlays["path"]))
@@ -169,7 +159,6 @@ def test_way_of_the_hand_is_drawn(page: Page) -> None:
 
 
 def test_why_is_said_and_drawn(page: Page) -> None:
-    until_phase(page, Phase.READY)
     page.panel.policy.value = "knows"
     page.panel.overlays["perceived"].value = True
     page.panel.act()
@@ -190,7 +179,6 @@ def test_why_is_said_and_drawn(page: Page) -> None:
 
 
 def test_policy_behind_an_address_is_offered(page: Page) -> None:
-    until_phase(page, Phase.READY)
     for bad in ("os:system", "", "http://", "file:///etc/passwd"):
         page.panel.address.value = bad
         page.panel.offer()
@@ -208,7 +196,6 @@ def test_policy_behind_an_address_is_offered(page: Page) -> None:
 
 @pytest.mark.render
 def test_pictures_follow(page: Page) -> None:
-    until_phase(page, Phase.READY)
     page.panel.picture.value = "robot_0"
     until_true(page, lambda: page.panel.image.visible)
     assert page.panel.image.image.shape == (360, 480, 3)
@@ -226,7 +213,6 @@ class Client:
 
 
 def test_table_is_saved_and_opened_again(page: Page) -> None:
-    until_phase(page, Phase.READY)
     page.panel.table.drop("red_cube", Pose2(0.1, 0.7))
     until_phase(page, Phase.READY)
     assert "problem" in page.panel.table.told.content
@@ -235,7 +221,7 @@ def test_table_is_saved_and_opened_again(page: Page) -> None:
     ((name, content),) = visitor.files.items()
     assert name == "stack-own-0.json"
     own = page.session.play.instance
-    page.panel.table.forget()
+    page.session.take_listed()
     until_phase(page, Phase.READY)
     assert page.session.play.instance != own
     page.panel.table.read(content)
@@ -253,7 +239,6 @@ def led(page: Page) -> Teleoperator:
 
 
 def test_visitor_takes_over_and_hands_back(page: Page) -> None:
-    until_phase(page, Phase.READY)
     pilot = page.panel.teleoperation
     pilot.take_over()
     page.tick(0.0)
@@ -282,7 +267,6 @@ def test_visitor_takes_over_and_hands_back(page: Page) -> None:
 
 
 def test_handles_of_a_hand_are_there_while_it_is_led(page: Page) -> None:
-    until_phase(page, Phase.READY)
     visitor = Client()
     page.panel.teleoperation.download(visitor)
     assert not visitor.files
@@ -310,7 +294,6 @@ def test_handles_of_a_hand_are_there_while_it_is_led(page: Page) -> None:
 
 
 def test_file_that_holds_no_table_is_refused(page: Page) -> None:
-    until_phase(page, Phase.READY)
     for content in (b"", b"[]", b"x" * 2_000_000):
         page.panel.table.read(content)
         page.tick(0.0)
@@ -319,7 +302,6 @@ def test_file_that_holds_no_table_is_refused(page: Page) -> None:
 
 
 def test_carried_things_are_shown_and_snap_back(page: Page) -> None:
-    until_phase(page, Phase.READY)
     hands, bodies = page.panel.table.dragging, page.stage.bodies
     assert bodies is not None
     before = bodies.pose("red_cube")
@@ -368,46 +350,6 @@ def test_other_pages_cannot_steer_this_one(
             client.connect(address, **asked)
 
 
-@pytest.mark.parametrize(
-    ("host", "listens_at", "own"),
-    [
-        ("localhost:8080", "127.0.0.1", True),
-        ("[::1]:8080", "::1", True),
-        ("evil.example:8080", "127.0.0.1", False),
-        ("robots.example:8080", "0.0.0.0", True),
-    ],
-)
-def test_a_name_that_resolves_to_this_machine_is_not_ours(
-    host: str, listens_at: str, own: bool
-) -> None:
-    assert Guard(listens_at).admits(f"http://{host}", host) is own
-
-
-def test_a_proxy_may_be_named_and_refusals_are_told_once() -> None:
-    told: list[str] = []
-    guard = Guard("127.0.0.1", frozenset({"robots.example"}), told.append)
-    assert guard.admits("https://robots.example:444", "127.0.0.1:8080")
-    assert not guard.admits("https://evil.example", "robots.example")
-    for _ in range(2):
-        guard.refuse("https://other.example", "127.0.0.1:8080")
-    (sentence,) = told
-    assert "https://other.example" in sentence
-    assert "--allow-host" in sentence
-
-
-@pytest.mark.parametrize(
-    ("host", "address"),
-    [
-        ("127.0.0.1", "http://127.0.0.1:7"),
-        ("::1", "http://[::1]:7"),
-        ("0.0.0.0", "http://127.0.0.1:7"),
-        ("::", "http://[::1]:7"),
-    ],
-)
-def test_address_can_be_visited(host: str, address: str) -> None:
-    assert address_of(host, 7) == address
-
-
 def test_why_says_what_lies_under_something_else() -> None:
     ((top, bottom),) = GOAL
     seen = Insight((SeenObject(top, (0.3, 0.2)),), (), GOAL, ((STOP, 0.9),))
@@ -420,7 +362,7 @@ def test_why_says_what_lies_under_something_else() -> None:
 
 
 def test_nothing_that_was_typed_is_markup() -> None:
-    status = Status(Phase.BROKEN, EVIL, EVIL, EVIL, Reading(None, EVIL))
+    status = Status(Phase.BROKEN, EVIL, EVIL, Reading(None, EVIL))
     line = Line(EVIL, 0.0, 1.0, EVIL, EVIL, ok=False)
     written = status_html(status) + complaint_html(EVIL) + timeline_html((line,), 2.0)
     assert "<img" not in written
@@ -435,11 +377,3 @@ def test_timeline_says_what_runs_and_what_is_still_to_come() -> None:
     after = timeline_html(lines, 3.0)
     assert "success" in after
     assert "no grasp" in after
-
-
-@pytest.mark.parametrize(("host", "port"), [("127.0.0.1", 10**6), ("300.1.1.1", 8080)])
-def test_impossible_address_is_refused(host: str, port: int) -> None:
-    session = session_of()
-    with pytest.raises(InvalidConfigError):
-        Page(session, open_server(host, port))
-    session.close()

@@ -6,7 +6,7 @@ import pytest
 from lemma.scene.build import compile_model
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.tasks.suite import load_instance
-from lemma.viewer.scene.shapes import Shape, shapes_of
+from lemma.viewer.scene.bodies import Shape, shapes_of
 
 MODEL = compile_model(load_instance("poke_stack", "test", 0).scene)
 SHAPES = list(shapes_of(MODEL))

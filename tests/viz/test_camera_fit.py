@@ -71,8 +71,8 @@ def test_text_is_made_to_fit() -> None:
 
 
 def test_labels_do_not_cover_each_other() -> None:
-    first = label_plate((100, 100), "red_cube", 10.0, 20.0, [])
-    second = label_plate((100, 100), "blue_cube", 10.0, 20.0, [first])
+    first = label_plate((100, 100), "red_cube", 10.0, 20.0, [], (500, 500))
+    second = label_plate((100, 100), "blue_cube", 10.0, 20.0, [first], (500, 500))
     assert first[1][1] < 100 < second[0][1]
 
 

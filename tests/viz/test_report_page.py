@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from browser import Page, page_in_chromium
 from clumsy import EPISODES, FAILED, KINDS, play_clumsily
+from command import run as lemma
 
-from lemma.cli.main import main
 from lemma.cli.report import ReportOptions, choose, report, within
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.report.episodes import Case, cases_of
@@ -85,8 +85,7 @@ def choose_option(page: Page, name: str, value: str) -> None:
 
 
 def test_the_page_is_whole_and_asks_for_nothing(page: Page) -> None:
-    failed = [e for e in page.events if e["method"] == "Runtime.exceptionThrown"]
-    assert not failed
+    assert not [e for e in page.events if e["method"] == "Runtime.exceptionThrown"]
     asked = [
         event["params"]["request"]["url"]
         for event in page.events
@@ -96,15 +95,15 @@ def test_the_page_is_whole_and_asks_for_nothing(page: Page) -> None:
     assert all(re.match(r"(file|data|about|blob):", address) for address in asked)
     assert page.run("document.querySelectorAll('svg').length") >= 8
     assert page.run("[...document.images].every(i => i.alt)")
-    assert f"{LOST} of {ALL} episodes; 2 with pictures." in page.run(
-        "document.querySelector('.count').textContent"
-    )
-
-
-def test_failures_with_pictures_come_first(page: Page) -> None:
+    count = page.run("document.querySelector('.count').textContent")
+    assert f"{LOST} of {ALL} episodes; 2 with pictures." in count
+    # Those with pictures come first.
     assert len(cards(page)) == LOST
     assert cards(page)[:2] == ["0/high_level/stack/1", "0/high_level/stack/3"]
     assert page.run("document.querySelectorAll('.case img').length") == 6
+    # A download is a file on its own.
+    figure = "document.querySelector('#success-by-task-unseen svg')"
+    assert page.run(f"standalone({figure}).includes('var(')") is False
 
 
 def test_filters_act_and_stay_in_the_address(page: Page) -> None:
@@ -124,37 +123,32 @@ def test_filters_act_and_stay_in_the_address(page: Page) -> None:
     assert page.run("location.hash") == "#failures"
 
 
-def test_options_say_how_many_there_are(page: Page) -> None:
+def test_options_say_how_many_there_are_solved_ones_as_well(page: Page) -> None:
     said = page.run(
         "[...document.querySelectorAll('select[name=cause] option')]"
         ".filter(o => !o.disabled).map(o => o.textContent)"
     )
-    each = [
-        f"{w} ({len(KINDS)})" for w in ("wrong robot", "missed pick", "stopped early")
-    ]
-    assert said == [f"all ({LOST})", *each]
-
-
-def test_solved_episodes_are_there_too(page: Page) -> None:
+    causes = "wrong robot", "missed pick", "stopped early"
+    assert said == [f"all ({LOST})", *(f"{cause} ({len(KINDS)})" for cause in causes)]
     choose_option(page, "outcome", "all")
     assert len(cards(page)) == ALL
     choose_option(page, "outcome", "solved")
     assert cards(page) == [f"0/{kind}/stack/0" for kind in KINDS]
 
 
-def test_an_episode_can_be_linked(page: Page, written: Path) -> None:
+def test_an_episode_can_be_linked_and_links_keep_the_filters(
+    page: Page, written: Path
+) -> None:
+    choose_option(page, "cause", "missed_pick")
+    page.run("document.querySelector('nav a[href=\"#tables\"]').click()")
+    assert page.run("location.hash") == "#tables?cause=missed_pick"
+    assert len(cards(page)) == len(KINDS)
+    page.open(written.as_uri())
     page.run("document.querySelectorAll('.case header a')[1].click()")
     page.wait_for("document.querySelectorAll('.case').length == 1")
     assert cards(page) == ["0/high_level/stack/3"]
     page.open(written.as_uri() + "#failures?episode=nobody")
     assert cards(page) == []
-
-
-def test_links_keep_the_filters(page: Page) -> None:
-    choose_option(page, "cause", "missed_pick")
-    page.run("document.querySelector('nav a[href=\"#tables\"]').click()")
-    assert page.run("location.hash") == "#tables?cause=missed_pick"
-    assert len(cards(page)) == len(KINDS)
 
 
 @pytest.mark.parametrize("form", ["latex", "markdown"])
@@ -170,14 +164,6 @@ def test_tables_are_copied(page: Page, form: str) -> None:
     text = page.run("navigator.clipboard.readText()")
     assert (r"\toprule" if form == "latex" else "| :--- | ---: |") in text
     assert "clumsy:Clumsy" in text
-
-
-def test_downloads_are_the_files(page: Page) -> None:
-    same = page.run(
-        "standalone(document.querySelector('#success-by-task-unseen svg'))"
-        ".includes('var(')"
-    )
-    assert same is False
 
 
 def test_the_keyboard_is_enough(page: Page) -> None:
@@ -255,29 +241,22 @@ def test_demo_is_offered_where_it_plays_the_same(cases: list[Case]) -> None:
         "lemma demo stack --split val --index 1 --policy clumsy:Clumsy"
     )
     assert demo_command(cases[EPISODES + 1]) == ""
-    policy = {**cases[1].about["policy"], "gta": True}
-    told = Case("x", cases[1].row, {**cases[1].about, "policy": policy}, Path())
-    assert demo_command(told) == ""
-    weights = {"reachnet": {"sha256": "", "seed": 1, "data": {}}}
-    told = Case("x", cases[1].row, {**cases[1].about, "weights": weights}, Path())
-    assert demo_command(told) == ""
+    for changed in (
+        {"policy": {**cases[1].about["policy"], "gta": True}},
+        {"weights": {"reachnet": {"sha256": "", "seed": 1, "data": {}}}},
+    ):
+        told = replace(cases[1], about={**cases[1].about, **changed})
+        assert demo_command(told) == ""
 
 
-def test_one_episode_can_be_asked_for(cases: list[Case]) -> None:
+def test_pictures_are_of_some_episodes_or_one(cases: list[Case]) -> None:
     (chosen,) = choose(cases, ReportOptions(episode="high-level/stack/2"))
     assert chosen == (2, cases[2])
-    with pytest.raises(
-        InvalidConfigError, match="No episode high_level/stack/0 failed"
-    ):
+    says = "No episode high_level/stack/0 failed"
+    with pytest.raises(InvalidConfigError, match=says):
         choose(cases, ReportOptions(episode="high_level/stack/0"))
-    assert [number for number, _ in choose(cases, ReportOptions(failures=3))] == [
-        1,
-        2,
-        3,
-    ]
-
-
-def test_a_page_stays_small() -> None:
+    some = choose(cases, ReportOptions(failures=3))
+    assert [number for number, _ in some] == [1, 2, 3]
     drawn = dict.fromkeys(range(10), SEEN)
     assert within(drawn, 10 * SEEN.size) == drawn
     assert list(within(drawn, 5 * SEEN.size)) == [0, 2, 4, 6, 8]
@@ -295,9 +274,7 @@ def test_the_verb_writes_page_tables_and_figures(
     text = (tmp_path / "index.html").read_text()
     assert not re.search(r"(?:src|href)=\"(?!#|data:)", text)
     assert not re.search(r"https?://(?!www\.w3\.org)", text)
-    with pytest.raises(SystemExit) as end:
-        main(["report", str(folder), "--failures", "-1", "--out", str(tmp_path)])
-    assert end.value.code == 2
+    assert lemma("report", folder, "--failures", "-1", "--out", tmp_path) == 2
 
 
 @pytest.mark.slow

@@ -159,7 +159,7 @@ def write_videos(
 ) -> None:
     """Write a video of every success, ``TASK-SPLIT-INDEX-ATTACK.mp4``."""
     from lemma.tasks.suite import load_instance
-    from lemma.viz.attack_video import replay_attack
+    from lemma.viz.replay import replay_attack
     from lemma.viz.video import VideoStyle, write_video
 
     style = style or VideoStyle()

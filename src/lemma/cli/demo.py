@@ -26,7 +26,6 @@ from lemma.viz.recording import (
     main_sentence,
     record,
     robot_titles,
-    warm_up,
 )
 from lemma.viz.video import VideoStyle
 
@@ -75,7 +74,7 @@ def demo(
         _make(out)
     console = messages() if as_json else output()
     with console.status("Preparing (the first run compiles, for half a minute) ..."):
-        warm_up(instances[0])
+        record(instances[0], horizon_s=2.0)
         player = Player.load(PolicySpec(policy))
     if say is not None:
         instances = [_listen(console, say, instances[0], player, policy)]
@@ -158,7 +157,7 @@ def _replay_all(
     if not (find_spec("viser") and find_spec("trimesh")):
         console.print("No replays: they take the extra play.")
         return {}
-    from lemma.viewer.recording.pages import write_recording
+    from lemma.viewer.replays import write_recording
 
     replays = {}
     for done in recordings:

@@ -19,8 +19,7 @@ from lemma.dataset.recipe.files import Recipe, load, open_table
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.recipe.summary import ALL, GroupSummary, RecipeSummary, summarize
 from lemma.tasks.language.template import KINDS
-from lemma.viz.keyframe_sheet import keyframe_strip
-from lemma.viz.picture_files import check_picture_path, save_picture
+from lemma.viz.sheets import check_picture_path, keyframe_strip, save_picture
 
 _SPLIT = "test"
 _HEADINGS = (

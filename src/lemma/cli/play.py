@@ -12,7 +12,7 @@ from lemma.cli.selection import Selection, read_instance
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.tasks.suite import default_split
 from lemma.tasks.task import TASKS
-from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
+from lemma.viewer.episode.status import OWN_WORDS, EpisodeRequest
 
 if TYPE_CHECKING:
     from lemma.viewer.failures import FailurePage
@@ -108,7 +108,7 @@ def _failures(folder: str | None, policy: str | None, at: Listening) -> "Failure
         UnknownNameError: Nothing failed of that policy.
     """
     from lemma.viewer.failures import FailurePage, policies_of
-    from lemma.viewer.recording.sources import cases_in
+    from lemma.viewer.replays import cases_in
 
     if folder is None:
         raise InvalidConfigError(

@@ -93,8 +93,7 @@ def replay(
 
 
 def _show(data: Path, out: Path, task: str | None, split: str | None, most: int) -> int:
-    from lemma.viewer.recording.pages import write_folder
-    from lemma.viewer.recording.sources import replays_in
+    from lemma.viewer.replays import replays_in, write_folder
 
     count, replays = replays_in(data, task, split, most)
     done = []

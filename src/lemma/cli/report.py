@@ -176,7 +176,7 @@ def _replays(
     """Write replays of episodes; return their files, below the report's folder."""
     if wishes.no_replays or not (find_spec("viser") and find_spec("trimesh")):
         return {}
-    from lemma.viewer.recording.sources import write_cases
+    from lemma.viewer.replays import write_cases
 
     engine = ProcessPool(wishes.workers or usable_cores())
     with progress_bar("replays", len(chosen), _AT_INTERRUPT) as advance:

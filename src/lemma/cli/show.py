@@ -5,8 +5,7 @@ from pathlib import Path
 from lemma.cli.options import File, MaybeTask, messages, output
 from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
 from lemma.tasks.rules import problems
-from lemma.viz.instance_sheet import instance_sheet
-from lemma.viz.picture_files import check_picture_path, save_picture
+from lemma.viz.sheets import check_picture_path, instance_sheet, save_picture
 
 
 def show(

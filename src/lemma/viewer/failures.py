@@ -1,8 +1,8 @@
 """The page of failures: a report's list of them, each played again on demand."""
 
 import threading
-from collections import OrderedDict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from functools import lru_cache
 from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -12,11 +12,8 @@ from urllib.parse import parse_qs, urlsplit
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.evaluation.records import EPISODES, PACKED
 from lemma.evaluation.report.episodes import Case
-from lemma.viewer.origins import Guard
-from lemma.viewer.recording.pages import client_page
-from lemma.viewer.recording.sources import replay_of_case
-from lemma.viewer.server import address_of, check_address
-from lemma.viz.pages.replays import PLAYER, player_script, replays_page
+from lemma.viewer.replays import PLAYER, player_script, replay_of_case, replays_page
+from lemma.viewer.server import Guard, address_of, check_address
 from lemma.viz.pages.report import Findings, failures_page
 
 NOT_SAID = (
@@ -37,7 +34,7 @@ class FailurePage:
         host: str,
         port: int,
         policy: str | None = None,
-        hosts: Iterable[str] = (),
+        hosts: Collection[str] = (),
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         """Listen.
@@ -54,15 +51,25 @@ class FailurePage:
             InvalidConfigError: That is no address of this machine, or no port; or no
                 episode failed.
         """
-        self.cases = tuple(cases)
-        check_failures(cases)
+        if not cases:
+            raise InvalidConfigError(
+                "No lines of episodes lie beside these results: there must be the "
+                f"{EPISODES} that 'lemma evaluate' wrote with them, or the "
+                f"NAME{PACKED} of 'lemma reproduce'."
+            )
+        if all(case.cause is None for case in cases):
+            raise InvalidConfigError(
+                f"None of the {len(cases)} episodes failed whose lines are there."
+            )
         check_address(host, port)
-        self._guard = Guard(host, frozenset(name.lower() for name in hosts), tell)
-        self._done: OrderedDict[str, bytes] = OrderedDict()
+        self.cases = tuple(cases)
+        self._guard = Guard(host, hosts, tell)
         self._one_at_a_time, self._runs = threading.Lock(), False
+        self._kept = lru_cache(_KEPT)(self._replay)
+        self._numbers = {_address(number): number for number in range(len(cases))}
         self._files = {
             "/": failures_page(self._findings()).encode(),
-            f"/{_REPLAYS}/{PLAYER}": player_script(client_page()).encode(),
+            f"/{_REPLAYS}/{PLAYER}": player_script().encode(),
         }
         self._server = _listen(host, port, self._handler())
         self.address = address_of(host, self._server.server_port)
@@ -89,7 +96,7 @@ class FailurePage:
         replays, beside = {}, {}
         for number, case in enumerate(self.cases):
             if case.cause is not None and case.is_repeatable:
-                replays[number] = f"{_REPLAYS}/{number}.html"
+                replays[number] = _address(number).removeprefix("/")
                 beside[number] = tuple(
                     (other, self.cases[other].policy)
                     for other in starts[_start(case)]
@@ -104,27 +111,22 @@ class FailurePage:
         address = urlsplit(path)
         if address.path in self._files:
             return self._files[address.path]
-        folder, _, name = address.path.strip("/").partition("/")
-        number = _number(name.removesuffix(".html"), len(self.cases))
-        if folder != _REPLAYS or number is None:
+        number = self._numbers.get(address.path)
+        if number is None:
             return None
         (beside,) = parse_qs(address.query).get("beside", [""])[:1]
         with self._one_at_a_time:
-            if path not in self._done:
-                other = _number(beside, len(self.cases))
-                self._done[path] = self._replay(number, other).encode()
-                if len(self._done) > _KEPT:
-                    self._done.popitem(last=False)
-            return self._done[path]
+            return self._kept(number, self._numbers.get(_address(beside)))
 
-    def _replay(self, number: int, other: int | None) -> str:
+    def _replay(self, number: int, other: int | None) -> bytes:
         beside = None if other is None else self.cases[other]
         try:
-            return replays_page([replay_of_case(self.cases[number], beside)], None)
+            page = replays_page([replay_of_case(self.cases[number], beside)], None)
         except Exception as error:
             # The page reports any error, and stays alive.
             what = str(error) if isinstance(error, LemmaError) else repr(error)
-            return f"<!doctype html><p>It cannot be played again: {escape(what)}</p>"
+            page = f"<!doctype html><p>It cannot be played again: {escape(what)}</p>"
+        return page.encode()
 
     def _handler(self) -> type[BaseHTTPRequestHandler]:
         page, guard = self, self._guard
@@ -134,7 +136,6 @@ class FailurePage:
                 host = self.headers.get("Host")
                 origin = f"http://{host}" if host else None
                 if not guard.admits(origin, host):
-                    guard.refuse(origin, host)
                     status, content = HTTPStatus.FORBIDDEN, b"Not by this name.\n"
                 elif (found := page.answer(self.path)) is not None:
                     status, content = HTTPStatus.OK, found
@@ -153,22 +154,9 @@ class FailurePage:
         return Handler
 
 
-def check_failures(cases: Sequence[Case]) -> None:
-    """Check that there is a failure.
-
-    Raises:
-        InvalidConfigError: There is none.
-    """
-    if not cases:
-        raise InvalidConfigError(
-            "No lines of episodes lie beside these results: there must be the "
-            f"{EPISODES} that 'lemma evaluate' wrote with them, or the "
-            f"NAME{PACKED} of 'lemma reproduce'."
-        )
-    if all(case.cause is None for case in cases):
-        raise InvalidConfigError(
-            f"None of the {len(cases)} episodes failed whose lines are there."
-        )
+def _address(number: object) -> str:
+    """Return the address of an episode's page, below that of the failures."""
+    return f"/{_REPLAYS}/{number}.html"
 
 
 def policies_of(cases: Iterable[Case]) -> tuple[str, ...]:
@@ -182,11 +170,6 @@ def _start(case: Case) -> tuple[object, ...]:
     moved = row.get("perturb_start", False)
     kind, about = row["instruction_kind"], case.about
     return row["task"], row["split"], row["index"], kind, moved, about["language"]
-
-
-def _number(text: str, count: int) -> int | None:
-    number = int(text) if text.isascii() and text.isdecimal() else count
-    return number if number < count else None
 
 
 def _listen(

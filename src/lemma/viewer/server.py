@@ -1,17 +1,26 @@
-"""Servers of pages: address, guard, looks, and loop."""
+"""Servers of pages: address, guard, looks, and loop.
+
+A browser lets every page open a socket to every address, this machine's too, and names
+the page whose script it is in the header ``Origin``. The guard checks it, so that
+scripts of other pages in the same browser open no socket.
+"""
 
 import contextlib
 import io
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from ipaddress import ip_address
 from typing import Any
+from urllib.parse import urlsplit
 
 import viser
+import websockets.asyncio.server
 
 from lemma.core.errors import InvalidConfigError
-from lemma.viewer.origins import Guard, guarded_by
 
 UPDATES_HZ = 25.0
 """How often a scene is moved on its page."""
@@ -37,6 +46,9 @@ _PHONE_STYLE = f"""<style>
 </style>"""
 
 
+_PATCHING = threading.Lock()
+
+
 class _Server(viser.ViserServer):
     """A server without a tunnel to the internet."""
 
@@ -44,10 +56,82 @@ class _Server(viser.ViserServer):
         """Do nothing: visitors cannot open a tunnel."""
 
 
+@dataclass
+class Guard:
+    """Decides which sockets are opened by our own page, or by no page at all."""
+
+    listens_at: str
+    """Address of the server. On the loopback address it may be called by names of
+    this machine alone, even if other names resolve to it."""
+    hosts: Collection[str] = ()
+    """Names by which a proxy may be called whose pages are ours, without ports."""
+    tell: Callable[[str], None] = lambda _: None
+    """Called with a sentence at the first refusal."""
+    _refused: bool = field(default=False, init=False)
+
+    def admits(self, origin: str | None, host: str | None) -> bool:
+        """Return whether a socket may be opened; the first refusal is told.
+
+        Args:
+            origin: Page whose script opens it; None if no browser says so.
+            host: Name and port by which the server was called.
+        """
+        if origin is None:
+            return True
+        page, called = urlsplit(origin), urlsplit(f"//{host or ''}")
+        if page.hostname and page.hostname in map(str.lower, self.hosts):
+            return True
+        local = _is_loopback(called.hostname) or not _is_loopback(self.listens_at)
+        if host and page.netloc == host and local:
+            return True
+        if not self._refused:
+            self._refused = True
+            self.tell(
+                f"A page of {origin} was refused; it called this server {host}. Behind "
+                "a proxy, name the host in the browser's address bar: --allow-host HOST"
+            )
+        return False
+
+
+def _is_loopback(name: str | None) -> bool:
+    try:
+        return name == "localhost" or ip_address(name or "").is_loopback
+    except ValueError:
+        return False
+
+
+@contextlib.contextmanager
+def _guarded_by(guard: Guard) -> Iterator[None]:
+    """Let servers that are started meanwhile ask a guard before they open a socket.
+
+    viser has no option for it, and starts its server by this function.
+    """
+    library: Any = websockets.asyncio.server
+
+    def serve(*arguments: Any, process_request: Any, **options: Any) -> Any:
+        def check(connection: Any, request: Any) -> Any:
+            origin, host = (request.headers.get(name) for name in ("Origin", "Host"))
+            wants_socket = request.headers.get("Upgrade", "").lower() == "websocket"
+            if wants_socket and not guard.admits(origin, host):
+                words = "Not from another page.\n"
+                return connection.respond(HTTPStatus.FORBIDDEN, words)
+            return process_request(connection, request)
+
+        return start(*arguments, process_request=check, **options)
+
+    with _PATCHING:
+        start = library.serve
+        library.serve = serve
+        try:
+            yield
+        finally:
+            library.serve = start
+
+
 def open_server(
     host: str,
     port: int,
-    hosts: Iterable[str] = (),
+    hosts: Collection[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> viser.ViserServer:
     """Listen.
@@ -62,9 +146,9 @@ def open_server(
         InvalidConfigError: That is no address of this machine, or no port.
     """
     check_address(host, port)
-    guard = Guard(host, frozenset(name.lower() for name in hosts), tell)
+    guard = Guard(host, hosts, tell)
     # The library would print an address, too.
-    with contextlib.redirect_stdout(io.StringIO()), guarded_by(guard):
+    with contextlib.redirect_stdout(io.StringIO()), _guarded_by(guard):
         return _Server(host, port, label="LEMMA Bench", verbose=False)
 
 

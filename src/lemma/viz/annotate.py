@@ -19,7 +19,7 @@ PAPER: Color = (250, 250, 249)
 LIGHT: Color = (255, 255, 255)
 GOOD: Color = (46, 160, 90)
 BAD: Color = (214, 60, 52)
-ROBOT_INK: dict[str, Color] = {"red": (205, 30, 30), "white": (245, 245, 240)}
+ROBOT_INK = {"red": (205, 30, 30), "white": (245, 245, 240)}
 ENTITY_INK: dict[str, Color] = {
     "pink": (226, 90, 150),
     "red": (200, 30, 30),
@@ -64,7 +64,7 @@ def label_plate(
     size: float,
     away: float,
     taken: list[Box],
-    within: Point | None = None,
+    within: Point,
 ) -> Box:
     """Return a free place for a label: above a point, else below, right or left of it.
 
@@ -80,23 +80,19 @@ def label_plate(
     sideways = half_width + away - half_height
     boxes = []
     for dx, dy in ((0, -away), (0, away), (sideways, 0), (-sideways, 0)):
-        x, y = near[0] + dx, near[1] + dy
-        if within is not None:
-            x = min(max(x, half_width), max(within[0] - half_width, half_width))
-            y = min(max(y, half_height), max(within[1] - half_height, half_height))
-        boxes.append(
-            ((x - half_width, y - half_height), (x + half_width, y + half_height))
+        x = min(max(near[0] + dx, half_width), max(within[0] - half_width, half_width))
+        y = near[1] + dy
+        y = min(max(y, half_height), max(within[1] - half_height, half_height))
+        low, high = (x - half_width, y - half_height), (x + half_width, y + half_height)
+        boxes.append((low, high))
+
+    def is_free(box: Box) -> bool:
+        return not any(
+            all(box[0][i] < other[1][i] and other[0][i] < box[1][i] for i in range(2))
+            for other in taken
         )
-    return next(
-        (box for box in boxes if not any(_overlap(box, other) for other in taken)),
-        boxes[0],
-    )
 
-
-def _overlap(first: Box, second: Box) -> bool:
-    return all(
-        first[0][i] < second[1][i] and second[0][i] < first[1][i] for i in range(2)
-    )
+    return next(filter(is_free, boxes), boxes[0])
 
 
 class Canvas:
@@ -125,20 +121,9 @@ class Canvas:
             joint="curve",
         )
 
-    def polygon(self, points: list[Point], color: Color) -> None:
-        """Fill a polygon."""
-        self._draw.polygon(self._scaled(points), fill=color)
-
     def disc(self, centre: Point, radius: float, color: Color) -> None:
         """Fill a circle."""
         self._draw.circle(self._scaled([centre])[0], radius * self._factor, fill=color)
-
-    def box(self, corners: Box, color: Color, radius: float = 0.0) -> None:
-        """Fill a rectangle with round corners."""
-        (x0, y0), (x1, y1) = self._scaled(list(corners))
-        self._draw.rounded_rectangle(
-            (x0, y0, x1, y1), radius * self._factor, fill=color
-        )
 
     def ring(
         self,
@@ -149,8 +134,7 @@ class Canvas:
         dash: float | None = None,
     ) -> None:
         """Draw a circle, dashed if ``dash``, the length of a dash, is given."""
-        step = 2.0 if dash is None else dash
-        pieces = max(24, round(2 * math.pi * radius / step))
+        pieces = max(24, round(2 * math.pi * radius / (dash or 2.0)))
         angles = np.linspace(0.0, 2 * math.pi, 2 * (pieces // 2) + 1)
         around = [
             (centre[0] + radius * math.cos(a), centre[1] + radius * math.sin(a))
@@ -158,45 +142,29 @@ class Canvas:
         ]
         if dash is None:
             self.line(around, color, width)
-            return
-        for i in range(0, len(around) - 1, 2):
-            self.line(around[i : i + 2], color, width)
+        else:
+            for i in range(0, len(around) - 1, 2):
+                self.line(around[i : i + 2], color, width)
 
     def arrow(
         self, start: Point, end: Point, color: Color, width: float, bend: float = 0.18
     ) -> None:
         """Draw a curved arrow with a pale edge; it bends to the left."""
-        dx, dy = end[0] - start[0], end[1] - start[1]
-        control = (
-            (start[0] + end[0]) / 2 + bend * dy,
-            (start[1] + end[1]) / 2 - bend * dx,
-        )
-        head = 4.2 * width
-        tx, ty = end[0] - control[0], end[1] - control[1]
-        length = math.hypot(tx, ty) or 1.0
-        tx, ty = tx / length, ty / length
-        neck = (end[0] - head * tx, end[1] - head * ty)
-        curve = [
-            tuple(
-                (1 - s) ** 2 * a + 2 * s * (1 - s) * b + s**2 * c
-                for a, b, c in zip(start, control, neck, strict=True)
-            )
-            for s in np.linspace(0.0, 1.0, 24)
-        ]
-        points = [(float(x), float(y)) for x, y in curve]
+        a, c = np.array(start), np.array(end)
+        along = c - a
+        b = (a + c) / 2 + bend * np.array([along[1], -along[0]])
+        ahead = (c - b) / (math.hypot(*(c - b)) or 1.0)
+        aside, head = np.array([-ahead[1], ahead[0]]), 4.2 * width
+        neck = c - head * ahead
+        s = np.linspace(0.0, 1.0, 24)[:, None]
+        curve = (1 - s) ** 2 * a + 2 * s * (1 - s) * b + s**2 * neck
         for edge, ink in ((0.8 * width, LIGHT), (0.0, color)):
-            self.line(points, ink, width + 2 * edge)
-            side = 0.5 * head + edge
-            tip = (end[0] + edge * tx, end[1] + edge * ty)
-            back = (neck[0] - edge * tx, neck[1] - edge * ty)
-            self.polygon(
-                [
-                    tip,
-                    (back[0] - side * ty, back[1] + side * tx),
-                    (back[0] + side * ty, back[1] - side * tx),
-                ],
-                ink,
-            )
+            self.line([(x, y) for x, y in curve.tolist()], ink, width + 2 * edge)
+            side = (0.5 * head + edge) * aside
+            tip, back = c + edge * ahead, neck - edge * ahead
+            corners = np.stack([tip, back + side, back - side])
+            points = self._scaled([(x, y) for x, y in corners.tolist()])
+            self._draw.polygon(points, fill=ink)
 
     def text(
         self,
@@ -215,17 +183,31 @@ class Canvas:
             anchor=anchor,
         )
 
-    def label(self, plate: Box, text: str, size: float, mark: Color) -> None:
+    def label(
+        self,
+        near: Point,
+        text: str,
+        size: float,
+        mark: Color,
+        away: float,
+        taken: list[Box],
+    ) -> None:
         """Write a word on a white plate, with a colored dot before it.
 
         Args:
-            plate: Where, from :func:`label_plate`.
+            near: Point of the labelled thing.
             text: The word.
             size: Height of the letters [px].
-            mark: Colour of the dot.
+            mark: Color of the dot.
+            away: Distance from the point to the plate's middle [px].
+            taken: Boxes to keep free, if that is possible; the plate is added.
         """
+        within = self._image.width / self._factor, self._image.height / self._factor
+        plate = label_plate(near, text, size, away, taken, within)
+        taken.append(plate)
         (left, top), (_, bottom) = plate
-        self.box(plate, (255, 255, 255, 225), radius=0.4 * size)
+        corners, round_px = self._scaled([*plate]), 0.4 * size * self._factor
+        self._draw.rounded_rectangle(corners, round_px, fill=(255, 255, 255, 225))
         y = (top + bottom) / 2
         self.disc((left + 0.85 * size, y), 0.40 * size, FAINT)
         self.disc((left + 0.85 * size, y), 0.33 * size, mark)

@@ -1,15 +1,42 @@
 """The nearest camera that has all points in its picture."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from PIL import Image
 
 from lemma.core.poses import FloatArray
 from lemma.scene.cameras import FreeCamera
+from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 
 _CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+
+def views(
+    scene: Scene, states: Sequence[FloatArray], size: tuple[int, int], quality: str
+) -> list[Image.Image]:
+    """Draw states from one place, from which all of them can be seen.
+
+    Args:
+        scene: The scene; the last state stays.
+        states: That :meth:`Scene.snapshot` returned.
+        size: Width and height of each picture [px].
+        quality: A name in :data:`lemma.scene.rendering.renderer.QUALITIES`.
+    """
+    points, pictures = [], []
+    for state in states:
+        scene.restore(state)
+        points.append(outline(scene))
+    camera = overview(np.concatenate(points), size[0] / size[1])
+    renderer = Renderer(*size, quality)
+    for state in states:
+        scene.restore(state)
+        pictures.append(Image.fromarray(renderer.rgb(scene.model, scene.data, camera)))
+    return pictures
 
 
 def overview(
@@ -18,23 +45,38 @@ def overview(
     *,
     azimuth_deg: float = 82.0,
     elevation_deg: float = -34.0,
-    fovy_deg: float = 30.0,
     margin: float = 0.04,
 ) -> FreeCamera:
     """Return the nearest camera from a given side that has all points in its picture.
+
+    In the camera's own axes a point (r, d, f) is inside the picture of a camera at
+    (R, D, F) if |r - R| <= a (f - F) and |d - D| <= b (f - F), with the slopes a and b
+    of the picture's edges. That is linear, so that the largest F follows directly.
 
     Args:
         points: World positions, shape (N, 3) [m]: :func:`outline` of a scene.
         aspect: Width of the picture over its height.
         azimuth_deg: Direction of view; 90 has the first robot on the left.
         elevation_deg: Direction of view against the horizontal.
-        fovy_deg: Vertical field of view.
         margin: Part of the picture left free on each side.
     """
     direction = FreeCamera(
-        azimuth_deg=azimuth_deg, elevation_deg=elevation_deg, fovy_deg=fovy_deg
+        azimuth_deg=azimuth_deg, elevation_deg=elevation_deg, fovy_deg=30.0
     )
-    return fit(points, aspect, direction, margin)
+    axes = direction.camera(100, 100).world_from_camera.matrix()[:3, :3]
+    right, down, forward = (np.asarray(points, dtype=np.float64) @ axes).T
+    slope = math.tan(math.radians(direction.fovy_deg) / 2) * (1.0 - 2.0 * margin)
+    position = np.empty(3)
+    depths = []
+    for axis, (across, edge) in enumerate(((right, slope * aspect), (down, slope))):
+        high = float(np.max(across - edge * forward))
+        low = float(np.max(-across - edge * forward))
+        position[axis] = (high - low) / 2
+        depths.append(-(high + low) / (2 * edge))
+    position[2] = min(depths)
+    distance = float(np.mean(forward) - position[2])
+    x, y, z = (axes @ (position + np.array([0.0, 0.0, distance]))).tolist()
+    return replace(direction, lookat=(x, y, z), distance=distance)
 
 
 def outline(scene: Scene) -> FloatArray:
@@ -51,41 +93,3 @@ def outline(scene: Scene) -> FloatArray:
     placed: FloatArray = np.einsum("gij,gcj->gci", rotations, corners)
     placed += data.geom_xpos[ours, None]
     return placed.reshape(-1, 3)
-
-
-def fit(
-    points: ArrayLike, aspect: float, direction: FreeCamera, margin: float
-) -> FreeCamera:
-    """Move a camera, without turning it, as near as all points stay in the picture.
-
-    In the camera's own axes a point (r, d, f) is inside the picture of a camera at
-    (R, D, F) if |r - R| <= a (f - F) and |d - D| <= b (f - F), with the slopes a and b
-    of the picture's edges. That is linear, so that the largest F follows directly.
-
-    Args:
-        points: World positions, shape (N, 3) [m].
-        aspect: Width of the picture over its height.
-        direction: Angles and field of view; its position is ignored.
-        margin: Part of the picture left free on each side.
-    """
-    pose = direction.camera(100, 100).world_from_camera.matrix()
-    axes = pose[:3, :3]
-    right, down, forward = (np.asarray(points, dtype=np.float64) @ axes).T
-    slope = math.tan(math.radians(direction.fovy_deg) / 2) * (1.0 - 2.0 * margin)
-    position = np.empty(3)
-    depths = []
-    for axis, (across, edge) in enumerate(((right, slope * aspect), (down, slope))):
-        high = float(np.max(across - edge * forward))
-        low = float(np.max(-across - edge * forward))
-        position[axis] = (high - low) / 2
-        depths.append(-(high + low) / (2 * edge))
-    position[2] = min(depths)
-    distance = float(np.mean(forward) - position[2])
-    lookat = axes @ (position + np.array([0.0, 0.0, distance]))
-    return FreeCamera(
-        lookat=(float(lookat[0]), float(lookat[1]), float(lookat[2])),
-        distance=distance,
-        azimuth_deg=direction.azimuth_deg,
-        elevation_deg=direction.elevation_deg,
-        fovy_deg=direction.fovy_deg,
-    )

@@ -1,7 +1,6 @@
 """The top-down map with reach, names and goal."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,8 @@ from lemma.robots.reach import reach_map, reach_of
 from lemma.scene.cameras import CameraImage
 from lemma.scene.objects.entity import STICK, entity_named
 from lemma.scene.objects.stick import HANDLE_LENGTH_M
-from lemma.scene.raster import RASTER, MapImage, Raster
+from lemma.scene.raster import RASTER, MapImage
+from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
 from lemma.tasks.instance import Instance
@@ -25,24 +25,39 @@ from lemma.viz.annotate import (
     Canvas,
     Color,
     Point,
-    label_plate,
 )
 from lemma.viz.recording import robot_titles
-
-Pixel = Callable[[float, float], Point]
-"""From a position on the table [m] to a point of the picture."""
 
 _GOAL_INK: Color = (190, 40, 160)
 _NOT_SEEN = (214, 216, 219)
 _SHARED_TINT = np.array([255, 238, 170], dtype=np.float64)
 
 
+def camera_images(scene: Scene) -> list[CameraImage]:
+    """Return what the cameras of all robots see, for :func:`annotated_map`.
+
+    Raises:
+        RenderingError: OpenGL does not work here.
+    """
+    renderer = Renderer()
+    scene.refresh()
+    return [
+        renderer.rgbd(scene.model, scene.data, f"{name}/camera")
+        for name in scene.spec.robot_names
+    ]
+
+
+def pixel_of(x: float, y: float, width: float) -> Point:
+    """Return the point of a map of a width [px] for a position on the table [m]."""
+    cell_px = width / RASTER.columns
+    return (
+        (RASTER.columns / 2 + x / RASTER.cell_m) * cell_px,
+        (RASTER.rows / 2 - y / RASTER.cell_m) * cell_px,
+    )
+
+
 def annotated_map(
-    instance: Instance,
-    scene: Scene,
-    images: list[CameraImage],
-    width: int,
-    raster: Raster = RASTER,
+    instance: Instance, scene: Scene, images: list[CameraImage], width: int
 ) -> Image.Image:
     """Return the map of a scene with reach, names and goal drawn on it.
 
@@ -54,44 +69,31 @@ def annotated_map(
         scene: Its scene, in the state to draw.
         images: Of its cameras.
         width: Width of the picture [px]; its height follows.
-        raster: The raster of the map.
     """
-    fused = fuse(images, raster)
-    scale = width / raster.columns
-    picture = Image.fromarray(_shade(fused, instance, raster)).resize(
-        (width, round(raster.rows * scale)), Image.Resampling.BICUBIC
+    scale = width / RASTER.columns
+    shaded = Image.fromarray(_shade(fuse(images, RASTER), instance))
+    canvas = Canvas(
+        shaded.resize((width, round(RASTER.rows * scale)), Image.Resampling.BICUBIC)
     )
-    canvas = Canvas(picture)
-
-    def pixel(x: float, y: float) -> Point:
-        return (
-            (raster.columns / 2 + x / raster.cell_m) * scale,
-            (raster.rows / 2 - y / raster.cell_m) * scale,
-        )
-
-    size = width / 62
-    metre = scale / raster.cell_m
+    size, metre = width / 62, scale / RASTER.cell_m
     for placed in instance.scene.robots:
         reach, could = reach_of(placed.arm), could_of(placed.arm)
-        centre = pixel(placed.base.x, placed.base.y)
+        centre = pixel_of(placed.base.x, placed.base.y, width)
         # A dark edge, because white would not be seen on what is pale.
         for ink, width_px in ((INK, 0.30), (ROBOT_INK[placed.color], 0.18)):
             thick = width_px * size
             canvas.ring(centre, could.touch_m * metre, ink, 0.7 * thick, dash=size / 2)
             canvas.ring(centre, reach.travel_m * metre, ink, thick)
             canvas.ring(centre, reach.inner_m * metre, ink, thick)
-    _name_entities(canvas, instance, scene, pixel, picture.size, size)
+    _name_entities(canvas, instance, scene, width)
     return canvas.picture()
 
 
-def _shade(fused: MapImage, instance: Instance, raster: Raster) -> NDArray[np.uint8]:
+def _shade(fused: MapImage, instance: Instance) -> NDArray[np.uint8]:
     """Tint the region that all robots reach; pale where no camera sees anything."""
-    x, y = np.empty(raster.columns), np.empty(raster.rows)
-    for column in range(raster.columns):
-        x[column], _ = raster.world_from_pixel(0, column)
-    for row in range(raster.rows):
-        _, y[row] = raster.world_from_pixel(row, 0)
-    shared = np.ones((raster.rows, raster.columns), np.bool_)
+    x = np.array([RASTER.world_from_pixel(0, c)[0] for c in range(RASTER.columns)])
+    y = np.array([RASTER.world_from_pixel(r, 0)[1] for r in range(RASTER.rows)])
+    shared = np.ones((RASTER.rows, RASTER.columns), np.bool_)
     for placed in instance.scene.robots:
         shared &= reach_map(placed.arm, placed.base, x, y) > 0.0
     rgb = fused.rgb.astype(np.float64)
@@ -102,35 +104,32 @@ def _shade(fused: MapImage, instance: Instance, raster: Raster) -> NDArray[np.ui
 
 
 def _name_entities(
-    canvas: Canvas,
-    instance: Instance,
-    scene: Scene,
-    pixel: Pixel,
-    within: Point,
-    size: float,
+    canvas: Canvas, instance: Instance, scene: Scene, width: int
 ) -> None:
     """Draw goal arrows, then names over them."""
-    places = {}
+    size, places = width / 62, {}
     for name in instance.scene.object_names:
         pose = scene.pose2(name)
         if name == STICK:
             pose = pose @ Pose2(HANDLE_LENGTH_M / 2, 0.0)
-        places[name] = pixel(pose.x, pose.y)
+        places[name] = pixel_of(pose.x, pose.y, width)
     taken = []
     for top, bottom in instance.goal.pairs:
         start, end = _shorten(places[top], places[bottom], 1.1 * size)
         canvas.arrow(start, end, _GOAL_INK, 0.28 * size)
         taken += [_around(start, size), _around(end, size)]
-    titles, names = robot_titles(instance), instance.scene.robot_names
     labels = [(at, name, _ink_of(name), 2.0) for name, at in places.items()]
-    for i, placed in enumerate(instance.scene.robots):
-        at = pixel(placed.base.x, placed.base.y)
-        labels.append((at, f"{names[i]}: {titles[i]}", ROBOT_INK[placed.color], 3.2))
+    for name, title, placed in zip(
+        instance.scene.robot_names,
+        robot_titles(instance),
+        instance.scene.robots,
+        strict=True,
+    ):
+        at = pixel_of(placed.base.x, placed.base.y, width)
+        labels.append((at, f"{name}: {title}", ROBOT_INK[placed.color], 3.2))
     taken += [_around(at, 0.8 * size) for at, *_ in labels]
     for at, text, ink, away in labels:
-        plate = label_plate(at, text, size, away * size, taken, within)
-        taken.append(plate)
-        canvas.label(plate, text, size, ink)
+        canvas.label(at, text, size, ink, away * size, taken)
 
 
 def _ink_of(entity: str) -> Color:

@@ -131,25 +131,20 @@ def dots(categories: Sequence[str], series: Sequence[Series], axis: str) -> str:
         series: At least one.
         axis: Meaning of the values.
     """
-    lanes = max(len(series), 2)
-    row = _LANE * lanes + 10
+    row = _LANE * max(len(series), 2) + 10
 
     def draw(axes: Axes, tips: list[str]) -> None:
         for j in range(1, len(categories), 2):
             axes.axhspan(j - 0.5, j + 0.5, color=LINE, alpha=0.28, linewidth=0)
         for i, one in enumerate(series):
+            shift = (i - (len(series) - 1) / 2) * _LANE / row
             for j, mark in enumerate(one.marks):
-                if mark is None:
-                    continue
-                y = j + (i - (len(series) - 1) / 2) * _LANE / row
-                if mark.reference is not None:
-                    ends = y - 6 / row, y + 6 / row
+                if mark is not None and mark.reference is not None:
+                    ends = j + shift - 6 / row, j + shift + 6 / row
                     axes.plot([100 * mark.reference] * 2, ends, color=INK, lw=2)
-                xs = [100 * mark.low, 100 * mark.value, 100 * mark.high]
-                tip = _tip(tips, f"{one.name}, {categories[j]}: {mark.words}")
-                _whiskers(axes, i, xs, [y] * 3, tip)
-        axes.set(xlim=(-1.5, 101.5), xlabel=axis, yticks=range(len(categories)))
-        axes.set_yticklabels(categories)
+            _draw_marks(axes, tips, i, one, categories, shift)
+        axes.set(xlim=(-1.5, 101.5), xlabel=axis)
+        axes.set(yticks=range(len(categories)), yticklabels=categories)
         axes.set_ylim(len(categories) - 0.5, -0.5)
         axes.grid(axis="x")
 
@@ -172,17 +167,12 @@ def lines(
         for i, one in enumerate(series):
             shift = (i - (len(series) - 1) / 2) * apart * len(categories)
             found = [(j + shift, mark) for j, mark in enumerate(one.marks) if mark]
-            xs = [x for x, _ in found]
-            ys = [100 * mark.value for _, mark in found]
+            xs, ys = [x for x, _ in found], [100 * mark.value for _, mark in found]
             axes.plot(xs, ys, color=_hue(i), lw=1.5, alpha=0.55)
-            for x, mark in found:
-                name = categories[round(x - shift)]
-                tip = _tip(tips, f"{one.name}, {name}: {mark.words}")
-                each = [100 * mark.low, 100 * mark.value, 100 * mark.high]
-                _whiskers(axes, i, [x] * 3, each, tip)
+            _draw_marks(axes, tips, i, one, categories, shift, upright=True)
         axes.set(xlabel=axes_words[0], ylabel=axes_words[1], ylim=(-2, 102))
-        axes.set(xticks=range(len(categories)), xlim=(-0.5, len(categories) - 0.5))
-        axes.set_xticklabels(categories)
+        axes.set(xticks=range(len(categories)), xticklabels=categories)
+        axes.set_xlim(-0.5, len(categories) - 0.5)
         axes.grid(axis="y")
 
     title = f"{axes_words[1]} by {axes_words[0]}"
@@ -207,13 +197,12 @@ def stacks(parts: Sequence[str], bars: Sequence[Bar], axis: str) -> str:
             for k in used:
                 width = 100 * bar.parts[k]
                 if width > 0:
-                    words = f"{bar.label}: {parts[k]} {bar.parts[k]:.1%}"
-                    tip = _tip(tips, words)
+                    tip = _tip(tips, f"{bar.label}: {parts[k]} {bar.parts[k]:.1%}")
                     axes.barh(j, width, 0.6, left, **_filling(k), gid=tip)
                 left += width
             axes.annotate(bar.note, (1.0, j), **_BESIDE)
-        axes.set(xlim=(0, 100 * limit), xlabel=axis, yticks=range(len(bars)))
-        axes.set_yticklabels([bar.label for bar in bars])
+        axes.set(xlim=(0, 100 * limit), xlabel=axis)
+        axes.set(yticks=range(len(bars)), yticklabels=[bar.label for bar in bars])
         axes.set_ylim(max(len(bars), 1) - 0.5, -0.5)
         axes.grid(axis="x")
         for k in used:
@@ -245,13 +234,35 @@ def _marker(number: int) -> dict[str, Any]:
     }
 
 
-def _whiskers(
-    axes: Axes, number: int, xs: Sequence[float], ys: Sequence[float], tip: str
+def _draw_marks(
+    axes: Axes,
+    tips: list[str],
+    number: int,
+    series: Series,
+    categories: Sequence[str],
+    shift: float,
+    *,
+    upright: bool = False,
 ) -> None:
-    """Draw a line through three points, with the mark of a series at the second."""
-    axes.plot(
-        xs, ys, **_marker(number), lw=2, markevery=[1], gid=tip, clip_on=False, zorder=3
-    )
+    """Draw the marks of a series, each on a line from its lower to its upper end.
+
+    Args:
+        axes: To draw into.
+        tips: Tooltips are added.
+        number: Of the series, which decides how its marks look.
+        series: The values.
+        categories: Their names.
+        shift: Of the marks beside the middle of each category.
+        upright: Whether values rise upwards; else they go to the right.
+    """
+    for j, mark in enumerate(series.marks):
+        if mark is None:
+            continue
+        values = [100 * mark.low, 100 * mark.value, 100 * mark.high]
+        xs, ys = ([j + shift] * 3, values) if upright else (values, [j + shift] * 3)
+        looks = {**_marker(number), "lw": 2, "clip_on": False, "zorder": 3}
+        tip = _tip(tips, f"{series.name}, {categories[j]}: {mark.words}")
+        axes.plot(xs, ys, **looks, markevery=[1], gid=tip)
 
 
 def _tip(tips: list[str], words: str) -> str:

@@ -8,10 +8,11 @@ from typing import Any
 
 from lemma.core.poses import FloatArray
 from lemma.dataset.playback import FrameTaker
+from lemma.env.episode import Episode
 from lemma.env.simulation import HORIZON_S
-from lemma.evaluation.report.episodes import Case, subtask_words
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
-from lemma.motion.outcome import Outcome, SkillResult
+from lemma.expert.expert import ExpertStep
+from lemma.motion.outcome import SkillResult
 from lemma.policies.spec import PolicySpec
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
@@ -78,6 +79,28 @@ class Recording:
     because: str = ""
     """Why it failed, in a sentence, where more is known than :attr:`failure`."""
 
+    @classmethod
+    def of(
+        cls, title: str, episode: Episode, lines: Sequence[Line], frames: Frames
+    ) -> "Recording":
+        """Return an episode that was carried out.
+
+        Args:
+            title: The policy in words.
+            episode: At its end.
+            lines: Its sub-tasks, in order.
+            frames: Its states.
+        """
+        return cls(
+            title,
+            episode.instance,
+            tuple(lines),
+            frames,
+            episode.is_success,
+            episode.failure,
+            episode.elapsed_s,
+        )
+
     @property
     def verdict(self) -> str:
         """How it ended, in a sentence."""
@@ -89,11 +112,6 @@ class Recording:
         """Simulated seconds per second of real time."""
         return self.elapsed_s / self.wall_s
 
-    @property
-    def end_s(self) -> float:
-        """Simulated time of the last state [s]."""
-        return self.frames[-1][0]
-
     def at(self, time_s: float) -> FloatArray:
         """Return positions of all joints at a time, the first or last outside."""
         found = bisect_right(self.frames, time_s + 1e-6, key=lambda frame: frame[0])
@@ -101,13 +119,8 @@ class Recording:
 
     def thinned(self, every: int) -> "Recording":
         """Return the same with one frame of so many, and the last."""
-        last = len(self.frames) - 1
-        kept = [
-            frame
-            for number, frame in enumerate(self.frames)
-            if number % every == 0 or number == last
-        ]
-        return replace(self, frames=tuple(kept))
+        kept = [*self.frames[:-1:every], self.frames[-1]]
+        return replace(self, frames=kept)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""
@@ -180,7 +193,7 @@ def main_sentence(instance: Instance) -> str:
     return sentences.get("high_level") or next(iter(sentences.values()), "")
 
 
-def describe_step(step: TakenStep, instance: Instance) -> Line:
+def describe_step(step: TakenStep | ExpertStep, instance: Instance) -> Line:
     """Put an executed sub-task into words."""
     words = describe_subtask(step.subtask, instance)
     return line_of(words, step.start_s, step.result, step.subtask)
@@ -189,39 +202,9 @@ def describe_step(step: TakenStep, instance: Instance) -> Line:
 def line_of(
     words: str, start_s: float, result: SkillResult, subtask: SubTask | None = None
 ) -> Line:
-    """Return a line of what was executed.
-
-    Args:
-        words: The sub-task in words.
-        start_s: Simulated time at which it began [s].
-        result: How it ended.
-        subtask: The sub-task.
-    """
-    return Line(
-        words,
-        start_s,
-        start_s + result.duration_s,
-        str(result.outcome),
-        result.explanation,
-        result.ok,
-        subtask,
-    )
-
-
-def lines_of_case(case: Case) -> tuple[Line, ...]:
-    """Return the sub-tasks of an episode of a result."""
-    return tuple(
-        Line(
-            subtask_words(case, step),
-            float(step["start_s"]),
-            float(step["start_s"] + step["duration_s"]),
-            step["outcome"],
-            step["explanation"],
-            step["outcome"] == Outcome.SUCCESS,
-            SubTask.from_dict(dict(step)),
-        )
-        for step in case.row["subtasks"]
-    )
+    """Return a line of a sub-task in words that began at a time [s]."""
+    end_s, outcome = start_s + result.duration_s, str(result.outcome)
+    return Line(words, start_s, end_s, outcome, result.explanation, result.ok, subtask)
 
 
 def describe_subtask(subtask: SubTask, instance: Instance) -> str:
@@ -245,14 +228,3 @@ def robot_titles(instance: Instance) -> tuple[str, ...]:
         else f"{phrase.removesuffix(' robot')} {arm.upper()}"
         for (color, arm), phrase in zip(kinds, colors, strict=True)
     )
-
-
-def warm_up(instance: Instance) -> float:
-    """Compile the kernels of the expert, which happens once per machine.
-
-    Returns:
-        The time [s].
-    """
-    started = time.perf_counter()
-    record(instance, horizon_s=2.0)
-    return time.perf_counter() - started

@@ -1,19 +1,22 @@
-"""From a recording to an H.264 video that every browser plays."""
+"""From a recording to an H.264 video that every browser plays, with a caption."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from lemma.core.files import write_whole
 from lemma.scene.rendering.gl_context import Tessellation
 from lemma.scene.rendering.renderer import QUALITIES, Quality, Renderer
 from lemma.scene.scene import Scene
+from lemma.viz.annotate import BAD, GOOD, Color, fitting_size, font
 from lemma.viz.camera_fit import outline, overview
-from lemma.viz.caption import caption
-from lemma.viz.recording import Recording, pose
+from lemma.viz.recording import Recording, main_sentence, pose
 
+_INK: Color = (246, 247, 249)
+_FAINT: Color = (160, 170, 182)
+_GROUND: Color = (24, 28, 34)
 _VIEWED_FRAMES = 40
 """Frames that the viewpoint is fitted to; the arms move little in between."""
 
@@ -87,7 +90,8 @@ def _encode(recording: Recording, path: Path, style: VideoStyle) -> Image.Image:
         points.append(outline(scene))
     aspect = style.width_px / style.height_px
     camera = overview(np.concatenate(points), aspect)
-    frame = Image.new("RGB", _size(style))
+    size = (style.width_px, style.height_px + style.caption_px)
+    frame = Image.new("RGB", size)
     options = {"movflags": "faststart"}
     with av.open(str(path), "w", format="mp4", options=options) as container:
         stream = container.add_stream("libx264", rate=style.frames_per_s)
@@ -101,8 +105,8 @@ def _encode(recording: Recording, path: Path, style: VideoStyle) -> Image.Image:
             ended = number == len(frames) - 1
             # Below, players' controls would cover the words.
             frame.paste(Image.fromarray(picture), (0, style.caption_px))
-            note = f"{style.speed}x speed"
-            strip = caption(recording, time_s, _caption_size(style), note, ended=ended)
+            size, note = (style.width_px, style.caption_px), f"{style.speed}x speed"
+            strip = caption(recording, time_s, size, note, ended=ended)
             frame.paste(strip, (0, 0))
             copies = round(style.last_s * style.frames_per_s) if ended else 1
             for _ in range(copies):
@@ -114,9 +118,54 @@ def _encode(recording: Recording, path: Path, style: VideoStyle) -> Image.Image:
     return frame
 
 
-def _size(style: VideoStyle) -> tuple[int, int]:
-    return style.width_px, style.height_px + style.caption_px
+def caption(
+    recording: Recording,
+    time_s: float,
+    size: tuple[int, int],
+    note: str = "",
+    *,
+    ended: bool = False,
+) -> Image.Image:
+    """Draw instruction, running sub-task and simulated time.
+
+    Args:
+        recording: The episode.
+        time_s: Simulated time of the picture [s].
+        size: Width and height of the strip [px].
+        note: A remark beside the time.
+        ended: Whether to say how it ended instead of the sub-task.
+    """
+    width, height = size
+    strip = Image.new("RGB", size, _GROUND[:3])
+    draw = ImageDraw.Draw(strip)
+    edge = round(0.22 * height)
+    instruction = f"“{main_sentence(recording.instance)}”"
+    large = font(fitting_size(instruction, 0.28 * height, width - 2 * edge))
+    at = (edge, 0.31 * height)
+    draw.text(at, instruction, fill=_INK[:3], font=large, anchor="lm")
+    low = 0.70 * height
+    clock = "   ".join(part for part in (f"{time_s:.1f} s", note) if part)
+    small = font(0.21 * height)
+    draw.text((width - edge, low), clock, fill=_FAINT[:3], font=small, anchor="rm")
+    text, ink = _status(recording, time_s, ended)
+    room = width - 3 * edge - small.getlength(clock)
+    small = font(fitting_size(text, 0.21 * height, room))
+    draw.text((edge, low), text, fill=ink[:3], font=small, anchor="lm")
+    share = time_s / max(recording.elapsed_s, time_s, 1e-9)
+    bar = max(2, height // 18)
+    draw.rectangle((0, height - bar, share * width, height), fill=GOOD[:3])
+    return strip
 
 
-def _caption_size(style: VideoStyle) -> tuple[int, int]:
-    return style.width_px, style.caption_px
+def _status(recording: Recording, time_s: float, ended: bool) -> tuple[str, Color]:
+    """Return what happens at a time, in words, and the color to say it in."""
+    lines = recording.lines
+    if ended and recording.success:
+        return "Solved.", GOOD
+    if ended:
+        return f"Not solved: {recording.failure}.", BAD
+    if not lines:
+        return "", _FAINT
+    # The one that began last.
+    number = max(sum(line.start_s <= time_s for line in lines), 1)
+    return f"{number}/{len(lines)}   {lines[number - 1].words}", _FAINT

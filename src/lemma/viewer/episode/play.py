@@ -12,7 +12,7 @@ next one begins beside it.
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum, auto
+from typing import Literal
 
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.poses import Pose2
@@ -27,17 +27,25 @@ from lemma.scene.objects.entity import entity_named
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
-from lemma.viewer.episode.explanation import (
+from lemma.viewer.episode.reading import (
     NOTHING,
+    SILENT,
     Explanation,
     ObservedPolicy,
+    ask_reader,
+    check_plan,
     explain,
+    parse_goal,
 )
-from lemma.viewer.episode.log import EpisodeLog
-from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan, parse_goal
-from lemma.viewer.episode.request import OWN_WORDS, EpisodeRequest
-from lemma.viewer.episode.status import Phase, Reading, Status, StatusBoard
-from lemma.viewer.episode.teleoperator import Teleoperator
+from lemma.viewer.episode.status import (
+    OWN_WORDS,
+    EpisodeRequest,
+    Phase,
+    Reading,
+    Status,
+    StatusBoard,
+)
+from lemma.viewer.episode.teleoperator import EpisodeLog, Teleoperator
 from lemma.viewer.episode.transport import (
     FRAME_S,
     AbandonedError,
@@ -52,20 +60,10 @@ Load = Callable[[str], Player]
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """An object that a visitor wanted to lay elsewhere, and the result."""
+    """The result of a visitor's wish to lay an object elsewhere."""
 
-    name: str
     problem: str = ""
     """Why it could not be moved; empty if it was."""
-
-
-class _Leader(Enum):
-    """Source of decisions about the robots."""
-
-    POLICY = auto()
-    ASKED = auto()
-    """Still the policy; a visitor follows when the simulation next asks."""
-    VISITOR = auto()
 
 
 class Play:
@@ -97,21 +95,22 @@ class Play:
         self.rollout: Rollout | None = None
         self.explanations: tuple[Explanation, ...] = ()
         """Why and how each sub-task was done, oldest first."""
-        self._insight: Insight | None = None
         self.teleoperator: Teleoperator | None = None
         """Of the visitor who leads, or led last; None if nobody did."""
         self._log = EpisodeLog()
         self._controls = False
         """Whether the policy commands motors, so that nobody can take over."""
         self._taking = threading.Lock()
-        self._leader = _Leader.POLICY
+        self._leader: Literal["policy", "asked", "visitor"] = "policy"
+        """Source of decisions; a visitor who has asked follows when the simulation next
+        looks, and the policy leads until then."""
         self.led_first = ""
         """Name of the robot that was acting when a visitor took over."""
         self._goal_is_known = True
         self.moved: Moved | None = None
         """The latest change of a thing by a visitor during the episode."""
         self._load = load
-        self._board = StatusBoard(request.policy)
+        self._board = StatusBoard()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -130,8 +129,7 @@ class Play:
             Whether it has ended; a policy that hangs keeps it alive.
         """
         self.transport.abandon()
-        self._thread.join(wait_s)
-        return not self._thread.is_alive()
+        return self.wait(wait_s)
 
     def wait(self, seconds: float) -> bool:
         """Wait for its end, and return whether it has come."""
@@ -141,19 +139,19 @@ class Play:
     @property
     def is_led(self) -> bool:
         """Whether a visitor leads the robots."""
-        led = self._leader is _Leader.VISITOR
-        return led and self.teleoperator is not None and not self.teleoperator.is_done
+        hand = self.teleoperator
+        leads = self._leader == "visitor"
+        return leads and hand is not None and not hand.is_done
 
     @property
     def _goes_on(self) -> bool:
-        acts = self.status.phase in (Phase.DECIDING, Phase.ACTING, Phase.LED)
-        return acts and not self.transport.over
+        going = Phase.DECIDING, Phase.ACTING, Phase.LED
+        return self.status.phase in going and not self.transport.over
 
     @property
     def can_be_taken_over(self) -> bool:
         """Whether a visitor may take over now."""
-        policy = self._leader is _Leader.POLICY
-        return self._goes_on and policy and not self._controls
+        return self._goes_on and self._leader == "policy" and not self._controls
 
     @property
     def can_hand_back(self) -> bool:
@@ -182,7 +180,7 @@ class Play:
                 raise InvalidConfigError(
                     "Robots are taken over while an episode goes on, and nobody leads."
                 )
-            self._leader, self.teleoperator = _Leader.ASKED, Teleoperator()
+            self._leader, self.teleoperator = "asked", Teleoperator()
             self.transport.interrupt()
 
     def hand_back(self) -> None:
@@ -222,9 +220,9 @@ class Play:
             try:
                 nudge(rollout.episode.simulation, name, pose)
             except LemmaError as error:
-                self.moved = Moved(name, str(error))
+                self.moved = Moved(str(error))
                 return
-            self.moved = Moved(name)
+            self.moved = Moved()
             words = f"You moved the {entity_named(name).phrase}"
             now_s = rollout.episode.simulation.time_s
             self._log.move(name, pose, now_s)
@@ -246,7 +244,7 @@ class Play:
             what = str(error) if isinstance(error, LemmaError) else repr(error)
             self._board.tell(Phase.BROKEN, note=what)
         finally:
-            self._leader = _Leader.POLICY
+            self._leader = "policy"
             self.transport.finish()
 
     def _set_table(self) -> Rollout:
@@ -288,12 +286,12 @@ class Play:
             rollout = player.begin(rollout.instance, rollout.kind, rollout.control)
             self._watch(rollout)
         if isinstance(player.policy, Teleoperator):
-            self.teleoperator, self._leader = player.policy, _Leader.VISITOR
+            self.teleoperator, self._leader = player.policy, "visitor"
             self._log.lead(self.teleoperator, rollout.episode.elapsed_s)
         try:
             if not self._read(rollout, player):
                 return
-            told = ObservedPolicy(player.policy, self._decided, self._explained)
+            told = ObservedPolicy(player.policy, self._decided)
             (self.transport.step if self._steps else self.transport.play)()
             heard = ControlPlayer(told) if controls else Player(told, player.rig)
             while not (rollout.episode.is_over or rollout.fault):
@@ -322,11 +320,11 @@ class Play:
         self.explanations = (*self.explanations, Explanation(now_s))
         self._board.end(now_s, "taken over")
         self._board.begin(Phase.LED, "You lead the robots", now_s)
-        self._leader = _Leader.VISITOR
+        self._leader = "visitor"
         try:
             teleoperator.take_over(episode)
         finally:
-            self._leader = _Leader.POLICY
+            self._leader = "policy"
         end_s = episode.elapsed_s
         self._board.end(end_s, "by hand")
         self.transport.mark(end_s)
@@ -334,16 +332,15 @@ class Play:
     def _read(self, rollout: Rollout, player: Player) -> bool:
         """Report the reading; return whether to act on it."""
         self._board.tell(Phase.READING)
-        reading = self.status.reading
-        if reading is None and self.request.policy == ORACLE:
+        reading, knows = self.status.reading, self.request.policy == ORACLE
+        if reading is None and knows:
             reading = Reading(rollout.instance.goal.pairs)
-        if reading is None and isinstance(player, ControlPlayer):
+        elif reading is None and isinstance(player, ControlPlayer):
             reading = SILENT
-        if reading is None:
+        elif reading is None:
             given = player.given(rollout)
             reading = ask_reader(player.policy, given, rollout.instance)
-        own, knows = self.request.saying == OWN_WORDS, self.request.policy == ORACLE
-        if own:
+        if self.request.saying == OWN_WORDS:
             scene = rollout.episode.simulation.scene
             reading = check_plan(reading, scene, needed=knows)
         self._board.tell(reading=reading)
@@ -354,7 +351,9 @@ class Play:
             rollout.control = LanguageControl(self.request.text, reading.pairs)
         return True
 
-    def _decided(self, decision: Decision | Actions | None) -> None:
+    def _decided(
+        self, decision: Decision | Actions | None, insight: Insight | None
+    ) -> None:
         """Report a decision before it is carried out; None: the policy is asked."""
         if decision is None:
             self._board.tell(Phase.DECIDING)
@@ -364,20 +363,16 @@ class Play:
             if self.status.phase is not Phase.ACTING:
                 self._board.tell(Phase.ACTING)
             return
-        episode, subtask = self.rollout.episode, decision.subtask
-        now_s, insight = episode.elapsed_s, self._insight
+        episode = self.rollout.episode
+        now_s = episode.elapsed_s
         self._log.begin(decision, now_s)
         explanation = explain(episode.simulation, now_s, decision, insight)
         self.explanations = (*self.explanations, explanation)
         if decision.stops:
             self._board.tell(Phase.ACTING)
         else:
-            words = describe_subtask(subtask, self.rollout.instance)
-            self._board.begin(Phase.ACTING, words, episode.elapsed_s)
-
-    def _explained(self, insight: Insight) -> None:
-        """Keep the policy's reasons until its decision is reported."""
-        self._insight = insight
+            words = describe_subtask(decision.subtask, self.rollout.instance)
+            self._board.begin(Phase.ACTING, words, now_s)
 
     def explanation(self) -> Explanation:
         """Return why and how the sub-task at the cursor is done."""

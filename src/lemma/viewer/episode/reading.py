@@ -1,22 +1,41 @@
-"""A policy's reading of a sentence, asked for before it acts."""
+"""A policy's own words: its reading of a sentence, and its reasons for a sub-task."""
 
 import re
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from lemma.core.errors import LemmaError
+from lemma.env.simulation import Simulation
+from lemma.evaluation.run.fault_isolation import Fault, check
 from lemma.evaluation.run.rollout import Player, Rollout
+from lemma.motion.skills import DRAG_HEIGHT_M, stand_at
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
-from lemma.planning.symbolic_state import SymbolicState
-from lemma.policies.interfaces import Composite, PolicyInput, Reader
+from lemma.planning.symbolic_state import TABLE, SymbolicState
+from lemma.policies.control.interfaces import Actions, ControlInput
+from lemma.policies.interfaces import (
+    Composite,
+    Decision,
+    Explainer,
+    Insight,
+    PolicyInput,
+    Reader,
+    told,
+)
+from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import parse, phrase
 from lemma.tasks.language.template import GoalPairs
+from lemma.tasks.subtask import GroundedSubTask, Primitive
 from lemma.viewer.episode.status import Reading, say_goal
 
+Waypoints = tuple[tuple[float, float, float], ...]
+"""Points of the hand, oldest first [m]."""
+
+_DRAGS = (Primitive.HOOK, Primitive.POKE)
 _DENIES = re.compile(
     "\\b(?:not|never|cannot|dont|nor)\\b|n['\u2019]t\\b", re.IGNORECASE
 )
@@ -53,7 +72,7 @@ def ask_reader(policy: object, given: PolicyInput, instance: Instance) -> Readin
         given: Its input before the first decision.
         instance: Of the table.
     """
-    reader = find_reader(policy)
+    reader: Reader | None = find_part(policy, Reader)
     if reader is None:
         return SILENT
     if _DENIES.search(given.instruction):
@@ -117,12 +136,12 @@ def hear(
     return said, reading
 
 
-def find_reader(policy: Any) -> Reader | None:
-    """Return the part of a policy that reads sentences, if there is one."""
+def find_part(policy: Any, kind: Any) -> Any:
+    """Return the part of a policy that is of a kind, if there is one."""
     if isinstance(policy, Composite):
-        found = (find_reader(part) for part in policy.parts)
-        return next((reader for reader in found if reader is not None), None)
-    return policy if isinstance(policy, Reader) else None
+        found = (find_part(part, kind) for part in policy.parts)
+        return next((part for part in found if part is not None), None)
+    return policy if isinstance(policy, kind) else None
 
 
 def _possible(pairs: GoalPairs, instance: Instance) -> Reading:
@@ -137,3 +156,93 @@ def _possible(pairs: GoalPairs, instance: Instance) -> Reading:
     except LemmaError as error:
         return Reading(pairs, str(error), acts=False)
     return Reading(pairs)
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Why a sub-task is done, and how."""
+
+    time_s: float
+    """Simulated time [s]."""
+    insight: Insight | None = None
+    """The policy's perception and options; None where it gives none."""
+    robot: str = ""
+    """Name of the robot that acts."""
+    waypoints: Waypoints = ()
+    """Path of its hand [m]."""
+    covers: tuple[tuple[str, str], ...] = ()
+    """Pairs (lower, upper) of things that lie on each other."""
+
+
+NOTHING = Explanation(0.0)
+
+
+def explain(
+    simulation: Simulation, time_s: float, decision: Decision, insight: Insight | None
+) -> Explanation:
+    """Return why and how a sub-task is about to be done.
+
+    Args:
+        simulation: As it is before the sub-task.
+        time_s: Simulated time of the episode [s].
+        decision: Of the policy.
+        insight: The policy's reasons, if it gives any.
+    """
+    grounded = decision.grounded
+    waypoints = () if grounded is None else planned_path(simulation, grounded)
+    supports = SymbolicState.observe(simulation.scene).supports
+    covers = tuple((low, top) for top, low in supports.items() if low != TABLE)
+    return Explanation(time_s, insight, decision.subtask.robot, waypoints, covers)
+
+
+def planned_path(simulation: Simulation, grounded: GroundedSubTask) -> Waypoints:
+    """Return the path of a hand from where it is now: over, down, and on.
+
+    An arm keeps away from obstacles, so it goes beside these lines where it must.
+
+    Args:
+        simulation: As it is before the sub-task.
+        grounded: The sub-task; the path of a robot that is not there is empty.
+    """
+    arm = simulation.arms.get(grounded.robot)
+    if arm is None:
+        return ()
+    high, low = TRAVEL_HEIGHT_M, DRAG_HEIGHT_M
+    pick, place = grounded.pick, grounded.place
+    stops = [(pick, high), (pick, low), (pick, high), (place, high), (place, low)]
+    if grounded.primitive in _DRAGS:
+        stops = [(pick, high), (pick, low), (place, low)]
+    x, y, z = arm.tcp_pose()[:3, 3].tolist()
+    stands = [stand_at(pose, height_m) for pose, height_m in stops]
+    return ((x, y, z), *((stand[0], stand[1], stand[2]) for stand in stands))
+
+
+@dataclass(frozen=True)
+class ObservedPolicy(Composite):
+    """Asks a policy, and reports its answer before it is carried out."""
+
+    policy: Any
+    tell: Callable[[Decision | Actions | None, Insight | None], None]
+    """Called with each decision and its reasons, where the policy gives any; with None
+    before the policy is asked."""
+
+    @property
+    def parts(self) -> tuple[object, ...]:
+        """The policy."""
+        return (self.policy,)
+
+    def act(self, inputs: Sequence[Any]) -> Any:
+        """Return the policy's answer, even if it makes no sense."""
+        # Motor commands are asked for twenty times a second: nobody could read that.
+        if not isinstance(inputs[0], ControlInput):
+            self.tell(None, None)
+        answers = self.policy.act(inputs)
+        if isinstance(answers, list | tuple) and answers:
+            decision, insight = check(answers[0], inputs[0]), None
+            # The rollout turns nonsense into a fault.
+            if not isinstance(decision, Fault):
+                explainer = find_part(self.policy, Explainer)
+                if explainer is not None:
+                    insight = explainer.explain(told(explainer, inputs[:1]))[0]
+                self.tell(decision, insight)
+        return answers

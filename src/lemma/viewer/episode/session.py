@@ -7,8 +7,7 @@ from importlib.util import find_spec
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.core.poses import Pose2
-from lemma.evaluation.run.control.rollout import ControlPlayer
-from lemma.evaluation.run.control.rollout import load_player as load_any
+from lemma.evaluation.run.control.rollout import ControlPlayer, load_player
 from lemma.evaluation.run.loading import weights_of
 from lemma.evaluation.run.rollout import Player
 from lemma.policies.control.interfaces import is_model_server
@@ -20,7 +19,7 @@ from lemma.serve.websocket import is_address
 from lemma.tasks.instance import OWN_SPLIT, Instance
 from lemma.tasks.sampling import gap_beyond
 from lemma.viewer.episode.play import Play
-from lemma.viewer.episode.request import EpisodeRequest
+from lemma.viewer.episode.status import EpisodeRequest
 from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 
 _PATIENCE_S = 1.0
@@ -30,11 +29,6 @@ _PATIENCE_S = 1.0
 _LEARNED = ("reachnet", "episodic-transformer+cliport", "m-cliport")
 
 
-def load_player(name: str) -> Player:
-    """Return a policy, with its cameras."""
-    return load_any(PolicySpec(name))
-
-
 class Session:
     """Commands of a page; safe to use from any thread."""
 
@@ -42,7 +36,7 @@ class Session:
         self,
         request: EpisodeRequest,
         policies: tuple[str, ...],
-        load: Callable[[str], Player] = load_player,
+        load: Callable[[str], Player] = lambda name: load_player(PolicySpec(name)),
         *,
         acts: bool = False,
     ) -> None:
@@ -183,6 +177,8 @@ class Session:
 def choices(wanted: str | None = None) -> tuple[str, ...]:
     """Return names of policies that can be loaded here, the best one first.
 
+    Learned ones are among them if their weights are on this machine.
+
     Args:
         wanted: One that shall be among them. Its weights are looked for; servers and
             classes are asked when it is loaded.
@@ -191,18 +187,13 @@ def choices(wanted: str | None = None) -> tuple[str, ...]:
         LemmaError: The name of that one means no policy, or its weights are missing or
             damaged.
     """
-    found = [*_installed(), ORACLE, BY_HAND]
+    learned = _LEARNED if find_spec("torch") else ()
+    here = [name for name in learned if all(map(are_here, name.split("+")))]
+    found = [*here, ORACLE, BY_HAND]
     if wanted is not None and wanted not in found:
         weights_of(PolicySpec(wanted))
         found.append(wanted)
     return tuple(found)
-
-
-def _installed() -> list[str]:
-    """Return learned policies whose weights are on this machine."""
-    if find_spec("torch") is None:
-        return []
-    return [name for name in _LEARNED if all(map(are_here, name.split("+")))]
 
 
 def moved(instance: Instance, name: str, pose: Pose2) -> Instance:
@@ -219,19 +210,14 @@ def moved(instance: Instance, name: str, pose: Pose2) -> Instance:
     """
     scene, pose = instance.scene, pose.rounded()
     if name in scene.robot_names:
-        number = scene.robot_names.index(name)
-        robots = tuple(
-            replace(robot, base=pose) if i == number else robot
-            for i, robot in enumerate(scene.robots)
-        )
-        spec = replace(scene, robots=robots, gap_m=_gap_for(scene, robots))
+        number, robots = scene.robot_names.index(name), [*scene.robots]
+        robots[number] = replace(robots[number], base=pose)
+        gap_m = _gap_for(scene, tuple(robots))
+        spec = replace(scene, robots=tuple(robots), gap_m=gap_m)
     else:
-        placed = scene.placement(name)
-        objects = tuple(
-            replace(placed, pose=pose) if other is placed else other
-            for other in scene.objects
-        )
-        spec = replace(scene, objects=objects)
+        placed, objects = scene.placement(name), [*scene.objects]
+        objects[objects.index(placed)] = replace(placed, pose=pose)
+        spec = replace(scene, objects=tuple(objects))
     return replace(instance, scene=spec, split=OWN_SPLIT)
 
 
@@ -240,7 +226,5 @@ def _gap_for(before: SceneSpec, robots: tuple[RobotPlacement, ...]) -> Gap | Non
     gap = before.gap_m
     if gap is None or len(robots) != 2:
         return gap
-    user = min(
-        (0, 1), key=lambda robot: abs(gap_beyond(before.robots, robot)[0] - gap[0])
-    )
-    return gap_beyond(robots, user)
+    away = [abs(gap_beyond(before.robots, robot)[0] - gap[0]) for robot in (0, 1)]
+    return gap_beyond(robots, away.index(min(away)))

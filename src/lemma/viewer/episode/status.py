@@ -1,13 +1,62 @@
-"""The status of an episode: plain data that its thread writes and pages read."""
+"""The request of an episode, from the page, and its status, from its thread."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
+from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.evaluation.run.rollout import Rollout
+from lemma.policies.spec import ORACLE
+from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.bank import phrase
-from lemma.tasks.language.template import GoalPairs
+from lemma.tasks.language.template import KINDS, GoalPairs
+from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
 from lemma.viz.recording import Line
+
+OWN_WORDS = "your own words"
+SAYINGS = (*KINDS, OWN_WORDS)
+"""Kinds of sentences: those of the instance, or any."""
+LONGEST = 300
+"""Characters of a sentence that are read."""
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeRequest:
+    """An instance, a sentence, and the policy that follows it."""
+
+    task: str = SUITE[0]
+    split: str = "test"
+    index: int = 0
+    saying: str = SAYINGS[0]
+    """One of :data:`SAYINGS`."""
+    text: str = ""
+    """A sentence in own words."""
+    policy: str = ORACLE
+    own: Instance | None = None
+    """An own instance, instead of that of the task's list."""
+
+    def __post_init__(self) -> None:
+        """Check the split and the length of the sentence.
+
+        Raises:
+            UnknownNameError: No such split.
+            InvalidConfigError: The sentence is too long.
+        """
+        splits = (*SPLITS, FREE_SPLIT)
+        if self.split not in splits:
+            raise UnknownNameError("split", self.split, splits)
+        if len(self.text) > LONGEST:
+            raise InvalidConfigError(
+                f"The sentence has {len(self.text)} characters; say it in {LONGEST}."
+            )
+
+    def instance(self) -> Instance:
+        """Return the instance.
+
+        Raises:
+            LemmaError: There is no such instance.
+        """
+        return self.own or load_instance(self.task, self.split, self.index)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +100,6 @@ class Status:
     phase: Phase = Phase.SETTING
     said: str = ""
     """The sentence."""
-    policy: str = ""
     note: str = ""
     """Reason or result."""
     reading: Reading | None = None
@@ -68,13 +116,9 @@ def say_goal(pairs: GoalPairs) -> str:
 class StatusBoard:
     """Status of an episode; written by its thread, read by any."""
 
-    def __init__(self, policy: str) -> None:
-        """Begin with a table that is being set.
-
-        Args:
-            policy: Name of the policy.
-        """
-        self.status = Status(policy=policy)
+    def __init__(self) -> None:
+        """Begin with a table that is being set."""
+        self.status = Status()
         """A new object whenever something changes."""
 
     def tell(self, phase: Phase | None = None, **changes: Any) -> None:
@@ -105,25 +149,24 @@ class StatusBoard:
             end_s: Simulated time [s].
             outcome: How it ended.
         """
-        done, running = self._split()
-        ended = (replace(line, end_s=end_s, outcome=outcome) for line in running)
-        self.tell(lines=(*done, *ended))
+        ended = (replace(line, end_s=end_s, outcome=outcome) for line in self._running)
+        self.tell(lines=(*self._done, *ended))
 
     def insert(self, line: Line) -> None:
         """Add a line that has ended, before the one that runs."""
-        done, running = self._split()
-        self.tell(lines=(*done, line, *running))
+        self.tell(lines=(*self._done, line, *self._running))
 
     def replace_running(self, line: Line) -> None:
         """Put a line that has ended in the place of the one that runs."""
-        done, _ = self._split()
-        self.tell(lines=(*done, line))
+        self.tell(lines=(*self._done, line))
 
-    def _split(self) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
-        """Return the lines that have ended, and the one that runs if one does."""
-        lines = self.status.lines
-        running = tuple(line for line in lines if line.end_s is None)
-        return tuple(line for line in lines if line.end_s is not None), running
+    @property
+    def _done(self) -> tuple[Line, ...]:
+        return tuple(line for line in self.status.lines if line.end_s is not None)
+
+    @property
+    def _running(self) -> tuple[Line, ...]:
+        return tuple(line for line in self.status.lines if line.end_s is None)
 
     def conclude(self, rollout: Rollout, *, known: bool) -> None:
         """Report the end of an episode.
@@ -136,9 +179,8 @@ class StatusBoard:
         took = f"{rollout.episode.elapsed_s:.1f} s"
         understood = self.status.reading.pairs if self.status.reading else None
         if rollout.fault is not None:
-            done, _ = self._split()
             note = f"The policy failed: {rollout.fault.explanation}"
-            self.tell(Phase.BROKEN, note=note, lines=done)
+            self.tell(Phase.BROKEN, note=note, lines=self._done)
             return
         if not known and understood is None:
             self.tell(Phase.ENDED, note=f"after {took}: nobody can judge it")

@@ -1,19 +1,30 @@
-"""Robots that a visitor leads: by a policy whose decisions come from the page."""
+"""Robots that a visitor leads, and the log of an episode as it is kept in a file."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from threading import Lock
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lemma.core.poses import FloatArray, quaternion_from_matrix
+from lemma.core.poses import FloatArray, Pose2, quaternion_from_matrix
+from lemma.dataset.recipe.record import pose_row
+from lemma.dataset.teleoperation import (
+    Commanded,
+    Executed,
+    Nudged,
+    Teleoperation,
+    joints_sha256,
+)
 from lemma.env.config import EnvConfig
 from lemma.env.control.pose_controllers import HIGHEST_M, LOWEST_M
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
 from lemma.policies.control.interfaces import Actions, ControlInput
+from lemma.policies.interfaces import Decision
 from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.tasks.instance import Instance
 from lemma.tasks.suite import FREE_SPLIT
 
 BY_HAND = "by hand"
@@ -23,7 +34,10 @@ CONTROL, CONTROL_HZ = "ee_pose", 20.0
 
 
 class Teleoperator:
-    """Sends each hand to its target; safe to use from any thread."""
+    """A policy that sends each hand to its target; safe to use from any thread.
+
+    The targets come from the page.
+    """
 
     control_options: ClassVar[Mapping[str, object]] = {
         "control": CONTROL,
@@ -55,9 +69,8 @@ class Teleoperator:
         """
         with self._lock:
             if self._targets is not None:
-                at = np.clip(position, LOWEST_M, HIGHEST_M)
                 turn = np.asarray(wxyz, float)
-                self._targets[robot, :3] = at
+                self._targets[robot, :3] = np.clip(position, LOWEST_M, HIGHEST_M)
                 self._targets[robot, 3:7] = turn / np.linalg.norm(turn)
 
     def grip(self, robot: int, *, opened: bool) -> None:
@@ -112,7 +125,7 @@ class Teleoperator:
             EnvConfig(task=episode.instance.task, split=FREE_SPLIT, **options)
         )
         env.take_over(episode)
-        arms = episode.simulation.arms.values()
+        arms = [*episode.simulation.arms.values()]
         poses = [arm.tcp_pose() for arm in arms]
         self._begin(
             np.array([[*p[:3, 3], *quaternion_from_matrix(p[:3, :3])] for p in poses]),
@@ -121,3 +134,80 @@ class Teleoperator:
         )
         while not (self.is_done or episode.is_over):
             env.advance(self._row())
+
+
+class EpisodeLog:
+    """Sub-tasks and commands; written by the thread that simulates."""
+
+    def __init__(self) -> None:
+        """Begin an empty log."""
+        self._parts: tuple[Executed | Commanded, ...] = ()
+        self._nudged: tuple[Nudged, ...] = ()
+        self._begun: Executed | None = None
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether a visitor did something."""
+        led = any(isinstance(part, Commanded) and part.rows for part in self._parts)
+        return led or bool(self._nudged)
+
+    def begin(self, decision: Decision, start_s: float) -> None:
+        """Note a decision of the policy; without poses nothing is executed.
+
+        Args:
+            decision: Of the policy.
+            start_s: Simulated time [s].
+        """
+        subtask, grounded = decision.subtask, decision.grounded
+        self._begun = grounded and Executed.begin(start_s, subtask, grounded)
+
+    def end(self, until_s: float | None = None) -> None:
+        """Note the end of the running sub-task.
+
+        Args:
+            until_s: Simulated time at which it was broken off [s]; None if it was not.
+        """
+        if self._begun is not None:
+            self._parts = (*self._parts, replace(self._begun, until_s=until_s))
+            self._begun = None
+
+    def lead(self, teleoperator: Teleoperator, start_s: float) -> None:
+        """Note that a visitor leads from now on.
+
+        Args:
+            teleoperator: Keeps the commands.
+            start_s: Simulated time [s].
+        """
+        led = Commanded(CONTROL, CONTROL_HZ, teleoperator.rows, start_s)
+        self._parts = (*self._parts, led)
+
+    def move(self, name: str, pose: Pose2, time_s: float) -> None:
+        """Note that a visitor moved a thing.
+
+        Args:
+            name: Of the thing.
+            pose: Where to.
+            time_s: Simulated time [s].
+        """
+        self._nudged = (*self._nudged, Nudged(time_s, name, pose_row(pose)))
+
+    def kept(
+        self, instance: Instance, said: str, latest: tuple[float, FloatArray]
+    ) -> Teleoperation:
+        """Return the whole log.
+
+        Args:
+            instance: Of the table.
+            said: The sentence.
+            latest: Time [s] and positions of the joints of the newest state.
+        """
+        parts = self._parts if self._begun is None else (*self._parts, self._begun)
+        end_s, qpos = latest
+        return Teleoperation(
+            instance,
+            said,
+            tuple(part for part in parts if part.start_s < end_s),
+            self._nudged,
+            end_s,
+            joints_sha256(qpos),
+        )

@@ -29,26 +29,31 @@ class InterruptedEpisodeError(Exception):
 
 
 class Transport:
-    """A cursor over the states of an episode; safe to use from any thread."""
+    """A cursor over the states of an episode; safe to use from any thread.
+
+    Its attributes are for reading.
+    """
 
     def __init__(self, speed: float = 1.0) -> None:
         """Begin paused, without any state."""
-        self._changed = threading.Condition()
+        self.speed = speed
+        """In times real time."""
+        self.cursor_s = 0.0
+        """Simulated time of the cursor [s]."""
+        self.playing = False
+        """Whether the cursor moves, or would if the simulation were further."""
+        self.over = False
+        """Whether nothing follows the last state."""
+        self.latest: tuple[float, FloatArray] | None = None
+        """The newest state: its time [s] and the joints' positions, (nq,)."""
         self.changing = threading.Lock()
         """Held while a state is changed by hand."""
+        self._changed = threading.Condition()
         self._frames: list[FloatArray] = []
         self._marks: list[float] = []
         self._changes: list[Callable[[], None]] = []
         self._until: float | None = None
-        self._cursor_s = 0.0
-        self._latest: tuple[float, FloatArray] | None = None
-        self._playing = self._over = self._abandoned = self._interrupted = False
-        self._speed = speed
-
-    @property
-    def cursor_s(self) -> float:
-        """Simulated time of the cursor [s]."""
-        return self._cursor_s
+        self._abandoned = self._interrupted = False
 
     @property
     def end_s(self) -> float:
@@ -56,24 +61,9 @@ class Transport:
         return max(0, len(self._frames) - 1) * FRAME_S
 
     @property
-    def over(self) -> bool:
-        """Whether nothing follows the last state."""
-        return self._over
-
-    @property
-    def playing(self) -> bool:
-        """Whether the cursor moves, or would if the simulation were further."""
-        return self._playing
-
-    @property
     def at_end(self) -> bool:
         """Whether the episode is over and the cursor stands at its end."""
-        return self._over and self._cursor_s >= self.end_s
-
-    @property
-    def speed(self) -> float:
-        """Speed, in times real time."""
-        return self._speed
+        return self.over and self.cursor_s >= self.end_s
 
     @property
     def lead_s(self) -> float:
@@ -81,72 +71,61 @@ class Transport:
 
         Two moves of the cursor, so that it never waits for a simulation that is fast.
         """
-        return _LEAD_S * (1.0 + self._speed)
+        return _LEAD_S * (1.0 + self.speed)
 
     def qpos(self) -> FloatArray | None:
         """Return the joints' positions at the cursor, (nq,); None before the first."""
         with self._changed:
             if not self._frames:
                 return None
-            return self._frames[self._frame_at(self._cursor_s)]
-
-    @property
-    def latest(self) -> tuple[float, FloatArray] | None:
-        """The newest state: its time [s] and the joints' positions, (nq,)."""
-        return self._latest
-
-    def _frame_at(self, time_s: float) -> int:
-        # Times are written with two digits, and may be a little too small.
-        return min(int(time_s / FRAME_S + 1e-6), len(self._frames) - 1)
+            # Times are written with two digits, and may be a little too small.
+            number = int(self.cursor_s / FRAME_S + 1e-6)
+            return self._frames[min(number, len(self._frames) - 1)]
 
     def play(self) -> None:
         """Let the cursor move; from the beginning if it stands at the end."""
         with self._changed:
             if self.at_end:
-                self._cursor_s = 0.0
-            self._until, self._playing = None, True
+                self.cursor_s = 0.0
+            self._until, self.playing = None, True
             self._changed.notify_all()
 
     def pause(self) -> None:
         """Stop the cursor."""
         with self._changed:
-            self._until, self._playing = None, False
+            self._until, self.playing = None, False
 
     def step(self) -> None:
         """Let the cursor move until the next end of a sub-task."""
         with self._changed:
             if not self.at_end:
-                self._until, self._playing = self._cursor_s, True
+                self._until, self.playing = self.cursor_s, True
                 self._changed.notify_all()
 
     def seek(self, time_s: float) -> None:
         """Move the cursor to another moment, and stay there."""
         with self._changed:
-            self._cursor_s = float(np.clip(time_s, 0.0, self.end_s))
-            self._until, self._playing = None, False
+            self.cursor_s = float(np.clip(time_s, 0.0, self.end_s))
+            self._until, self.playing = None, False
 
     def set_speed(self, speed: float) -> None:
         """Set the speed, in times real time."""
         with self._changed:
-            self._speed = float(np.clip(speed, SPEEDS[0], SPEEDS[-1]))
+            self.speed = float(np.clip(speed, SPEEDS[0], SPEEDS[-1]))
             self._changed.notify_all()
 
     def advance(self, real_s: float) -> None:
-        """Move the cursor.
-
-        Args:
-            real_s: Real time that has passed [s].
-        """
+        """Move the cursor by some real time [s], at its speed."""
         with self._changed:
-            if not self._playing:
+            if not self.playing:
                 return
-            time_s = min(self._cursor_s + real_s * self._speed, self.end_s)
+            time_s = min(self.cursor_s + real_s * self.speed, self.end_s)
             mark = self._mark()
             if mark is not None and time_s >= mark:
-                time_s, self._until, self._playing = mark, None, False
-            elif self._over and time_s >= self.end_s:
-                self._until, self._playing = None, False
-            self._cursor_s = time_s
+                time_s, self._until, self.playing = mark, None, False
+            elif self.over and time_s >= self.end_s:
+                self._until, self.playing = None, False
+            self.cursor_s = time_s
             self._changed.notify_all()
 
     def _mark(self) -> float | None:
@@ -168,7 +147,7 @@ class Transport:
             InterruptedEpisodeError: A visitor takes over.
         """
         with self._changed:
-            self._latest = time_s, qpos.copy()
+            self.latest = time_s, qpos.copy()
             if time_s > len(self._frames) * FRAME_S - 1e-6:
                 self._frames.append(qpos.copy())
         while changes := self._wait(time_s):
@@ -178,8 +157,8 @@ class Transport:
                 with self._changed:
                     # The cursor goes to the change.
                     self._frames[-1] = qpos.copy()
-                    self._latest = time_s, qpos.copy()
-                    self._cursor_s = self.end_s
+                    self.latest = time_s, qpos.copy()
+                    self.cursor_s = self.end_s
         if self._interrupted:
             self._interrupted = False
             raise InterruptedEpisodeError
@@ -187,24 +166,28 @@ class Transport:
     def _wait(self, time_s: float) -> list[Callable[[], None]]:
         """Wait until the simulation may go on, or return the changes that are due."""
         with self._changed:
-            while not (self._abandoned or self._changes or self._interrupted):
-                if time_s <= self._cursor_s + self.lead_s:
-                    break
-                self._changed.wait()
+            self._changed.wait_for(
+                lambda: (
+                    self._abandoned
+                    or self._changes
+                    or self._interrupted
+                    or time_s <= self.cursor_s + self.lead_s
+                )
+            )
             if self._abandoned:
                 raise AbandonedError
             changes, self._changes = self._changes, []
             return changes
 
-    def change(self, what: Callable[[], None]) -> None:
+    def change(self, make: Callable[[], None]) -> None:
         """Change the state by hand, in the simulation's thread, at its next record.
 
         Args:
-            what: Makes the change; called between two steps of physics.
+            make: Makes the change; called between two steps of physics.
         """
         with self._changed:
-            self._until, self._playing = None, False
-            self._changes.append(what)
+            self._until, self.playing = None, False
+            self._changes.append(make)
             self._changed.notify_all()
 
     def interrupt(self) -> None:
@@ -214,26 +197,17 @@ class Transport:
             self._changed.notify_all()
 
     def mark(self, time_s: float) -> None:
-        """Say that a sub-task has ended.
-
-        Args:
-            time_s: Simulated time [s].
-        """
+        """Say that a sub-task has ended, at a simulated time [s]."""
         with self._changed:
             self._marks.append(min(time_s, self.end_s))
 
     def finish(self) -> None:
         """Say that nothing follows."""
         with self._changed:
-            self._over = True
+            self.over = True
 
     def abandon(self) -> None:
         """End the simulation at its next record."""
         with self._changed:
             self._abandoned = True
             self._changed.notify_all()
-
-    @property
-    def abandoned(self) -> bool:
-        """Whether the simulation ends at its next record."""
-        return self._abandoned

@@ -1,10 +1,16 @@
-"""Nodes that look like the bodies of a scene, wherever its table stands in the page."""
+"""Nodes that look like the bodies of a scene: one mesh per body and color."""
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import trimesh
 import viser
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from lemma.core.engine import mujoco
 from lemma.core.poses import FloatArray, Pose2
@@ -12,12 +18,18 @@ from lemma.scene.objects.entity import entity_named
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.instance import Instance
-from lemma.viewer.scene.shapes import shapes_of
 from lemma.viz.recording import robot_titles
 
 WORLD = "/world"
 """Name above those of the bodies, where there is one table."""
 _MOVED_M = 1e-5
+_VISIBLE_GROUPS = 3
+"""Geoms of this group and above are for collisions."""
+_PLANE_M = 15.0
+"""Half the side of the square that stands for an endless plane [m]."""
+_SMOOTH_RAD = 0.7
+"""Faces that meet at a smaller angle are shaded as one [rad]."""
+_SECTIONS = 48
 
 
 def light_room(server: viser.ViserServer) -> None:
@@ -49,8 +61,8 @@ def name_bodies(
     """
     titles = zip(instance.scene.robot_names, robot_titles(instance), strict=True)
     labels = [(f"{name}/base", title, -0.12) for name, title in titles]
-    for name in instance.scene.object_names:
-        labels.append((name, entity_named(name).phrase, 0.06))
+    things = instance.scene.object_names
+    labels += [(name, entity_named(name).phrase, 0.06) for name in things]
     return [
         server.scene.add_label(
             f"{root}/{body}/name",
@@ -138,16 +150,13 @@ class Bodies:
         self.elsewhere.clear()
         return True
 
-    def show(self, qpos: FloatArray) -> int:
+    def show(self, qpos: FloatArray) -> None:
         """Put all bodies where they are, and send those that moved.
 
         Args:
             qpos: Positions of all joints, (nq,).
-
-        Returns:
-            How many bodies were moved.
         """
-        data, moved = self.data, 0
+        data = self.data
         data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, data)
         for body, handle in self.nodes.items():
@@ -159,8 +168,6 @@ class Bodies:
             if shown is None or np.abs(shown - pose).max() > _MOVED_M:
                 handle.position, handle.wxyz = pose[:3], pose[3:]
                 self._shown[body] = pose
-                moved += 1
-        return moved
 
 
 def _look(spec: SceneSpec) -> tuple[object, ...]:
@@ -178,3 +185,88 @@ def _put(by: Pose2, pose: FloatArray) -> FloatArray:
     turn = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
     mujoco.mju_mulQuat(found[3:], turn, pose[3:])
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A mesh in the frame of its body."""
+
+    body: int
+    rgb: tuple[int, int, int]
+    vertices: FloatArray
+    """(V, 3) [m]."""
+    faces: NDArray[np.int64]
+    """(F, 3), vertices of each counterclockwise from outside."""
+    endless: bool
+    """Whether it stands for an endless plane: too wide to cast a shadow."""
+
+
+def shapes_of(model: mujoco.MjModel) -> Iterator[Shape]:
+    """Yield the visible meshes of every body."""
+    for body in range(model.nbody):
+        alike: dict[tuple[int, int, int, bool], list[trimesh.Trimesh]] = {}
+        for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
+            if model.geom_group[geom] < _VISIBLE_GROUPS:
+                red, green, blue = (round(255 * c) for c in model.geom_rgba[geom][:3])
+                endless = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE
+                key = red, green, blue, bool(endless)
+                alike.setdefault(key, []).append(_mesh(model, geom))
+        for (red, green, blue, endless), meshes in alike.items():
+            vertices = [np.asarray(mesh.vertices) for mesh in meshes]
+            firsts = np.cumsum([0, *map(len, vertices)])
+            faces = [mesh.faces + firsts[i] for i, mesh in enumerate(meshes)]
+            rgb = red, green, blue
+            yield Shape(
+                body, rgb, np.concatenate(vertices), np.concatenate(faces), endless
+            )
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+    """Return a geom in the frame of its body."""
+    kind, size, kinds = model.geom_type[geom], model.geom_size[geom], mujoco.mjtGeom
+    if kind == kinds.mjGEOM_MESH:
+        mesh = _own_mesh(model, int(model.geom_dataid[geom]))
+    elif kind == kinds.mjGEOM_BOX:
+        mesh = trimesh.creation.box(2.0 * size)
+    elif kind == kinds.mjGEOM_CYLINDER:
+        mesh = trimesh.creation.cylinder(size[0], 2.0 * size[1], sections=_SECTIONS)
+    elif kind == kinds.mjGEOM_CAPSULE:
+        mesh = trimesh.creation.capsule(2.0 * size[1], size[0])
+    elif kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_ELLIPSOID):
+        radii = size if kind == kinds.mjGEOM_ELLIPSOID else np.full(3, size[0])
+        mesh = trimesh.creation.icosphere(3).apply_scale(radii)
+    else:
+        side = [2.0 * (s if s > 0.0 else _PLANE_M) for s in size[:2]]
+        mesh = trimesh.creation.box((*side, 0.002))
+        mesh.apply_translation((0.0, 0.0, -0.001))
+    placed, turned = np.eye(4), np.empty(9)
+    mujoco.mju_quat2Mat(turned, model.geom_quat[geom])
+    placed[:3, :3], placed[:3, 3] = turned.reshape(3, 3), model.geom_pos[geom]
+    return _smooth(mesh).apply_transform(placed)
+
+
+def _own_mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
+    vertex, face = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
+    return trimesh.Trimesh(
+        model.mesh_vert[vertex : vertex + int(model.mesh_vertnum[mesh])].astype(float),
+        model.mesh_face[face : face + int(model.mesh_facenum[mesh])].copy(),
+        process=False,
+    )
+
+
+def _smooth(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Part a mesh along its edges, so that they are not shaded as if they were round.
+
+    Normals are of vertices, so faces on both sides of an edge must not share them.
+    """
+    if not len(mesh.face_adjacency):
+        return mesh
+    flat = mesh.face_adjacency[mesh.face_adjacency_angles < _SMOOTH_RAD]
+    joined = np.ones(len(flat)), (flat[:, 0], flat[:, 1])
+    graph = coo_array(joined, (len(mesh.faces),) * 2)
+    _, parts = connected_components(graph, directed=False)
+    corners = np.stack([np.repeat(parts, 3), mesh.faces.ravel()], 1)
+    own, index = np.unique(corners, axis=0, return_inverse=True)
+    return trimesh.Trimesh(
+        mesh.vertices[own[:, 1]], index.reshape(-1, 3), process=False
+    )

@@ -34,10 +34,10 @@ class Dragging:
         self._server, self._drop = server, drop
         self._bodies: Bodies | None = None
         self._bases: dict[str, Pose2] = {}
+        self._bound: set[str] = set()
         self._ring: Any = None
         self._taken = ""
         self._offset, self._height_m = np.zeros(2), 0.0
-        self._bound: set[str] = set()
 
     def watch(self, bodies: Bodies, scene: Scene) -> None:
         """Take what is there from now on.
@@ -98,8 +98,7 @@ class Dragging:
     def _dragging(self, name: str) -> Callable[[Any], Any]:
         # The library awaits coroutines in order, and runs functions in threads.
         async def dragged(event: Any) -> None:
-            now = self._now(name)
-            eye = np.asarray(event.client.camera.position, float)
+            now, eye = self._now(name), np.asarray(event.client.camera.position, float)
             if event.phase == "start":
                 self._take(name)
                 self._height_m = float(event.start_position[2])
@@ -134,22 +133,19 @@ class Dragging:
         pose = self._now(self._taken)
         half = pose.yaw / 2.0
         with self._server.atomic():
-            self._ring.scale = (
-                _ROBOT_SCALE if self._taken in self._bases else _RING_SCALE
-            )
+            is_robot = self._taken in self._bases
+            self._ring.scale = _ROBOT_SCALE if is_robot else _RING_SCALE
             self._ring.position = (pose.x, pose.y, 0.02)
             self._ring.wxyz = (math.cos(half), 0.0, 0.0, math.sin(half))
             self._ring.visible = True
 
     async def _turned(self, event: Any) -> None:
-        name = self._taken
-        if not name:
-            return
-        x, y, _ = (float(value) for value in event.target.position)
-        w, _, _, z = (float(value) for value in event.target.wxyz)
-        self._carry(name, Pose2(x, y, 2.0 * math.atan2(z, w)))
-        if event.phase == "end":
-            self._put_down(name)
+        if self._taken:
+            x, y, _ = (float(value) for value in event.target.position)
+            w, _, _, z = (float(value) for value in event.target.wxyz)
+            self._carry(self._taken, Pose2(x, y, 2.0 * math.atan2(z, w)))
+            if event.phase == "end":
+                self._put_down(self._taken)
 
     def _put_down(self, name: str) -> None:
         # It may wait for a policy: the loop of the server must not.

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +36,6 @@ class Pictures:
         self._changed = threading.Condition()
         self._wanted: tuple[str, Instance, FloatArray] | None = None
         self._closed = False
-        self.problem = ""
-        """Why there is no picture."""
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
@@ -50,11 +49,7 @@ class Pictures:
         """
         with self._changed:
             before = self._wanted
-            if (
-                before is None
-                or before[:2] != (name, instance)
-                or before[2] is not qpos
-            ):
+            if not before or before[:2] != (name, instance) or before[2] is not qpos:
                 self._wanted = (name, instance, qpos)
                 self._changed.notify()
 
@@ -79,11 +74,9 @@ class Pictures:
                 name, instance, qpos = drawn
                 if scene is None or scene.spec != instance.scene:
                     scene = Scene(instance.scene)
-                try:
+                # Without OpenGL there is no picture.
+                with suppress(LemmaError):
                     self._show(_draw(rig, scene, instance, name, qpos))
-                    self.problem = ""
-                except LemmaError as error:
-                    self.problem = str(error)
                 with self._changed:
                     self._changed.wait_for(lambda: self._closed, _PERIOD_S)
         finally:

@@ -1,4 +1,4 @@
-"""The scene on the page: bodies, light, names and overlays."""
+"""The scene on the page: bodies, light, names, and overlays over the table."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,12 +12,15 @@ from lemma.core.robot_names import robot_number
 from lemma.policies.interfaces import Insight
 from lemma.robots.could import could_of
 from lemma.robots.reach import reach_of
+from lemma.scene.objects.entity import entity_named
 from lemma.scene.scene import Scene
+from lemma.scene.spec import RobotPlacement
 from lemma.tasks.instance import Instance
 from lemma.viewer.scene.bodies import Bodies, light_room, name_bodies
-from lemma.viewer.scene.overlays import Point, draw_path, draw_perceived, ring
 from lemma.viewer.scene.viewpoint import Viewpoint
 from lemma.viz.annotate import ROBOT_INK
+
+Point = tuple[float, float, float]
 
 OVERLAYS = {
     "names": "Robots and objects, as sentences call them.",
@@ -33,6 +36,12 @@ _NEARER = 0.25
 """Share of the distance to a visitor that is a meter towards them."""
 _MOST_CONTACTS = 40
 _CONTACT_RGB = (255, 140, 0)
+_RING_POINTS = 96
+_OVER_TABLE_M = 0.006
+_MARK_M = 0.012
+_MARK_HEIGHT_M = 0.09
+_MARK_RGB = (150, 60, 200)
+_ROLE_HEIGHT_M = 0.2
 
 
 class Stage:
@@ -78,14 +87,18 @@ class Stage:
             self._server.scene.reset()
             light_room(self._server)
             self.bodies = Bodies(self._server, scene)
-            for handles in self.overlays.values():
-                handles.clear()
+            self.overlays = {name: [] for name in OVERLAYS}
             self._explanation = (None, ())
-            for label in name_bodies(self._server, instance):
-                label.visible = "names" in self._visible
-                self._keep("names", label)
+            self._keep("names", name_bodies(self._server, instance))
             self._draw_reach(instance)
-            self._draw_contacts()
+            self._contacts = self._server.scene.add_point_cloud(
+                "/contacts",
+                np.zeros((0, 3), np.float32),
+                _CONTACT_RGB,
+                point_size=0.02,
+                point_shape="circle",
+            )
+            self._keep("contacts", [self._contacts])
         wide_m = [abs(r.base.x) + _BESIDE_M for r in instance.scene.robots]
         # Nearer things appear farther aside.
         wide_m += [
@@ -96,27 +109,49 @@ class Stage:
 
     def _draw_reach(self, instance: Instance) -> None:
         """Draw each robot's reach: surely (solid), and at most (dashed)."""
-        for old in self.overlays["reach"]:
-            old.remove()
-        self.overlays["reach"].clear()
-        names = instance.scene.robot_names
+        self._clear("reach")
+        nodes, names = [], instance.scene.robot_names
         for name, placed in zip(names, instance.scene.robots, strict=True):
             reach, could = reach_of(placed.arm), could_of(placed.arm)
-            rings = (
-                ("travel", reach.travel_m, 1),
-                ("inner", reach.inner_m, 1),
-                ("touch", could.touch_m, 2),
-            )
-            for what, radius_m, every in rings:
-                handle = self._server.scene.add_line_segments(
-                    f"/reach/{name}/{what}",
-                    ring(placed.base.x, placed.base.y, radius_m, every),
-                    ROBOT_INK[placed.color][:3],
-                    thickness=3.0 if every == 1 else 2.0,
-                    thickness_units="screen",
-                    visible="reach" in self._visible,
-                )
-                self._keep("reach", handle)
+            nodes += [
+                self._ring(f"/reach/{name}/{part}", placed, placed.base.xy, *looks)
+                for part, looks in {
+                    "travel": (reach.travel_m, 1, 3.0),
+                    "inner": (reach.inner_m, 1, 3.0),
+                    "touch": (could.touch_m, 2, 2.0),
+                }.items()
+            ]
+        self._keep("reach", nodes)
+
+    def _ring(
+        self,
+        name: str,
+        placed: RobotPlacement,
+        at: tuple[float, float],
+        radius_m: float,
+        every: int,
+        thickness: float,
+    ) -> Any:
+        """Draw a circle on the table in a robot's color; one line in so many is drawn.
+
+        Args:
+            name: Of the node.
+            placed: The robot.
+            at: Middle of the circle [m].
+            radius_m: Its radius [m].
+            every: The number of lines of which one is drawn.
+            thickness: Of the lines [px].
+        """
+        angles = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS + 1)
+        x, y = at[0] + radius_m * np.cos(angles), at[1] + radius_m * np.sin(angles)
+        points = np.stack([x, y, np.full_like(angles, _OVER_TABLE_M)], 1)
+        return self._server.scene.add_line_segments(
+            name,
+            np.stack([points[:-1], points[1:]], 1)[::every],
+            ROBOT_INK[placed.color],
+            thickness=thickness,
+            thickness_units="screen",
+        )
 
     def explain(
         self, insight: Insight | None, robot: str, waypoints: Sequence[Point]
@@ -132,36 +167,69 @@ class Stage:
         if instance is None or (insight, waypoints) == self._explanation:
             return
         self._explanation = insight, waypoints
-        nodes: dict[str, list[Any]] = {"perceived": [], "path": []}
         with self._server.atomic():
-            for overlay in nodes:
-                for old in self.overlays[overlay]:
-                    old.remove()
+            self._clear("perceived")
+            self._clear("path")
             if insight is not None:
-                nodes["perceived"] = draw_perceived(self._server, instance, insight)
+                self._keep("perceived", self._draw_perceived(instance, insight))
             if waypoints:
                 placed = instance.scene.robots[robot_number(robot)]
-                ink = ROBOT_INK[placed.color]
-                nodes["path"] = draw_path(
-                    self._server, waypoints, (ink[0], ink[1], ink[2])
-                )
-            for overlay, found in nodes.items():
-                self.overlays[overlay] = found
-                self.set_visible(overlay, overlay in self._visible)
+                nodes = self._draw_path(waypoints, ROBOT_INK[placed.color])
+                self._keep("path", nodes)
 
-    def _draw_contacts(self) -> None:
-        self._contacts = self._server.scene.add_point_cloud(
-            "/contacts",
-            np.zeros((0, 3), np.float32),
-            _CONTACT_RGB,
-            point_size=0.02,
-            point_shape="circle",
-            visible="contacts" in self._visible,
+    def _draw_perceived(self, instance: Instance, insight: Insight) -> list[Any]:
+        """Mark each thing that was seen, its part in the goal, and each reach."""
+        nodes: list[Any] = []
+        robots = zip(insight.robots, instance.scene.robots, strict=False)
+        for number, (seen, placed) in enumerate(robots):
+            for radius_m in seen.reach_m:
+                name = f"/perceived/robot_{number}/{len(nodes)}"
+                nodes.append(self._ring(name, placed, seen.at, radius_m, 3, 3.0))
+        for thing in insight.objects:
+            parts = [entity_named(thing.name).phrase]
+            for pair in insight.goal:
+                roles = zip(pair, ("goes on top", "lies below"), strict=True)
+                parts += [role for name, role in roles if name == thing.name]
+            name = f"/perceived/{thing.name}"
+            mark = self._server.scene.add_icosphere(
+                name, _MARK_M, color=_MARK_RGB, position=(*thing.at, _MARK_HEIGHT_M)
+            )
+            label = self._server.scene.add_label(
+                f"{name}_role",
+                f"sees: {', '.join(parts)}",
+                position=(*thing.at, _ROLE_HEIGHT_M),
+                anchor="bottom-center",
+                font_screen_scale=0.7,
+            )
+            nodes += [mark, label]
+        return nodes
+
+    def _draw_path(
+        self, points: Sequence[Point], rgb: tuple[int, int, int]
+    ) -> list[Any]:
+        """Draw the path of a hand, from where it is to where it ends [m]."""
+        at = np.asarray(points, np.float32)
+        lines = self._server.scene.add_line_segments(
+            "/path/lines",
+            np.stack([at[:-1], at[1:]], 1),
+            rgb,
+            thickness=4.0,
+            thickness_units="screen",
         )
-        self._keep("contacts", self._contacts)
+        ends = self._server.scene.add_point_cloud(
+            "/path/points", at[1:], rgb, point_size=0.02, point_shape="circle"
+        )
+        return [lines, ends]
 
-    def _keep(self, overlay: str, handle: Any) -> None:
-        self.overlays[overlay].append(handle)
+    def _clear(self, overlay: str) -> None:
+        """Remove an overlay's nodes, before others with their names are drawn."""
+        for old in self.overlays[overlay]:
+            old.remove()
+        self.overlays[overlay] = []
+
+    def _keep(self, overlay: str, nodes: list[Any]) -> None:
+        self.overlays[overlay] = nodes
+        self.set_visible(overlay, overlay in self._visible)
 
     def set_visible(self, overlay: str, visible: bool) -> None:
         """Show or hide one of :data:`OVERLAYS`."""
@@ -169,23 +237,19 @@ class Stage:
         for handle in self.overlays[overlay]:
             handle.visible = visible
 
-    def show(self, qpos: FloatArray) -> int:
+    def show(self, qpos: FloatArray) -> None:
         """Put all bodies where they are, and send those that moved.
 
         Args:
             qpos: Positions of all joints, (nq,).
-
-        Returns:
-            How many bodies were moved.
         """
         if self._scene is None or self.bodies is None:
-            return 0
+            return
         self._qpos = qpos
         with self._server.atomic():
-            moved = self.bodies.show(qpos)
+            self.bodies.show(qpos)
             if "contacts" in self._visible:
                 self._show_contacts(self._scene.model, self.bodies.data)
-        return moved
 
     def refresh(self) -> None:
         """Show the same state again, with things that are carried by hand."""

@@ -1,7 +1,6 @@
 """The first viewpoint of visitors: it shows all robots, however narrow the window."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import viser
@@ -20,6 +19,10 @@ _HALF_HEIGHT_M = 0.9
 """Half the height of the smallest view [m]."""
 _MUCH_M = 0.5
 _SAME_M = 1e-3
+
+
+_Place = tuple[float, FloatArray, FloatArray]
+"""Half the width in view, the eye of a visitor's camera, and its target [m]."""
 
 
 class Viewpoint:
@@ -53,19 +56,23 @@ class Viewpoint:
 
     def step_back(self) -> None:
         """Place the cameras of visitors who do not see all of it yet."""
-        visitors, places = self._server.get_clients(), {}
-        for number, client in visitors.items():
+        places = {}
+        for number, client in self._server.get_clients().items():
             place = self._places.get(number)
-            if place is None or place.half_width_m != self.half_width_m:
-                place = self._place_for(client, new=place is None)
-                _put(client, place)
-            elif _is_at(client, self._start) and not _is_at(client, place.eye):
-                # A slow page reports its first camera after it was placed.
-                _put(client, place)
+            # A slow page reports its first camera after it was placed.
+            late = (
+                place is not None
+                and _is_at(client, self._start)
+                and not _is_at(client, place[1])
+            )
+            if place is None or place[0] != self.half_width_m:
+                place, late = self._place_for(client, new=place is None), True
+            if late:
+                client.camera.position, client.camera.look_at = place[1:]
             places[number] = place
         self._places = places
 
-    def _place_for(self, client: viser.ClientHandle, *, new: bool) -> "_Place":
+    def _place_for(self, client: viser.ClientHandle, *, new: bool) -> _Place:
         # In pixels that are drawn; a page may have more or fewer.
         width, height = client.camera.image_width, client.camera.image_height
         portrait = width < _PORTRAIT * height
@@ -78,21 +85,7 @@ class Viewpoint:
             # The panel covers the lower part.
             away = float(np.linalg.norm(eye - _TARGET_M))
             down = PHONE_PANEL * away * math.tan(_FOV_RAD / 2.0)
-        return _Place(self.half_width_m, eye - down * _UP, _TARGET_M - down * _UP)
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Where a visitor's camera was put."""
-
-    half_width_m: float
-    """Half the width in view [m]."""
-    eye: FloatArray
-    target: FloatArray
-
-
-def _put(client: viser.ClientHandle, place: _Place) -> None:
-    client.camera.position, client.camera.look_at = place.eye, place.target
+        return self.half_width_m, eye - down * _UP, _TARGET_M - down * _UP
 
 
 def _is_at(client: viser.ClientHandle, eye: FloatArray) -> bool:
@@ -106,7 +99,6 @@ def eye_for(aspect: float, half_width_m: float) -> FloatArray:
         aspect: Width of the window, in heights.
         half_width_m: Half the width that is in view at least [m].
     """
-    half = math.tan(_FOV_RAD / 2.0)
-    away = max(_HALF_HEIGHT_M, half_width_m / max(aspect, 0.2)) / half
-    eye: FloatArray = _TARGET_M + away * _FROM
+    half_width = max(_HALF_HEIGHT_M, half_width_m / max(aspect, 0.2))
+    eye: FloatArray = _TARGET_M + half_width / math.tan(_FOV_RAD / 2.0) * _FROM
     return eye

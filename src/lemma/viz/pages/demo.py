@@ -7,11 +7,10 @@ from pathlib import Path
 from lemma.core.engine import mujoco
 from lemma.core.files import write_text
 from lemma.core.version import VERSION as __version__
-from lemma.core.workers.pool import ProcessPool
-from lemma.scene.rendering.renderer import Renderer
+from lemma.core.workers.pool import ProcessPool, numbered
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import TASKS
-from lemma.viz.map_overlay import annotated_map
+from lemma.viz.map_overlay import annotated_map, camera_images
 from lemma.viz.pages.templates import fill, jpeg
 from lemma.viz.recording import Recording, main_sentence, pose, robot_titles
 from lemma.viz.video import VideoStyle, write_video
@@ -55,32 +54,16 @@ def write_page(
         title="LEMMA Bench: a demonstration",
         lead=f"{solved} of {len(recordings)} instances were solved: {simulated:.0f} "
         f"simulated seconds in {wall:.1f} s, {simulated / wall:.0f} times real time.",
-        cards=list(map(_card, recordings, illustrations)),
+        recordings=recordings,
+        illustrations=illustrations,
+        sentence_of=main_sentence,
+        titles_of=robot_titles,
+        tasks=TASKS,
         speed=speed,
         replays=replays or {},
         footer=f"Written by lemma {__version__} with MuJoCo {mujoco.__version__}.",
     )
     write_text(path, page)
-
-
-def _card(recording: Recording, illustration: Illustration) -> dict[str, object]:
-    """Return the texts and files of a recording for the page."""
-    scene = recording.instance.scene
-    titles = robot_titles(recording.instance)
-    return {
-        "recording": recording,
-        "sentence": main_sentence(recording.instance),
-        "summary": TASKS[recording.instance.task].summary,
-        "lanes": [
-            {"robot": name, "title": title, "color": robot.color}
-            for name, title, robot in zip(
-                scene.robot_names, titles, scene.robots, strict=True
-            )
-        ],
-        "video": illustration.video.read_bytes(),
-        "poster": illustration.poster,
-        "map": illustration.map,
-    }
 
 
 def illustrate_all(
@@ -98,19 +81,13 @@ def illustrate_all(
         on_video: Called with every video as soon as it is written.
     """
     # The longest first, so that no core waits for it at the end.
-    order = sorted(recordings, key=lambda recording: -recording.elapsed_s)
-    jobs = [(recording, folder, style) for recording in order]
-    done: dict[str, Illustration] = {}
-    for key, illustration in ProcessPool().run(_illustrate_one, jobs):
-        done[key] = illustration
+    order = sorted(range(len(recordings)), key=lambda i: -recordings[i].elapsed_s)
+    jobs = [(i, illustrate, (recordings[i], folder, style)) for i in order]
+    done: dict[int, Illustration] = {}
+    for number, illustration in ProcessPool().run(numbered, jobs):
+        done[number] = illustration
         on_video(illustration.video)
-    return [done[recording.instance.key] for recording in recordings]
-
-
-def _illustrate_one(
-    recording: Recording, folder: Path, style: VideoStyle
-) -> tuple[str, Illustration]:
-    return recording.instance.key, illustrate(recording, folder, style)
+    return [done[number] for number in range(len(recordings))]
 
 
 def illustrate(recording: Recording, folder: Path, style: VideoStyle) -> Illustration:
@@ -125,10 +102,5 @@ def illustrate(recording: Recording, folder: Path, style: VideoStyle) -> Illustr
     last = write_video(recording, video, style)
     scene = Scene(recording.instance.scene)
     pose(scene, recording.frames[0][1])
-    renderer = Renderer()
-    images = [
-        renderer.rgbd(scene.model, scene.data, f"{name}/camera")
-        for name in recording.instance.scene.robot_names
-    ]
-    top = annotated_map(recording.instance, scene, images, _MAP_PX)
+    top = annotated_map(recording.instance, scene, camera_images(scene), _MAP_PX)
     return Illustration(video, jpeg(last), jpeg(top))

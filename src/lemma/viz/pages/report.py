@@ -71,23 +71,25 @@ def write_report_page(
         entries: Results by policy.
         found: Episodes and pictures, if there are any.
     """
-    found = found or Findings()
-    first = glance(entries)
+    found, samples = found or Findings(), sample_words(entries)
+    glance = Section("At a glance", "", at_a_glance(entries), SUCCESS, samples)
     tables = [one for one in sections(entries) if one.table.rows]
-    page = fill(
-        "report.html",
+    copies = {
+        one.name: {
+            "latex": one.table.latex(f"{one.title}.", f"tab:{one.name}"),
+            "markdown": one.table.markdown(),
+        }
+        for one in (glance, *tables)
+    }
+    page = _page(
+        found,
+        copies,
         title="LEMMA Bench: a report",
         lead=protocol_words(entries),
         tiles=list(_tiles(entries, found)),
-        glance=first,
+        glance=glance,
         figures=figures_of(entries),
         tables=tables,
-        missing=found.missing,
-        data={
-            "tables": {one.name: _copies(one) for one in (first, *tables)},
-            "failures": failures_data(found),
-        },
-        footer=f"Written by lemma {__version__}.",
         share=_share,
         number=_number,
     )
@@ -96,24 +98,17 @@ def write_report_page(
 
 def failures_page(found: Findings) -> str:
     """Return a page with the failures alone."""
+    empty = dict.fromkeys(("lead", "tiles", "glance", "figures", "tables"), ())
+    return _page(found, {}, title="LEMMA Bench: failures", **empty)
+
+
+def _page(found: Findings, copies: Mapping[str, Any], **values: Any) -> str:
     return fill(
         "report.html",
-        title="LEMMA Bench: failures",
-        lead="",
-        tiles=[],
-        glance=None,
-        figures=[],
-        tables=[],
         missing=found.missing,
-        data={"tables": {}, "failures": failures_data(found)},
+        data={"tables": copies, "failures": failures_data(found)},
         footer=f"Written by lemma {__version__}.",
-    )
-
-
-def glance(entries: Sequence[PolicyResults]) -> Section:
-    """Return the mean success of every policy with every kind of instructions."""
-    return Section(
-        "At a glance", "", at_a_glance(entries), SUCCESS, sample_words(entries)
+        **values,
     )
 
 
@@ -186,13 +181,9 @@ def _case_data(case: Case, policy: int, pictures: Pictures | None) -> dict[str, 
         "film": video_command(case),
     }
     if pictures is not None:
-        data |= {
-            "map": data_uri("image/jpeg", pictures.map),
-            "before": data_uri("image/jpeg", pictures.before),
-            "after": data_uri("image/jpeg", pictures.after),
-            "differs": pictures.differs,
-            "video": pictures.video,
-        }
+        for name in ("map", "before", "after"):
+            data[name] = data_uri("image/jpeg", getattr(pictures, name))
+        data |= {"differs": pictures.differs, "video": pictures.video}
     return data
 
 
@@ -213,14 +204,6 @@ def _step_data(case: Case, step: Mapping[str, Any]) -> dict[str, Any]:
         "departs": DEPARTURES.get(departs, ""),
         "expert": subtask_words(case, feedback["expected"]) if departs else "",
         "errors": ", ".join(errors),
-    }
-
-
-def _copies(section: Section) -> dict[str, str]:
-    caption = section.title
-    return {
-        "latex": section.table.latex(f"{caption}.", f"tab:{section.name}"),
-        "markdown": section.table.markdown(),
     }
 
 

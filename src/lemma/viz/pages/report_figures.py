@@ -53,19 +53,15 @@ def _of_kind(entries: Sequence[PolicyResults], kind: str) -> Iterator[Figure]:
     entries = [entry for entry in entries if entry.has(kind)]
     if not entries:
         return
-    end = words(kind, "-")
+    end, tasks = words(kind, "-"), tasks_of(entries, kind)
     title = f"{end} instructions"
-    tasks = tasks_of(entries, kind)
-    rows = (*tasks, _mean_words(tasks))
+    mean = "mean" if set(tasks) == set(SUITE) else f"mean of {len(tasks)}"
+    rows = (*tasks, mean)
     yield Figure(
         f"success-by-task-{end}",
         f"Success by task, {title}",
         f"Strict. {_INTERVALS} Strokes: what the paper reports, on another simulator.",
-        dots(
-            rows,
-            [_by_task(entry, kind, tasks) for entry in entries],
-            "success [%]",
-        ),
+        dots(rows, [_by_task(entry, kind, tasks) for entry in entries], "success [%]"),
     )
     for name, axis in (("distractors", "number of distractors"), ("team", "team")):
         columns = values_of(entries, kind, name)
@@ -84,39 +80,26 @@ def _of_kind(entries: Sequence[PolicyResults], kind: str) -> Iterator[Figure]:
             "Failed episodes by their first mistake; the rest of each bar succeeded.",
             stacks([words(c) for c in Cause], bars, "share of episodes [%]"),
         )
+    progress = [_progress(entry, kind, tasks) for entry in entries]
     yield Figure(
         f"progress-by-task-{end}",
         f"Progress by task, {title}",
         "Mean fraction of the goal that holds at the end. The line of each mark "
         "begins at the success rate: its length is what was done in failed episodes.",
-        dots(
-            rows,
-            [_progress(entry, kind, tasks) for entry in entries],
-            "progress [%]",
-        ),
+        dots(rows, progress, "progress [%]"),
     )
-
-
-def _mean_words(tasks: Sequence[str]) -> str:
-    return "mean" if set(tasks) == set(SUITE) else f"mean of {len(tasks)}"
 
 
 def _by_task(entry: PolicyResults, kind: str, tasks: Sequence[str]) -> Series:
     marks = [_success(entry.select(kind, task=task)) for task in tasks]
-    mean = _success(entry.select(kind), over_tasks=True)
-    figures = entry.experiment.paper.get(kind) if entry.experiment else None
-    if figures is None:
-        return Series(entry.title, (*marks, mean))
-    by_task = [figures.tasks.get(task) for task in tasks]
-    # The paper's mean is over all of them.
-    paper_mean = figures.mean if set(tasks) == set(SUITE) else None
-    return Series(
-        entry.title,
-        tuple(
-            _beside(mark, figure)
-            for mark, figure in zip((*marks, mean), (*by_task, paper_mean), strict=True)
-        ),
-    )
+    marks.append(_success(entry.select(kind), over_tasks=True))
+    paper = entry.experiment.paper.get(kind) if entry.experiment else None
+    if paper is not None:
+        # The paper's mean is over all of them.
+        mean = paper.mean if set(tasks) == set(SUITE) else None
+        figures = (*map(paper.tasks.get, tasks), mean)
+        marks = list(map(_beside, marks, figures))
+    return Series(entry.title, tuple(marks))
 
 
 def _by_column(
@@ -131,10 +114,10 @@ def _success(seeds: list[list[Cell]], *, over_tasks: bool = False) -> Mark | Non
     filled = [cells for cells in seeds if cells]
     if not filled:
         return None
-    if over_tasks:
-        rates = [mean_over_tasks(cells) for cells in filled]
-    else:
-        rates = [rate_of(cells).success_rate for cells in filled]
+    rates = [
+        mean_over_tasks(cells) if over_tasks else rate_of(cells).success_rate
+        for cells in filled
+    ]
     value = fmean(rates)
     if len(rates) > 1:
         spread = stdev(rates)
@@ -143,10 +126,8 @@ def _success(seeds: list[list[Cell]], *, over_tasks: bool = False) -> Mark | Non
     else:
         counted = rate_of(filled[0])
         low, high = counted.interval
-        text = (
-            f"{value:.1%} ({low:.0%}–{high:.0%}), {counted.successes} of "
-            f"{counted.episodes}"
-        )
+        successes = f"{counted.successes} of {counted.episodes}"
+        text = f"{value:.1%} ({low:.0%}–{high:.0%}), {successes}"
     # A mean over tasks that have different numbers of episodes may lie outside.
     return Mark(value, min(low, value), max(high, value), text)
 
@@ -162,15 +143,12 @@ def _progress(entry: PolicyResults, kind: str, tasks: Sequence[str]) -> Series:
     marks: list[Mark | None] = []
     for task in tasks:
         found = [rate_of(c) for c in entry.select(kind, task=task) if c]
-        if found:
-            reached = fmean(rate.progress for rate in found)
-            solved = fmean(rate.success_rate for rate in found)
-            marks.append(_dumbbell(solved, reached))
-        else:
-            marks.append(None)
+        solved = [rate.success_rate for rate in found]
+        reached = [rate.progress for rate in found]
+        marks.append(_dumbbell(fmean(solved), fmean(reached)) if found else None)
     known = [mark for mark in marks if mark is not None]
-    solved = fmean(mark.low for mark in known)
-    marks.append(_dumbbell(solved, fmean(mark.value for mark in known)))
+    solved = [mark.low for mark in known]
+    marks.append(_dumbbell(fmean(solved), fmean(mark.value for mark in known)))
     return Series(entry.title, tuple(marks))
 
 

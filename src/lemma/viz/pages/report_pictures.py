@@ -4,28 +4,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
-from lemma.core.poses import FloatArray
-from lemma.core.workers.pool import ProcessPool
-from lemma.dataset.playback import FrameTaker
+from lemma.core.poses import FloatArray, Pose2
+from lemma.core.workers.pool import ProcessPool, numbered
 from lemma.env.episode import Episode
 from lemma.evaluation.report.episodes import Case
-from lemma.evaluation.run.replay import differences, play_again
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
 from lemma.planning.symbolic_state import SymbolicState
-from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
-from lemma.scene.raster import RASTER
-from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.tasks.subtask import GroundedSubTask
-from lemma.viz.annotate import LIGHT, Canvas, Color, Point, label_plate
-from lemma.viz.camera_fit import outline, overview
-from lemma.viz.map_overlay import annotated_map
+from lemma.viz.annotate import LIGHT, Box, Canvas, Color, Point
+from lemma.viz.camera_fit import views
+from lemma.viz.map_overlay import annotated_map, camera_images, pixel_of
 from lemma.viz.pages.templates import jpeg
-from lemma.viz.recording import Frames, Recording, lines_of_case, robot_titles
+from lemma.viz.recording import robot_titles
+from lemma.viz.replay import replay_line
 from lemma.viz.video import VideoStyle, write_video
 
 MAP_PX = 640
@@ -72,22 +67,15 @@ def picture_all(
     Raises:
         RenderingError: OpenGL does not work here.
     """
-    paths = {
-        number: videos / f"{number}-{case.name.replace('/', '-')}.mp4"
-        if videos
-        else None
-        for number, case in cases
-    }
-    jobs = [(number, case, paths[number]) for number, case in cases]
+    jobs = []
+    for number, case in cases:
+        name = f"{number}-{case.name.replace('/', '-')}.mp4"
+        jobs.append((number, picture, (case, videos and videos / name)))
     done: dict[int, Pictures] = {}
-    for number, pictures in ProcessPool(workers).run(_picture_one, jobs):
+    for number, pictures in ProcessPool(workers).run(numbered, jobs):
         done[number] = pictures
         advance(1)
     return done
-
-
-def _picture_one(number: int, case: Case, video: Path | None) -> tuple[int, Pictures]:
-    return number, picture(case, video)
 
 
 def picture(case: Case, video: Path | None = None) -> Pictures:
@@ -97,61 +85,35 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
         case: A failed episode whose instance is known here.
         video: Where to write a video of it, if anywhere.
     """
-    steps = case.row["subtasks"]
+    steps, instance, style = case.row["subtasks"], case.instance, VideoStyle()
     moment = len(steps) if case.mistake is None else case.mistake
-    style = VideoStyle()
     states: dict[int, FloatArray] = {}
-    choices: list[GroundedSubTask | None] = [None]
-    takers: list[FrameTaker] = []
+    expert: GroundedSubTask | None = None
 
     def before(episode: Episode, number: int) -> None:
+        nonlocal expert
         states[number] = episode.simulation.scene.snapshot()
         if number == moment:
-            choices[0] = _expert_choice(episode)
-        if number == 0 and video is not None:
-            takers.append(FrameTaker(episode.simulation, style.frame_s))
+            now = SymbolicState.observe(episode.simulation.scene)
+            plan = find_plan(now, instance.goal, GeometricGrounder(now.spec))
+            expert = plan.steps[0].grounded if plan and plan.steps else None
 
-    again = play_again(case.row, case.instance, case.about, before, strictly=True)
-    differs = next(differences(case.row, again, strictly=True), "")
-    last = max(states)
-    at = min(moment, last)
-    scene = Scene(case.instance.scene)
-    views = _views(scene, [states[at], states[last]])
-    scene.restore(states[at])
-    own = steps[moment] if moment < len(steps) else None
-    chosen = (
-        GroundedSubTask.from_dict(own["grounded"]) if own and own["grounded"] else None
-    )
-    top = _map(case, scene, chosen, choices[0])
+    again = replay_line(case, before, style.frame_s)
+    scene, last = Scene(instance.scene), max(states)
+    decisive = states[min(moment, last)]
+    first, end = views(scene, [decisive, states[last]], VIEW_PX, "clip")
+    scene.restore(decisive)
+    poses = steps[moment]["grounded"] if moment < len(steps) else None
+    own = GroundedSubTask.from_dict(poses) if poses else None
+    top = _map(case, scene, own, expert)
+    name = ""
     if video is not None:
-        video.parent.mkdir(parents=True, exist_ok=True)
-        write_video(_recording(case, takers[0].frames), video, style)
-    name = f"{video.parent.name}/{video.name}" if video else ""
-    first, end = map(jpeg, views)
-    return Pictures(jpeg(top), first, end, differs, name)
-
-
-def _expert_choice(episode: Episode) -> GroundedSubTask | None:
-    """Return the expert's next sub-task, with poses; None if there is none."""
-    now = SymbolicState.observe(episode.simulation.scene)
-    plan = find_plan(now, episode.instance.goal, GeometricGrounder(now.spec))
-    return plan.steps[0].grounded if plan and plan.steps else None
-
-
-def _views(scene: Scene, states: Sequence[FloatArray]) -> list[Image.Image]:
-    """Draw states from one place, from which all of them can be seen."""
-    points = []
-    for state in states:
-        scene.restore(state)
-        points.append(outline(scene))
-    width, height = VIEW_PX
-    camera = overview(np.concatenate(points), width / height)
-    renderer = Renderer(width, height, "clip")
-    views = []
-    for state in states:
-        scene.restore(state)
-        views.append(Image.fromarray(renderer.rgb(scene.model, scene.data, camera)))
-    return views
+        # The caption says what the policy was told.
+        said = {**instance.instructions, "high_level": case.row["instruction"]}
+        told = replace(again.recording, instance=replace(instance, instructions=said))
+        write_video(told, video, style)
+        name = f"{video.parent.name}/{video.name}"
+    return Pictures(jpeg(top), jpeg(first), jpeg(end), again.differs, name)
 
 
 def _map(
@@ -161,30 +123,20 @@ def _map(
     expert: GroundedSubTask | None,
 ) -> Image.Image:
     """Draw the map, with the pick and place of policy and expert."""
-    renderer = Renderer(CAMERA_WIDTH_PX, CAMERA_HEIGHT_PX)
-    scene.refresh()
-    images = [
-        renderer.rgbd(scene.model, scene.data, f"{name}/camera")
-        for name in case.instance.scene.robot_names
-    ]
-    top = annotated_map(case.instance, scene, images, MAP_PX)
-    canvas = Canvas(top)
-    taken: list[tuple[Point, Point]] = []
-    titles = dict(
-        zip(case.instance.scene.robot_names, robot_titles(case.instance), strict=True)
-    )
+    instance = case.instance
+    top = annotated_map(instance, scene, camera_images(scene), MAP_PX)
+    canvas, taken = Canvas(top), list[Box]()
+    names, titles = instance.scene.robot_names, robot_titles(instance)
     # The policy's is drawn last, over the expert's.
     side = 0.25 if own and expert and _opposed(own, expert) else -0.25
-    for who, grounded, ink, bend in (
-        ("expert", expert, EXPERT_INK, 0.25),
-        ("policy", own, POLICY_INK, side),
+    for who, grounded, ink, bend, width in (
+        ("expert", expert, EXPERT_INK, 0.25, 2.4),
+        ("policy", own, POLICY_INK, side, 3.4),
     ):
         if grounded is None:
             continue
-        pick, place = (
-            _pixel(pose.x, pose.y, top.size) for pose in (grounded.pick, grounded.place)
-        )
-        canvas.arrow(pick, place, ink, 3.4 if who == "policy" else 2.4, bend)
+        pick, place = (_at(pose, top) for pose in (grounded.pick, grounded.place))
+        canvas.arrow(pick, place, ink, width, bend)
         for at in (pick, place):
             canvas.disc(at, 8.0, LIGHT)
             canvas.disc(at, 6.2, ink)
@@ -194,10 +146,8 @@ def _map(
             (pick[0] + place[0]) / 2 + 0.5 * bend * (place[1] - pick[1]),
             (pick[1] + place[1]) / 2 - 0.5 * bend * (place[0] - pick[0]),
         )
-        text = f"{who}: {titles[grounded.robot]}"
-        plate = label_plate(middle, text, 12.5, 16.0, taken)
-        taken.append(plate)
-        canvas.label(plate, text, 12.5, ink)
+        text = f"{who}: {titles[names.index(grounded.robot)]}"
+        canvas.label(middle, text, 12.5, ink, 16.0, taken)
     return canvas.picture()
 
 
@@ -207,23 +157,7 @@ def _opposed(one: GroundedSubTask, other: GroundedSubTask) -> bool:
     return (b.x - a.x) * (d.x - c.x) + (b.y - a.y) * (d.y - c.y) < 0.0
 
 
-def _pixel(x: float, y: float, size: tuple[int, int]) -> Point:
-    """Return the point of a map for a position [m], at its edge if it is outside."""
-    scale = size[0] / RASTER.columns / RASTER.cell_m
-    across, down = size[0] / 2 + x * scale, size[1] / 2 - y * scale
-    return min(max(across, 8.0), size[0] - 8.0), min(max(down, 8.0), size[1] - 8.0)
-
-
-def _recording(case: Case, frames: Frames) -> Recording:
-    """Return the episode of a video, whose caption says what the policy was told."""
-    row, instance = case.row, case.instance
-    said = {**instance.instructions, "high_level": row["instruction"]}
-    return Recording(
-        case.policy,
-        replace(instance, instructions=said),
-        lines_of_case(case),
-        frames,
-        row["success"],
-        row["failure"],
-        row["elapsed_s"],
-    )
+def _at(pose: Pose2, top: Image.Image) -> Point:
+    """Return the point of a map for a pose, at its edge if it is outside."""
+    x, y = pixel_of(pose.x, pose.y, top.width)
+    return min(max(x, 8.0), top.width - 8.0), min(max(y, 8.0), top.height - 8.0)

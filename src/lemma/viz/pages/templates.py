@@ -4,7 +4,6 @@ import base64
 import io
 import json
 import re
-from functools import cache
 from importlib.resources import files
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -17,16 +16,6 @@ _INLINE = (
     (re.compile(r"\*\*([^*]+)\*\*"), r"<b>\1</b>"),
     (re.compile(r"\*([^*]+)\*"), r"<em>\1</em>"),
 )
-
-
-def fill(template: str, **values: object) -> str:
-    """Return a page.
-
-    Args:
-        template: Name of the file beside this one.
-        values: Of its variables; text is escaped.
-    """
-    return _environment().get_template(template).render(values)
 
 
 def inline(text: str) -> Markup:
@@ -55,20 +44,32 @@ def script_text(text: str) -> Markup:
     return Markup(literal.replace("</", "<\\/").replace("<!", "\\u003c!"))
 
 
-@cache
-def _environment() -> Environment:
-    made = Environment(
-        loader=PackageLoader("lemma.viz", "pages"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    # In the order in which things are given.
-    made.policies["json.dumps_kwargs"] = {"sort_keys": False, "ensure_ascii": False}
-    made.filters["inline"] = inline
-    made.filters["data_uri"] = lambda content, kind: data_uri(kind, content)
-    made.globals["file"] = lambda name: Markup(
-        (files(__package__) / name).read_text("utf-8")
-    )
-    return made
+_PAGES = Environment(
+    loader=PackageLoader("lemma.viz", "pages"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+# In the order in which things are given.
+_PAGES.policies["json.dumps_kwargs"] = {"sort_keys": False, "ensure_ascii": False}
+_PAGES.filters["inline"] = inline
+_PAGES.filters["data_uri"] = lambda content, kind: data_uri(kind, content)
+_PAGES.globals["file"] = lambda name: Markup(
+    (files(__package__) / name).read_text("utf-8")
+)
+
+
+def fill(template: str, **values: object) -> str:
+    """Return a page.
+
+    Args:
+        template: Name of the file beside this one.
+        values: Of its variables; text is escaped.
+    """
+    return _PAGES.get_template(template).render(values)
+
+
+def macro(template: str, name: str, *values: object) -> str:
+    """Return a part of a page, from a macro of a template; text is escaped."""
+    return str(getattr(_PAGES.get_template(template).module, name)(*values)).strip()

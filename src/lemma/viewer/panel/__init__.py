@@ -1,1 +1,0 @@
-"""The widgets beside the scene."""

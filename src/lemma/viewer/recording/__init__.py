@@ -1,1 +1,0 @@
-"""Episodes played again, as files of the player and pages that need no server."""

@@ -1,0 +1,74 @@
+"""Texts of the panel as HTML; sentences of users and policies are escaped."""
+
+from collections.abc import Sequence
+
+from lemma.scene.objects.entity import entity_named
+from lemma.tasks.instance import Instance
+from lemma.tasks.language.bank import robot_phrases
+from lemma.tasks.subtask import Primitive
+from lemma.viewer.episode.reading import Explanation
+from lemma.viewer.episode.status import ENDS, Phase, Status, say_goal
+from lemma.viz.pages.templates import macro
+from lemma.viz.recording import Line, describe_subtask
+
+_LEAST_SHARE = 0.01
+
+
+def status_html(status: Status) -> str:
+    """Return the sentence, its reading, and the status."""
+    goal = say_goal(status.reading.pairs or ()) if status.reading else ""
+    goes_on = status.phase not in (*ENDS, Phase.READY)
+    return macro("panel.html", "status", status, goes_on, goal)
+
+
+def complaint_html(text: str) -> str:
+    """Return the reason why something cannot be done."""
+    return macro("panel.html", "complaint", text)
+
+
+def table_html(own: bool, problems: Sequence[str]) -> str:
+    """Return whether the table is an own one or of a list, and its problems."""
+    return macro("panel.html", "table", own, problems)
+
+
+def timeline_html(lines: Sequence[Line], cursor_s: float) -> str:
+    """Return the sub-tasks in words, the one at the cursor [s] in bold."""
+    return macro("panel.html", "timeline", lines, cursor_s)
+
+
+def why_html(explanation: Explanation, instance: Instance) -> str:
+    """Return why a policy decided as it did: its options, and who reaches what.
+
+    Args:
+        explanation: Of one decision; the result is empty where the policy said nothing.
+        instance: Of the robots and objects.
+    """
+    insight = explanation.insight
+    if insight is None:
+        return ""
+    options = []
+    for subtask, share in insight.options:
+        if share >= _LEAST_SHARE or subtask is insight.options[0][0]:
+            words = "stop: the goal is reached"
+            if subtask.primitive is not Primitive.STOP:
+                words = describe_subtask(subtask, instance)
+            options.append((share, words))
+    named = {name for pair in insight.goal for name in pair}
+    reaches = [
+        (
+            entity_named(thing.name).phrase,
+            [robot.margin_m(thing.at) for robot in insight.robots],
+        )
+        for thing in insight.objects
+        if thing.name in named
+    ]
+    not_seen = sorted(named - {thing.name for thing in insight.objects})
+    phrases = {name: entity_named(name).phrase for name in not_seen}
+    covers = dict(explanation.covers)
+    hidden = [
+        (entity_named(covers[name]).phrase, phrases.pop(name))
+        for name in not_seen
+        if name in covers
+    ]
+    robots, unseen = robot_phrases(instance.scene.robots), [*phrases.values()]
+    return macro("panel.html", "why", options, robots, reaches, hidden, unseen)

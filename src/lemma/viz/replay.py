@@ -1,0 +1,214 @@
+"""Episodes played again, to the bit, and the expert's solution of those that failed."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from lemma.audit.attack import ATTACKS
+from lemma.audit.control_trial import control_config
+from lemma.audit.run import Found
+from lemma.core.errors import InvalidConfigError
+from lemma.dataset.playback import FrameTaker, MotorCommands, Step, play_steps
+from lemma.dataset.recipe.schema import EpisodeRecord
+from lemma.dataset.teleoperation import LED, Commanded, Teleoperation, is_same, perform
+from lemma.env.episode import Episode, EpisodeSnapshot
+from lemma.evaluation.analysis.failure_causes import Cause
+from lemma.evaluation.report.episodes import Case, explanation, subtask_words
+from lemma.evaluation.run.replay import Watcher, differences, play_again
+from lemma.expert.expert import Expert, solve
+from lemma.motion.outcome import Outcome
+from lemma.scene.objects.entity import entity_named
+from lemma.tasks.instance import Instance
+from lemma.tasks.subtask import SubTask
+from lemma.viz.recording import (
+    FRAME_S,
+    Line,
+    Recording,
+    describe_step,
+    describe_subtask,
+    line_of,
+    robot_titles,
+)
+
+EXPERT = "The expert"
+BY_HAND = "By hand"
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """An episode of a result, played again from its line."""
+
+    recording: Recording
+    differs: str
+    """Its first difference from the line, in a sentence; ``""`` if there is none."""
+    turn: EpisodeSnapshot
+    """The episode before the sub-task that decided it, see :func:`turn_of`."""
+    turn_s: float
+    """Simulated time of that [s]."""
+
+
+def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording:
+    """Play an attack again.
+
+    Args:
+        found: The attack's record; it must have succeeded.
+        instance: That was attacked.
+        frame_s: Simulated time from one frame to the next [s].
+
+    Raises:
+        InvalidConfigError: The attack did not succeed, so its actions were not kept.
+    """
+    if not found.succeeded:
+        raise InvalidConfigError(
+            f"The attack {found.attack} on {instance.key} did not succeed, so there is "
+            "nothing to replay."
+        )
+    episode = Episode(instance)
+    taker = FrameTaker(episode.simulation, frame_s)
+    commands, names = found.commands, [str(step.primitive) for step in found.subtasks]
+    steps: list[Step] = [*found.subtasks]
+    if commands is not None:
+        config, names = control_config(instance.task), ["motor commands"]
+        steps = [MotorCommands(config.control, config.control_hz, list(commands))]
+    times: list[float] = []
+    play_steps(
+        episode,
+        steps,
+        lambda number: times.append(episode.elapsed_s),
+        lingers=commands is None,
+    )
+    if commands is None and not episode.is_over:
+        episode.stop()
+    title = robot_titles(instance)[instance.scene.robot_names.index(found.robot)]
+    summary = ATTACKS[found.attack].summary
+    lines = [
+        Line(f"{title} alone, {name}. {summary}", start_s, end_s, Outcome.SUCCESS)
+        for name, (start_s, end_s) in zip(names, pairwise(times), strict=True)
+    ]
+    done = Recording.of(found.attack, episode, lines, taker.frames)
+    failure = None if done.success else "goal_not_reached"
+    return replace(done, failure=failure, elapsed_s=episode.simulation.time_s)
+
+
+def replay_record(record: EpisodeRecord) -> Recording:
+    """Execute the sub-tasks of an episode of a recipe."""
+    episode = Episode(Instance.from_dict(record.instance_data()))
+    taker = FrameTaker(episode.simulation, FRAME_S)
+    play_steps(episode, [step.grounded for step in record.subtasks])
+    lines = [
+        line_of(step.instruction, step.start_s, done.result)
+        for step, done in zip(record.subtasks, episode.executed, strict=False)
+    ]
+    episode.stop()
+    return Recording.of(EXPERT, episode, lines, taker.frames)
+
+
+def replay_teleoperation(done: Teleoperation) -> tuple[Recording, bool]:
+    """Repeat an episode that a policy and a visitor played.
+
+    Returns:
+        The episode, and whether it came to the same state, to the bit.
+
+    Raises:
+        LemmaError: It cannot be repeated.
+    """
+    episode = Episode(done.instance)
+    taker = FrameTaker(episode.simulation, FRAME_S)
+    perform(done, episode)
+    ends_s = [*(part.start_s for part in done.parts[1:]), done.end_s]
+    lines = []
+    for part, end_s in zip(done.parts, ends_s, strict=True):
+        words, outcome = LED, "by hand"
+        if not isinstance(part, Commanded):
+            words = describe_subtask(part.subtask, done.instance)
+            outcome = "" if part.until_s is None else "taken over"
+        lines.append(Line(words, part.start_s, end_s, outcome))
+    for nudged in done.nudged:
+        words = f"The {entity_named(nudged.name).phrase} was moved"
+        lines.append(Line(words, nudged.time_s, nudged.time_s, "by hand"))
+    lines.sort(key=lambda line: line.start_s)
+    return Recording.of(BY_HAND, episode, lines, taker.frames), is_same(done, episode)
+
+
+def turn_of(case: Case) -> int:
+    """Return before which sub-task the expert takes over, from 0.
+
+    At the mistake; where none was one, but there was work left, at the end, and where
+    the time was over, at the beginning.
+    """
+    if case.mistake is not None:
+        return case.mistake
+    late = case.cause in (None, Cause.OUT_OF_TIME)
+    return 0 if late else len(case.row["subtasks"])
+
+
+def replay_line(
+    case: Case,
+    watch: Watcher = lambda episode, number: None,
+    frame_s: float = FRAME_S,
+) -> Replayed:
+    """Execute the sub-tasks of a line of a result.
+
+    Args:
+        case: An episode that can be repeated.
+        watch: Called with the episode before each sub-task, and again at the end.
+        frame_s: Simulated time from one frame to the next [s].
+    """
+    row, turn = case.row, turn_of(case)
+    takers: list[FrameTaker] = []
+    turns: list[tuple[EpisodeSnapshot, float]] = []
+
+    def look(episode: Episode, number: int) -> None:
+        if not takers:
+            takers.append(FrameTaker(episode.simulation, frame_s))
+        # An episode that goes differently here may end before the turn.
+        if number <= turn or not turns:
+            # The expert goes on even where the policy stopped.
+            now = replace(episode.snapshot(), stopped=False, ended_s=None, verdict=None)
+            turns.append((now, episode.simulation.time_s))
+        watch(episode, number)
+
+    again = play_again(row, case.instance, case.about, look, strictly=True)
+    recording = Recording(
+        case.policy,
+        case.instance,
+        tuple(
+            Line(
+                subtask_words(case, step),
+                float(step["start_s"]),
+                float(step["start_s"] + step["duration_s"]),
+                step["outcome"],
+                step["explanation"],
+                step["outcome"] == Outcome.SUCCESS,
+                SubTask.from_dict(dict(step)),
+            )
+            for step in row["subtasks"]
+        ),
+        takers[0].frames,
+        row["success"],
+        row["failure"],
+        row["elapsed_s"],
+        because=explanation(case),
+    )
+    differs = next(differences(row, again, strictly=True), "")
+    return Replayed(recording, differs, *turns[-1])
+
+
+def expert_instead(case: Case, again: Replayed) -> Recording:
+    """Let the expert go on from where an episode went wrong.
+
+    Args:
+        case: The episode.
+        again: The same, played again.
+    """
+    episode = Episode(case.instance, horizon_s=case.about["horizon_s"])
+    episode.restore(again.turn)
+    before = [frame for frame in again.recording.frames if frame[0] <= again.turn_s]
+    taker = FrameTaker(episode.simulation, FRAME_S, before)
+    expert, kept = Expert(episode.simulation.scene, case.instance.goal), turn_of(case)
+    lines = [*again.recording.lines[:kept]]
+    lines += [describe_step(step, case.instance) for step in solve(episode, expert)]
+    title = f"{EXPERT}, from sub-task {kept + 1} on" if kept else EXPERT
+    found = Recording.of(title, episode, lines, taker.frames)
+    if len(lines) == kept and not found.success:
+        return replace(found, because="The expert knows no way from there.")
+    return found
