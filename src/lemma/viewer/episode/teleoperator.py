@@ -159,7 +159,9 @@ class EpisodeLog:
             start_s: Simulated time [s].
         """
         subtask, grounded = decision.subtask, decision.grounded
-        self._begun = grounded and Executed.begin(start_s, subtask, grounded)
+        self._begun = None
+        if grounded is not None:
+            self._begun = Executed.begin(start_s, subtask, grounded)
 
     def end(self, until_s: float | None = None) -> None:
         """Note the end of the running sub-task.
