@@ -8,7 +8,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-Color = tuple[int, int, int] | tuple[int, int, int, int]
+Color = tuple[int, int, int]
 Point = tuple[float, float]
 Box = tuple[Point, Point]
 """Upper left and lower right corner."""
@@ -19,7 +19,7 @@ PAPER: Color = (250, 250, 249)
 LIGHT: Color = (255, 255, 255)
 GOOD: Color = (46, 160, 90)
 BAD: Color = (214, 60, 52)
-ROBOT_INK = {"red": (205, 30, 30), "white": (245, 245, 240)}
+ROBOT_INK: dict[str, Color] = {"red": (205, 30, 30), "white": (245, 245, 240)}
 ENTITY_INK: dict[str, Color] = {
     "pink": (226, 90, 150),
     "red": (200, 30, 30),

@@ -169,16 +169,9 @@ def record(
     player = player or Player.load(PolicySpec())
     for _ in roll_out([play], player, on_step=take_step):
         pass
-    return Recording(
-        title=title,
-        instance=instance,
-        lines=tuple(lines),
-        frames=tuple(taker.frames) if taker else (),
-        success=play.success,
-        failure=play.failure,
-        elapsed_s=play.episode.elapsed_s,
-        wall_s=time.perf_counter() - started,
-    )
+    done = Recording.of(title, play.episode, lines, taker.frames if taker else ())
+    wall_s = time.perf_counter() - started
+    return replace(done, success=play.success, failure=play.failure, wall_s=wall_s)
 
 
 def pose(scene: Scene, qpos: FloatArray) -> None:

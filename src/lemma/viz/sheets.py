@@ -95,7 +95,7 @@ def instance_sheet(instance: Instance) -> Image.Image:
     top = annotated_map(instance, scene, images, _MAP_PX)
     size = (_INNER_PX - _MAP_PX - _GAP_PX, top.height)
     (view,) = views(scene, [scene.snapshot()], size, "presentation")
-    sheet = Image.new("RGB", (SHEET_WIDTH_PX, SHEET_HEIGHT_PX), PAPER[:3])
+    sheet = Image.new("RGB", (SHEET_WIDTH_PX, SHEET_HEIGHT_PX), PAPER)
     notes: list[tuple[Point, str]] = []
     y = _HEAD_PX
     for x, picture, title in (
@@ -210,7 +210,7 @@ def keyframe_strip(record: EpisodeRecord) -> Image.Image:
     pitch = height + _FOOT_PX + _GAP_PX
     rows = math.ceil(len(pictures) / columns)
     size = (inner + 2 * _EDGE_PX, _KEYFRAME_HEAD_PX + rows * pitch + _GAP_PX)
-    sheet = Image.new("RGB", size, PAPER[:3])
+    sheet = Image.new("RGB", size, PAPER)
     corners = []
     for i, picture in enumerate(pictures):
         x = _EDGE_PX + (i % columns) * (width + _GAP_PX)

@@ -136,24 +136,24 @@ def caption(
         ended: Whether to say how it ended instead of the sub-task.
     """
     width, height = size
-    strip = Image.new("RGB", size, _GROUND[:3])
+    strip = Image.new("RGB", size, _GROUND)
     draw = ImageDraw.Draw(strip)
     edge = round(0.22 * height)
     instruction = f"“{main_sentence(recording.instance)}”"
     large = font(fitting_size(instruction, 0.28 * height, width - 2 * edge))
     at = (edge, 0.31 * height)
-    draw.text(at, instruction, fill=_INK[:3], font=large, anchor="lm")
+    draw.text(at, instruction, fill=_INK, font=large, anchor="lm")
     low = 0.70 * height
     clock = "   ".join(part for part in (f"{time_s:.1f} s", note) if part)
     small = font(0.21 * height)
-    draw.text((width - edge, low), clock, fill=_FAINT[:3], font=small, anchor="rm")
+    draw.text((width - edge, low), clock, fill=_FAINT, font=small, anchor="rm")
     text, ink = _status(recording, time_s, ended)
     room = width - 3 * edge - small.getlength(clock)
     small = font(fitting_size(text, 0.21 * height, room))
-    draw.text((edge, low), text, fill=ink[:3], font=small, anchor="lm")
+    draw.text((edge, low), text, fill=ink, font=small, anchor="lm")
     share = time_s / max(recording.elapsed_s, time_s, 1e-9)
     bar = max(2, height // 18)
-    draw.rectangle((0, height - bar, share * width, height), fill=GOOD[:3])
+    draw.rectangle((0, height - bar, share * width, height), fill=GOOD)
     return strip
 
 
