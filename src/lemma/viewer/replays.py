@@ -27,8 +27,8 @@ from lemma.scene.scene import Scene
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.viewer.scene.bodies import Bodies, light_room, name_bodies
 from lemma.viewer.scene.viewpoint import Viewpoint
-from lemma.viewer.server import NOTICE_STYLE, close_server, open_server
-from lemma.viz.pages.templates import fill, script_text
+from lemma.viewer.server import close_server, open_server
+from lemma.viz.pages.templates import fill, macro, script_text
 from lemma.viz.recording import FRAME_S, Line, Recording, main_sentence
 from lemma.viz.replay import (
     expert_instead,
@@ -260,7 +260,7 @@ def player_script() -> str:
 def client_page() -> str:
     """Return the player, one HTML file that needs nothing else."""
     page = (Path(viser.__file__).parent / _CLIENT).read_text("utf-8")
-    return page.replace("</head>", f"{NOTICE_STYLE}</head>", 1)
+    return page.replace("</head>", f"{macro('panel.html', 'notice')}</head>", 1)
 
 
 def replays_page(replays: Sequence[Replay], player: str | None) -> str:

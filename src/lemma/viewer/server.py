@@ -21,6 +21,7 @@ import viser
 import websockets.asyncio.server
 
 from lemma.core.errors import InvalidConfigError
+from lemma.viz.pages.templates import macro
 
 UPDATES_HZ = 25.0
 """How often a scene is moved on its page."""
@@ -28,24 +29,6 @@ UPDATES_HZ = 25.0
 
 PHONE_PANEL = 0.52
 """Share of the height that the panel covers at most in a narrow window."""
-NOTICE_STYLE = """<style>
-#webgl-software-rendering { animation: leave 1s 5s forwards; }
-#webgl-software-rendering .mantine-Notification-description { display: none; }
-@keyframes leave { to { opacity: 0; visibility: hidden; } }
-</style>"""
-"""The library's notice of software WebGL is one line, and leaves by itself."""
-_PHONE_STYLE = f"""<style>
-@media (max-width: 36em) {{
-  .mantine-Paper-root:has(#lemma-style) {{
-    width: 100% !important; max-height: {PHONE_PANEL:.0%} !important;
-  }}
-  .mantine-Paper-root:has(#lemma-style) div:has(#lemma-style) {{
-    width: 100% !important; min-width: 0 !important;
-  }}
-}}
-</style>"""
-
-
 _PATCHING = threading.Lock()
 
 
@@ -162,7 +145,7 @@ def prepare_panel(server: viser.ViserServer) -> None:
     """Lay the panel at the right, or below the scene in a narrow window."""
     set_theme(server.gui, dark=False)
     server.gui.main_panel.dock_right()
-    server.gui.add_html(f'<div id="lemma-style">{NOTICE_STYLE}{_PHONE_STYLE}</div>')
+    server.gui.add_html(macro("panel.html", "style", PHONE_PANEL))
 
 
 def set_theme(gui: Any, *, dark: bool) -> None:

@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -38,28 +39,7 @@ _NAMES = {
 _COLOR = re.compile("|".join(_NAMES))
 _VARIABLE = re.compile(r"var\(--[\w-]+, ([^)]+)\)")
 _SVG = "http://www.w3.org/2000/svg"
-_STYLE: dict[Any, Any] = {
-    # Text stays text, which can be searched and edited.
-    "svg.fonttype": "none",
-    # Names of clip paths and hatches are the same in every run.
-    "svg.hashsalt": "lemma",
-    "font.family": "sans-serif",
-    "font.sans-serif": ("DejaVu Sans", "Helvetica", "Arial"),
-    "font.size": _SIZE,
-    "axes.edgecolor": LINE,
-    "axes.labelcolor": FAINT,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": LINE,
-    "hatch.linewidth": 1.3,
-    "legend.frameon": False,
-    "text.color": INK,
-    "xtick.color": FAINT,
-    "ytick.color": INK,
-    "xtick.bottom": False,
-    "ytick.left": False,
-}
+_STYLE = Path(__file__).with_suffix(".mplstyle")
 
 _BESIDE: dict[str, Any] = {
     "xycoords": ("axes fraction", "data"),
@@ -290,7 +270,7 @@ def _plot(
     columns = math.floor(WIDTH / max(widths, default=WIDTH)) or 1
     columns = max(len(series), 1) if sum(widths) < WIDTH else columns
     height += 22 * math.ceil(len(series) / columns)
-    with rc_context(_STYLE):
+    with rc_context(fname=_STYLE):
         # One point of a figure is one pixel of its SVG.
         drawing = Drawing(figsize=(WIDTH / 72, height / 72), layout="constrained")
         drawing.patch.set_visible(False)
