@@ -47,7 +47,7 @@ def test_the_table_tells_what_was_executed_from_what_geometry_gave_up(
         (1, 1),
     ]
     monkeypatch.setattr("lemma.audit.run.audit", lambda *args: [given_up, acted])
-    run("--tasks", "pass", *EPISODES)
+    run("audit", "--tasks", "pass", *EPISODES)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["pass", "drag_home", "skill", "1", "0", "0", "0%"] in rows
     assert ["poke_stack", "drag_home", "skill", "1", "1", "1", "100%"] in rows
