@@ -10,7 +10,7 @@ from small_tables import ARM_NAMES, cube, facing, pad, stick
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose, Pose2, wrap
 from lemma.env.simulation import Simulation
-from lemma.planning.free_spots import FreeSpots
+from lemma.planning.geometry import FreeSpots
 from lemma.planning.grounding import GeometricGrounder, GroundedOption
 from lemma.planning.planner import find_plan
 from lemma.planning.symbolic_state import TABLE, SymbolicState

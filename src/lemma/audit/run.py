@@ -20,9 +20,8 @@ from lemma.tasks.suite import load_instance
 
 # A module registers its attacks when it is imported.
 for _name in (
-    *("skill.drag", "skill.push", "skill.tray", "skill.search", "skill.plan_order"),
-    *("control.lean", "control.push", "control.climb", "control.flight"),
-    *("control.tray", "control.relay"),
+    *("skill.stick", "skill.push", "skill.plan"),
+    *("control.hand", "control.row", "control.stick"),
 ):
     import_module(f"lemma.audit.{_name}")
 

@@ -6,7 +6,7 @@ are such mistakes; the expert then says the right sub-task.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,19 +91,15 @@ class Perturber:
             rng: Of all that is drawn.
         """
         kind = KINDS[int(rng.choice(len(KINDS), p=_SHARES))]
-        makers: dict[
-            str,
-            Callable[
-                [SubTask, GroundedSubTask, SymbolicState, np.random.Generator],
-                Mistake | None,
-            ],
-        ] = {"robot": self._by_another, "choice": self._otherwise}
-        if kind in makers:
-            found = makers[kind](subtask, grounded, now, rng)
-            if found is not None:
-                return found
-            kind = "place"
-        return Mistake(kind, subtask, _POSES[kind](grounded, rng))
+        found = None
+        if kind == "robot":
+            found = self._by_another(subtask, grounded, now, rng)
+        elif kind == "choice":
+            found = self._otherwise(subtask, now, rng)
+        if found is not None:
+            return found
+        kind = kind if kind in ("pick", "drop") else "place"
+        return Mistake(kind, subtask, _spoilt(kind, grounded, rng))
 
     def _by_another(
         self,
@@ -125,12 +121,10 @@ class Perturber:
     def _otherwise(
         self,
         subtask: SubTask,
-        grounded: GroundedSubTask,
         now: SymbolicState,
         rng: np.random.Generator,
     ) -> Mistake | None:
         """Choose another sub-task that can be done; None where there is none."""
-        del grounded
         others = [each for each in self._possible(now) if each != subtask]
         others = [others[i] for i in rng.permutation(len(others))]
         if rng.random() < _NEAR:
@@ -175,23 +169,17 @@ def _off(pose: Pose2, limits_m: tuple[float, float], rng: np.random.Generator) -
     )
 
 
-def _pick_off(grounded: GroundedSubTask, rng: np.random.Generator) -> GroundedSubTask:
-    return replace(grounded, pick=_off(grounded.pick, PICK_OFF_M, rng))
-
-
-def _place_off(grounded: GroundedSubTask, rng: np.random.Generator) -> GroundedSubTask:
-    return replace(grounded, place=_off(grounded.place, PLACE_OFF_M, rng))
-
-
-def _dropped(grounded: GroundedSubTask, rng: np.random.Generator) -> GroundedSubTask:
-    """End halfway: the held object is put down there."""
-    pick, place, part = grounded.pick, grounded.place, rng.uniform(*_HALFWAY)
-    there = Pose2(
-        pick.x + part * (place.x - pick.x),
-        pick.y + part * (place.y - pick.y),
-        place.yaw,
-    )
-    return replace(grounded, place=there)
-
-
-_POSES = {"pick": _pick_off, "place": _place_off, "drop": _dropped}
+def _spoilt(
+    kind: str, grounded: GroundedSubTask, rng: np.random.Generator
+) -> GroundedSubTask:
+    """Return a sub-task with another pose to pick at, or to place at."""
+    pick, place = grounded.pick, grounded.place
+    if kind == "pick":
+        return replace(grounded, pick=_off(pick, PICK_OFF_M, rng))
+    if kind == "place":
+        return replace(grounded, place=_off(place, PLACE_OFF_M, rng))
+    # Dropped: the held object is put down halfway.
+    part = rng.uniform(*_HALFWAY)
+    x = pick.x + part * (place.x - pick.x)
+    y = pick.y + part * (place.y - pick.y)
+    return replace(grounded, place=Pose2(x, y, place.yaw))

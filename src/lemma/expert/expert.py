@@ -57,8 +57,7 @@ class Expert:
 
     def plan(self) -> Plan | None:
         """Return the plan of highest utility from the present state."""
-        now = SymbolicState.observe(self._scene)
-        return find_plan(now, self._goal, self._grounder, team=self._team)
+        return self._plan_from(SymbolicState.observe(self._scene))
 
     def act(self) -> tuple[SubTask, GroundedSubTask | None]:
         """Return the next sub-task and its poses; ``STOP`` and None at the end.
@@ -69,27 +68,27 @@ class Expert:
         if self._expected is not None and not _agree(now, self._expected):
             self._queue = []
         if not self._queue and self._goal.progress(self._scene) < 1.0:
-            self.replans += 1
-            plan = find_plan(now, self._goal, self._grounder, team=self._team)
-            self._queue = list(plan.steps) if plan is not None else []
+            self._plan_anew(now)
         if not self._queue:
             return STOP, None
         step = self._grounder.ground(self._queue.pop(0).subtask, now)
         if step is None:
             # The poses differ a little from what was predicted, and now it is too far.
-            self._queue, self._expected = [], None
-            return self._act_anew()
+            self._plan_anew(now)
+            if not self._queue:
+                self._expected = None
+                return STOP, None
+            step = self._queue.pop(0)
         self._expected = step.after
         return step.subtask, step.grounded
 
-    def _act_anew(self) -> tuple[SubTask, GroundedSubTask | None]:
+    def _plan_from(self, now: SymbolicState) -> Plan | None:
+        return find_plan(now, self._goal, self._grounder, team=self._team)
+
+    def _plan_anew(self, now: SymbolicState) -> None:
         self.replans += 1
-        plan = self.plan()
-        if plan is None or not plan.steps:
-            return STOP, None
-        first, *rest = plan.steps
-        self._queue, self._expected = rest, first.after
-        return first.subtask, first.grounded
+        plan = self._plan_from(now)
+        self._queue = list(plan.steps) if plan is not None else []
 
     def notice(self, result: SkillResult) -> None:
         """Take note of how the last sub-task went."""

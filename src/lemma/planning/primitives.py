@@ -6,7 +6,7 @@ number them; those of users are numbered after them.
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
@@ -48,20 +48,6 @@ Candidates = Callable[[str, Wish, SymbolicState], Iterable[SubTask]]
 """Sub-tasks by which a robot might fulfil a wish."""
 
 
-def _cannot(
-    geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
-) -> GroundedOption | None:
-    return None
-
-
-def _nothing_against(subtask: SubTask, now: SymbolicState) -> str | None:
-    return None
-
-
-def _none(robot: str, wish: Wish, now: SymbolicState) -> Iterable[SubTask]:
-    return ()
-
-
 @dataclass(frozen=True, kw_only=True)
 class PrimitiveSpec:
     """One primitive: how it is carried out, grounded, proposed, refused and said."""
@@ -73,12 +59,12 @@ class PrimitiveSpec:
     skill: SkillMotion | None = None
     """Carries it out: a generator that yields once per servo tick. None for ``stop``
     alone."""
-    ground: Ground = _cannot
+    ground: Ground = lambda geometry, subtask, now: None
     """Finds poses for it, for plan level and the expert. By default none are ever
     found, so that it can be executed at skill level only."""
-    candidates: Candidates = _none
+    candidates: Candidates = lambda robot, wish, now: ()
     """Proposes it to the planner; by default never."""
-    why_not: WhyNot = _nothing_against
+    why_not: WhyNot = lambda subtask, now: None
     """Says why a sub-task makes no sense, beyond that its entities must be there."""
     tool: bool = False
     """Whether it is done with the stick, to a cube: ``pick`` is the stick, ``place``
@@ -134,20 +120,31 @@ def ground_move(
     pick = geometry.grasp(subtask.robot, cube, now)
     if pick is None:
         return None
-    turn = geometry.bearing(subtask.robot, target) - geometry.bearing(
-        subtask.robot, start
-    )
-    yaw = pick.yaw + turn
+    bearings = [geometry.bearing(subtask.robot, pose) for pose in (start, target)]
+    yaw = pick.yaw + (bearings[1] - bearings[0])
     if support != TABLE and kind.faceted and kind_of(support).faceted:
         # Faces aligned: quarter turns away from the lower cube.
         yaw = target.yaw + 0.5 * math.pi * round((yaw - target.yaw) * 2 / math.pi)
     place = Pose2(target.x, target.y, yaw)
     resting = Pose2(target.x, target.y, start.yaw + yaw - pick.yaw)
+    after = now.moved(cube, resting, support, label)
+    return _option(geometry, subtask, (pick, place), after, start, target)
+
+
+def _option(
+    geometry: SceneGeometry,
+    subtask: SubTask,
+    poses: tuple[Pose2, Pose2],
+    after: SymbolicState,
+    *reached: Pose2,
+) -> GroundedOption:
+    """Return a sub-task with poses to pick and place at, as good as it is in reach."""
+    pick, place = poses
     return GroundedOption(
         subtask,
         GroundedSubTask(subtask.robot, subtask.primitive, pick, place),
-        now.moved(cube, resting, support, label),
-        geometry.quality(subtask.robot, start, target),
+        after,
+        geometry.quality(subtask.robot, *reached),
         geometry.duration_s(subtask.robot, pick, place),
     )
 
@@ -163,13 +160,8 @@ def _ground_pass_stick(
     )
     if place is None or geometry.margin(subtask.robot, pick, place) <= 0.0:
         return None
-    return GroundedOption(
-        subtask,
-        GroundedSubTask(subtask.robot, subtask.primitive, pick, place),
-        now.moved(STICK, stick_in_grasp(place), TABLE, subtask.place),
-        geometry.quality(subtask.robot, pick, place),
-        geometry.duration_s(subtask.robot, pick, place),
-    )
+    after = now.moved(STICK, stick_in_grasp(place), TABLE, subtask.place)
+    return _option(geometry, subtask, (pick, place), after, pick, place)
 
 
 def ground_prepare(
@@ -180,18 +172,9 @@ def ground_prepare(
     pick = grasp_on_stick(now.poses[STICK])
     if drag is None or not geometry.reaches(subtask.robot, pick):
         return None
-    return GroundedOption(
-        subtask,
-        GroundedSubTask(subtask.robot, subtask.primitive, pick, drag.prepared),
-        now.moved(
-            STICK,
-            stick_in_grasp(drag.prepared),
-            TABLE,
-            f"{subtask.primitive} {subtask.place} {subtask.robot}",
-        ),
-        geometry.quality(subtask.robot, pick),
-        geometry.duration_s(subtask.robot, pick, drag.prepared),
-    )
+    label = f"{subtask.primitive} {subtask.place} {subtask.robot}"
+    after = now.moved(STICK, stick_in_grasp(drag.prepared), TABLE, label)
+    return _option(geometry, subtask, (pick, drag.prepared), after, pick)
 
 
 def ground_drag(
@@ -212,15 +195,13 @@ def ground_drag(
     after = now.moved(
         subtask.place, drag.cube, TABLE, f"{subtask.primitive} {subtask.robot}"
     ).moved(STICK, stick_in_grasp(left), TABLE, f"used {subtask.place}")
-    return GroundedOption(
-        subtask,
-        GroundedSubTask(subtask.robot, subtask.primitive, pick, end),
-        after,
-        geometry.quality(subtask.robot, pick),
-        # The way from pick to end is the drag itself.
-        geometry.duration_s(subtask.robot, pick, pick) + length / _DRAG_M_S,
-        geometry.duration_s(subtask.robot, pick, end)
-        - geometry.duration_s(subtask.robot, pick, pick),
+    found = _option(geometry, subtask, (pick, end), after, pick)
+    # The way from pick to end is the drag itself.
+    handling_s = geometry.duration_s(subtask.robot, pick, pick)
+    return replace(
+        found,
+        duration_s=handling_s + length / _DRAG_M_S,
+        reluctance_s=found.duration_s - handling_s,
     )
 
 
@@ -230,27 +211,17 @@ def _propose_move(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTas
             yield SubTask(robot, Primitive.MOVE, wish.item, place)
 
 
-def _tool_can_help(wish: Wish, now: SymbolicState) -> bool:
-    """Whether nobody can grasp what is wanted, and the stick could bring it."""
-    return STICK in now.poses and not wish.able and now.supports.get(wish.item) == TABLE
+def _propose_tool(primitive: Primitive, use: Primitive) -> Candidates:
+    """Propose to use the stick where it lies ready, or to lay it ready.
 
+    That is where nobody can grasp what is wanted, and the stick could bring it.
+    """
 
-def _propose_preparing(
-    prepare: Primitive, use: Primitive
-) -> Callable[[str, Wish, SymbolicState], Iterator[SubTask]]:
     def propose(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
-        if _tool_can_help(wish, now) and not now.is_prepared(use, wish.item):
-            yield SubTask(robot, prepare, STICK, wish.item)
-
-    return propose
-
-
-def _propose_using(
-    use: Primitive,
-) -> Callable[[str, Wish, SymbolicState], Iterator[SubTask]]:
-    def propose(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
-        if _tool_can_help(wish, now) and now.is_prepared(use, wish.item):
-            yield SubTask(robot, use, STICK, wish.item)
+        if wish.able or now.supports.get(wish.item) != TABLE or STICK not in now.poses:
+            return
+        if now.is_prepared(use, wish.item) == (primitive is use):
+            yield SubTask(robot, primitive, STICK, wish.item)
 
     return propose
 
@@ -281,35 +252,6 @@ def _unless_prepared(prepare: Primitive) -> WhyNot:
     return why_not
 
 
-def _add_tool(
-    prepare: Primitive, prepare_phrase: str, use: Primitive, use_phrase: str
-) -> None:
-    """Add the two primitives of one way to use the stick."""
-    PRIMITIVES.add(
-        prepare,
-        PrimitiveSpec(
-            name=prepare,
-            phrase=prepare_phrase,
-            skill=SKILLS[prepare],
-            ground=ground_prepare,
-            candidates=_propose_preparing(prepare, use),
-            tool=True,
-        ),
-    )
-    PRIMITIVES.add(
-        use,
-        PrimitiveSpec(
-            name=use,
-            phrase=use_phrase,
-            skill=SKILLS[use],
-            ground=ground_drag,
-            candidates=_propose_using(use),
-            why_not=_unless_prepared(prepare),
-            tool=True,
-        ),
-    )
-
-
 PRIMITIVES.add(
     Primitive.MOVE,
     PrimitiveSpec(
@@ -321,16 +263,31 @@ PRIMITIVES.add(
         why_not=_why_not_move,
     ),
 )
-_add_tool(
-    Primitive.PREHOOK,
-    "{robot}: put the {pick} behind the {place}",
-    Primitive.HOOK,
-    "{robot}: hook the {place} with the {pick}",
-)
-_add_tool(
-    Primitive.PREPOKE,
-    "{robot}: put the {pick} in front of the {place}",
-    Primitive.POKE,
-    "{robot}: poke the {place} with the {pick}",
-)
+for _prepare, _where, _use in (
+    (Primitive.PREHOOK, "behind", Primitive.HOOK),
+    (Primitive.PREPOKE, "in front of", Primitive.POKE),
+):
+    PRIMITIVES.add(
+        _prepare,
+        PrimitiveSpec(
+            name=_prepare,
+            phrase=f"{{robot}}: put the {{pick}} {_where} the {{place}}",
+            skill=SKILLS[_prepare],
+            ground=ground_prepare,
+            candidates=_propose_tool(_prepare, _use),
+            tool=True,
+        ),
+    )
+    PRIMITIVES.add(
+        _use,
+        PrimitiveSpec(
+            name=_use,
+            phrase=f"{{robot}}: {_use} the {{place}} with the {{pick}}",
+            skill=SKILLS[_use],
+            ground=ground_drag,
+            candidates=_propose_tool(_use, _use),
+            why_not=_unless_prepared(_prepare),
+            tool=True,
+        ),
+    )
 PRIMITIVES.add(Primitive.STOP, PrimitiveSpec(name=Primitive.STOP, phrase="done"))

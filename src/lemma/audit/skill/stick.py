@@ -1,10 +1,11 @@
-"""The stick at skill level: to fetch it, to choose a push, to carry it out."""
+"""The stick at skill level: to fetch it, to drag with it, to carry a cube on it."""
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
+from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.pushes import (
     BAR_GRASPS,
     CONTACTS,
@@ -22,7 +23,13 @@ from lemma.audit.skill_trial import SkillTrial
 from lemma.core.poses import Pose2, wrap
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK, kind_of
+from lemma.scene.objects.stick import (
+    HANDLE_LENGTH_M,
+    HOOK_LENGTH_M,
+    STICK_SECTION_M,
+)
 from lemma.tasks.drags import stick_gap
+from lemma.tasks.goal import On
 from lemma.tasks.subtask import Primitive
 
 SURE_M = 0.004
@@ -182,3 +189,144 @@ def bring_within(trial: SkillTrial, thing: str, inside_m: float) -> None:
 def fixed_bottoms(trial: SkillTrial) -> list[str]:
     """Return the bottoms of the goal that nobody can move."""
     return [on.bottom for on in trial.goal.conjuncts if kind_of(on.bottom).fixed]
+
+
+_STEPS = 16
+_FAILURES = 3
+
+
+def drag_home(trial: SkillTrial) -> None:
+    """Drags of any length and number with the stick, held at its end."""
+    _require_near(trial, (END_GRASP,))
+    _bring_home(trial, HOOKING)
+
+
+def drag_any_part(trial: SkillTrial) -> None:
+    """Drags and pushes with every side of the stick, held anywhere."""
+    _require_near(trial, GRASPS)
+    _bring_home(trial, ANY_WAY)
+
+
+def take_the_stick(trial: SkillTrial) -> None:
+    """Takes the stick by another part if its end is out of reach, and drags."""
+    _require_near(trial, GRASPS)
+    trial.require(grasp_now(trial, (END_GRASP,)) is None)
+    fetch_stick(trial)
+    _bring_home(trial, HOOKING)
+
+
+def _require_near(trial: SkillTrial, grasps: Sequence[Pose2]) -> None:
+    """Give up where a pad stays out of reach, or the stick touches no cube."""
+    require_stick(trial, grasps)
+    pads, cubes = fixed_bottoms(trial), _far_cubes(trial)
+    # With such a pad no plan for this robot alone will ever end.
+    trial.require(all(trial.margin(trial.pose(pad)) > 0.0 for pad in pads))
+    trial.require(all(touches_by_stick(trial, cube) for cube in cubes))
+
+
+def _far_cubes(trial: SkillTrial) -> list[str]:
+    """Return the cubes of the goal that are out of reach, or at its edge."""
+    cubes = [name for name in trial.goal.entities if kind_of(name).cargo]
+    return [name for name in cubes if trial.margin(trial.pose(name)) < _FAR_M]
+
+
+def _bring_home(trial: SkillTrial, ways: Ways) -> None:
+    """Drag all objects of the goal into reach, then do the rest alone."""
+    failures: dict[str, int] = {}
+    for _ in range(_STEPS):
+        plan = trial.plan_alone()
+        if plan is not None:
+            if not plan.steps:
+                return
+            trial.execute(plan.steps[0].grounded)
+            continue
+        far = _far_cubes(trial)
+        if not far:
+            return
+        # The one with fewest failures.
+        thing = min(far, key=lambda name: failures.get(name, 0))
+        number = failures.get(thing, 0)
+        if number > _FAILURES:
+            return
+        if not drag_closer(trial, thing, ways, number):
+            failures[thing] = number + 1
+
+
+ATTACKS.add("drag_home", Attack(drag_home, "skill", cheap=True))
+ATTACKS.add("drag_any_part", Attack(drag_any_part, "skill"))
+ATTACKS.add("take_the_stick", Attack(take_the_stick, "skill", cheap=True))
+
+
+_ON_BAR = Pose2(HANDLE_LENGTH_M - STICK_SECTION_M / 2, 0.35 * HOOK_LENGTH_M)
+_BEYOND = Pose2(HANDLE_LENGTH_M + 0.005, 0.3 * HOOK_LENGTH_M)
+# Where on the stick the cube lies, in its frame, and how it is carried: slowly along
+# the table, or through the air; by attempt.
+_WAYS = (
+    (_ON_BAR, Primitive.POKE),
+    (_ON_BAR, Primitive.PREPOKE),
+    (_BEYOND, Primitive.POKE),
+)
+_TURNS_RAD = tuple(math.radians(d) for d in (60, 75, 45, 90, -60, -75))
+_SIDES_RAD = (-0.55, 0.55, -0.7, 0.7)
+_PULL_M = 0.25
+
+
+def carry_on_stick(trial: SkillTrial) -> None:
+    """Lays a cube on the stick, and carries it farther than the hand."""
+    require_stick(trial, (END_GRASP,))
+    limit_m = trial.reach.travel_m + LONGEST_M + 0.1
+    for on in trial.goal.conjuncts:
+        trial.require_near(on.bottom, limit_m)
+    for on in trial.goal.conjuncts:
+        _carry(trial, on)
+
+
+def _carry(trial: SkillTrial, on: On) -> None:
+    bring_within(trial, on.top, 0.02)
+    pick = trial.grounder.grasp(trial.robot, on.top, trial.state())
+    spot, carrying = _WAYS[trial.attempt]
+    if pick is None or not _bring_stick_near(trial, spot):
+        return
+    if not trial.move(pick, trial.pose(STICK) @ spot).ok:
+        return
+    hand = _hand_over(trial, on)
+    if hand is None:
+        return
+    trial.do(carrying, trial.pose(STICK) @ END_GRASP, hand)
+    # The stick is pulled away below the cube.
+    grasp = trial.pose(STICK) @ END_GRASP
+    trial.do(Primitive.HOOK, grasp, grasp @ Pose2(-_PULL_M, 0.0))
+
+
+def _bring_stick_near(trial: SkillTrial, spot: Pose2) -> bool:
+    """Lay the stick so that a cube can be put on it, and its end be grasped."""
+    stick, yaw = trial.pose(STICK), trial.placement.base.yaw
+    if trial.margin(stick @ spot) > 0.005:
+        return True
+    for degrees, side in product(_TURNS_RAD, _SIDES_RAD):
+        # Across the robot's front, both ends in reach.
+        turn = yaw + degrees
+        at = trial.at(0.75 * trial.reach.travel_m, yaw + side)
+        grip = Pose2(at.x, at.y, turn if side < 0.0 else -turn)
+        there = grip @ END_GRASP.inverse() @ spot
+        if min(trial.margin(grip), trial.margin(there)) > 0.01:
+            return trial.do(Primitive.PREPOKE, stick @ END_GRASP, grip).ok
+    return False
+
+
+def _hand_over(trial: SkillTrial, on: On) -> Pose2 | None:
+    """Return the hand's pose that has the cube on the stick over its bottom."""
+    local = trial.pose(STICK).inverse() @ trial.pose(on.top)
+    target = trial.pose(on.bottom)
+    outward = trial.outward(target)
+    best, most = None, 0.0
+    for i in range(-12, 13):
+        yaw = outward + math.radians(8.0 * i)
+        there = Pose2(target.x, target.y, yaw) @ Pose2(-local.x, -local.y)
+        hand = there @ END_GRASP
+        if trial.margin(hand) > most:
+            best, most = hand, trial.margin(hand)
+    return best
+
+
+ATTACKS.add("carry_on_stick", Attack(carry_on_stick, "skill", attempts=len(_WAYS)))

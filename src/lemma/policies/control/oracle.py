@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from lemma.core.errors import InvalidConfigError
 from lemma.env.control_env import ControlEnv
-from lemma.expert.joint_motion import MODE, JointMotion
+from lemma.expert.policy import MODE, JointMotion
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.interfaces import Oracle
 

@@ -1,14 +1,16 @@
-"""Attacks that search over sub-tasks, without an idea of their use."""
+"""Attacks on the plan: sub-tasks by search, out of order, or with one left out."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
 
 from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.pushes import CONTACTS, GRASPS, push
 from lemma.audit.skill_trial import SkillTrial
 from lemma.core.poses import Pose2
-from lemma.scene.objects.entity import STICK
+from lemma.planning.grounding import GroundedOption
+from lemma.planning.planner import find_plan
+from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _STEPS = 12
@@ -103,3 +105,61 @@ def _random_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
 
 ATTACKS.add("random_skills", Attack(random_skills, "skill", attempts=3))
 ATTACKS.add("greedy_skills", Attack(greedy_skills, "skill"))
+
+
+# No plan of the suite has more sub-tasks.
+_LONGEST = 8
+_ORDERS = 50
+
+
+def out_of_order(trial: SkillTrial) -> None:
+    """The team's plan, backwards or in another wrong order."""
+    steps = _planned(trial)
+    order = list(range(len(steps)))[::-1]
+    if trial.attempt > 0:
+        wrong = (trial.rng.permutation(len(steps)).tolist() for _ in range(_ORDERS))
+        order = next((o for o in wrong if _is_wrong(steps, o)), order)
+    _execute(trial, [steps[i] for i in order])
+
+
+def one_skipped(trial: SkillTrial) -> None:
+    """The team's plan without one of its sub-tasks."""
+    steps = _planned(trial)
+    trial.require(trial.attempt < len(steps))
+    _execute(trial, [*steps[: trial.attempt], *steps[trial.attempt + 1 :]])
+
+
+def _planned(trial: SkillTrial) -> Sequence[GroundedOption]:
+    plan = find_plan(trial.state(), trial.goal, trial.grounder)
+    steps = plan.steps if plan is not None else ()
+    trial.require(steps)
+    return steps
+
+
+def _is_wrong(steps: Sequence[GroundedOption], order: Sequence[int]) -> bool:
+    """Whether two steps change places that act on the same thing, the tool apart."""
+    things = [
+        {
+            name
+            for name in (step.subtask.pick, step.subtask.place)
+            if name in step.after.poses and not kind_of(name).tool
+        }
+        for step in steps
+    ]
+    return any(
+        things[first] & things[second]
+        for i, second in enumerate(order)
+        for first in order[i + 1 :]
+        if first < second
+    )
+
+
+def _execute(trial: SkillTrial, steps: Sequence[GroundedOption]) -> None:
+    """Execute steps grounded in the present state, or else as they were planned."""
+    for step in steps:
+        now = trial.grounder.ground(step.subtask, trial.state())
+        trial.execute((now or step).grounded)
+
+
+ATTACKS.add("out_of_order", Attack(out_of_order, "skill", attempts=3, team=True))
+ATTACKS.add("one_skipped", Attack(one_skipped, "skill", attempts=_LONGEST, team=True))
