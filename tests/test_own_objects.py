@@ -1,7 +1,6 @@
 """An object, a color and a task of a user's own work wherever the benchmark's do."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +9,10 @@ from gymnasium.spaces import Discrete
 from own_plugins import EXAMPLES, loaded
 
 import lemma
-from lemma.cli.main import main
 from lemma.core.errors import InvalidActionError, InvalidConfigError
 from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.replay import replay
 from lemma.dataset.rendered.capture import entity_poses
-from lemma.dataset.rendered.dataset import KeyframeDataset
 from lemma.env.action_spaces import PICKS, PLACES, decode_plan, encode_plan, plan_space
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.env.observation import object_poses
@@ -153,35 +150,6 @@ def test_another_goal_is_asked_for_in_the_same_words() -> None:
     assert {kind_of(name).name for pair in asked for name in pair} == {
         *("can", "cube", "pad")
     }
-
-
-@pytest.mark.slow
-@pytest.mark.render
-def test_it_goes_through_every_verb(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    def run(*words: object) -> str:
-        with pytest.raises(SystemExit) as ended:
-            main([str(word) for word in words])
-        out, err = capsys.readouterr()
-        assert not ended.value.code, err
-        return out
-
-    recipe, result = tmp_path / "recipe", tmp_path / "result"
-    one = ("--tasks", "can_stack", "--episodes", 1, "--workers", 1)
-    run("generate", *one, "--out", recipe)
-    assert "reproduced to the bit" in run("replay", recipe, "--workers", 1)
-    frames = tmp_path / "frames"
-    run("render", recipe, "--out", frames, "--size", "64x48", "--workers", 1)
-    columns = ("pick", "objects")
-    data = KeyframeDataset(frames, split="free", columns=columns)
-    rows = [data[i] for i in range(len(data))]
-    assert {row["pick"] for row in rows} >= {CAN}
-    assert all(len(row["objects"]) == len(known_entities()) for row in rows)
-    run("evaluate", "--policy", "oracle", *one, "--out", result)
-    run("report", result, "--out", tmp_path / "report")
-    assert "can_stack" in (tmp_path / "report" / "results.md").read_text()
-    assert CAN in run("show", "can_stack", "--out", tmp_path / "can.png")
 
 
 @pytest.mark.render

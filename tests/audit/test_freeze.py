@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import freeze_instances as freezer
-from freeze_instances import MANIFEST, accept, accept_all, freeze, write_list
+from freeze_instances import MANIFEST, accept, freeze, write_list
 from lemma.core.errors import SamplingError
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, ExpertStep, solve
@@ -111,13 +111,3 @@ def test_a_folder_of_lists_has_a_manifest(
     list(freeze(tmp_path / "frozen", ("test",), workers=1))
     manifest = json.loads((tmp_path / "frozen" / MANIFEST).read_text())
     assert set(manifest) == {"pass-val", "stack-val", "pass-test", "stack-test"}
-
-
-@pytest.mark.slow
-def test_more_workers_freeze_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(freezer, "SPLITS", {"test": 3})
-    alone = list(accept_all("stack", "test", 1))
-    assert [a.instance for a in alone] == [
-        load_instance("stack", "test", index) for index in range(3)
-    ]
-    assert list(accept_all("stack", "test", 2)) == alone

@@ -1,7 +1,6 @@
 """Instances from outside: JSON of any form, and tables that cannot be set."""
 
 import copy
-import json
 import math
 import time
 from collections.abc import Callable
@@ -102,10 +101,6 @@ def test_what_was_wrong_is_named() -> None:
         Instance.from_dict({k: v for k, v in DATA.items() if k != "goal"})
     with pytest.raises(InvalidConfigError, match=r"x in the base of the .*=nan"):
         Instance.from_dict(with_part(("robots", 0, 2), math.nan))
-
-
-def test_good_data_survive() -> None:
-    assert Instance.from_dict(json.loads(json.dumps(DATA))) == GOOD
 
 
 def moved(index: int, pose: Pose2) -> Instance:

@@ -184,14 +184,6 @@ def test_items_are_what_was_rendered(episode: int) -> None:
             assert off.max() < 0.00056
 
 
-def test_pictures_are_not_those_of_the_frame_before() -> None:
-    """Judge the test above: its bound tells frames apart."""
-    arrays = seen(0)
-    item = dataset()[starts()[0] + int(arrays["at"][1])]
-    theirs = item["observation.images.robot_0"].numpy().transpose(1, 2, 0)
-    assert psnr_db(arrays["rgb"][-2, 0] / 255.0, theirs) < 33
-
-
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_data_loader_iterates_over_everything(workers: int) -> None:
     torch = import_module("torch")
@@ -268,27 +260,6 @@ def test_what_was_led_by_hand_becomes_a_data_set(tmp_path: Path) -> None:
     assert (out / "extras" / "first.json").is_file()
 
 
-def test_an_export_that_was_stopped_goes_on(tmp_path: Path) -> None:
-    source = RenderConfig(recipe=recipe(), out=tmp_path / "set", tasks=("pass",))
-    style = Style(width_px=64, height_px=48, depth=False)
-    order = LeRobotConfig(source=source, style=style)
-
-    class Stops(Serial):
-        def run(self, function: Any, jobs: Any, *listener: Any) -> Any:
-            yield from super().run(function, jobs[:1], *listener)
-            raise KeyboardInterrupt
-
-    counts: list[int] = []
-    with pytest.raises(KeyboardInterrupt):
-        write_dataset(order, Stops(), counts.append)
-    assert counts == [0, 1]
-    assert not (source.out / "meta").exists()
-    assert write_dataset(order, Serial(), counts.append).made == 1
-    assert counts[2:] == [1, 1]
-    assert write_dataset(order, Serial()).made == 0
-    assert not (source.out / ".parts").exists()
-
-
 def test_an_unfinished_shard_is_written_again(tmp_path: Path) -> None:
     source = RenderConfig(recipe=recipe(), out=tmp_path, tasks=("pass",))
     style = Style(width_px=64, height_px=48, depth=False)
@@ -299,12 +270,3 @@ def test_an_unfinished_shard_is_written_again(tmp_path: Path) -> None:
     assert shard.folder.is_dir()
     assert not draft.exists()
     rmtree(shard.folder)
-
-
-def test_the_command_writes_one(tmp_path: Path) -> None:
-    words = f"render {recipe()} --form lerobot --tasks pass --size 64x48 --no-depth"
-    with pytest.raises(SystemExit) as end:
-        main([*words.split(), "--workers", "2", "--out", str(tmp_path / "set")])
-    assert end.value.code == 0
-    info = json.loads((tmp_path / "set/meta/info.json").read_text())
-    assert info["total_episodes"] == 2

@@ -64,12 +64,6 @@ def same(one: dict[str, Any], other: dict[str, Any]) -> None:
             assert one[name] == value, name
 
 
-def test_unpacking_again_keeps_what_is_there(pictures: Path) -> None:
-    before = {path: path.stat().st_mtime_ns for path in pictures.rglob("*.npy")}
-    unpack(export(), pictures, Serial())
-    assert {p: p.stat().st_mtime_ns for p in pictures.rglob("*.npy")} == before
-
-
 def test_where_no_data_set_is_nothing_is_unpacked(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="There is no LeRobotDataset"):
         unpack(tmp_path, tmp_path / "pictures", Serial())

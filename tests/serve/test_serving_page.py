@@ -17,12 +17,10 @@ from faulty_policies import MOVE, given, moved, view
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
 from lemma.evaluation.run.fault_isolation import FARTHEST_M
-from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.evaluation.run.server_check import NEAR_M, NEAR_RAD, SCENE, first_subtask
 from lemma.expert.expert import Expert
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import TIMEOUT_S, Decision, PastStep, PolicyInput
-from lemma.policies.spec import PolicySpec
 from lemma.scene.raster import RASTER
 from lemma.serve.conversation import Conversation, ProtocolMode, remote
 from lemma.serve.faults import FaultKind
@@ -225,16 +223,6 @@ def test_a_server_of_ones_own_decides(tmp_path: Path) -> None:
             assert found[1].grounded.pick.rounded() == Pose2(0.74, 0.86, 0.0)
             assert found[2].subtask == STOP
         policy.close()
-
-
-@pytest.mark.slow
-@pytest.mark.render
-def test_a_server_of_ones_own_plays_an_episode(tmp_path: Path) -> None:
-    with own_server(tmp_path) as url:
-        player = Player.load(PolicySpec(url))
-        [play] = roll_out([Rollout(load_instance("stack", "val", 0))], player)
-    assert play.fault is None
-    assert play.steps
 
 
 @pytest.mark.parametrize("number", [0])

@@ -3,12 +3,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import tiny_model
 import torch
@@ -18,7 +16,7 @@ from tiny_model import NAME, Tiny, TinyConfig, config
 
 from lemma.core.arguments import decode
 from lemma.core.errors import InvalidConfigError
-from lemma.policies.batch import Batch, Frames
+from lemma.policies.batch import Frames
 from lemma.policies.models.catalog import MODELS
 from lemma.policies.training import loop as loop
 from lemma.policies.training.config import (
@@ -98,19 +96,6 @@ def assert_same_run(first: Path, second: Path) -> None:
         assert one["so_far"][name] == other["so_far"][name]
 
 
-def test_it_says_how_long_the_model_waited_for_input(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    make = BatchLoader.make
-
-    def slowly(feed: BatchLoader, step: int) -> Batch:
-        time.sleep(0.2)
-        return make(feed, step)
-
-    monkeypatch.setattr(BatchLoader, "make", slowly)
-    assert train(config(data, tmp_path, steps=6)).input_wait > 0.5
-
-
 def test_a_run_writes_what_it_did(data: Path, tmp_path: Path) -> None:
     report = train(config(data, tmp_path), command="lemma train tiny")
     assert report.status == "finished"
@@ -173,27 +158,6 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
     monkeypatch.setattr(Trainer, "train", one_step)
     assert train(run).status == "finished"
     assert_same_run(tmp_path / "whole", tmp_path / "parts")
-
-
-@pytest.mark.slow
-def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(
-    data: Path, tmp_path: Path
-) -> None:
-    words = ("--steps", "60", "--val-every", "20")
-    train(config(data, tmp_path / "whole", steps=60, val_every=20))
-    out = tmp_path / "parts"
-    rng = np.random.default_rng()
-    for _ in range(2):
-        process = start(data, out, *words)
-        begun = time.monotonic()
-        while not (out / "checkpoint.pt").exists() and process.poll() is None:
-            assert time.monotonic() - begun < 60
-            time.sleep(0.02)
-        time.sleep(float(rng.uniform(0.0, 0.2)))
-        process.kill()
-        process.communicate()
-    finish(start(data, out, *words))
-    assert_same_run(tmp_path / "whole", out)
 
 
 def finish(process: subprocess.Popen[str]) -> None:
