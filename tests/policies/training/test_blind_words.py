@@ -15,7 +15,7 @@ from lemma.policies.batch import Frames
 from lemma.policies.text.grammar import grammar
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.text.words import Vocabulary, _neighbours, neighbours
-from lemma.policies.training.instructions import with_instructions
+from lemma.policies.training.loader import with_instructions
 from lemma.policies.training.loop import train
 from lemma.tasks.language import blind
 from lemma.tasks.language.bank import vocabulary

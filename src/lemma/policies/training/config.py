@@ -36,7 +36,6 @@ Kinds = Annotated[
 ]
 RECOVERY_SHARE = 0.25
 """Default share of recovery states."""
-LANGUAGES = ("full", "none", "shuffled")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,17 +69,8 @@ class Augmentation:
     @classmethod
     def none(cls) -> "Augmentation":
         """Return the options that change nothing."""
-        return cls(
-            palette=False,
-            templates=False,
-            paraphrases=0.0,
-            translate_cells=0,
-            turn=False,
-            brightness=0.0,
-            pixel_noise=0.0,
-            height_noise_m=0.0,
-            dropouts=0,
-        )
+        # False, 0 and 0.0.
+        return cls(**{name: type(value)() for name, value in asdict(cls()).items()})
 
 
 @dataclass(frozen=True)
@@ -251,17 +241,8 @@ DEFAULTS: dict[str, Defaults] = {
 """Defaults by name of the model."""
 
 MAY_CHANGE = (
-    *(
-        "data",
-        "recovery",
-        "out",
-        "checkpoint_every_s",
-        "time_limit_s",
-        "images",
-        "shared_images",
-        "track",
-    ),
-    *("device", "compile", "val_every"),
+    *("data", "recovery", "out", "device", "compile", "images", "shared_images"),
+    *("checkpoint_every_s", "time_limit_s", "val_every", "track"),
 )
 """Options that may change when a run is continued."""
 

@@ -19,6 +19,8 @@ class ProcessGroup:
     rank: int
     count: int
     device: torch.device
+    talk: dist.ProcessGroup | None = None
+    """The connection for what is on the CPU, beside that of the GPUs."""
 
     @property
     def first(self) -> bool:
@@ -30,21 +32,15 @@ class ProcessGroup:
         if self.count == 1:
             return values
         told = torch.tensor(values, dtype=torch.float64)
-        dist.broadcast(told, 0, group=_Talk.group)
+        dist.broadcast(told, 0, group=self.talk)
         return tuple(told.tolist())
 
     def total(self, values: Tensor) -> Tensor:
         """Return the sum over all processes, on the CPU."""
         values = values.cpu()
         if self.count > 1:
-            dist.all_reduce(values, group=_Talk.group)
+            dist.all_reduce(values, group=self.talk)
         return values
-
-
-class _Talk:
-    """The connection for what is on the CPU, beside that of the GPUs."""
-
-    group: dist.ProcessGroup | None = None
 
 
 @contextmanager
@@ -65,11 +61,10 @@ def processes(device: str = "auto") -> Iterator[ProcessGroup]:
         return
     _check_torchrun(count)
     dist.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
-    _Talk.group = dist.new_group(backend="gloo")
+    talk = dist.new_group(backend="gloo")
     try:
-        yield ProcessGroup(dist.get_rank(), count, chosen)
+        yield ProcessGroup(dist.get_rank(), count, chosen, talk)
     finally:
-        _Talk.group = None
         dist.destroy_process_group()
 
 

@@ -1,16 +1,18 @@
 """Batches for training, prepared while the model works on the one before.
 
 The input of a step is a function of the seed and of the step's number, so that a run
-that was stopped goes on as if it had not been.
+that was stopped goes on as if it had not been. Its sentences are drawn anew, or are
+those of a control.
 """
 
 import math
+from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from queue import Empty, Full, Queue
-from threading import Event, Thread
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -19,13 +21,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lemma.core.seeding import stream
-from lemma.policies.batch import Batch, Frames, Labels
+from lemma.dataset.instructions import draw_instruction
+from lemma.policies.batch import Batch, Frames
+from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.training.augmentation import augment
 from lemma.policies.training.config import TrainingConfig
-from lemma.policies.training.instructions import with_instructions, with_language
 
-AHEAD = 2
+AHEAD = 3
 """Batches that are prepared before they are asked for."""
+
+Made = Future[tuple[Batch, Any]]
 
 
 @dataclass(frozen=True)
@@ -56,10 +61,6 @@ class Sampler:
         """
         first = before * self.processes + self.rank * (after - before)
         return [self._unit(place) for place in range(first, first + after - before)]
-
-    def passes(self, steps: int) -> float:
-        """Return how often so many steps draw every unit."""
-        return steps * self.batch_size * self.processes / self.units
 
     def _unit(self, place: int) -> int:
         turn, rest = divmod(place, self.units)
@@ -116,9 +117,9 @@ class BatchLoader:
 
     def make(self, step: int) -> Batch:
         """Return the batch of a step."""
-        config, order = self._config, self._order
+        config = self._config
         batch = self._drawn(step)
-        rng = stream("batch", config.seed, step, order.rank)
+        rng = stream("batch", config.seed, step, self._order.rank)
         batch = augment(batch, config.augmentation, rng)
         draw = step if config.augmentation.templates else 0
         batch = with_instructions(
@@ -128,25 +129,20 @@ class BatchLoader:
 
     def _drawn(self, step: int) -> Batch:
         """Return the frames of a step as they are stored."""
-        order, recovery = self._order, self._recovery
-        before, after = step * order.batch_size, (step + 1) * order.batch_size
-        found = []
+        size, recovery = self._order.batch_size, self._recovery
+        first = last = 0
         if recovery is not None:
             first, last = recovery.drawn(step), recovery.drawn(step + 1)
-            before, after = before - first, after - last
-            if last > first:
-                units = recovery.order.between(first, last)
-                rows = [i for unit in units for i in recovery.units[unit]]
-                found.append(recovery.frames.batch(rows, self._device))
-        if after > before:
-            rows = [
-                i for unit in order.between(before, after) for i in self._units[unit]
-            ]
-            found.append(self._frames.batch(rows, self._device))
-        if len(found) == 1:
-            return found[0]
-        mixed_in, usual = found
-        return joined(usual, mixed_in, self._episodes)
+        drawn = self._order.between(step * size - first, (step + 1) * size - last)
+        rows = [i for unit in drawn for i in self._units[unit]]
+        usual = self._frames.batch(rows, self._device) if rows else None
+        if recovery is None or last == first:
+            assert usual is not None
+            return usual
+        drawn = recovery.order.between(first, last)
+        rows = [i for unit in drawn for i in recovery.units[unit]]
+        mixed_in = recovery.frames.batch(rows, self._device)
+        return joined(usual, mixed_in, self._episodes) if usual else mixed_in
 
     @contextmanager
     def ahead(self, first: int, last: int) -> Iterator[Iterator[Batch]]:
@@ -159,81 +155,40 @@ class BatchLoader:
         Yields:
             The batches, in order; what goes wrong is raised where they are taken.
         """
-        queue: Queue[Any] = Queue(AHEAD)
-        stop = Event()
-        thread = Thread(target=self._fill, args=(queue, stop, first, last), daemon=True)
-        thread.start()
-        try:
-            yield self._taken(queue)
-        finally:
-            stop.set()
-            _drain(queue)
-            thread.join()
+        own = None
+        if self._device.type == "cuda":
+            own = torch.cuda.Stream(self._device)  # type: ignore[no-untyped-call]
+            # The frames may just have been copied there.
+            own.wait_stream(torch.cuda.default_stream(self._device))
+        with ThreadPoolExecutor(1) as thread:
+            steps = iter(range(first, last))
+            jobs = (thread.submit(self._made, step, own) for step in steps)
+            try:
+                yield self._taken(jobs, deque(islice(jobs, AHEAD)))
+            finally:
+                thread.shutdown(wait=False, cancel_futures=True)
 
-    def _taken(self, queue: "Queue[Any]") -> Iterator[Batch]:
-        while (found := queue.get()) is not None:
-            if isinstance(found, BaseException):
-                raise found
-            batch, ready = found
+    def _made(self, step: int, own: Any) -> tuple[Batch, Any]:
+        """Return a batch, and the event of its being ready on a GPU."""
+        if own is None:
+            return self.make(step), None
+        torch.cuda.set_device(self._device)
+        with torch.cuda.stream(own):
+            return self.make(step), own.record_event()
+
+    def _taken(self, jobs: Iterator[Made], waiting: deque[Made]) -> Iterator[Batch]:
+        while waiting:
+            batch, ready = waiting.popleft().result()
+            waiting.extend(islice(jobs, 1))
             if ready is not None:
                 now = torch.cuda.current_stream(self._device)
                 now.wait_event(ready)
-                for tensor in _tensors(batch):
-                    # Otherwise its memory would be reused while it is in use here.
-                    tensor.record_stream(now)
+                for part in (batch, batch.labels):
+                    for tensor in vars(part).values():
+                        if isinstance(tensor, Tensor):
+                            # Else its memory would be reused while it is in use here.
+                            tensor.record_stream(now)
             yield batch
-
-    def _fill(self, queue: "Queue[Any]", stop: Event, first: int, last: int) -> None:
-        try:
-            if self._device.type == "cuda":
-                self._fill_on_gpu(queue, stop, first, last)
-            else:
-                for step in range(first, last):
-                    if not _put(queue, stop, (self.make(step), None)):
-                        return
-            _put(queue, stop, None)
-        except BaseException as error:
-            _put(queue, stop, error)
-
-    def _fill_on_gpu(
-        self, queue: "Queue[Any]", stop: Event, first: int, last: int
-    ) -> None:
-        torch.cuda.set_device(self._device)
-        own = torch.cuda.Stream(self._device)  # type: ignore[no-untyped-call]
-        # The frames may just have been copied there.
-        own.wait_stream(torch.cuda.default_stream(self._device))
-        with torch.cuda.stream(own):
-            for step in range(first, last):
-                batch = self.make(step)
-                ready = torch.cuda.Event()  # type: ignore[no-untyped-call]
-                ready.record(own)
-                if not _put(queue, stop, (batch, ready)):
-                    return
-
-
-def _tensors(batch: Batch) -> list[Tensor]:
-    parts: list[Any] = [batch] if batch.labels is None else [batch, batch.labels]
-    values = [getattr(part, f.name) for part in parts for f in fields(part)]
-    return [value for value in values if isinstance(value, Tensor)]
-
-
-def _put(queue: "Queue[Any]", stop: Event, item: Any) -> bool:
-    """Wait for a place in the queue; return whether anybody still wants it."""
-    while not stop.is_set():
-        try:
-            queue.put(item, timeout=0.2)
-        except Full:
-            continue
-        return True
-    return False
-
-
-def _drain(queue: "Queue[Any]") -> None:
-    while True:
-        try:
-            queue.get_nowait()
-        except Empty:
-            return
 
 
 def joined(first: Batch, second: Batch, episodes: int) -> Batch:
@@ -248,18 +203,92 @@ def joined(first: Batch, second: Batch, episodes: int) -> Batch:
     assert first.labels is not None
     assert second.labels is not None
     theirs = replace(second.labels, episode=second.labels.episode + episodes)
-    labels = Labels(**_both(first.labels, theirs))
-    rest = _both(first, second)
-    same = {"raster": first.raster, "entities": first.entities}
-    return Batch(**{**rest, **same, "labels": labels})
+    labels = replace(first.labels, **_both(first.labels, theirs))
+    return replace(first, **_both(first, second), labels=labels)
 
 
 def _both(one: Any, other: Any) -> dict[str, Any]:
+    """Return the tensors and the lists of two records, joined."""
     found: dict[str, Any] = {}
-    for field in fields(one):
-        pair = getattr(one, field.name), getattr(other, field.name)
-        if isinstance(pair[0], Tensor):
-            found[field.name] = torch.cat(pair)
-        elif isinstance(pair[0], list):
-            found[field.name] = [*pair[0], *pair[1]]
+    for name, value in vars(one).items():
+        if isinstance(value, Tensor):
+            found[name] = torch.cat([value, getattr(other, name)])
+        elif isinstance(value, list):
+            found[name] = [*value, *getattr(other, name)]
     return found
+
+
+def with_instructions(
+    batch: Batch,
+    seed: int,
+    draw: int,
+    kinds: Sequence[str] = ("high_level", "human"),
+    paraphrases: float = 0.0,
+) -> Batch:
+    """Return a batch whose instructions are drawn from the templates for training.
+
+    All frames of an episode are given the same one.
+
+    Args:
+        batch: With labels, whose goals are said.
+        seed: Seeds all draws.
+        draw: A new one gives new sentences.
+        kinds: Kinds to draw from, each as likely.
+        paraphrases: Share of episodes whose sentence is made by rules, or put together
+            anew from parts of those templates.
+    """
+    assert batch.labels is not None
+    drawn: dict[int, str] = {}
+    texts = []
+    labels = batch.labels
+    for row, episode in enumerate(labels.episode.tolist()):
+        text = drawn.get(episode)
+        if text is None:
+            task, goal = labels.tasks[row], labels.goals[row]
+            rng = stream("paraphrase", seed, draw, episode) if paraphrases else None
+            if rng is not None and rng.random() < paraphrases:
+                text = paraphrase(task, goal, rng)
+            else:
+                text = draw_instruction(
+                    task, goal, str(episode), seed=seed, epoch=draw, kinds=kinds
+                )
+            drawn[episode] = text
+        texts.append(text)
+    return replace(batch, instructions=texts)
+
+
+def with_language(batch: Batch, language: str, rng: np.random.Generator) -> Batch:
+    """Return a batch in which as much is said as a control allows.
+
+    Args:
+        batch: With labels.
+        language: ``"full"``; ``"none"``: nothing is said; or ``"shuffled"``: what is
+            said was said to another episode.
+        rng: Random generator of the exchange.
+    """
+    if language == "full":
+        return batch
+    if language == "none":
+        nothing = [""] * len(batch)
+        return replace(batch, instructions=nothing, sub_instructions=nothing)
+    assert batch.labels is not None
+    episodes = batch.labels.episode.tolist()
+    others = dict(zip(dict.fromkeys(episodes), _deranged(episodes, rng), strict=True))
+    rows: dict[int, list[int]] = {}
+    for row, episode in enumerate(episodes):
+        rows.setdefault(episode, []).append(row)
+    told = [rows[others[episode]] for episode in episodes]
+    chosen = [of[int(rng.integers(len(of)))] for of in told]
+    return replace(
+        batch,
+        instructions=[batch.instructions[of[0]] for of in told],
+        sub_instructions=[batch.sub_instructions[row] for row in chosen],
+    )
+
+
+def _deranged(episodes: Sequence[int], rng: np.random.Generator) -> list[int]:
+    """Return for each episode another one, where there is one."""
+    names = list(dict.fromkeys(episodes))
+    order = rng.permutation(len(names)).tolist()
+    after = dict(zip(order, [*order[1:], order[0]], strict=True))
+    return [names[after[i]] for i in range(len(names))]

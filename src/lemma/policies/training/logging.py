@@ -4,8 +4,6 @@ import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from importlib import import_module
-from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import torch
@@ -26,7 +24,7 @@ LINE_EVERY_S = 10.0
 """Between lines, where no terminal shows a bar."""
 
 
-class Reporter:
+class Reporter(ExitStack):
     """Shows progress and writes logs; silent in all processes but the first."""
 
     def __init__(self, config: TrainingConfig, step: int, *, speaks: bool) -> None:
@@ -37,6 +35,7 @@ class Reporter:
             step: From which it goes on.
             speaks: Whether this process does so at all.
         """
+        super().__init__()
         self._config, self._first_step, self.speaks = config, step, speaks
         self._console = Console(stderr=True, highlight=False)
         self._said_s = -LINE_EVERY_S
@@ -44,17 +43,16 @@ class Reporter:
 
     def __enter__(self) -> Self:
         """Open the logs."""
-        self._stack = ExitStack()
         if not self.speaks:
             return self
         config = self._config
         self._log = SummaryWriter(
             str(config.out / "tensorboard"), purge_step=self._first_step
         )
-        self._stack.callback(self._log.close)
+        self.callback(self._log.close)
         self._tracker = _wandb(config) if config.track else None
         if self._tracker is not None:
-            self._stack.callback(self._tracker.finish)
+            self.callback(self._tracker.finish)
         if self._console.is_terminal:
             self._bar = Progress(
                 TextColumn(config.model),
@@ -64,20 +62,11 @@ class Reporter:
                 TimeRemainingColumn(),
                 console=self._console,
             )
-            self._stack.enter_context(self._bar)
+            self.enter_context(self._bar)
             self._task = self._bar.add_task(
                 "", total=config.steps, completed=self._first_step, words=""
             )
         return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the logs."""
-        self._stack.close()
 
     def step(self, step: int, values: Mapping[str, float]) -> None:
         """Tell how training goes.
@@ -89,10 +78,9 @@ class Reporter:
         if not self.speaks:
             return
         self._write(step, {f"train/{name}": v for name, v in values.items()})
-        words = (
-            f"loss {values['loss']:.4f}  {values['samples_per_s']:.0f} samples/s"
-            f"{_gpu_words()}"
-        )
+        words = f"loss {values['loss']:.4f}  {values['samples_per_s']:.0f} samples/s"
+        if memory_gb := gpu_memory_gb():
+            words += f"  {memory_gb:.1f} GB"
         if self._bar is not None:
             self._bar.update(self._task, completed=step, words=words)
         elif time.monotonic() - self._said_s >= LINE_EVERY_S:
@@ -123,17 +111,11 @@ class Reporter:
             self._tracker.log(dict(values), step=step)
 
 
-def gpu_memory_gb(device: torch.device) -> float:
+def gpu_memory_gb() -> float:
     """Return the largest GPU memory in use so far; 0 on a CPU."""
-    if device.type != "cuda":
-        return 0.0
-    return float(torch.cuda.max_memory_reserved(device)) / 1e9
-
-
-def _gpu_words() -> str:
     if not torch.cuda.is_initialized():  # type: ignore[no-untyped-call]
-        return ""
-    return f"  {torch.cuda.max_memory_reserved() / 1e9:.1f} GB"
+        return 0.0
+    return float(torch.cuda.max_memory_reserved()) / 1e9
 
 
 def _wandb(config: TrainingConfig) -> Any:
@@ -150,10 +132,6 @@ def _wandb(config: TrainingConfig) -> Any:
         dir=str(config.out),
         config=config.to_dict(),
         resume="allow",
-        id=_run_id(config.out),
+        # A continued run has the same name again.
+        id=str(config.out.resolve()).replace("/", "-").strip("-")[-64:],
     )
-
-
-def _run_id(out: Path) -> str:
-    """Return a name that a continued run has again."""
-    return str(out.resolve()).replace("/", "-").strip("-")[-64:]

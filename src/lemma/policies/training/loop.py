@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import torch
 import tyro
@@ -44,8 +44,13 @@ from lemma.policies.training.run import (
     recovery_units,
     training_units,
 )
-from lemma.policies.training.step import Trainer, read_state, write_state
-from lemma.policies.training.validation import Scores, validate
+from lemma.policies.training.step import (
+    Scores,
+    Trainer,
+    read_state,
+    validate,
+    write_state,
+)
 from lemma.policies.weights_file import (
     TIME_LIMIT,
     WeightsMetadata,
@@ -119,14 +124,8 @@ class _Run:
             open_run(config, self.model, self.data.about, command)
         self.trainer = Trainer(self.model, config, team)
         self.units = training_units(self.model, self.data.train, config)
-        self.order = Sampler(
-            len(self.units),
-            config.batch_size or 1,
-            config.seed,
-            team.rank,
-            team.count,
-        )
-        self.recovery = self._mixed_in()
+        draws = config.batch_size or 1, config.seed, team.rank, team.count
+        self.order = Sampler(len(self.units), *draws)
         self.so_far = _Progress()
         self.steps = config.steps or 0
         self._told: list[dict[str, Tensor]] = []
@@ -147,15 +146,9 @@ class _Run:
 
     def go(self) -> TrainingReport:
         """Train to the end, or until somebody stops it."""
-        config, trainer = self.config, self.trainer
-        feed = BatchLoader(
-            self.data.train,
-            self.units,
-            self.order,
-            config,
-            self.team.device,
-            self.recovery,
-        )
+        config, trainer, source = self.config, self.trainer, self.data.train
+        how = self.order, config, self.team.device, self._mixed_in()
+        feed = BatchLoader(source, self.units, *how)
         first = trainer.step
         begun = self.so_far.elapsed_s
         start = saved = self._logged = time.perf_counter()
@@ -169,10 +162,9 @@ class _Run:
             while True:
                 now = time.perf_counter()
                 self.so_far.elapsed_s = begun + now - start
+                is_due = now - saved > config.checkpoint_every_s
                 done, stopped, due = self.team.agree(
-                    self._done(),
-                    stop.is_set(),
-                    now - saved > config.checkpoint_every_s,
+                    self._done(), stop.is_set(), is_due
                 )
                 if stopped or due:
                     self._save()
@@ -234,9 +226,17 @@ class _Run:
         if better:
             so_far.best_step, so_far.scores = step, scores
             if self.team.first:
-                write_weights(
-                    self.config.out / WEIGHTS, model.state_dict(), self._metadata()
+                metadata = WeightsMetadata(
+                    model=self.config.model,
+                    options=options_of(self.model),
+                    data=self.data.about,
+                    command=self.command,
+                    scores=dict(scores),
+                    training=self.config.to_dict(),
+                    lemma=__version__,
                 )
+                path = self.config.out / WEIGHTS
+                write_weights(path, model.state_dict(), metadata)
         self.reporter.scores(step, scores, best=better)
         self._logged = time.perf_counter()
 
@@ -255,22 +255,9 @@ class _Run:
         self._save()
         if self.team.first:
             finished = self.trainer.step >= self.steps
-            mark_ended(
-                self.config.out / WEIGHTS,
-                "steps" if finished else TIME_LIMIT,
-                self.trainer.step,
-            )
-
-    def _metadata(self) -> WeightsMetadata:
-        return WeightsMetadata(
-            model=self.config.model,
-            options=options_of(self.model),
-            data=self.data.about,
-            command=self.command,
-            scores=dict(self.so_far.scores),
-            training=self.config.to_dict(),
-            lemma=__version__,
-        )
+            ended: Literal["steps", "time limit"]
+            ended = "steps" if finished else TIME_LIMIT
+            mark_ended(self.config.out / WEIGHTS, ended, self.trainer.step)
 
     def _report(self, stopped: bool) -> TrainingReport:
         self._log()
@@ -278,6 +265,9 @@ class _Run:
         status = "finished" if finished else "time is up"
         frames = sum(map(len, self.units))
         share = self.config.recovery_share or 0.0
+        device = "CPU"
+        if self.team.device.type == "cuda":
+            device = str(torch.cuda.get_device_name(self.team.device))
         report = TrainingReport(
             status="interrupted" if stopped else status,
             model=self.config.model,
@@ -290,8 +280,8 @@ class _Run:
             seconds=self.so_far.elapsed_s,
             samples_per_s=self._here / self._busy_s if self._busy_s else 0.0,
             input_wait=self._waited_s / self._busy_s if self._busy_s else 0.0,
-            gpu_memory_gb=gpu_memory_gb(self.team.device),
-            device=_device_name(self.team.device),
+            gpu_memory_gb=gpu_memory_gb(),
+            device=device,
             scores=self.so_far.scores,
             best_step=self.so_far.best_step,
             scores_by_kind={} if stopped else self._scores_by_kind(),
@@ -349,12 +339,6 @@ def _explained(config: TrainingConfig) -> Iterator[None]:
             f"{max(1, (config.batch_size or 2) // 2)}, or --images host, with another "
             "--out."
         ) from error
-
-
-def _device_name(device: torch.device) -> str:
-    if device.type == "cuda":
-        return str(torch.cuda.get_device_name(device))
-    return "CPU"
 
 
 def main(

@@ -25,8 +25,7 @@ from lemma.policies.models.base import Model
 from lemma.policies.models.catalog import MODELS, make_model, options_of
 from lemma.policies.training.config import MAY_CHANGE, TrainingConfig, model_options
 from lemma.policies.training.distributed import ProcessGroup
-from lemma.policies.training.step import seed_of
-from lemma.policies.training.validation import Scores
+from lemma.policies.training.step import Scores, seed_of, units_of
 from lemma.policies.weights import load_model
 from lemma.tasks.instance import BENCHMARK_VERSION
 
@@ -138,33 +137,22 @@ def read_frames(
     recovery = None
     if config.recovery is not None:
         recovery = read(config.recovery, config.train_split, *how)
-        _check_alike(train, recovery)
+        ours, theirs = ((each.raster, each.robots) for each in (train, recovery))
+        if ours != theirs:
+            raise DatasetError(
+                f"Recovery states have {theirs[1]} robots and maps of {theirs[0]}, but "
+                f"the data have {ours[1]} and {ours[0]}. Render both with the same "
+                "version."
+            )
     return Data(train, val, about, recovery)
 
 
-def _check_alike(train: Frames, recovery: Frames) -> None:
-    """Check that frames of both fit into one batch.
-
-    Raises:
-        DatasetError: They do not.
-    """
-    ours, theirs = ((frames.raster, frames.robots) for frames in (train, recovery))
-    if ours != theirs:
-        raise DatasetError(
-            f"Recovery states have {theirs[1]} robots and maps of {theirs[0]}, but the "
-            f"data have {ours[1]} and {ours[0]}. Render both with the same version."
-        )
-
-
 def _place(config: TrainingConfig, device: torch.device, size: int) -> torch.device:
-    host = torch.device("cpu")
     if device.type == "cpu" or config.images == "host":
-        return host
-    free, _ = torch.cuda.mem_get_info(device)
+        return torch.device("cpu")
     # From the host they come nearly as fast, and the memory has better uses.
-    if config.images == "device" or size < free / 10:
-        return device
-    return host
+    enough = size < torch.cuda.mem_get_info(device)[0] / 10
+    return device if enough or config.images == "device" else torch.device("cpu")
 
 
 def recovery_units(
@@ -192,9 +180,7 @@ def recovery_units(
             "The recovery states are all of other instances than those that are "
             "trained on. Perturb the same tasks, splits and episodes."
         )
-    if model.unit == "episode":
-        return found
-    return [(frame,) for episode in found for frame in episode]
+    return units_of(model, found)
 
 
 def training_units(
@@ -216,9 +202,7 @@ def training_units(
             )
         drawn = stream("episodes", config.seed).permutation(len(episodes))
         episodes = [episodes[i] for i in sorted(drawn[: config.episodes].tolist())]
-    if model.unit == "episode":
-        return episodes
-    return [(frame,) for episode in episodes for frame in episode]
+    return units_of(model, episodes)
 
 
 def _first_of_each_task(frames: Frames, count: int) -> list[Sequence[int]]:

@@ -1,7 +1,7 @@
-"""One step of training, and all that must be kept to do the next one."""
+"""One step of training, all that must be kept for the next one, and validation."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from pickle import UnpicklingError
@@ -11,15 +11,18 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from lemma.core.errors import WeightsError
+from lemma.core.errors import InvalidConfigError, WeightsError
 from lemma.core.files import write_whole
 from lemma.core.seeding import stream
-from lemma.policies.batch import Batch
+from lemma.policies.batch import Batch, Frames
 from lemma.policies.layers import Network
 from lemma.policies.models.base import Model
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup
-from lemma.policies.training.validation import autocast
+from lemma.policies.training.loader import with_instructions, with_language
+
+Scores = dict[str, float]
+"""Mean scores by name, without those for which no frame counts."""
 
 
 class _Losses(nn.Module):
@@ -157,15 +160,11 @@ def seed_of(seed: int, step: int, rank: int = 0) -> int:
 def _groups(model: Model, weight_decay: float) -> list[dict[str, Any]]:
     """Return the weights, with decay for matrices and kernels only."""
     trained = [value for value in model.parameters() if value.requires_grad]
+    matrices = [value for value in trained if value.ndim > 1]
+    others = [value for value in trained if value.ndim <= 1]
     return [
-        {
-            "params": [value for value in trained if value.ndim > 1],
-            "weight_decay": weight_decay,
-        },
-        {
-            "params": [value for value in trained if value.ndim <= 1],
-            "weight_decay": 0.0,
-        },
+        {"params": matrices, "weight_decay": weight_decay},
+        {"params": others, "weight_decay": 0.0},
     ]
 
 
@@ -196,3 +195,60 @@ def read_state(path: Path, device: torch.device) -> dict[str, Any]:
             "best weights so far, weights.safetensors, are replaced then."
         ) from error
     return state
+
+
+def validate(
+    model: Model,
+    frames: Frames,
+    config: TrainingConfig,
+    team: ProcessGroup,
+    kinds: Sequence[str] = (),
+) -> Scores:
+    """Return the mean scores of a model over all frames of a split.
+
+    Args:
+        model: In evaluation mode.
+        frames: Frames of the split.
+        config: Options of the training run: batch size, kinds of sentences, control.
+        team: Processes, each of which does a part.
+        kinds: Kinds of sentences, if not those of the training run.
+    """
+    units = units_of(model, frames.episodes)
+    batch_size = config.batch_size or 1
+    sums: dict[str, Tensor] = {}
+    starts = range(0, len(units), batch_size)
+    for start in starts[team.rank :: team.count]:
+        rows = [i for unit in units[start : start + batch_size] for i in unit]
+        batch = frames.batch(rows, team.device)
+        batch = with_instructions(batch, 0, 0, kinds or config.kinds)
+        batch = with_language(batch, config.language, stream("control", start))
+        with torch.inference_mode(), autocast(config, team.device):
+            scores = model.score(batch)
+        for name, values in scores.items():
+            exact = values.double()
+            both = torch.stack([exact.nansum(), (~exact.isnan()).sum().double()])
+            sums[name] = sums[name] + both if name in sums else both
+    if team.count > len(starts):
+        raise InvalidConfigError(
+            f"{team.count} processes cannot share {len(starts)} batches of validation. "
+            "Use fewer processes, or a smaller --batch-size."
+        )
+    totals = {name: team.total(sums[name]) for name in sorted(sums)}
+    means = {name: total.tolist() for name, total in totals.items()}
+    return {name: sum_ / count for name, (sum_, count) in means.items() if count}
+
+
+def units_of(model: Model, episodes: Sequence[Sequence[int]]) -> list[Sequence[int]]:
+    """Return the frames of each unit that a model is trained on."""
+    if model.unit == "episode":
+        return list(episodes)
+    return [(frame,) for episode in episodes for frame in episode]
+
+
+def autocast(config: TrainingConfig, device: torch.device) -> torch.autocast:
+    """Return the context in which a network runs."""
+    return torch.autocast(
+        device.type,
+        dtype=torch.bfloat16,
+        enabled=config.precision == "bf16" and device.type == "cuda",
+    )
