@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import torch
 
-from lemma.policies.models.episodic_transformer.model import (
+from lemma.policies.models.episodic_transformer import (
     EpisodicTransformer,
     EpisodicTransformerConfig,
 )

@@ -14,13 +14,14 @@ from lemma.policies.compose import MultiStep
 from lemma.policies.entities import BENCHMARK
 from lemma.policies.interfaces import PastStep, PolicyInput
 from lemma.policies.models.base import MODELS
-from lemma.policies.models.episodic_transformer.layout import SLOTS, of_batch
-from lemma.policies.models.episodic_transformer.model import (
+from lemma.policies.models.episodic_transformer import (
     PARTS,
+    SLOTS,
     EpisodicTransformer,
     EpisodicTransformerConfig,
     attention_mask,
     choose,
+    layout_of_batch,
 )
 from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.language.bank import robot_phrases_in_order
@@ -185,7 +186,7 @@ def test_a_frame_does_not_see_what_comes_after_it() -> None:
 
 def test_a_batch_splits_where_frames_do_not_follow() -> None:
     batch = rows(episodes(3, 4), [0, 1, 2, 4, 5, 3, 6])
-    layout = of_batch(batch)
+    layout = layout_of_batch(batch)
     assert layout.episode.tolist() == [0, 0, 0, 1, 1, 2, 3]
     assert layout.slot.tolist() == [0, 1, 2, 1, 2, 0, 3]
     assert (layout.actions[:, :, 1] != NOBODY).sum(1).tolist() == [2, 2, 0, 3]
@@ -199,7 +200,7 @@ def test_long_histories_are_shortened() -> None:
     assert len(given.past) > MAX_PAST
     assert len(model.plan([given])) == 1
     batch = drawn_batch(16)
-    layout = of_batch(batch)
+    layout = layout_of_batch(batch)
     assert int(layout.slot.max()) == SLOTS - 1
     assert all(torch.isfinite(term) for term in model.loss(batch).values())
 
@@ -279,7 +280,7 @@ def test_features_are_forgotten_when_weights_change(change: str) -> None:
     model = tiny().eval()
     given = inputs_of(drawn_batch(2))
     model.plan(given)
-    before = model._seen.features([given[0].view], model._cells_of, model._state())
+    before = model._cells_of([given[0].view])
     other = tiny()
     with torch.no_grad():
         other.frames.stem.weight.mul_(2.0)
@@ -288,7 +289,7 @@ def test_features_are_forgotten_when_weights_change(change: str) -> None:
         else:
             model.load_state_dict(other.state_dict())
     model.plan(given)
-    after = model._seen.features([given[0].view], model._cells_of, model._state())
+    after = model._cells_of([given[0].view])
     assert not torch.allclose(before, after)
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.policies.batch import Batch
 from lemma.policies.entities import BENCHMARK, EntitySet, poses_of
-from lemma.policies.models.episodic_transformer.model import (
+from lemma.policies.models.episodic_transformer import (
     EpisodicTransformer,
     EpisodicTransformerConfig,
 )

@@ -19,7 +19,7 @@ from tiny_transformer import tiny
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.policies.batch import MAX_PAST, NOBODY, Batch, Frames
 from lemma.policies.entities import BENCHMARK
-from lemma.policies.models.episodic_transformer.layout import of_batch
+from lemma.policies.models.episodic_transformer import layout_of_batch
 from lemma.policies.training.config import Augmentation, TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup
 from lemma.policies.training.loader import BatchLoader, FrameSource, Sampler, joined
@@ -110,7 +110,7 @@ def test_history_is_what_was_executed_and_labels_are_the_experts(
 
 def test_the_episodic_transformer_remembers_what_was_executed(recovery: Path) -> None:
     batch = Frames.load(recovery).batch(range(6))
-    layout = of_batch(batch)
+    layout = layout_of_batch(batch)
     assert layout.episode.tolist() == [0, 0, 0, 1, 1, 1]
     done = layout.actions[:, :2]
     assert (done[..., 3] == GREEN_PAD).all()
@@ -124,11 +124,11 @@ def test_the_episodic_transformer_remembers_what_was_executed(recovery: Path) ->
 def test_first_views_are_shown_throughout_only_where_nothing_went_wrong() -> None:
     model = tiny(first_view_only=1.0).train()
     batch = drawn_batch(4)
-    layout = of_batch(batch)
+    layout = layout_of_batch(batch)
     cells = torch.randn(4, 3)
     assert torch.equal(model._first_views(cells, layout), cells[[0, 0, 0, 0]])
     labels = replace(labels_of(batch), perturbed=torch.ones(4, dtype=torch.bool))
-    wrong = of_batch(replace(batch, labels=labels))
+    wrong = layout_of_batch(replace(batch, labels=labels))
     assert torch.equal(model._first_views(cells, wrong), cells)
 
 

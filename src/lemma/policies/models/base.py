@@ -96,12 +96,15 @@ class MapModel(Model):
     def deciding(self) -> Iterator[None]:
         """Switch training off for a while."""
         was = self.training
-        self.eval()
+        # Not without need: a model may forget what it has seen.
+        if was:
+            self.eval()
         try:
             with torch.inference_mode():
                 yield
         finally:
-            self.train(was)
+            if was:
+                self.train()
 
     def batches(
         self, inputs: Sequence[PolicyInput], sub_instructions: Sequence[str] = ()

@@ -8,7 +8,8 @@ is what sets it apart from planners that look at objects.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -16,10 +17,16 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.core.arguments import Count, Depth, Share, Width, Widths
-from lemma.core.robot_names import robot_name
 from lemma.env.view import View
-from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, Batch
-from lemma.policies.entities import BENCHMARK, EntitySet
+from lemma.policies.batch import (
+    MAX_PAST,
+    NOBODY,
+    PRIMITIVES,
+    STOP,
+    Batch,
+    decision_numbers,
+)
+from lemma.policies.entities import BENCHMARK, EntitySet, traits_of
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.layers import (
     Network,
@@ -29,19 +36,15 @@ from lemma.policies.layers import (
     norm,
     sinusoids,
 )
-from lemma.policies.models.base import MODELS, Model
-from lemma.policies.models.episodic_transformer import layout as episodic_layout
-from lemma.policies.models.episodic_transformer.layout import (
-    SLOTS,
-    TokenLayout,
-    ViewCache,
-)
+from lemma.policies.models.base import MODELS, MapModel, subtask_of
 from lemma.policies.text.encoder import TextConfig, TextEncoder, TextKind
-from lemma.tasks.subtask import STOP as STOP_SUBTASK
-from lemma.tasks.subtask import Primitive, SubTask
+from lemma.tasks.subtask import SubTask
 
 PARTS = ("robot", "primitive", "pick", "place")
 """Parts of a decision, in the order of its numbers."""
+SLOTS = MAX_PAST + 1
+"""Frames of the longest history: one before each past decision, and the present."""
+_MOVE = PRIMITIVES.index("move")
 _IMAGE_CHANNELS = 5
 _HEIGHT_SCALE = 5.0
 """Makes heights of up to 20 cm as large as colors are."""
@@ -127,7 +130,115 @@ class FrameNetwork(Network):
         return out
 
 
-class EpisodicTransformer(Model):
+@dataclass(frozen=True, eq=False)
+class TokenLayout:
+    """Where each frame of a batch belongs; G episodes or parts of them, B frames."""
+
+    episode: Tensor
+    """Which of the G each frame belongs to, (B,) int64."""
+    slot: Tensor
+    """How many decisions of its episode came before each frame, (B,) int64."""
+    actions: Tensor
+    """Decisions of each episode, (G, MAX_PAST, 4) int64, padded with -1."""
+    instructions: list[str]
+    """One for each of the G."""
+    foreseeable: Tensor
+    """Whether all follows from the first frame, because nothing went wrong, (G,)
+    bool."""
+
+    @property
+    def present(self) -> Tensor:
+        """Which slots hold a frame, (G, SLOTS) bool."""
+        found = self.episode.new_zeros(len(self.actions), SLOTS, dtype=torch.bool)
+        found[self.episode, self.slot] = True
+        return found
+
+
+def layout_of_batch(batch: Batch) -> TokenLayout:
+    """Return how a labelled batch splits into episodes.
+
+    Frames of one episode that follow one another are seen together, each knowing those
+    before it. A frame whose predecessor is not before it in the batch starts anew: it
+    knows what was done before, not what was seen.
+
+    Args:
+        batch: Frames in any order, with labels.
+    """
+    assert batch.labels is not None
+    done = (batch.past[:, :, 1] != NOBODY).sum(1)
+    numbers = torch.stack([batch.labels.episode, batch.labels.keyframe, done])
+    new = torch.ones_like(done, dtype=torch.bool)
+    step = torch.tensor([[0], [1], [1]], device=done.device)
+    new[1:] = (numbers[:, 1:] - numbers[:, :-1] != step).any(0)
+    # The last frame of an episode comes before the first of the next.
+    last = torch.cat([new[1:], new[:1]])
+    firsts = torch.nonzero(new).flatten().tolist()
+    return TokenLayout(
+        episode=new.cumsum(0) - 1,
+        slot=done,
+        actions=batch.past[last],
+        instructions=[batch.instructions[first] for first in firsts],
+        foreseeable=~batch.labels.perturbed[new],
+    )
+
+
+def layout_of_inputs(
+    inputs: Sequence[PolicyInput],
+    device: torch.device,
+    entities: EntitySet = BENCHMARK,
+) -> tuple[TokenLayout, list[View], Tensor]:
+    """Return how policies' inputs lie, with all that they saw.
+
+    Args:
+        inputs: One per episode.
+        device: Where the tensors shall be.
+        entities: Entities, in the order of their numbers.
+
+    Returns:
+        The layout; each view once; and which of them each frame of the layout shows.
+    """
+    views: dict[View, int] = {}
+    episodes, slots, shown = [], [], []
+    actions = torch.full((len(inputs), MAX_PAST, 4), NOBODY)
+    for number, given in enumerate(inputs):
+        steps = given.past[-MAX_PAST:]
+        for slot, step in enumerate(steps):
+            numbers = decision_numbers(step.subtask.to_dict(), entities)
+            actions[number, slot] = torch.tensor(numbers)
+        seen = [*(step.view for step in steps), given.view]
+        for slot, view in enumerate(seen):
+            episodes.append(number)
+            slots.append(slot)
+            shown.append(views.setdefault(view, len(views)))
+    layout = TokenLayout(
+        episode=torch.tensor(episodes, device=device),
+        slot=torch.tensor(slots, device=device),
+        actions=actions.to(device),
+        instructions=[given.instruction for given in inputs],
+        foreseeable=torch.ones(len(inputs), dtype=torch.bool, device=device),
+    )
+    return layout, list(views), torch.tensor(shown, device=device)
+
+
+class ViewCache(WeakKeyDictionary[View, Tensor]):
+    """A network's features of views; forgets a view that nobody else refers to.
+
+    A closed loop looks at each view again at every later decision. A copy starts empty.
+    """
+
+    state: object = None
+    """State of the network that found them."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "ViewCache":
+        """Return an empty one."""
+        return ViewCache()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as an empty one."""
+        return ViewCache, ()
+
+
+class EpisodicTransformer(MapModel):
     """A planner that remembers all frames and decisions of its episode."""
 
     unit: ClassVar[Literal["frame", "episode"]] = "episode"
@@ -183,10 +294,10 @@ class EpisodicTransformer(Model):
 
         Args:
             batch: With labels, which tell frames' episodes; see
-                :func:`lemma.policies.models.episodic_transformer.layout.of_batch`.
+                :func:`layout_of_batch`.
         """
         cells = self.frames(batch.rgb, batch.height_m, batch.coverage)
-        return self._decide(cells, episodic_layout.of_batch(batch))
+        return self._decide(cells, layout_of_batch(batch))
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Return the cross entropy of each part of the decision."""
@@ -213,20 +324,14 @@ class EpisodicTransformer(Model):
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return the next sub-task of each episode; see ``Planner``."""
-        was_training = self.training
-        if was_training:
-            self.eval()
-        with torch.inference_mode():
+        with self.deciding():
             numbers = choose(self._scores_of(inputs), self.entities).tolist()
-        if was_training:
-            self.train()
-        return [_subtask(row, self.entities) for row in numbers]
+        return [subtask_of(row, self.entities) for row in numbers]
 
     def _scores_of(self, inputs: Sequence[PolicyInput]) -> list[Tensor]:
-        device = self.kinds.device
-        layout, views, shown = episodic_layout.of_inputs(inputs, device, self.entities)
-        cells = self._seen.features(views, self._cells_of, self._state())
-        scores = self._decide(cells[shown], layout)
+        device = self.device
+        layout, views, shown = layout_of_inputs(inputs, device, self.entities)
+        scores = self._decide(self._cells_of(views)[shown], layout)
         # The present is the last frame of each episode.
         present = torch.cumsum(torch.bincount(layout.episode), 0) - 1
         scores = [part[present] for part in scores]
@@ -234,18 +339,22 @@ class EpisodicTransformer(Model):
         absent = torch.arange(self.config.robots, device=device) >= robots[:, None]
         return [scores[0].masked_fill(absent, -torch.inf), *scores[1:]]
 
-    def _state(self) -> tuple[object, ...]:
-        """Return what changes when the weights of the image network do."""
-        weights = list(self.frames.parameters())
-        return weights[0].device, weights[0].dtype, sum(w._version for w in weights)
-
     def _cells_of(self, views: list[View]) -> Tensor:
-        maps = [
-            torch.from_numpy(np.stack([getattr(view, name) for view in views]))
-            for name in ("rgb", "height_m", "coverage")
-        ]
-        cells: Tensor = self.frames(*(one.to(self.kinds.device) for one in maps))
-        return cells
+        """Return the cells of different views, looking at those that are new."""
+        weights = list(self.frames.parameters())
+        state = weights[0].device, weights[0].dtype, sum(w._version for w in weights)
+        if state != self._seen.state:
+            self._seen.clear()
+            self._seen.state = state
+        new = [view for view in views if view not in self._seen]
+        if new:
+            maps = [
+                torch.from_numpy(np.stack([getattr(view, name) for view in new]))
+                for name in ("rgb", "height_m", "coverage")
+            ]
+            cells = self.frames(*(one.to(self.device) for one in maps))
+            self._seen.update(zip(new, cells, strict=True))
+        return torch.stack([self._seen[view] for view in views])
 
     def _decide(self, cells: Tensor, layout: TokenLayout) -> list[Tensor]:
         if self.training and self.config.first_view_only:
@@ -286,9 +395,8 @@ class EpisodicTransformer(Model):
         return torch.where(frozen[layout.episode].unsqueeze(1), shown, cells)
 
     def _decision_tokens(self, layout: TokenLayout) -> Tensor:
-        parts = [
-            table(layout.actions[:, :, i] + 1) for i, table in enumerate(self.decisions)
-        ]
+        numbers = (layout.actions + 1).unbind(2)
+        parts = [table(n) for table, n in zip(self.decisions, numbers, strict=True)]
         return torch.stack(parts).sum(0)
 
 
@@ -342,30 +450,14 @@ def choose(scores: Sequence[Tensor], entities: EntitySet = BENCHMARK) -> Tensor:
 @cache
 def _sensible(entities: EntitySet) -> Tensor:
     """Return which (primitive, pick, place) can be said, bool."""
-    names, places = entities.names, entities.places
-    found = torch.zeros(len(PRIMITIVES), len(names), len(places), dtype=torch.bool)
-    dragged = [kind.drag_m is not None for kind in entities.kinds]
-    for kind, primitive in enumerate(PRIMITIVES):
-        for i, pick in enumerate(entities.kinds):
-            for j in range(len(places)):
-                if primitive == Primitive.MOVE:
-                    good = pick.grasp is not None and j not in (i, entities.stick)
-                else:
-                    good = i == entities.stick and j < len(names) and dragged[j]
-                found[kind, i, j] = good
+    traits, stick = traits_of(entities, torch.device("cpu")), entities.stick
+    shape = len(PRIMITIVES), len(entities), len(entities.places)
+    found = torch.zeros(shape, dtype=torch.bool)
+    found[:, stick, : len(entities)] = traits.draggable
+    moves = traits.graspable[:, None].repeat(1, len(entities.places))
+    moves[:, stick] = False
+    found[_MOVE] = moves.fill_diagonal_(False)
     return found
-
-
-def _subtask(numbers: list[int], entities: EntitySet) -> SubTask:
-    robot, primitive, pick, place = numbers
-    if primitive == STOP:
-        return STOP_SUBTASK
-    return SubTask(
-        robot_name(robot),
-        Primitive(PRIMITIVES[primitive]),
-        entities.names[pick],
-        entities.places[place],
-    )
 
 
 def _cross_entropy(scores: Tensor, targets: Tensor) -> Tensor:
