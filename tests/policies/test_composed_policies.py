@@ -4,39 +4,26 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
+from faulty_policies import MOVE, given, view
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
-from lemma.env.view import View
 from lemma.evaluation.run.loading import learned_parts
-from lemma.policies.compose import MultiStep, PlannerWithGrounder
-from lemma.policies.interfaces import (
-    Grounder,
-    PastStep,
-    Planner,
-    Policy,
-    PolicyInput,
+from lemma.motion.outcome import REFUSED, Outcome
+from lemma.policies.compose import (
+    MultiStep,
+    PlannerWithGrounder,
+    RetryingPlanner,
+    RetryingPolicy,
 )
+from lemma.policies.interfaces import Decision, PastStep, Policy, PolicyInput
 from lemma.policies.spec import PolicySpec, parts_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
-MOVE = SubTask("robot_0", Primitive.MOVE, "red_cube", "blue_pad")
-
-
-def view(shade: int = 0) -> View:
-    return View(
-        np.full((4, 6, 3), shade, np.uint8),
-        np.zeros((4, 6), np.float32),
-        np.ones((4, 6), np.bool_),
-        np.zeros((2, 6)),
-        np.zeros(2),
-    )
-
-
-def given(instruction: str = "go", *past: PastStep) -> PolicyInput:
-    return PolicyInput(instruction, ("red robot", "white robot"), view(9), past)
+FIRST = SubTask("robot_0", Primitive.MOVE, "red_cube", "shared")
+SECOND = SubTask("robot_1", Primitive.MOVE, "red_cube", "white_pad")
+PLAN = (FIRST, SECOND, STOP)
 
 
 class StopsAt:
@@ -73,14 +60,6 @@ def test_only_those_that_go_on_are_grounded() -> None:
     assert [d.stops for d in decisions] == [False, True, False, False]
     assert [d.grounded is None for d in decisions] == [False, True, True, False]
     assert "red_cube" in decisions[2].explanation
-
-
-def test_the_parts_keep_their_interfaces() -> None:
-    policy = PlannerWithGrounder(StopsAt(), Remembers())
-    assert isinstance(policy, Policy)
-    assert isinstance(MultiStep(StopsAt()), Planner)
-    assert isinstance(Remembers(), Grounder)
-    assert not isinstance(Remembers(), Planner)
 
 
 def test_multi_step_sees_the_first_view_alone() -> None:
@@ -161,3 +140,105 @@ def test_a_plus_sign_joins_planner_and_grounder_alone(
     assert parts_of(name.format(here=tmp_path)) == wanted
     # So it is for what evaluates them, too.
     assert set(learned_parts(name.format(here=tmp_path))) <= set(wanted)
+
+
+# --- Refused sub-tasks: another robot tries, until all were refused ---------------
+
+
+class ByHeart:
+    """Plans by how many steps it is told of, whatever became of them."""
+
+    def __init__(self) -> None:
+        self.told: list[int] = []
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        self.told += [len(given.past) for given in inputs]
+        return [PLAN[min(len(given.past), 2)] for given in inputs]
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        pose = Pose2(0.1, 0.2, 0.3)
+        return [
+            Decision(one, GroundedSubTask(one.robot, one.primitive, pose, pose))
+            for one in self.plan(inputs)
+        ]
+
+
+def after(*past: tuple[SubTask, str]) -> PolicyInput:
+    steps = (PastStep(view(), subtask, outcome) for subtask, outcome in past)
+    return given("Do it", *steps)
+
+
+def of(subtask: SubTask, robot: str) -> SubTask:
+    return replace(subtask, robot=robot)
+
+
+@pytest.mark.parametrize("outcome", sorted(REFUSED))
+def test_another_robot_tries_what_one_was_refused(outcome: str) -> None:
+    planner = RetryingPlanner(ByHeart())
+    (again,) = planner.plan([after((FIRST, outcome))])
+    assert again == of(FIRST, "robot_1")
+    # It could: the plan goes on, and what was refused is not in it.
+    past = after((FIRST, outcome), (again, "success"))
+    assert RetryingPlanner(ByHeart()).plan([past]) == [STOP]
+
+
+def test_the_planner_is_asked_as_if_it_had_not_been_tried() -> None:
+    told = ByHeart()
+    RetryingPlanner(told).plan(
+        [after(), after((FIRST, "success"), (SECOND, "unreachable"))]
+    )
+    assert told.told == [0, 1]
+
+
+def test_who_was_refused_with_every_robot_goes_on() -> None:
+    told = ByHeart()
+    other = of(FIRST, "robot_1")
+    past = after((FIRST, "unreachable"), (other, "unreachable"))
+    assert RetryingPlanner(told).plan([past]) == [STOP]
+    assert told.told == [2]
+
+
+def test_failures_of_motion_are_the_same_robots_to_mend() -> None:
+    for outcome in set(Outcome) - REFUSED:
+        found = RetryingPlanner(ByHeart()).plan([after((FIRST, outcome))])
+        assert found == [SECOND]
+
+
+def test_a_policy_of_one_level_keeps_its_poses() -> None:
+    (found,) = RetryingPolicy(ByHeart()).act([after((FIRST, "unreachable"))])
+    assert found.subtask == of(FIRST, "robot_1")
+    assert found.grounded is not None
+    assert found.grounded.robot == "robot_1"
+    (plain,) = ByHeart().act([after()])
+    assert plain.grounded is not None
+    assert found.grounded.pick == plain.grounded.pick
+
+
+@pytest.mark.parametrize("planning", ["single-step", "multi-step"])
+@pytest.mark.parametrize("reads", [True, False, None])
+def test_the_rule_is_for_who_does_not_read_outcomes(
+    planning: str, reads: bool | None
+) -> None:
+    planner = ByHeart()
+    planner.ground = None  # type: ignore[attr-defined]
+    if reads is not None:
+        planner.reads_outcomes = reads  # type: ignore[attr-defined]
+    found = PolicySpec("mine:planner+oracle", planning).load(lambda _: planner)
+    assert isinstance(found, PlannerWithGrounder)
+    # Of a plan from the first view, nobody reads outcomes.
+    wanted = reads is False or planning == "multi-step"
+    assert isinstance(found.planner, RetryingPlanner) == wanted
+    if planning == "multi-step":
+        assert isinstance(found.planner, RetryingPlanner)
+        assert isinstance(found.planner.planner, MultiStep)
+
+
+def test_baselines_and_ours_are_told_apart_by_what_they_read() -> None:
+    pytest.importorskip("torch")
+    from lemma.policies.models.catalog import MODELS  # noqa: PLC0415
+
+    assert {name for name in MODELS if MODELS[name][0].reads_outcomes} == {"reachnet"}
+    policy = ByHeart()
+    policy.reads_outcomes = False  # type: ignore[attr-defined]
+    policy.plan = None  # type: ignore[method-assign, assignment]
+    assert isinstance(PolicySpec("mine:policy").load(lambda _: policy), RetryingPolicy)

@@ -286,13 +286,18 @@ Reply = Welcome | Decisions | SubTasks | Poses | Commands | Error
 M = TypeVar("M")
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
+    """Return a number of NumPy's as what msgpack has.
+
+    Raises:
+        TypeError: It is something else.
+    """
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"a {type(value).__name__} cannot be sent")
 
 
-_encoder = msgspec.msgpack.Encoder(enc_hook=_plain)
+_encoder = msgspec.msgpack.Encoder(enc_hook=plain)
 _requests: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
 _replies: msgspec.msgpack.Decoder[Reply] = msgspec.msgpack.Decoder(Reply)
 
@@ -316,7 +321,7 @@ def decode_request(data: bytes | str) -> Request:
         ProtocolError: They are no request.
     """
     try:
-        return _decode(_requests, data)
+        return decode(_requests, data)
     except msgspec.ValidationError as error:
         raise ProtocolError(f"The request does not fit: {error}.") from error
 
@@ -329,7 +334,7 @@ def decode_reply(data: bytes | str) -> Reply:
         ProtocolError: They are no message at all.
     """
     try:
-        return _decode(_replies, data)
+        return decode(_replies, data)
     except msgspec.ValidationError as error:
         if "enum" in str(error):
             raise PolicyFailedError(
@@ -338,7 +343,17 @@ def decode_reply(data: bytes | str) -> Reply:
         raise malformed(str(error)) from error
 
 
-def _decode(decoder: msgspec.msgpack.Decoder[M], data: bytes | str) -> M:
+def decode(decoder: msgspec.msgpack.Decoder[M], data: bytes | str) -> M:
+    """Return a message from bytes.
+
+    Args:
+        decoder: Says of which type it is.
+        data: What came in.
+
+    Raises:
+        ValidationError: It is of another type.
+        ProtocolError: They are no message at all.
+    """
     if isinstance(data, str):
         raise ProtocolError("Messages are binary frames of msgpack, not text.")
     try:

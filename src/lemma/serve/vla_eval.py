@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lemma.core.errors import InvalidConfigError, shown
 from lemma.serve.faults import FaultKind, PolicyFailedError, ProtocolError
+from lemma.serve.messages import decode, plain
 
 VERSION = 1
 """Version of the protocol: both sides say it, and ours compare it."""
@@ -79,17 +80,13 @@ def unpack(data: bytes | str) -> Message:
     Raises:
         ProtocolError: They are no message.
     """
-    if isinstance(data, str):
-        raise ProtocolError("Messages are binary frames of msgpack, not text.")
     try:
-        found = _decoder.decode(data)
+        found = decode(_decoder, data)
     except msgspec.ValidationError as error:
         raise ProtocolError(
             f"A message does not fit: {error}. One of vla-eval is a map of type, "
             f"payload, seq and timestamp; types are {', '.join(Kind)}."
         ) from error
-    except (msgspec.DecodeError, RecursionError, ValueError) as error:
-        raise ProtocolError(f"A message is no msgpack: {error}.") from error
     return msgspec.structs.replace(found, payload=_read(found.payload))
 
 
@@ -185,9 +182,7 @@ def _plain(value: object) -> object:
             "dtype": whole.dtype.str,
             "shape": list(value.shape),
         }
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"a {type(value).__name__} cannot be sent")
+    return plain(value)
 
 
 def _read(value: Any, depth: int = 0) -> Any:
