@@ -146,32 +146,6 @@ def test_one_finger_is_not_enough(simulation: Simulation) -> None:
 # --- Snapshots ---------------------------------------------------------------------
 
 
-def test_a_simulation_goes_back_and_on_again(simulation: Simulation) -> None:
-    simulation.execute(MOVE)
-    kept = simulation.snapshot()
-    before = simulation.scene.state_hash()
-    back = GroundedSubTask("robot_1", Primitive.MOVE, PLACE, PICK)
-    first = simulation.execute(back)
-    after = simulation.scene.state_hash()
-    simulation.restore(kept)
-    assert simulation.scene.state_hash() == before
-    assert simulation.clocks["robot_1"].busy_s == 0.0
-    second = simulation.execute(back)
-    assert simulation.scene.state_hash() == after
-    assert second == first
-
-
-def test_a_snapshot_serves_another_simulation(simulation: Simulation) -> None:
-    simulation.execute(MOVE)
-    kept = simulation.snapshot()
-    other = Simulation(simulation.scene.spec)
-    other.execute(GroundedSubTask("robot_1", Primitive.MOVE, PICK, Pose2(0.1, 0.2)))
-    other.restore(kept)
-    back = GroundedSubTask("robot_0", Primitive.MOVE, PLACE, PICK)
-    assert simulation.execute(back) == other.execute(back)
-    assert simulation.scene.state_hash() == other.scene.state_hash()
-
-
 def test_restoring_tells_what_is_held() -> None:
     simulation = Simulation(facing("ur10", stick(Pose2(-0.2, -0.2, 0.4))))
     grip = simulation.scene.pose2("stick") @ Pose2(0.05, 0.0)

@@ -9,13 +9,14 @@ from tiers import slow_but
 
 from lemma.core.errors import CapacityError
 from lemma.core.poses import FloatArray, Pose, Pose2
-from lemma.env.control.approach_bounds import (
+from lemma.env.control.controllers import Controller, StepSize
+from lemma.env.control.guarded_arm import (
+    CAPSULES,
     CLEARANCE_M,
+    CORNERS,
     DECELERATION_M_S2,
     RANGE_M,
 )
-from lemma.env.control.controllers import Controller, StepSize
-from lemma.env.control.guarded_arm import CAPSULES, CORNERS
 from lemma.env.control.modes import CONTROLS
 from lemma.env.control.safety_filter import keep_clear
 from lemma.env.control.velocity_dampers import (

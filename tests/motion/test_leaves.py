@@ -10,6 +10,7 @@ from rmpflow_scenes import (
     ELBOW_UP,
     NO_OBSTACLES,
     ZEROS,
+    accelerate,
     arm_model,
     only,
     posture_goal,
@@ -25,7 +26,6 @@ from lemma.motion.rmpflow.leaves import (
     TargetLeaf,
     VelocityCapLeaf,
 )
-from lemma.motion.rmpflow.policy import accelerate
 from lemma.motion.rmpflow.workspace import ArmTarget, Workspace
 
 

@@ -8,6 +8,7 @@ from rmpflow_scenes import (
     ARM_NAMES,
     NO_OBSTACLES,
     SUBSTEP_S,
+    accelerate,
     arm_model,
     links,
     move,
@@ -22,7 +23,7 @@ from rmpflow_scenes import (
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow import policy as rmpflow
 from lemma.motion.rmpflow.leaves import Leaves
-from lemma.motion.rmpflow.policy import accelerate, integrate
+from lemma.motion.rmpflow.policy import integrate
 from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget, Workspace
 from lemma.robots.ur.kinematics import top_down
 

@@ -4,9 +4,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 
 from lemma.core.poses import FloatArray
+from lemma.motion.rmpflow.collision import collision_memory
 from lemma.motion.rmpflow.leaves import Leaves
+from lemma.motion.rmpflow.policy import accelerate as policy_accelerate
 from lemma.motion.rmpflow.policy import integrate
 from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget, Workspace
 from lemma.robots.collision_model import envelope_of, segment_distance
@@ -152,3 +155,29 @@ def sphere_gaps(name: str, q: FloatArray, obstacles: FloatArray) -> FloatArray:
         distances = [segment_distance(point, row) - row[6] for row in obstacles]
         gaps.append(min(distances) - sphere[3])
     return np.array(gaps)
+
+
+def accelerate(
+    root: Workspace,
+    arm: ArmModel,
+    goal: ArmTarget,
+    parameters: Leaves,
+    state: FloatArray,
+    obstacles: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write the joint accelerations that all leaves agree on to ``out``, (6,)."""
+    root.load(arm, goal, parameters)
+    _accelerate_array(root.record, root.spheres, state, obstacles, out)
+
+
+@njit(error_model="numpy")  # type: ignore[untyped-decorator]
+def _accelerate_array(
+    record: np.ndarray,
+    spheres: FloatArray,
+    state: FloatArray,
+    obstacles: FloatArray,
+    out: FloatArray,
+) -> None:
+    memory = collision_memory(spheres, obstacles)
+    policy_accelerate(record[0], spheres, state, obstacles, memory, out)

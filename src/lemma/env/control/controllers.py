@@ -12,10 +12,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lemma.core.engine import mujoco
 from lemma.core.poses import FloatArray
@@ -37,29 +35,6 @@ class StepSize:
     """Along each axis [m]."""
     rotation_rad: float = 0.25
     """About each axis [rad]."""
-
-
-class SharedArrays(NamedTuple):
-    """First arguments of each kernel in :mod:`lemma.env.control.motor_commands`.
-
-    Kernels read and write them in place: they belong to the arms, the safety filter and
-    the simulation.
-    """
-
-    records: NDArray[np.void]
-    """One for each arm; see :data:`~lemma.env.control.guarded_arm.ARM`."""
-    states: FloatArray
-    """The references of all arms, (n, 2, 6) [rad, rad/s]."""
-    openings: FloatArray
-    """Commanded openings of the grippers, (n,) [m]."""
-    obstacles: FloatArray
-    """See :class:`~lemma.env.control.safety_filter.SafetyFilter`."""
-    objects: FloatArray
-    """The same."""
-    qpos: FloatArray
-    """Positions of the simulation."""
-    control: FloatArray
-    """Motor commands of the simulation."""
 
 
 class Controller(ABC):
@@ -86,10 +61,13 @@ class Controller(ABC):
         data = self.scene.data
         self.qvel: FloatArray = data.qvel
         guard = self.guard
-        self.shared = SharedArrays(
+        self.shared = (
             *(guard.records, self.states, self.openings),
             *(guard.obstacles, guard.objects, data.qpos, data.ctrl),
         )
+        """First arguments of each kernel in :mod:`lemma.env.control.motor_commands`,
+        which read and write them in place: they belong to the arms, the safety filter
+        and the simulation."""
         self._busy_ticks = np.zeros(len(arms), np.int64)
         self._count = partial(count_moving, guard.records, self.qvel, self._busy_ticks)
 

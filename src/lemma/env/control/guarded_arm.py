@@ -2,6 +2,10 @@
 
 Records of all arms enter Numba as a single pointer, which makes a call cheap: there is
 one before every physics step and one in every servo tick.
+
+Kernels here bound from above, cheaply, how fast parts of an arm approach anything. Two
+capsules are no nearer than balls around them, and no point of a rigid part is faster
+than the faster of its ends.
 """
 
 import math
@@ -10,9 +14,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.motion.arm_motion import ArmMotion
-from lemma.robots.collision_model import envelope_of
+from lemma.robots.collision_model import envelope_of, place_capsules
 from lemma.robots.gripper import (
     FINGER_OPENING_M,
     FINGER_THICKNESS_M,
@@ -31,6 +36,18 @@ CORNERS = 8
 """Number of corners of the fingers, wide open, and of the palm."""
 INNER_LINKS = 4
 """Links, from the base on, that outer parts of the same arm may come near."""
+ROW = 12
+"""Numbers of a capsule in the world: both ends and the radius; the range in which an
+obstacle is felt, or the height of an object's top; and middle and radius of a ball
+around it, see :func:`enclose` [m]."""
+CLEARANCE_M = 0.003
+"""Distance that is kept; fingertips grasp a stick 6 mm above the table."""
+DECELERATION_M_S2 = 2.0
+"""How hard an approach can be braked by any arm in any posture."""
+RANGE_M = 0.8
+"""Things further apart than this never matter."""
+ROUNDING = 1e-9
+"""More than any rounding error here, in any unit."""
 _PARTS = CAPSULES + CORNERS
 
 ARM = np.dtype(
@@ -124,3 +141,85 @@ def _corners() -> list[tuple[float, float, float]]:
         for side in (-1.0, 1.0)
         for across in (-1.0, 1.0)
     ]
+
+
+@kernel
+def place_and_move(arm: np.record, rates: FloatArray) -> None:
+    """Write parts in the world with balls around them, and how links move."""
+    place_capsules(arm.placed, arm.parts[:, 7], arm.parts, arm.world)
+    twists = arm.twists
+    twists[0] = 0.0
+    for j in range(6):
+        f = arm.placed[j]
+        zx, zy, zz = f[0, 2] * rates[j], f[1, 2] * rates[j], f[2, 2] * rates[j]
+        x, y, z = f[0, 3], f[1, 3], f[2, 3]
+        twists[j + 1, 0] = twists[j, 0] + zx
+        twists[j + 1, 1] = twists[j, 1] + zy
+        twists[j + 1, 2] = twists[j, 2] + zz
+        twists[j + 1, 3] = twists[j, 3] + y * zz - z * zy
+        twists[j + 1, 4] = twists[j, 4] + z * zx - x * zz
+        twists[j + 1, 5] = twists[j, 5] + x * zy - y * zx
+    for i in range(arm.world.shape[0]):
+        enclose(arm.world[i])
+        link = int(arm.parts[i, 7])
+        for k in range(6):
+            arm.ends[k, i] = arm.world[i, k]
+            arm.part_twists[k, i] = twists[link, k]
+
+
+@kernel
+def enclose(row: FloatArray) -> None:
+    """Write the ball around a capsule to its row; see :data:`ROW`."""
+    length = 0.0
+    for k in range(3):
+        row[8 + k] = 0.5 * (row[k] + row[3 + k])
+        length += (row[k] - row[3 + k]) ** 2
+    row[11] = 0.5 * math.sqrt(length) + row[6]
+
+
+@kernel
+def measure_gaps(arm: np.record, expected: float) -> None:
+    """Write the gaps from which on parts can be stopped in time, to ``arm.gaps``.
+
+    A part and what it approaches come nearer no faster than the part moves, seen from a
+    link, if joint speeds change by no more than a norm of ``expected`` [rad/s]; see
+    :data:`DECELERATION_M_S2`.
+    """
+    ends, twists, levers, gaps = arm.ends, arm.part_twists, arm.levers, arm.gaps
+    for link in range(gaps.shape[0]):
+        u = arm.twists[link]
+        u0, u1, u2, u3, u4, u5 = u[0], u[1], u[2], u[3], u[4], u[5]
+        # Column by column, so that the compiler takes several parts at once.
+        for i in range(gaps.shape[1]):
+            wx, wy, wz = twists[0, i] - u0, twists[1, i] - u1, twists[2, i] - u2
+            tx, ty, tz = twists[3, i] - u3, twists[4, i] - u4, twists[5, i] - u5
+            x, y, z = ends[0, i], ends[1, i], ends[2, i]
+            vx, vy = tx + wy * z - wz * y, ty + wz * x - wx * z
+            vz = tz + wx * y - wy * x
+            first = vx * vx + vy * vy + vz * vz
+            x, y, z = ends[3, i], ends[4, i], ends[5, i]
+            vx, vy = tx + wy * z - wz * y, ty + wz * x - wx * z
+            vz = tz + wx * y - wy * x
+            second = vx * vx + vy * vy + vz * vz
+            # Between the ends of a rigid body nothing is faster than at both.
+            fastest = math.sqrt(first if first > second else second)
+            pace = fastest + levers[i] * expected
+            gap = pace * pace / (2.0 * DECELERATION_M_S2) + CLEARANCE_M
+            gaps[link, i] = (gap if gap < RANGE_M else RANGE_M) + ROUNDING
+
+
+@kernel
+def is_clear(a: FloatArray, i: int, b: FloatArray, j: int, gap: float) -> bool:
+    """Whether two capsules are certainly further apart than a gap.
+
+    Args:
+        a: Capsules, (n, 12); see :data:`ROW`.
+        i: A row of them. Views of rows would take longer than the comparison.
+        b: Others.
+        j: A row of those.
+        gap: Distance of the surfaces [m].
+    """
+    x, y, z = a[i, 8] - b[j, 8], a[i, 9] - b[j, 9], a[i, 10] - b[j, 10]
+    least = gap + a[i, 11] + b[j, 11]
+    clear: bool = x * x + y * y + z * z > least * least
+    return clear

@@ -30,7 +30,7 @@ from lemma.robots.ur.build import ARMS, JOINTS
 from lemma.scene.build import ACTUATIONS
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ControlMode:
     """Meaning of the numbers of an action, and the controller that obeys them."""
 
@@ -76,122 +76,87 @@ def _strongest(field: str) -> tuple[float, ...]:
     return tuple(max(column) for column in zip(*limits, strict=True))
 
 
-def _joint_mode(
-    summary: str, actuation: str, limits: tuple[float, ...], driver: type[Controller]
-) -> ControlMode:
-    return ControlMode(
-        summary=summary,
-        actuation=actuation,
-        columns=(*JOINTS, "opening"),
-        low=(*(-limit for limit in limits), 0.0),
-        high=(*limits, FINGER_OPENING_M),
-        controller=driver,
-    )
-
-
-def _pose_mode(
-    summary: str,
-    driver: type[PoseController],
-    low: tuple[float, ...] = LOWEST_M,
-    high: tuple[float, ...] = HIGHEST_M,
-) -> ControlMode:
-    turn = driver.rotation
-    limits = [turn.limit] * len(turn.columns)
-    return ControlMode(
-        summary=summary,
-        actuation="position",
-        columns=("x", "y", "z", *turn.columns, "opening"),
-        low=(*low, *(-limit for limit in limits), 0.0),
-        high=(*high, *limits, FINGER_OPENING_M),
-        controller=driver,
-    )
-
-
-def _delta_mode(summary: str, driver: type[DeltaPoseController]) -> ControlMode:
-    turn = driver.rotation
-    columns = ("dx", "dy", "dz", *turn.columns, "gripper")
-    return ControlMode(
-        summary=summary,
-        actuation="position",
-        columns=columns,
-        low=(-1.0,) * len(columns),
-        high=(1.0,) * len(columns),
-        controller=driver,
-    )
-
-
+_IN_WORLD = (LOWEST_M, HIGHEST_M)
 _FROM_BASE = (LOWEST_FROM_BASE_M, HIGHEST_FROM_BASE_M)
+_POSE_MODES = (
+    (
+        *("ee_pose", PoseController, _IN_WORLD),
+        "Pose of the tool centre point in the world, quaternion wxyz.",
+    ),
+    (
+        *("ee_pose_axis_angle", AxisAnglePoseController, _IN_WORLD),
+        "The same, axis and angle [rad].",
+    ),
+    (
+        *("ee_pose_rot6d", Rot6dPoseController, _IN_WORLD),
+        "The same, first two columns of the rotation matrix.",
+    ),
+    (
+        *("ee_waypoint", WaypointController, _FROM_BASE),
+        "Pose in the frame of the robot's base; an arm that has far to turn swings "
+        "round first.",
+    ),
+    (
+        *("ee_waypoint_rot6d", Rot6dWaypointController, _FROM_BASE),
+        "The same, first two columns of the rotation matrix.",
+    ),
+)
+"""Name, controller, corners of the box of positions, and summary."""
+_STEP_MODES = (
+    (
+        *("delta_ee_pose", DeltaPoseController),
+        "Steps of the tool centre point's target, in [-1, 1]; axis and angle.",
+    ),
+    (
+        *("delta_ee_pose_rot6d", DeltaRot6dPoseController),
+        "The same, first two columns of the rotation matrix.",
+    ),
+)
+"""Name, controller and summary."""
+_JOINT_MODES = (
+    (
+        *("joint_position", PositionController, "position", "joint_range"),
+        "Joint angles [rad].",
+    ),
+    (
+        *("joint_velocity", VelocityController, "velocity", "velocity_limits"),
+        "Joint speeds [rad/s].",
+    ),
+    (
+        *("joint_torque", TorqueController, "torque", "effort_limits"),
+        "Joint torques beside those that balance gravity [N m].",
+    ),
+)
+"""Name, controller, actuation, field of an arm that bounds the numbers, and summary."""
 
 CONTROLS: Registry[ControlMode] = Registry("control mode", ControlMode)
 """The control modes by name. Bounds are those of the strongest arm type; a weaker arm
 does what it can."""
-CONTROLS.add(
-    "ee_pose",
-    _pose_mode(
-        "Pose of the tool centre point in the world, quaternion wxyz.", PoseController
-    ),
-)
-CONTROLS.add(
-    "ee_pose_axis_angle",
-    _pose_mode("The same, axis and angle [rad].", AxisAnglePoseController),
-)
-CONTROLS.add(
-    "ee_pose_rot6d",
-    _pose_mode(
-        "The same, first two columns of the rotation matrix.", Rot6dPoseController
-    ),
-)
-CONTROLS.add(
-    "ee_waypoint",
-    _pose_mode(
-        "Pose in the frame of the robot's base; an arm that has far to turn swings "
-        "round first.",
-        WaypointController,
-        *_FROM_BASE,
-    ),
-)
-CONTROLS.add(
-    "ee_waypoint_rot6d",
-    _pose_mode(
-        "The same, first two columns of the rotation matrix.",
-        Rot6dWaypointController,
-        *_FROM_BASE,
-    ),
-)
-CONTROLS.add(
-    "delta_ee_pose",
-    _delta_mode(
-        "Steps of the tool centre point's target, in [-1, 1]; axis and angle.",
-        DeltaPoseController,
-    ),
-)
-CONTROLS.add(
-    "delta_ee_pose_rot6d",
-    _delta_mode(
-        "The same, first two columns of the rotation matrix.", DeltaRot6dPoseController
-    ),
-)
-CONTROLS.add(
-    "joint_position",
-    _joint_mode(
-        "Joint angles [rad].", "position", _strongest("joint_range"), PositionController
-    ),
-)
-CONTROLS.add(
-    "joint_velocity",
-    _joint_mode(
-        "Joint speeds [rad/s].",
-        "velocity",
-        _strongest("velocity_limits"),
-        VelocityController,
-    ),
-)
-CONTROLS.add(
-    "joint_torque",
-    _joint_mode(
-        "Joint torques beside those that balance gravity [N m].",
-        "torque",
-        _strongest("effort_limits"),
-        TorqueController,
-    ),
-)
+
+
+def _add_modes() -> None:
+    for name, driver, (low, high), summary in _POSE_MODES:
+        turn = driver.rotation
+        limits = (turn.limit,) * len(turn.columns)
+        columns = ("x", "y", "z", *turn.columns, "opening")
+        bottom = (*low, *(-limit for limit in limits), 0.0)
+        top = (*high, *limits, FINGER_OPENING_M)
+        CONTROLS.add(
+            name, ControlMode(summary, "position", columns, bottom, top, driver)
+        )
+    for name, stepper, summary in _STEP_MODES:
+        columns = ("dx", "dy", "dz", *stepper.rotation.columns, "gripper")
+        top = (1.0,) * len(columns)
+        bottom = (-1.0,) * len(columns)
+        CONTROLS.add(
+            name, ControlMode(summary, "position", columns, bottom, top, stepper)
+        )
+    for name, mover, actuation, field, summary in _JOINT_MODES:
+        limits = _strongest(field)
+        columns = (*JOINTS, "opening")
+        bottom = (*(-limit for limit in limits), 0.0)
+        top = (*limits, FINGER_OPENING_M)
+        CONTROLS.add(name, ControlMode(summary, actuation, columns, bottom, top, mover))
+
+
+_add_modes()

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from lemma.core.kernels import borrowed, kernel
 from lemma.core.poses import FloatArray
-from lemma.env.control.approach_bounds import ROW, enclose
-from lemma.env.control.guarded_arm import CAPSULES, arm_records
+from lemma.env.control.guarded_arm import CAPSULES, ROW, arm_records, enclose
 from lemma.env.control.velocity_dampers import restrain
 from lemma.motion.arm_motion import ArmMotion
 from lemma.robots.collision_model import closest_points, place_capsules
@@ -49,7 +48,7 @@ class SafetyFilter:
         count = len(arms)
         self.obstacles = np.zeros((count, CAPSULES * (count - 1), ROW))
         """For each arm the capsules of the others, see
-        :data:`~lemma.env.control.approach_bounds.ROW`."""
+        :data:`~lemma.env.control.guarded_arm.ROW`."""
         self.obstacles[:, :, 7] = ARM_RANGE_M
         scene = arms[0].scene
         owners, capsules = _shells(scene)

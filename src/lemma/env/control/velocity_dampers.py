@@ -17,8 +17,10 @@ import numpy as np
 from lemma.core.errors import CapacityError
 from lemma.core.kernels import borrowed, kernel
 from lemma.core.poses import FloatArray
-from lemma.env.control.approach_bounds import (
+from lemma.env.control.guarded_arm import (
+    CAPSULES,
     CLEARANCE_M,
+    CORNERS,
     DECELERATION_M_S2,
     RANGE_M,
     ROUNDING,
@@ -26,7 +28,6 @@ from lemma.env.control.approach_bounds import (
     measure_gaps,
     place_and_move,
 )
-from lemma.env.control.guarded_arm import CAPSULES, CORNERS
 from lemma.robots.collision_model import SELF_PAIRS, Triple, closest_points
 from lemma.robots.gripper import TCP_OFFSET_M
 
@@ -88,7 +89,7 @@ def restrain(
     Args:
         arm: The arm, links placed; see :data:`~lemma.env.control.guarded_arm.ARM`.
         obstacles: Capsules of the other arms, (m, 12); see
-            :data:`~lemma.env.control.approach_bounds.ROW`.
+            :data:`~lemma.env.control.guarded_arm.ROW`.
         objects: Records of objects, (k, 12).
         held: Records of objects in the hand, (l, 12).
         rates: Joint speeds, (6,) [rad/s].

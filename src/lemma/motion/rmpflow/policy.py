@@ -16,36 +16,9 @@ from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow import leaves
 from lemma.motion.rmpflow.collision import add_collision_leaves, collision_memory
-from lemma.motion.rmpflow.leaves import Leaves
-from lemma.motion.rmpflow.workspace import ArmModel, ArmTarget, Workspace
 from lemma.robots.ur.kinematics import frames, point_jacobian
 
 Triple = tuple[float, float, float]
-
-
-def accelerate(
-    root: Workspace,
-    arm: ArmModel,
-    goal: ArmTarget,
-    parameters: Leaves,
-    state: FloatArray,
-    obstacles: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Write the joint accelerations that all leaves agree on to ``out``, (6,).
-
-    Args:
-        root: Memory of the arm.
-        arm: The arm.
-        goal: Where it shall go.
-        parameters: The leaves.
-        state: Joint angles and velocities, (2, 6).
-        obstacles: Capsules (ax, ay, az, bx, by, bz, radius, range), (n, 8) [m]; beyond
-            ``range`` an obstacle is not felt.
-        out: Written, (6,) [rad/s2].
-    """
-    root.load(arm, goal, parameters)
-    _accelerate_array(root.record, root.spheres, state, obstacles, out)
 
 
 @kernel
@@ -61,13 +34,13 @@ def integrate(
 
     Semi-implicit Euler. Where the leaves have not already seen to it, velocities are
     clipped to the motors' limits, and to what can be braked before a joint's end.
-    Record and spheres are those of a loaded workspace; the other arguments are those of
-    :func:`accelerate`.
+    Record and spheres are those of a loaded workspace; obstacles are capsules (ax, ay,
+    az, bx, by, bz, radius, range), (n, 8) [m], which beyond ``range`` are not felt.
     """
     root = record[0]
     acceleration, memory = root.acceleration, collision_memory(spheres, obstacles)
     for _ in range(substeps):
-        _accelerate(root, spheres, state, obstacles, memory, acceleration)
+        accelerate(root, spheres, state, obstacles, memory, acceleration)
         for i in range(6):
             rate = state[1, i] + acceleration[i] * step_s
             end = root.upper[i] if rate > 0 else root.lower[i]
@@ -84,19 +57,7 @@ def integrate(
 
 
 @kernel
-def _accelerate_array(
-    record: np.ndarray,
-    spheres: FloatArray,
-    state: FloatArray,
-    obstacles: FloatArray,
-    out: FloatArray,
-) -> None:
-    memory = collision_memory(spheres, obstacles)
-    _accelerate(record[0], spheres, state, obstacles, memory, out)
-
-
-@kernel
-def _accelerate(
+def accelerate(
     root: np.record,
     spheres: FloatArray,
     state: FloatArray,
@@ -104,6 +65,7 @@ def _accelerate(
     memory: tuple[FloatArray, FloatArray],
     out: FloatArray,
 ) -> None:
+    """Write the joint accelerations that all leaves agree on to ``out``, (6,)."""
     q, qd = state[0], state[1]
     root.metric[:] = 0.0
     root.force[:] = 0.0
