@@ -2,11 +2,14 @@
 
 import copy
 import math
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 import lemma
 from lemma.core.errors import InvalidConfigError, LemmaError, PhysicsError
@@ -196,3 +199,58 @@ def test_physics_that_diverge_end_with_an_error() -> None:
     with pytest.raises(PhysicsError, match="unstable"):
         env.step(action)
     assert_usable(env)
+
+
+near = st.floats(-2.0, 2.0)
+anything = st.one_of(
+    st.floats(), st.integers(), st.text(max_size=5), st.none(), st.booleans()
+)
+
+
+@settings(
+    max_examples=30,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+@given(
+    st.lists(st.tuples(near, near, near), min_size=1, max_size=4),
+    st.tuples(near, near, near),
+)
+def test_any_table_is_set_or_refused(
+    poses: list[tuple[float, float, float]], base: tuple[float, float, float]
+) -> None:
+    data = copy.deepcopy(DATA)
+    for placed, pose in zip(data["objects"], poses, strict=False):
+        placed[2:] = pose
+    data["robots"][1][2:] = base
+    env = lemma.make("stack", split="test", index=0)
+    start = time.perf_counter()
+    try:
+        env.reset(options={"instance": Instance.from_dict(data)})
+        for _ in range(3):
+            env.step(env.action_space.sample())
+        state = env.info()["state"]
+        assert all(math.isfinite(x) for pose in state.values() for x in pose)
+    except InvalidConfigError:
+        pass
+    assert time.perf_counter() - start < 30.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from(list(DATA)),
+    st.recursive(
+        anything,
+        lambda inner: st.one_of(
+            st.lists(inner, max_size=5),
+            st.dictionaries(st.text(max_size=5), inner, max_size=3),
+        ),
+        max_leaves=20,
+    ),
+)
+def test_any_json_is_an_instance_or_refused(key: str, value: Any) -> None:
+    try:
+        found = Instance.from_dict({**copy.deepcopy(DATA), key: value})
+    except LemmaError:
+        return
+    assert Instance.from_dict(found.to_dict()) == found

@@ -171,7 +171,7 @@ def accelerate(
     _accelerate_array(root.record, root.spheres, state, obstacles, out)
 
 
-@njit(error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(error_model="numpy")
 def _accelerate_array(
     record: np.ndarray,
     spheres: FloatArray,
