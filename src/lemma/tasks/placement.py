@@ -7,6 +7,7 @@ is found, the whole attempt is given up and a new one begins. Zones are those of
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -151,18 +152,15 @@ class ObjectPlacer:
 
     def stick(self, robot: int) -> str:
         """Put the stick where one robot alone can touch it, pick it up and swing it."""
-        for _ in range(_ROUNDS):
-            x, y, yaw = self._draw()
-            possible = self.suits_stick(robot, x, y, yaw)
-            for i in np.flatnonzero(possible)[:_CHECKS]:
-                pose = Pose2(float(x[i]), float(y[i]), float(yaw[i])).rounded()
-                if heading_from(self.robots[robot].base, pose) > LARGEST_HEADING_RAD:
-                    continue
-                if self._stick_fits(pose):
-                    placed = ObjectPlacement("stick", "yellow", pose)
-                    self.objects.append(placed)
-                    return placed.name
-        raise PlacementError("stick")
+        base = self.robots[robot].base
+        pose = self._search(
+            STICK_KIND,
+            lambda x, y, yaw: self.suits_stick(robot, x, y, yaw),
+            lambda pose: heading_from(base, pose) <= LARGEST_HEADING_RAD,
+        )
+        placed = ObjectPlacement("stick", "yellow", pose)
+        self.objects.append(placed)
+        return placed.name
 
     def suits_stick(
         self, robot: int, x: FloatArray, y: FloatArray, yaw: FloatArray
@@ -320,52 +318,65 @@ class ObjectPlacer:
         return [(r.base.x, r.base.y, sweep_radius_m(r.arm)) for r in self.robots]
 
     def _find(self, kind: ObjectKind, zone: Zone) -> Pose2:
-        """Find a place for an object.
+        """Find a place for an object in a zone; see :meth:`_search`."""
+
+        def suits(x: FloatArray, y: FloatArray, yaw: FloatArray) -> Mask:
+            on_table = self.territory.on_table(x, y, kind.disc_m + FROM_EDGE_M)
+            return on_table & self.territory.in_view(x, y) & zone.sift(kind, x, y)
+
+        return self._search(kind, suits, zone.check)
+
+    def _search(
+        self,
+        kind: ObjectKind,
+        suits: Callable[[FloatArray, FloatArray, FloatArray], Mask],
+        check: Callable[[Pose2], bool] | None,
+    ) -> Pose2:
+        """Find a place for an object that is clear of everything.
+
+        Args:
+            kind: Of the object.
+            suits: Which of many positions and directions are looked at one by one.
+            check: Whether one of them will do; None if all do.
 
         Raises:
             PlacementError: There is none.
         """
+        half = (TABLE_HALF_X_M, TABLE_HALF_Y_M, math.pi)
         for _ in range(_ROUNDS):
-            x, y, yaw = self._draw()
-            fits = self.territory.on_table(
-                x, y, kind.disc_m + FROM_EDGE_M
-            ) & self.territory.in_view(x, y)
-            fits &= zone.sift(kind, x, y)
-            for i in np.flatnonzero(fits)[:_CHECKS]:
+            x, y, yaw = (self.rng.uniform(-h, h, _DRAWS) for h in half)
+            for i in np.flatnonzero(suits(x, y, yaw))[:_CHECKS]:
                 pose = Pose2(float(x[i]), float(y[i]), float(yaw[i])).rounded()
-                if self._fits(kind, pose) and (zone.check is None or zone.check(pose)):
+                if self._is_clear(kind, pose) and (check is None or check(pose)):
                     return pose
         raise PlacementError(kind.name)
 
-    def _draw(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Draw positions all over the table, and directions."""
-        half = (TABLE_HALF_X_M, TABLE_HALF_Y_M, math.pi)
-        x, y, yaw = (self.rng.uniform(-h, h, _DRAWS) for h in half)
-        return x, y, yaw
-
-    def _fits(self, kind: ObjectKind, pose: Pose2) -> bool:
-        for robot in self.robots:
-            if robot.base.distance(pose) < sweep_radius_m(robot.arm) + BESIDE_BASE_M:
-                return False
-        for placed in self.objects:
-            other = placed.entity.kind
-            gap = (
-                stick_gap(placed.pose, pose.x, pose.y)
-                if other.tool
-                else placed.pose.distance(pose)
-            )
-            if gap < kind.spacing_to(other):
-                return False
-        return True
-
-    def _stick_fits(self, pose: Pose2) -> bool:
-        """Whether the stick is clear of everything."""
-        for robot in self.robots:
-            gap = stick_gap(pose, robot.base.x, robot.base.y)
-            if gap < sweep_radius_m(robot.arm) + BESIDE_BASE_M:
-                return False
+    def _is_clear(self, kind: ObjectKind, pose: Pose2) -> bool:
+        """Whether an object would be clear of robots and of what lies there."""
         return all(
-            stick_gap(pose, placed.pose.x, placed.pose.y)
-            >= placed.entity.kind.spacing_to(STICK_KIND)
+            gap_m(kind, pose, None, robot.base)
+            >= sweep_radius_m(robot.arm) + BESIDE_BASE_M
+            for robot in self.robots
+        ) and all(
+            gap_m(kind, pose, placed.entity.kind, placed.pose)
+            >= kind.spacing_to(placed.entity.kind)
             for placed in self.objects
         )
+
+
+def gap_m(
+    kind: ObjectKind, pose: Pose2, other: ObjectKind | None, place: Pose2
+) -> float:
+    """Return how far apart an object and another, or a base, are: from a stick's axes.
+
+    Args:
+        kind: Of the object.
+        pose: Of the object.
+        other: Kind of the other one; None for a robot's base.
+        place: Of the other one.
+    """
+    if kind.tool:
+        return stick_gap(pose, place.x, place.y)
+    if other is not None and other.tool:
+        return stick_gap(place, pose.x, pose.y)
+    return pose.distance(place)

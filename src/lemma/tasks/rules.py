@@ -16,11 +16,11 @@ from lemma.core.seeding import stream
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
 from lemma.scene.spec import ObjectPlacement
-from lemma.tasks.drags import LARGEST_HEADING_RAD, heading_from, stick_gap
+from lemma.tasks.drags import LARGEST_HEADING_RAD, heading_from
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
-from lemma.tasks.placement import BESIDE_BASE_M, ObjectPlacer, PlacementError
+from lemma.tasks.placement import BESIDE_BASE_M, ObjectPlacer, PlacementError, gap_m
 from lemma.tasks.sampling import (
     APART_M,
     LATERAL_M,
@@ -50,7 +50,7 @@ def problems(instance: Instance) -> tuple[str, ...]:
     """
     task = TASKS[instance.task]
     robots = len(instance.scene.robots)
-    if robots < 2:
+    if robots != 2:
         return (f"The sampler sets tables for two robots, and this one has {robots}.",)
     crowded = tuple(_crowded(instance))
     found: tuple[str, ...] | None = None
@@ -198,34 +198,22 @@ def _crowded(instance: Instance) -> Iterator[str]:
     objects = instance.scene.objects
     for i, one in enumerate(objects):
         for other in objects[i + 1 :]:
-            least, gap = one.entity.kind.spacing_to(other.entity.kind), _gap(one, other)
+            kind, near = one.entity.kind, other.entity.kind
+            least, gap = kind.spacing_to(near), gap_m(kind, one.pose, near, other.pose)
             if gap < least - _ROUNDED_M:
                 yield (
                     f"The {one.entity.phrase} and the {other.entity.phrase} are "
                     f"{100 * gap:.0f} cm apart, and need {100 * least:.0f} cm."
                 )
         for robot, phrase in zip(robots, phrases, strict=True):
-            x, y = robot.base.xy
-            stick = one.entity.kind.tool
-            away = stick_gap(one.pose, x, y) if stick else one.pose.distance(robot.base)
+            away = gap_m(one.entity.kind, one.pose, None, robot.base)
             if away < sweep_radius_m(robot.arm) + BESIDE_BASE_M - _ROUNDED_M:
                 yield f"The {one.entity.phrase} lies at the {phrase}'s base."
-
-
-def _gap(one: ObjectPlacement, other: ObjectPlacement) -> float:
-    """Return how far apart two things are, as the sampler measures it [m]."""
-    for stick, thing in ((one, other), (other, one)):
-        if stick.entity.kind.tool:
-            return stick_gap(stick.pose, thing.pose.x, thing.pose.y)
-    return one.pose.distance(other.pose)
 
 
 def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[str]:
     """Yield where robots do not stand as the sampler would have them."""
     robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
-    if len(robots) != 2:
-        yield f"The number of robots is {len(robots)}; the sampler sets tables for two."
-        return
     for number, (robot, phrase) in enumerate(zip(robots, phrases, strict=True)):
         turned = wrap(robot.base.yaw - math.pi * number)
         if abs(robot.base.y) > LATERAL_M or abs(turned) > YAW_RAD + 1e-3:
