@@ -81,7 +81,7 @@ class TaskFacts(Generated):
         )
         yield ""
         instance = load_instance(moment.task, "test", moment.index)
-        titles = robot_titles(instance)
+        titles = [*robot_titles(instance).values()]
         yield f"The picture shows `{instance.key}`. At its start:"
         yield ""
         yield "| | " + " | ".join(titles) + " |"

@@ -22,12 +22,7 @@ from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 from lemma.viewer.page import PAUSE, PLAY, RESTART, STEP, Page
 from lemma.viewer.scene.pictures import MAP
 from lemma.viewer.server import open_server
-from lemma.viewer.words import (
-    complaint_html,
-    status_html,
-    timeline_html,
-    why_html,
-)
+from lemma.viewer.words import part, status_html, why_html
 from lemma.viz.recording import Line
 
 VISITOR = SimpleNamespace(client_id=1)
@@ -363,17 +358,18 @@ def test_why_says_what_lies_under_something_else() -> None:
 
 def test_nothing_that_was_typed_is_markup() -> None:
     status = Status(Phase.BROKEN, EVIL, EVIL, Reading(None, EVIL))
-    line = Line(EVIL, 0.0, 1.0, EVIL, EVIL, ok=False)
-    written = status_html(status) + complaint_html(EVIL) + timeline_html((line,), 2.0)
+    lines = (Line(EVIL, 0.0, 1.0, EVIL, EVIL, ok=False),)
+    written = status_html(status) + part("complaint", EVIL)
+    written += part("timeline", lines, 2.0)
     assert "<img" not in written
     assert written.count("&lt;img") == 7
 
 
 def test_timeline_says_what_runs_and_what_is_still_to_come() -> None:
     lines = (Line("one", 0.0, 2.0, "success"), Line("two", 2.0, 3.0, "no_grasp", "Why"))
-    before = timeline_html(lines, 1.0)
+    before = part("timeline", lines, 1.0)
     assert "success" not in before
     assert before.index("600") < before.index("one") < before.index("two")
-    after = timeline_html(lines, 3.0)
+    after = part("timeline", lines, 3.0)
     assert "success" in after
     assert "no grasp" in after

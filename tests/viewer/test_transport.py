@@ -5,7 +5,8 @@ import threading
 import numpy as np
 import pytest
 
-from lemma.viewer.episode.transport import FRAME_S, AbandonedError, Transport
+from lemma.viewer.episode.transport import AbandonedError, Transport
+from lemma.viz.recording import FRAME_S
 
 
 class Ticking:

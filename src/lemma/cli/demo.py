@@ -177,8 +177,7 @@ def _solve(
         (f"\n{instance.task}", "bold"), "  ", (f"“{instruction}”", "italic")
     )
     console.print(line)
-    titles = robot_titles(instance)
-    robots = dict(zip(instance.scene.robot_names, titles, strict=True))
+    robots = robot_titles(instance)
 
     def report(line: Line) -> None:
         _report(console, line, robots)

@@ -15,7 +15,7 @@ from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.session import Session
 from lemma.viewer.episode.teleoperator import Teleoperator
 from lemma.viewer.scene.dragging import Dragging
-from lemma.viewer.words import table_html
+from lemma.viewer.words import part
 
 LARGEST_FILE = 1_000_000
 """Bytes of a file that are read."""
@@ -107,7 +107,7 @@ class DraggingPanel:
             self._instance = play.instance
             own = request.own is not None
             bad = problems(request.instance()) if own else ()
-            self.told.content = table_html(own, bad)
+            self.told.content = part("table", own, bad)
             show_if(self.reset, own)
         if play.moved is not None and play.moved is not self._moved:
             self._moved = play.moved

@@ -37,7 +37,7 @@ from lemma.viewer.server import (
     prepare_panel,
     set_theme,
 )
-from lemma.viewer.words import complaint_html, status_html, timeline_html, why_html
+from lemma.viewer.words import part, status_html, why_html
 
 PLAY, PAUSE, STEP, RESTART = MOVES = ("Play", "Pause", "Step", "Restart")
 """Buttons of an episode."""
@@ -119,7 +119,7 @@ class Panel:
             moves = gui.add_button_group("", MOVES)
             speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1 ×")
             self.time = gui.add_slider("Time [s]", 0.0, 1.0, _SLIDER_S / 2, 0.0)
-            self.timeline = gui.add_html(timeline_html((), 0.0))
+            self.timeline = gui.add_html(part("timeline", (), 0.0))
             self.why = gui.add_html("")
         moves.on_click(lambda event: self.move(event.target.value))
         speed.on_update(lambda _: self._session.set_speed(_SPEEDS[speed.value]))
@@ -197,7 +197,7 @@ class Panel:
         """Show why something cannot be done; an empty text clears it."""
         self._complaint, self._status = text, None
         if text:
-            self.status.content = complaint_html(text)
+            self.status.content = part("complaint", text)
 
     def chosen(self, event: Any) -> None:
         """Set the table when a visitor has chosen another."""
@@ -235,7 +235,7 @@ class Panel:
             self.time.max = max(1.0, end_s)
         if abs(now_s - self.time.value) >= _SLIDER_S or transport.at_end:
             self.time.value = round(now_s, 2)
-        timeline = timeline_html(status.lines, now_s)
+        timeline = part("timeline", status.lines, now_s)
         if timeline != self._timeline:
             self._timeline = self.timeline.content = timeline
         explanation = play.explanation()

@@ -1,6 +1,6 @@
 """Texts of the panel as HTML; sentences of users and policies are escaped."""
 
-from collections.abc import Sequence
+from functools import partial
 
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.instance import Instance
@@ -9,8 +9,10 @@ from lemma.tasks.subtask import Primitive
 from lemma.viewer.episode.reading import Explanation
 from lemma.viewer.episode.status import ENDS, Phase, Status, say_goal
 from lemma.viz.pages.templates import macro
-from lemma.viz.recording import Line, describe_subtask
+from lemma.viz.recording import describe_subtask
 
+part = partial(macro, "panel.html")
+"""Returns a part of the panel, from the macro of that name."""
 _LEAST_SHARE = 0.01
 
 
@@ -18,22 +20,7 @@ def status_html(status: Status) -> str:
     """Return the sentence, its reading, and the status."""
     goal = say_goal(status.reading.pairs or ()) if status.reading else ""
     goes_on = status.phase not in (*ENDS, Phase.READY)
-    return macro("panel.html", "status", status, goes_on, goal)
-
-
-def complaint_html(text: str) -> str:
-    """Return the reason why something cannot be done."""
-    return macro("panel.html", "complaint", text)
-
-
-def table_html(own: bool, problems: Sequence[str]) -> str:
-    """Return whether the table is an own one or of a list, and its problems."""
-    return macro("panel.html", "table", own, problems)
-
-
-def timeline_html(lines: Sequence[Line], cursor_s: float) -> str:
-    """Return the sub-tasks in words, the one at the cursor [s] in bold."""
-    return macro("panel.html", "timeline", lines, cursor_s)
+    return part("status", status, goes_on, goal)
 
 
 def why_html(explanation: Explanation, instance: Instance) -> str:
@@ -71,4 +58,4 @@ def why_html(explanation: Explanation, instance: Instance) -> str:
         if name in covers
     ]
     robots, unseen = robot_phrases(instance.scene.robots), [*phrases.values()]
-    return macro("panel.html", "why", options, robots, reaches, hidden, unseen)
+    return part("why", options, robots, reaches, hidden, unseen)

@@ -119,12 +119,8 @@ def _name_entities(
         canvas.arrow(start, end, _GOAL_INK, 0.28 * size)
         taken += [_around(start, size), _around(end, size)]
     labels = [(at, name, _ink_of(name), 2.0) for name, at in places.items()]
-    for name, title, placed in zip(
-        instance.scene.robot_names,
-        robot_titles(instance),
-        instance.scene.robots,
-        strict=True,
-    ):
+    titles = robot_titles(instance).items()
+    for (name, title), placed in zip(titles, instance.scene.robots, strict=True):
         at = pixel_of(placed.base.x, placed.base.y, width)
         labels.append((at, f"{name}: {title}", ROBOT_INK[placed.color], 3.2))
     taken += [_around(at, 0.8 * size) for at, *_ in labels]

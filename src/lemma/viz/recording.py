@@ -210,14 +210,17 @@ def describe_subtask(subtask: SubTask, instance: Instance) -> str:
     return f"{robot}: {subtask.primitive}"
 
 
-def robot_titles(instance: Instance) -> tuple[str, ...]:
-    """Return color and arm type of every robot: ``"red UR5"``, ``"left red UR5"``."""
-    robots = instance.scene.robots
-    kinds = [(robot.color, robot.arm) for robot in robots]
-    colors = robot_phrases(robots)
-    return tuple(
-        f"{color} {arm.upper()}"
-        if kinds.count((color, arm)) == 1
-        else f"{phrase.removesuffix(' robot')} {arm.upper()}"
-        for (color, arm), phrase in zip(kinds, colors, strict=True)
-    )
+def robot_titles(instance: Instance) -> dict[str, str]:
+    """Return color and arm type of every robot, by name: ``"red UR5"``.
+
+    Where two are alike, it is also said which one: ``"left red UR5"``.
+    """
+    scene = instance.scene
+    kinds = [(robot.color, robot.arm) for robot in scene.robots]
+    phrases = robot_phrases(scene.robots)
+    titles = {}
+    for name, kind, phrase in zip(scene.robot_names, kinds, phrases, strict=True):
+        color, arm = kind
+        words = color if kinds.count(kind) == 1 else phrase.removesuffix(" robot")
+        titles[name] = f"{words} {arm.upper()}"
+    return titles

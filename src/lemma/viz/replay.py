@@ -78,7 +78,7 @@ def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording
     )
     if commands is None and not episode.is_over:
         episode.stop()
-    title = robot_titles(instance)[instance.scene.robot_names.index(found.robot)]
+    title = robot_titles(instance)[found.robot]
     summary = ATTACKS[found.attack].summary
     lines = [
         Line(f"{title} alone, {name}. {summary}", start_s, end_s, Outcome.SUCCESS)

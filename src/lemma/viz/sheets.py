@@ -97,21 +97,20 @@ def instance_sheet(instance: Instance) -> Image.Image:
     (view,) = views(scene, [scene.snapshot()], size, "presentation")
     sheet = Image.new("RGB", (SHEET_WIDTH_PX, SHEET_HEIGHT_PX), PAPER)
     notes: list[tuple[Point, str]] = []
-    y = _HEAD_PX
-    for x, picture, title in (
-        (_EDGE_PX, view, "Overview"),
-        (_EDGE_PX + view.width + _GAP_PX, top, _MAP_TITLE),
-    ):
+
+    def paste(picture: Image.Image, x: int, y: int, title: str) -> None:
         notes.append(((x, y + _TITLE_PX - 10), title))
         sheet.paste(picture, (x, y + _TITLE_PX))
-    y += _TITLE_PX + top.height + _GAP_PX
+
+    paste(view, _EDGE_PX, _HEAD_PX, "Overview")
+    paste(top, _EDGE_PX + view.width + _GAP_PX, _HEAD_PX, _MAP_TITLE)
     pictures = _camera_pictures(instance, images)
     width = (_INNER_PX - _GAP_PX * (len(pictures) - 1)) // len(pictures)
     for i, (picture, title) in enumerate(pictures):
-        x = _EDGE_PX + i * (width + _GAP_PX)
         size = (width, round(width * picture.height / picture.width))
-        notes.append(((x, y + _TITLE_PX - 10), title))
-        sheet.paste(picture.resize(size, Image.Resampling.LANCZOS), (x, y + _TITLE_PX))
+        small = picture.resize(size, Image.Resampling.LANCZOS)
+        below = _HEAD_PX + _TITLE_PX + top.height + _GAP_PX
+        paste(small, _EDGE_PX + i * (width + _GAP_PX), below, title)
     canvas = Canvas(sheet)
     distractors = f"distractors: {', '.join(instance.distractors) or 'none'}"
     facts = [instance.key, *_robots(instance), distractors]
@@ -130,8 +129,7 @@ def instance_sheet(instance: Instance) -> Image.Image:
 
 def _robots(instance: Instance) -> list[str]:
     """Return name and title of every robot."""
-    pairs = zip(instance.scene.robot_names, robot_titles(instance), strict=True)
-    return [f"{name}: {title}" for name, title in pairs]
+    return [f"{name}: {title}" for name, title in robot_titles(instance).items()]
 
 
 def _write_head(
@@ -161,9 +159,8 @@ def _camera_pictures(
     low, high = np.percentile(depths, (2.0, 95.0))
     low, high = math.floor(low * 10) / 10, math.ceil(high * 10) / 10
     pictures = []
-    for title, name, seen in zip(
-        robot_titles(instance), instance.scene.robot_names, images, strict=True
-    ):
+    titles = robot_titles(instance).items()
+    for (name, title), seen in zip(titles, images, strict=True):
         pictures.append((Image.fromarray(seen.rgb), f"{name} ({title}): camera"))
         pictures.append((depth_picture(seen.depth_m, low, high), f"{name}: depth"))
     return pictures

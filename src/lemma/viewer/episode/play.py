@@ -47,12 +47,11 @@ from lemma.viewer.episode.status import (
 )
 from lemma.viewer.episode.teleoperator import EpisodeLog, Teleoperator
 from lemma.viewer.episode.transport import (
-    FRAME_S,
     AbandonedError,
     InterruptedEpisodeError,
     Transport,
 )
-from lemma.viz.recording import Line, describe_step, describe_subtask
+from lemma.viz.recording import FRAME_S, Line, describe_step, describe_subtask
 
 Load = Callable[[str], Player]
 """Returns a player by the name of its policy."""

@@ -1,6 +1,6 @@
 """Play, pause and seek: the cursor of the viewer, and the lead of the simulation.
 
-The simulation runs in a thread of its own and leaves a state every :data:`FRAME_S`. A
+The simulation runs in a thread of its own and leaves a state every ``FRAME_S``. A
 cursor moves over these states at real time times the speed; the simulation waits where
 it is :attr:`Transport.lead_s` ahead of it. A pause stops both. Seeking back shows
 former states, and changes nothing that follows.
@@ -12,9 +12,8 @@ from collections.abc import Callable
 import numpy as np
 
 from lemma.core.poses import FloatArray
+from lemma.viz.recording import FRAME_S
 
-FRAME_S = 0.05
-"""Simulated time from one recorded state to the next [s]."""
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Speeds of playing, in times real time."""
 _LEAD_S = 0.1

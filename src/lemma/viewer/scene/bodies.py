@@ -59,7 +59,7 @@ def name_bodies(
         instance: Of the scene whose bodies are there.
         root: Name above those of the bodies.
     """
-    titles = zip(instance.scene.robot_names, robot_titles(instance), strict=True)
+    titles = robot_titles(instance).items()
     labels = [(f"{name}/base", title, -0.12) for name, title in titles]
     things = instance.scene.object_names
     labels += [(name, entity_named(name).phrase, 0.06) for name in things]

@@ -126,7 +126,6 @@ def _map(
     instance = case.instance
     top = annotated_map(instance, scene, camera_images(scene), MAP_PX)
     canvas, taken = Canvas(top), list[Box]()
-    names, titles = instance.scene.robot_names, robot_titles(instance)
     # The policy's is drawn last, over the expert's.
     side = 0.25 if own and expert and _opposed(own, expert) else -0.25
     for who, grounded, ink, bend, width in (
@@ -146,7 +145,7 @@ def _map(
             (pick[0] + place[0]) / 2 + 0.5 * bend * (place[1] - pick[1]),
             (pick[1] + place[1]) / 2 - 0.5 * bend * (place[0] - pick[0]),
         )
-        text = f"{who}: {titles[names.index(grounded.robot)]}"
+        text = f"{who}: {robot_titles(instance)[grounded.robot]}"
         canvas.label(middle, text, 12.5, ink, 16.0, taken)
     return canvas.picture()
 
