@@ -59,7 +59,6 @@ class Panel:
         self,
         server: viser.ViserServer,
         session: Session,
-        overlays: set[str],
         set_overlay: Callable[[str, bool], None],
     ) -> None:
         """Make the widgets.
@@ -67,8 +66,7 @@ class Panel:
         Args:
             server: The page.
             session: Takes its commands.
-            overlays: Shown at first.
-            set_overlay: Shows or hides it.
+            set_overlay: Shows or hides an overlay.
         """
         self._session = session
         # The library types values of its handles as read-only.
@@ -82,7 +80,7 @@ class Panel:
         self._add_transport()
         self.teleoperation = TeleoperationPanel(server, session, self.complain)
         self.table = DraggingPanel(server, session, self.complain)
-        self._add_overlays(overlays, set_overlay)
+        self._add_overlays(set_overlay)
         self._add_details(session.play.request)
         self.text.on_update(self.typed)
         for widget in (self.task, self.index, self.split, self.saying):
@@ -125,9 +123,7 @@ class Panel:
         speed.on_update(lambda _: self._session.set_speed(_SPEEDS[speed.value]))
         self.time.on_update(self.sought)
 
-    def _add_overlays(
-        self, overlays: set[str], set_overlay: Callable[[str, bool], None]
-    ) -> None:
+    def _add_overlays(self, set_overlay: Callable[[str, bool], None]) -> None:
         gui, self.overlays = self._gui, {}
 
         def bind(widget: Any, name: str) -> None:
@@ -135,9 +131,10 @@ class Panel:
 
         with gui.add_folder("Show"):
             for name, hint in OVERLAYS.items():
-                found = gui.add_checkbox(name.capitalize(), name in overlays, hint=hint)
-                self.overlays[name] = found
-                bind(found, name)
+                shown = name in _LOOK_AT_FIRST
+                box = gui.add_checkbox(name.capitalize(), shown, hint=hint)
+                self.overlays[name] = box
+                bind(box, name)
             self.picture = gui.add_dropdown("Picture", (NO_PICTURE,))
             self.image = gui.add_image(_ANY, format="jpeg", visible=False)
 
@@ -274,7 +271,7 @@ class Page:
         self.port = server.get_port()
         self.address = address_of(server.get_host(), self.port)
         self.stage = Stage(server, _LOOK_AT_FIRST)
-        self.panel = Panel(server, session, _LOOK_AT_FIRST, self.stage.set_visible)
+        self.panel = Panel(server, session, self.stage.set_visible)
         self.pictures = Pictures(self.panel.show_picture)
         self._shown: Play | None = None
         self._rounds = Rounds()
