@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from browser import Page as Browser
 from browser import page_in_chromium
-from looked_at import EVIL, STACK, Raises, seen_at, session_of, until, until_phase
+from looked_at import EVIL, STACK, seen_at, session_of, until, until_phase
 
 from lemma.viewer.episode.status import OWN_WORDS, Phase
 from lemma.viewer.page import Page
@@ -27,7 +27,7 @@ BUTTON = (
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    page = Page(session_of(STACK, broken=Raises()), open_server("127.0.0.1", 18080))
+    page = Page(session_of(STACK), open_server("127.0.0.1", 18080))
     loop = threading.Thread(target=page.run)
     loop.start()
     yield page
@@ -172,19 +172,6 @@ def test_two_tabs_see_the_same(browser: Browser, page: Page) -> None:
         said = page.session.play.instance.instructions["high_level"]
         for tab in (browser, other):
             tab.wait_for(SHOWS.format(said))
-
-
-@pytest.mark.slow
-def test_policy_that_breaks_leaves_the_page_alive(browser: Browser, page: Page) -> None:
-    page.panel.policy.value = "broken"
-    press(browser, "Do it")
-    browser.wait_for("document.querySelector('[data-phase=BROKEN]')")
-    assert browser.run(SHOWS.format("The policy failed"))
-    assert browser.run("window.evil") is None
-    page.panel.policy.value = "oracle"
-    press(browser, "Step")
-    press(browser, "Do it")
-    browser.wait_for(SHOWS.format("Understood"))
 
 
 @pytest.mark.slow

@@ -206,23 +206,6 @@ def test_only_a_running_episode_is_taken_over_in_a_pause_too() -> None:
     assert play.wait(5.0)
 
 
-@pytest.mark.parametrize(
-    "done", [None, {}, {"executed": []}, [[1.0]], {"end_s": "soon"}]
-)
-def test_file_of_nothing_is_refused(done: object, tmp_path: Path) -> None:
-    path = tmp_path / "bad.json"
-    table = STACK.instance().to_dict()
-    path.write_text(json.dumps({**table, "done": done}))
-    assert Instance.load(path)
-    with pytest.raises(InvalidConfigError, match="not what was done"):
-        Recorded(str(path))
-    whole: dict[str, Any] = {"executed": [], "commanded": [], "nudged": []}
-    whole |= {"instruction": "", "end_s": 1.0, "end_sha256": ""}
-    path.write_text(json.dumps({**table, "done": whole}))
-    with pytest.raises(InvalidConfigError, match="nothing was done"):
-        Recorded(str(path))
-
-
 TASKS = ("pass", "stack", "poke", "hook")
 DEEDS = 30
 MOST_S = 25.0
