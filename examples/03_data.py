@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import lemma
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.recipe.replay import replay
 from lemma.dataset.rendered.capture import KeyframeForm

@@ -8,7 +8,7 @@ import pytest
 from command import run
 from PIL import Image
 
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 
 

@@ -10,7 +10,7 @@ from rendered_sets import recipe_folder
 from lemma.cli import render as verb
 from lemma.cli.render import RenderOptions, choose_form
 from lemma.cli.workers import Workers
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig
 from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary

@@ -15,7 +15,7 @@ from ctrl_c import hear
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import only_writer, read_json, write_json, write_text
-from lemma.core.workers.pool import ProcessPool, is_worker
+from lemma.core.workers.pool import ProcessPool, Serial, is_worker
 from lemma.core.workers.resumable import (
     Part,
     begin,
@@ -23,7 +23,6 @@ from lemma.core.workers.resumable import (
     differences,
     do_missing,
 )
-from lemma.core.workers.serial import Serial
 
 COUNT = 30
 """More parts than are done before the third of three kills."""

@@ -16,7 +16,7 @@ from recipes import (
 )
 
 from lemma.core.files import read_json, sha256_of, write_json
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe.files import load, open_table, read_table, write_table
 from lemma.dataset.recipe.generate import generate

@@ -24,8 +24,8 @@ from lemma.core.files import (
     write_text,
     write_whole,
 )
+from lemma.core.workers.pool import Serial
 from lemma.core.workers.resumable import check_same_job
-from lemma.core.workers.serial import Serial
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.recipe import files
 from lemma.dataset.recipe.files import (

@@ -13,7 +13,7 @@ from clumsy import EPISODES, KINDS, play_clumsily
 
 from lemma.cli.main import main
 from lemma.core.errors import DatasetError
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.lines import read_lines, write_packed, write_rows
 from lemma.evaluation.records import ABOUT, PACKED, SUMMARY, read_about

@@ -19,7 +19,7 @@ from small_recipe import SPLITS, TASKS, recipe
 
 import lemma
 from lemma.cli.main import main
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset, write_shard
 from lemma.dataset.lerobot.frames import Style
 from lemma.dataset.recipe.schema import EpisodeRecord

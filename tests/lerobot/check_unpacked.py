@@ -13,7 +13,7 @@ import torch
 from check_training import CHUNK, STEPS, export, run, small_act
 
 from lemma.core.errors import DatasetError
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.lerobot.export import aggregate_in_groups
 from lerobot_train_unpacked import unpack, unpacked
 

@@ -11,7 +11,7 @@ from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
 from lemma.robots.gripper import TCP_OFFSET_M
 from lemma.robots.ur.build import ARMS, JOINTS, LINKS, ArmSpec, add_arm
-from lemma.robots.ur.lofts import Loft, mesh, rounded
+from lemma.robots.ur.meshes import Loft, mesh, rounded
 
 STRETCHED = np.array([0.0, 0.0, 0.0, 0.0, -1.57, 0.0])
 FOLDED = np.array([0.0, -1.9, 2.4, -2.07, -1.57, 0.0])

@@ -15,8 +15,7 @@ from lemma.cli.options import complain
 from lemma.cli.serve import serve as serve_verb
 from lemma.cli.workers import Workers
 from lemma.core.errors import InvalidConfigError
-from lemma.core.workers.pool import Job, Listener, ProcessPool, ignore
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Job, Listener, ProcessPool, Serial, ignore
 from lemma.evaluation.lines import read_rows
 from lemma.evaluation.records import ABOUT, EPISODES, Row
 from lemma.evaluation.run import loading

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from lemma.core.poses import Pose2
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.records import SUMMARY, read_about
 from lemma.evaluation.run.config import EvaluationConfig

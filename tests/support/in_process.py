@@ -3,8 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from lemma.core.workers.pool import Job, Listener, ignore
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Job, Listener, Serial, ignore
 
 
 class Killed(BaseException):

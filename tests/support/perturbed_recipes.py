@@ -4,7 +4,7 @@ from pathlib import Path
 
 from kept import kept_folder
 
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.recipe.files import load
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.recipe.schema import PerturbedRecord

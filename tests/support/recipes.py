@@ -13,7 +13,7 @@ import pytest
 from kept import kept_folder
 
 from lemma.core.files import sha256_of, write_json
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.files import MANIFEST, content_digest, shorten
 from lemma.dataset.recipe.files import versions, write_table
 from lemma.dataset.recipe.generate import GenerateConfig, generate, recipe_file

@@ -11,7 +11,7 @@ from clumsy import EPISODES, FAILED, Clumsy, play_clumsily
 from command import run as lemma
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.playback import FrameTaker
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.evaluation.records import SUMMARY

@@ -71,7 +71,7 @@ def demo(
         raise InvalidConfigError("--say is about one table: name one task.")
     instances = [select_instance(name, which) for name in names]
     if not no_video:
-        _make(out)
+        out.mkdir(parents=True, exist_ok=True)
     console = messages() if as_json else output()
     with console.status("Preparing (the first run compiles, for half a minute) ..."):
         record(instances[0], horizon_s=2.0)
@@ -92,20 +92,6 @@ def demo(
     if as_json:
         print_json([recording.to_dict() for recording in recordings])
     return 0 if all(recording.success for recording in recordings) else 1
-
-
-def _make(folder: Path) -> None:
-    """Make the folder of the page.
-
-    Raises:
-        InvalidConfigError: It cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidConfigError(
-            f"{folder} cannot be a folder: {error.strerror}. Choose another with --out."
-        ) from None
 
 
 def _listen(

@@ -4,16 +4,17 @@ from dataclasses import asdict
 from pathlib import Path
 
 from lemma.cli.options import (
+    Data,
     File,
     JsonFlag,
     Number,
     Word,
     messages,
-    output,
     print_json,
+    print_named,
     print_table,
 )
-from lemma.cli.replay import Folder, choose
+from lemma.cli.replay import choose
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.files import Recipe, load, open_table
 from lemma.dataset.recipe.schema import EpisodeRecord
@@ -29,7 +30,7 @@ _HEADINGS = (
 
 
 def inspect(
-    data: Folder,
+    data: Data,
     task: Word = None,
     split: Word = None,
     index: Number = None,
@@ -75,20 +76,18 @@ def _inspect_episode(
         picture = keyframe_strip(record)
     save_picture(picture, path)
     _print_episode(record)
-    output().print(f"picture    {path}", style="bold", markup=False, soft_wrap=True)
+    print_named(("picture", path), style="bold")
     return 0
 
 
 def _print_episode(record: EpisodeRecord) -> None:
-    console = output()
     ending = "solved" if record.success else f"not solved: {record.failure}"
-    for name, text in (
+    print_named(
         ("episode", record.key),
         *((kind, getattr(record, kind)) for kind in KINDS),
         ("team", f"{record.team}, {record.distractors} distractors"),
         ("outcome", f"{ending} after {record.elapsed_s:.1f} simulated s"),
-    ):
-        console.print(f"{name:<11}{text}", soft_wrap=True)
+    )
     rows = (
         (n, row.instruction, row.outcome, f"{row.start_s:.1f}", f"{row.duration_s:.1f}")
         for n, row in enumerate(record.subtasks, 1)
@@ -103,8 +102,7 @@ def _print(found: RecipeSummary, size_mb: float) -> None:
     rows.append((ALL, *_cells(found.total)))
     print_table(_HEADINGS, rows, bold=[len(rows) - 1])
     means = (f"{name} {s.mean:.1f} s" for name, s in found.primitives_s.items())
-    output().print(f"sub-tasks  {', '.join(means)}", soft_wrap=True)
-    output().print(f"size       {size_mb:.1f} MB")
+    print_named(("sub-tasks", ", ".join(means)), ("size", f"{size_mb:.1f} MB"))
 
 
 def _cells(group: GroupSummary) -> tuple[str, ...]:

@@ -67,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         code = 0
     except OSError as error:
         # A folder that cannot be written to, a file where a folder should be.
-        complain(str(error))
+        place = f"{error.filename} cannot be used: " if error.filename else ""
+        complain(f"{place}{error.strerror or error}.")
         code = BAD_INPUT
     raise SystemExit(code)
 

@@ -36,6 +36,14 @@ MaybeTask = Annotated[
     tyro.conf.arg(metavar="[TASK]", help_behavior_hint=""),
 ]
 """A task, where a file may say which."""
+Data = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
+"""A recipe or another data set, or an episode that was led by hand."""
+Results = Annotated[
+    tuple[Path, ...],
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="RESULT ...", help_behavior_hint=""),
+]
+"""Folders or files of results."""
 Word = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 """An optional name."""
 ALL = "all"
@@ -100,6 +108,12 @@ def print_table(
     if title:
         output().print(f"\n{title}", style="bold", soft_wrap=True)
     output().print(Table(header, cells, labels).terminal(bold))
+
+
+def print_named(*lines: tuple[str, object], style: str = "") -> None:
+    """Print lines on the output, each with a name before it."""
+    for name, text in lines:
+        output().print(f"{name:<11}{text}", style=style, soft_wrap=True)
 
 
 def print_figures(

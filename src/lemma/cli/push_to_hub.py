@@ -4,15 +4,14 @@ from typing import Annotated
 
 import tyro
 
-from lemma.cli.options import Flag, messages, output
-from lemma.cli.replay import Folder
+from lemma.cli.options import Data, Flag, messages, output
 from lemma.dataset.hub import push
 
 Repository = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="OWNER/NAME")]
 """A repository of the Hub."""
 
 
-def push_to_hub(data: Folder, repository: Repository, private: Flag = False) -> int:
+def push_to_hub(data: Data, repository: Repository, private: Flag = False) -> int:
     """Check a dataset and upload it to the Hugging Face Hub.
 
     Args:

@@ -10,6 +10,7 @@ import tyro
 
 from lemma.cli.options import (
     ALL,
+    Data,
     Flag,
     JsonFlag,
     Listed,
@@ -34,8 +35,6 @@ _AT_INTERRUPT = (
     "{done} of {total} episodes are made. The same command goes on from there."
 )
 
-Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
-"""A recipe."""
 FormName = Literal["keyframes", "lerobot"]
 Make = Callable[[Engine, Callable[[int], None]], RenderSummary]
 """Writes what is missing; the arguments are an engine and a listener for progress."""
@@ -86,7 +85,7 @@ _FILMED = (
 
 
 def render(
-    data: Folder,
+    data: Data,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     form: FormName = "keyframes",
     look: Annotated[RenderOptions, tyro.conf.arg(name="")] = EVERYTHING,

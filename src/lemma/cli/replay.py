@@ -4,12 +4,12 @@ from dataclasses import asdict
 from pathlib import Path
 from shlex import quote
 from time import perf_counter
-from typing import Annotated, Any
-
-import tyro
+from typing import Any
 
 from lemma.cli.options import (
+    Data,
     Flag,
+    Folder,
     JsonFlag,
     Number,
     Word,
@@ -17,7 +17,6 @@ from lemma.cli.options import (
     print_json,
     print_table,
 )
-from lemma.cli.options import Folder as OutFolder
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.files import Recipe, load
@@ -36,17 +35,14 @@ _WHY = (
     "mathematics. Replay on the kind of machine that wrote them."
 )
 
-Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
-"""A recipe, or an episode that was led by hand."""
-
 
 def replay(
-    data: Folder,
+    data: Data,
     task: Word = None,
     split: Word = None,
     limit: Number = None,
     working: WorkerOptions = DEFAULT,
-    browser: OutFolder = None,
+    browser: Folder = None,
     validate: Flag = False,
     as_json: JsonFlag = False,
 ) -> int:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lemma.cli.options import Flag, Number, Word, complain, output
+from lemma.cli.options import Flag, Number, Results, Word, complain, output
 from lemma.cli.workers import progress_bar
 from lemma.core.errors import DatasetError, InvalidConfigError, RenderingError
 from lemma.core.files import write_text
@@ -25,13 +25,6 @@ from lemma.scene.rendering.gl_backend import choose_backend
 from lemma.viz.pages.report import PAGE, Findings, write_report_page
 from lemma.viz.pages.report_figures import FIGURES, figures_of, write_figures
 from lemma.viz.pages.report_pictures import Pictures, picture_all
-
-ResultPaths = Annotated[
-    tuple[Path, ...],
-    tyro.conf.Positional,
-    tyro.conf.arg(metavar="RESULT ...", help_behavior_hint=""),
-]
-"""Folders or files of results."""
 
 MOST_MB = 16.0
 """All pictures of a page [MB]. In it they take a third more, and episodes some MB."""
@@ -62,7 +55,7 @@ _DEFAULT = ReportOptions()
 
 
 def report(
-    results: ResultPaths,
+    results: Results,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("report"),
     complete: Flag = False,
     wishes: Annotated[ReportOptions, tyro.conf.arg(name="")] = _DEFAULT,

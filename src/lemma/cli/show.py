@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from lemma.cli.options import File, MaybeTask, messages, output
+from lemma.cli.options import File, MaybeTask, messages, print_named
 from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
 from lemma.tasks.rules import problems
 from lemma.viz.sheets import check_picture_path, instance_sheet, save_picture
@@ -28,20 +28,9 @@ def show(
     with messages().status("Drawing ..."):
         picture = instance_sheet(instance)
     save_picture(picture, path)
-    console = output()
-
-    def say(name: str, text: str, style: str = "") -> None:
-        console.print(f"{name:<11}{text}", style=style, markup=False, soft_wrap=True)
-
-    for kind, sentence in instance.instructions.items():
-        say(kind, sentence)
-    say("team", instance.team)
-    for problem in problems(instance):
-        say("problem", problem, "yellow")
-    say("goal", _goal(instance.goal.pairs))
-    say("picture", str(path), "bold")
+    print_named(*instance.instructions.items(), ("team", instance.team))
+    print_named(*(("problem", each) for each in problems(instance)), style="yellow")
+    goal = " and ".join(f"{top} on {bottom}" for top, bottom in instance.goal.pairs)
+    print_named(("goal", goal))
+    print_named(("picture", path), style="bold")
     return 0
-
-
-def _goal(pairs: tuple[tuple[str, str], ...]) -> str:
-    return " and ".join(f"{top} on {bottom}" for top, bottom in pairs)

@@ -13,11 +13,9 @@ from lemma.cli.options import (
     print_json,
     print_table,
 )
-from lemma.core.errors import InvalidConfigError
 from lemma.policies.training.config import TrainingConfig
 
 INTERRUPTED = 130
-_EXTRA = ("torch", "safetensors", "tensorboard")
 
 
 def train(
@@ -39,16 +37,9 @@ def train(
     Returns:
         Exit code: 130 if it was interrupted.
     """
-    try:
-        # Training imports torch, which is an extra.
-        from lemma.policies.training import loop
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] not in _EXTRA:
-            raise
-        raise InvalidConfigError(
-            f"Training needs {error.name}, which is not installed. Install it with: "
-            "python -m pip install 'lemma-bench[learn]'"
-        ) from error
+    # It imports torch, which is an extra.
+    from lemma.policies.training import loop
+
     report = loop.train(config, restart=restart)
     interrupted = report.status == "interrupted"
     if as_json:

@@ -1,25 +1,19 @@
 """`lemma verify`: the decisions of a result played again, without its policy."""
 
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 from rich.text import Text
 
-from lemma.cli.options import JsonFlag, Number, output, print_json
+from lemma.cli.options import JsonFlag, Number, Results, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 
-ResultPaths = Annotated[
-    tuple[Path, ...],
-    tyro.conf.Positional,
-    tyro.conf.arg(metavar="RESULT ...", help_behavior_hint=""),
-]
 _AT_INTERRUPT = "{done} episodes were played again; nothing is kept."
 
 
 def verify(
-    results: ResultPaths,
+    results: Results,
     episodes: Number = None,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     working: WorkerOptions = DEFAULT,

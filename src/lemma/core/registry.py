@@ -12,7 +12,7 @@ from dataclasses import fields, is_dataclass
 from inspect import signature
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Any, Generic, Literal, TypeVar, Union, get_args, get_origin
+from typing import Any, Generic, Literal, NoReturn, TypeVar, Union, get_args, get_origin
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 
@@ -89,18 +89,9 @@ class Registry(Generic[T]):
                 f"The name of a {self._kind} cannot be {shown(name)}. Use letters, "
                 "digits, underscores and hyphens."
             )
-        wrong = [] if fits(record, self._type) else [("the record", record, self._type)]
-        if not wrong and is_dataclass(record) and not isinstance(record, type):
-            wrong = [
-                (field.name, value, field.type)
-                for field in fields(record)
-                if not fits(value := getattr(record, field.name), field.type)
-            ]
-        for part, value, hint in wrong:
-            raise InvalidConfigError(
-                f"The {self._kind} {name!r} cannot be registered: {part} is "
-                f"{shown(value)}, and must be {_described(hint)}."
-            )
+        if not fits(record, self._type):
+            _refuse(self._kind, name, "the record", record, self._type)
+        check_fields(self._kind, name, record)
 
     def __getitem__(self, name: str) -> T:
         """Return the record called ``name``.
@@ -124,6 +115,31 @@ class Registry(Generic[T]):
     def __len__(self) -> int:
         """Return the number of records."""
         return len(self._records)
+
+
+def check_fields(kind: str, name: str, record: Any) -> None:
+    """Check the types of a record's fields, if it is a dataclass.
+
+    Args:
+        kind: Noun for the records, for the message.
+        name: Name of the record.
+        record: The record.
+
+    Raises:
+        InvalidConfigError: A field is of another type than its annotation.
+    """
+    if is_dataclass(record) and not isinstance(record, type):
+        for field in fields(record):
+            value = getattr(record, field.name)
+            if not fits(value, field.type):
+                _refuse(kind, name, field.name, value, field.type)
+
+
+def _refuse(kind: str, name: str, part: str, value: object, hint: Any) -> NoReturn:
+    raise InvalidConfigError(
+        f"The {kind} {name!r} cannot be registered: {part} is {shown(value)}, and must "
+        f"be {_described(hint)}."
+    )
 
 
 def takes(function: object, count: int) -> bool:

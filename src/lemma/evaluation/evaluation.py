@@ -8,8 +8,7 @@ from typing import Any
 
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
-from lemma.core.workers.pool import Engine, ProcessPool
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Engine, ProcessPool, Serial
 from lemma.evaluation.analysis.result import Result, summarise
 from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
 from lemma.evaluation.report.tables import rates

@@ -14,7 +14,7 @@ from gymnasium.wrappers import RescaleAction
 
 from lemma.core.errors import LemmaError
 from lemma.core.seeding import stream
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.env.config import EnvConfig
 from lemma.env.control.modes import CONTROLS
 from lemma.env.control_env import ControlEnv

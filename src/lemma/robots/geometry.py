@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 from lemma.core.engine import mujoco
-from lemma.robots.ur.lofts import Surface, Vector
+from lemma.robots.ur.meshes import Surface, Vector
 
 Rgba = tuple[float, float, float, float]
 

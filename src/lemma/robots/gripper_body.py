@@ -28,7 +28,7 @@ from lemma.robots.gripper import (
     SKIN_M,
     TCP_OFFSET_M,
 )
-from lemma.robots.ur.lofts import Loft, Surface, mesh
+from lemma.robots.ur.meshes import Loft, Surface, mesh
 
 _FINGER_MASS_KG = 0.1
 # At full force the width changes at 0.2 m/s: the whole stroke takes half a second.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from gymnasium.envs import registration
 
 from lemma.core.errors import InvalidConfigError
-from lemma.core.registry import Registry
+from lemma.core.registry import Registry, check_fields
 from lemma.tasks.goal import Goal
 from lemma.tasks.language.bank import add_bank
 from lemma.tasks.language.template import LanguageBank
@@ -48,7 +48,8 @@ class Task:
     bridges the gap."""
 
     def __post_init__(self) -> None:
-        """Check the name and the numbers."""
+        """Check types, the name and the numbers."""
+        check_fields("task", self.name, self)
         if not _NAME.fullmatch(self.name):
             raise InvalidConfigError(
                 f"{self.name!r} cannot name a task. Use lower-case words and digits "

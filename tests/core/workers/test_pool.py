@@ -13,10 +13,16 @@ import in_process
 import pytest
 
 from lemma.core.errors import DatasetError, InvalidConfigError, WorkerError
-from lemma.core.workers.pool import Engine, Job, ProcessPool, report, run_in_order
+from lemma.core.workers.pool import (
+    Engine,
+    Job,
+    ProcessPool,
+    Serial,
+    report,
+    run_in_order,
+)
 from lemma.core.workers.ray_cluster import RayCluster
 from lemma.core.workers.resources import peak_memory_mb, usable_cores
-from lemma.core.workers.serial import Serial
 
 
 def double(number: int) -> tuple[int, int]:

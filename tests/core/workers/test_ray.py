@@ -18,9 +18,8 @@ from recipes import bytes_of, small_recipe
 from lemma.core.errors import DatasetError, WorkerError
 from lemma.core.files import read_json
 from lemma.core.plugins import load_plugins
-from lemma.core.workers.pool import is_worker
+from lemma.core.workers.pool import Serial, is_worker
 from lemma.core.workers.ray_cluster import RayCluster
-from lemma.core.workers.serial import Serial
 from lemma.dataset.rendered.capture import KeyframeForm
 from lemma.dataset.rendered.render import RenderConfig, render
 

@@ -11,8 +11,7 @@ from recipes import bytes_of, made_up, small_order, small_recipe
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.files import only_writer, read_json, sha256_of, write_json
-from lemma.core.workers.pool import ProcessPool
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import ProcessPool, Serial
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe import generate as generating
 from lemma.dataset.recipe.files import load, open_table, versions, write_table

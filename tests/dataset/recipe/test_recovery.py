@@ -22,8 +22,7 @@ from recipes import bytes_of, small_order, small_recipe
 from lemma.cli.generate import order_of
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.files import read_json, write_json
-from lemma.core.workers.pool import ProcessPool
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import ProcessPool, Serial
 from lemma.dataset.files import MANIFEST, shorten
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
 from lemma.dataset.recipe.files import METADATA_KEY, load, open_table

@@ -11,8 +11,7 @@ import pytest
 from recipes import made_up, small_recipe, write_recipe
 
 from lemma.core.errors import DatasetError
-from lemma.core.workers.pool import ProcessPool
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import ProcessPool, Serial
 from lemma.dataset.recipe.files import load, versions
 from lemma.dataset.recipe.generate import recipe_file
 from lemma.dataset.recipe.replay import check_versions, replay, replay_all

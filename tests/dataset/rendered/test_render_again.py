@@ -15,8 +15,7 @@ from rendered_sets import (
 )
 
 from lemma.core.errors import DatasetError
-from lemma.core.workers.pool import ProcessPool
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import ProcessPool, Serial
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.hub import check
 from lemma.dataset.recipe.files import REVISION_VARIABLE, open_table

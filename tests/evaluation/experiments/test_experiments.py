@@ -13,7 +13,7 @@ import control_baselines
 from lemma.core.arguments import decode
 from lemma.core.errors import UnknownNameError
 from lemma.core.files import write_json
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.evaluation.analysis.result import check_lines, read_result
 from lemma.evaluation.experiments.catalog import (
     ABLATION_EPISODES,

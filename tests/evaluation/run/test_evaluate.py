@@ -14,8 +14,7 @@ from lemma.cli.evaluate import evaluate as verb
 from lemma.cli.workers import Workers
 from lemma.core import plugins
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
-from lemma.core.workers.pool import Job, Listener, ProcessPool, ignore
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Job, Listener, ProcessPool, Serial, ignore
 from lemma.evaluation.analysis.intervals import rates_by, wilson_interval
 from lemma.evaluation.analysis.result import cells_of
 from lemma.evaluation.lines import read_rows

@@ -18,7 +18,7 @@ from lemma.core.errors import (
     WeightsError,
 )
 from lemma.core.poses import Pose2
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.env.simulation import Simulation
 from lemma.env.view import View
 from lemma.evaluation.records import EPISODES, POLICY_ERROR

@@ -10,8 +10,7 @@ from chat_server import RuleServer, chat_server
 
 from lemma.cli.main import main
 from lemma.core.errors import DatasetError
-from lemma.core.workers.pool import ProcessPool
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import ProcessPool, Serial
 from lemma.evaluation.analysis.result import read_result, summarise
 from lemma.evaluation.records import ABOUT, EPISODES, SUMMARY, Row, read_about
 from lemma.evaluation.run.config import EvaluationConfig

@@ -11,7 +11,7 @@ from model_server import HELLO, model_server, wait_for
 
 import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.control.model_server import DEFAULTS, ask_model_server
 from lemma.evaluation.run.evaluate import evaluate

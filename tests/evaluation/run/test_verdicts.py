@@ -8,7 +8,7 @@ import pytest
 
 from lemma.core.errors import DatasetError
 from lemma.core.poses import Pose2
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.evaluation.protocol.rules import REFUSAL_S
 from lemma.evaluation.records import PROTECTIVE_STOP, Row
 from lemma.evaluation.run.config import EvaluationConfig

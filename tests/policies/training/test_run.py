@@ -4,7 +4,7 @@ import pytest
 from recipes import bytes_of
 from rendered_sets import SPLIT, TASKS, recipe_folder
 
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.recipe.files import REVISION_VARIABLE
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.rendered.capture import KeyframeForm

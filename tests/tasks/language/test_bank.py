@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.seeding import stream
-from lemma.core.workers.serial import Serial
+from lemma.core.workers.pool import Serial
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.language import bank as language

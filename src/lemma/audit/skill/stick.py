@@ -21,6 +21,7 @@ from lemma.audit.pushes import (
 )
 from lemma.audit.skill_trial import SkillTrial
 from lemma.core.poses import Pose2, wrap
+from lemma.core.seeding import ordered_sum
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.objects.stick import (
@@ -108,7 +109,7 @@ def fetch_stick(trial: SkillTrial) -> None:
             if trial.margin(stick @ grasp) < SURE_M:
                 continue
             gaps = (r + 0.035 - stick_gap(stick, x, y) for x, y, r in discs)
-            cost = sum(max(0.0, gap_m) for gap_m in gaps) + 0.01 * abs(turn)
+            cost = ordered_sum(max(0.0, gap_m) for gap_m in gaps) + 0.01 * abs(turn)
             if cost < least:
                 best, least = stick @ grasp, cost
         if best is None:

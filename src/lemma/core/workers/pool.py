@@ -8,6 +8,7 @@ the same for many machines, see :mod:`lemma.core.workers.ray_cluster`.
 import atexit
 import os
 import pickle
+import signal
 import threading
 import traceback
 from collections import deque
@@ -20,8 +21,34 @@ from typing import Any, Protocol
 
 from lemma.core.errors import InvalidConfigError, WorkerError
 from lemma.core.plugins import load_plugins
-from lemma.core.workers.interrupts import interrupts_held
 from lemma.core.workers.resources import usable_cores
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back, here for a moment and in processes started now for good.
+
+    The terminal sends it to all of them, and each would die with a traceback.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    # The mask is inherited, yet it is of this thread alone: another one may take the
+    # signal, and then Python calls the handler here all the same.
+    handler = signal.getsignal(signal.SIGINT)
+    is_ours = threading.current_thread() is threading.main_thread() and callable(
+        handler
+    )
+    came: list[int] = []
+    if is_ours:
+        signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    try:
+        yield
+    finally:
+        if is_ours:
+            signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if came:
+            signal.raise_signal(signal.SIGINT)
+
 
 Job = tuple[Any, ...]
 """Arguments of one call."""
@@ -375,3 +402,27 @@ def _die_with_parent() -> None:
     if parent is not None:
         parent.join()
     os._exit(1)
+
+
+class Serial:
+    """Runs jobs one after another in this process."""
+
+    workers = 1
+
+    def run(
+        self,
+        function: Callable[..., Any],
+        jobs: Sequence[Job],
+        on_report: Listener = ignore,
+    ) -> Iterator[Any]:
+        """Yield what each job returned.
+
+        Args:
+            function: Function that every job calls.
+            jobs: Arguments of each call.
+            on_report: Called with each report of a job, before that has ended.
+        """
+        for job in jobs:
+            with heard_by(on_report):
+                result = function(*job)
+            yield result

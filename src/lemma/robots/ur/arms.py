@@ -88,16 +88,14 @@ class ArmSpec:
             raise InvalidConfigError(
                 f"{self.name!r} cannot name an arm. Use a lower-case word: 'ur16e'."
             )
-        for field in fields(self):
-            if field.name != "name":
-                self._check(field.name, field.type is Six)
+        for field in fields(self)[1:]:
+            self._check(field.name, 6 if field.type is Six else 1)
 
-    def _check(self, name: str, of_joints: bool) -> None:
+    def _check(self, name: str, count: int) -> None:
         value = getattr(self, name)
-        numbers = list(value) if isinstance(value, list | tuple) else [value]
-        expected = len(JOINTS) if of_joints else 1
-        if isinstance(value, list | tuple) != of_joints or len(numbers) != expected:
-            wanted = f"{expected} numbers, one per joint" if of_joints else "one number"
+        wanted = "one number" if count == 1 else f"{count} numbers, one per joint"
+        numbers = (value,) if count == 1 else value
+        if not isinstance(numbers, list | tuple) or len(numbers) != count:
             raise InvalidConfigError(
                 f"{name} of arm {self.name!r} is {value!r}, but must be {wanted}: arms "
                 f"here have the joints {', '.join(JOINTS)}."
@@ -107,8 +105,8 @@ class ArmSpec:
             real = isinstance(number, int | float) and math.isfinite(number)
             if not real or not (signed or number > 0.0):
                 raise InvalidConfigError(
-                    f"{name} of arm {self.name!r} is {value!r}. It must be finite"
-                    f"{'' if signed else ' and positive'}."
+                    f"{name} of arm {self.name!r} is {value!r}. It must be {wanted}, "
+                    f"finite{'' if signed else ' and positive'}."
                 )
 
     @property
