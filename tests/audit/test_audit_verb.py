@@ -11,7 +11,7 @@ from soft_tables import two_cubes_to_drag
 
 from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.control_trial import ControlTrial
-from lemma.audit.run import audit, audit_instance, tally, to_dict
+from lemma.audit.run import audit, audit_instance, tally
 from lemma.cli import audit as verb
 from lemma.core.errors import DatasetError, PhysicsError
 from lemma.core.workers.pool import ProcessPool
@@ -41,11 +41,6 @@ def test_the_table_tells_what_was_executed_from_what_geometry_gave_up(
     # No stick is needed to pass a cube: geometry gives drags up there.
     (given_up,) = audit_instance(load_instance("pass", "test", 0), ["drag_home"])
     (acted,) = audit_instance(two_cubes_to_drag(), ["drag_home"])
-    sums = tally([given_up, acted])["drag_home"]
-    assert [(sums[t].tried, sums[t].executed) for t in ("pass", "poke_stack")] == [
-        (1, 0),
-        (1, 1),
-    ]
     monkeypatch.setattr("lemma.audit.run.audit", lambda *args: [given_up, acted])
     run("audit", "--tasks", "pass", *EPISODES)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
@@ -99,7 +94,7 @@ def test_repeats_whoever_works() -> None:
     assert [(f.attack, f.succeeded, f.subtasks) for f in one] == [
         (f.attack, f.succeeded, f.subtasks) for f in two
     ]
-    assert to_dict(tally(one)) == to_dict(tally(two))
+    assert tally(one) == tally(two)
 
 
 @pytest.mark.render

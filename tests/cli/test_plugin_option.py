@@ -136,6 +136,16 @@ def test_names_of_tasks_are_words(name: str) -> None:
         )
 
 
+@pytest.mark.parametrize(
+    ("field", "value"), [("subtasks", "x"), ("distractors", 3), ("teams", None)]
+)
+def test_a_field_of_another_type_is_refused_in_one_sentence(
+    field: str, value: Any
+) -> None:
+    with pytest.raises(InvalidConfigError, match=f"{field} is .*, and must be"):
+        replace(lemma.TASKS["stack"], **{field: value})
+
+
 def test_gymnasium_knows_one_task_by_one_name() -> None:
     other = replace(lemma.TASKS["stack2"], name="stack_2")
     with loaded(), pytest.raises(InvalidConfigError, match=r"Stack2-v0.*'stack2'"):

@@ -1,5 +1,8 @@
+"""Instances by name and from files: `lemma show`, and what other verbs do with them."""
+
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +10,6 @@ import pytest
 from command import run as lemma
 from PIL import Image
 
-from lemma.cli.main import main
 from lemma.tasks.suite import load_instance
 from lemma.viz.sheets import SHEET_HEIGHT_PX, SHEET_WIDTH_PX, depth_picture
 
@@ -17,9 +19,7 @@ def test_show_writes_one_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "new" / "hook.png"
-    with pytest.raises(SystemExit) as end:
-        main(["show", "hook", "--index", "3", "--out", str(path)])
-    assert end.value.code == 0
+    assert lemma("show", "hook", "--index", 3, "--out", path) == 0
     text = capsys.readouterr().out
     assert str(path) in text
     assert "high_level" in text
@@ -45,7 +45,7 @@ def test_demo_needs_a_folder_for_its_page(
 ) -> None:
     (tmp_path / "file").touch()
     assert lemma("demo", "pass", "--out", tmp_path / "file") == 2
-    assert "cannot be a folder" in capsys.readouterr().err
+    assert "file cannot be used: File exists." in capsys.readouterr().err
 
 
 @pytest.mark.render
@@ -75,3 +75,70 @@ def test_near_is_bright_and_nothing_is_black() -> None:
     near, far = picture[10, 40].sum(), picture[36, 40].sum()
     assert near > 2 * far > 0
     assert picture[10, 2].sum() == 0
+
+
+# --- Instances of one's own, with --instance ----------------------------------------
+
+STACK = load_instance("stack", "test", 0)
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    objects = tuple(
+        replace(placed, pose=replace(placed.pose, yaw=0.1))
+        for placed in STACK.scene.objects
+    )
+    changed = replace(STACK, scene=replace(STACK.scene, objects=objects))
+    path = tmp_path / "own.json"
+    path.write_text(changed.to_json())
+    return path
+
+
+def test_demo_plays_it(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert lemma("demo", "--instance", own, "--no-video", "--json") == 0
+    (told,) = json.loads(capsys.readouterr().out)
+    assert told["success"]
+
+
+def test_evaluation_plays_it_alone_and_keeps_it(own: Path, tmp_path: Path) -> None:
+    out = tmp_path / "result"
+    words = ("evaluate", "--policy", "oracle", "--out", out, "--instance", own)
+    assert lemma(*words) == 0
+    (row,) = map(json.loads, (out / "episodes.jsonl").read_text().splitlines())
+    assert row["split"] == "own"
+    assert row["success"]
+    kept = json.loads((out / "about.json").read_text())["instance"]
+    assert kept == {**json.loads(own.read_text()), "split": "own"}
+    # Of another instance, that folder has nothing to say.
+    own.write_text(STACK.to_json())
+    assert lemma(*words) != 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("demo", "pass"), "is an instance of stack"),
+        (("show", "--index", "2"), "without --split"),
+        (
+            ("evaluate", "--policy", "oracle", "--out", "x", "--episodes", "2"),
+            "alone|all",
+        ),
+        (("play", "--index", "1", "--no-open"), "without --split"),
+    ],
+)
+def test_it_stands_alone(
+    own: Path, words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert lemma(*words, "--instance", own) == 2
+    assert re.search(says, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"a": 1}', json.dumps({"version": "v1"})])
+@pytest.mark.parametrize("verb", ["show", "demo", "play"])
+def test_file_that_holds_no_instance_is_refused(
+    verb: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bad.json"
+    path.write_text(text)
+    assert lemma(verb, "--instance", path) == 2
+    assert "bad.json" in capsys.readouterr().err

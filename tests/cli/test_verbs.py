@@ -154,15 +154,6 @@ def test_arguments_that_cannot_be_parsed(words: list[str]) -> None:
     assert run(*words) == 2
 
 
-def test_a_file_where_a_folder_should_be(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "taken").write_text("")
-    out = tmp_path / "taken" / "demo"
-    assert run("demo", "stack", "--seed", 0, "--out", out) == 2
-    assert "taken" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("missing", "remedy"),
     [("numba", "--force-reinstall lemma-bench"), ("torch", "'lemma-bench[learn]'")],

@@ -8,9 +8,8 @@ import pytest
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose2
-from lemma.core.seeding import stream
 from lemma.robots.gripper import TCP_OFFSET_M
-from lemma.robots.ur.build import ARMS, JOINTS, LINKS, ArmSpec, add_arm
+from lemma.robots.ur.build import ARMS, JOINTS, LINKS, add_arm
 from lemma.robots.ur.meshes import Loft, mesh, rounded
 
 STRETCHED = np.array([0.0, 0.0, 0.0, 0.0, -1.57, 0.0])
@@ -43,30 +42,6 @@ def one_arm(name: str, load_kg: float = 0.0) -> tuple[mujoco.MjModel, mujoco.MjD
     return model, mujoco.MjData(model)
 
 
-def flange_from_dh(arm: ArmSpec, joints: np.ndarray) -> np.ndarray:
-    """The product of the published Denavit-Hartenberg transforms, written out."""
-    d1, a2, a3, d4, d5, d6 = arm.dh
-    quarter = math.pi / 2
-    result = np.eye(4)
-    for q, d, a, alpha in zip(
-        joints,
-        (d1, 0, 0, d4, d5, d6),
-        (0, -a2, -a3, 0, 0, 0),
-        (quarter, 0, 0, quarter, -quarter, 0),
-        strict=True,
-    ):
-        ct, st, ca, sa = np.cos(q), np.sin(q), np.cos(alpha), np.sin(alpha)
-        result = result @ np.array(
-            [
-                [ct, -st * ca, st * sa, a * ct],
-                [st, ct * ca, -ct * sa, a * st],
-                [0, sa, ca, d],
-                [0, 0, 0, 1],
-            ]
-        )
-    return result
-
-
 def reach_down(
     model: mujoco.MjModel, data: mujoco.MjData, x: float, z: float
 ) -> np.ndarray | None:
@@ -89,43 +64,6 @@ def reach_down(
         step = jacobian.T @ np.linalg.solve(damped, error)
         data.qpos[:6] += np.clip(step, -0.2, 0.2)
     return None
-
-
-@pytest.mark.parametrize(
-    ("name", "dh"),
-    [
-        ("ur5", [0.089159, 0.425, 0.39225, 0.10915, 0.09465, 0.0823]),
-        ("ur10", [0.1273, 0.612, 0.5723, 0.163941, 0.1157, 0.0922]),
-    ],
-)
-def test_lengths_are_the_published_ones(name: str, dh: list[float]) -> None:
-    np.testing.assert_array_equal(ARMS[name].dh, dh)
-
-
-@pytest.mark.parametrize("name", ARMS)
-def test_forward_kinematics_is_the_dh_product(name: str) -> None:
-    arm, rng = ARMS[name], stream("test", "dh", name)
-    for _ in range(20):
-        base = Pose2(*rng.uniform(-3, 3, 3))
-        spec = empty_spec()
-        add_arm(spec, arm, "robot_0", base, "red")
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        world_from_base = np.eye(4)
-        cos, sin = np.cos(base.yaw), np.sin(base.yaw)
-        world_from_base[:2, :2] = [[cos, -sin], [sin, cos]]
-        world_from_base[:2, 3] = base.xy
-        for _ in range(20):
-            data.qpos[:6] = joints = rng.uniform(-2 * np.pi, 2 * np.pi, 6)
-            mujoco.mj_kinematics(model, data)
-            flange = world_from_base @ flange_from_dh(arm, joints)
-            tool = flange[:3, 3] + TCP_OFFSET_M * flange[:3, 2]
-            body, site = data.body("robot_0/gripper"), data.site("robot_0/tcp")
-            np.testing.assert_allclose(body.xpos, flange[:3, 3], atol=1e-9)
-            np.testing.assert_allclose(site.xpos, tool, atol=1e-9)
-            np.testing.assert_allclose(
-                site.xmat.reshape(3, 3), flange[:3, :3], atol=1e-9
-            )
 
 
 @pytest.mark.parametrize("name", ARMS)

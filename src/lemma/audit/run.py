@@ -1,7 +1,7 @@
 """The audit: attacks on instances, their outcomes, and the sums of those."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
@@ -50,21 +50,6 @@ class Found:
     """The successful commands, at control level, (steps, robots, numbers)."""
     unstable: int = 0
     """Attempts that ended because the physics became unstable."""
-
-
-@dataclass(slots=True)
-class Tally:
-    """The outcomes of one attack on the instances of one task."""
-
-    level: str
-    tried: int = 0
-    """Instances, each with every robot."""
-    executed: int = 0
-    """Those in which something was executed; in the others geometry gave it up."""
-    succeeded: int = 0
-    """Instances that were solved."""
-    best_progress: float = 0.0
-    """Most of a goal that ever held, in [0, 1]."""
 
 
 def names_at(level: str) -> tuple[str, ...]:
@@ -173,24 +158,23 @@ def _attempt(play: Any, trial: Trial) -> bool | None:
     return trial.acted and trial.finish()
 
 
-def tally(found: Iterable[Found]) -> dict[str, dict[str, Tally]]:
-    """Return sums by attack and task, in the order in which they come."""
-    tallies: dict[str, dict[str, Tally]] = {}
+def tally(found: Iterable[Found]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return sums by attack and task, ready for JSON, in the order of the outcomes.
+
+    Instances are tried with every robot; where geometry gave all attempts up, nothing
+    was executed. Progress is the most of a goal that ever held, in [0, 1].
+    """
+    tallies: dict[str, dict[str, dict[str, Any]]] = {}
     for one in found:
-        of_tasks = tallies.setdefault(one.attack, {})
-        sums = of_tasks.setdefault(one.task, Tally(one.level))
-        sums.tried += 1
-        sums.executed += one.acted
-        sums.succeeded += one.succeeded
-        sums.best_progress = max(sums.best_progress, one.progress)
+        sums = tallies.setdefault(one.attack, {}).setdefault(
+            one.task,
+            {
+                **{"level": one.level, "tried": 0, "executed": 0},
+                **{"succeeded": 0, "best_progress": 0.0},
+            },
+        )
+        sums["tried"] += 1
+        sums["executed"] += one.acted
+        sums["succeeded"] += one.succeeded
+        sums["best_progress"] = max(sums["best_progress"], one.progress)
     return tallies
-
-
-def to_dict(tallies: dict[str, dict[str, Tally]]) -> dict[str, Any]:
-    """Return sums as plain data, ready for JSON."""
-    return {
-        "attacks": {
-            attack: {task: asdict(sums) for task, sums in of_tasks.items()}
-            for attack, of_tasks in tallies.items()
-        }
-    }

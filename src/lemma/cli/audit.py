@@ -1,7 +1,7 @@
 """`lemma audit`: one robot alone attacks instances, in physics."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from lemma.cli.options import (
     ALL,
@@ -17,14 +17,10 @@ from lemma.cli.options import (
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 
 if TYPE_CHECKING:
-    from lemma.audit.run import Found, Tally
+    from lemma.audit.run import Found
     from lemma.viz.video import VideoStyle
 
 _AT_INTERRUPT = "{done} of {total} instances were done; nothing is kept."
-_HEADER = (
-    *("task", "attack", "level"),
-    *("tried", "executed", "succeeded", "best progress"),
-)
 
 
 def audit(
@@ -56,7 +52,7 @@ def audit(
     """
     # Imported here so that help does not wait for it.
     from lemma.audit.run import audit as run
-    from lemma.audit.run import tally, to_dict
+    from lemma.audit.run import tally
 
     names = _attacks(attacks, level)
     keys = _keys(tasks, split, start, episodes)
@@ -67,7 +63,7 @@ def audit(
         found = run(keys, names, working.make_engine(), advance)
     won = [one for one in found if one.succeeded]
     if as_json:
-        print_json(to_dict(tally(found)))
+        print_json({"attacks": tally(found)})
     else:
         _print(tally(found))
     for one in won:
@@ -139,19 +135,18 @@ def _keys(
     return [(task, split, index) for task in tasks for index in range(first, end)]
 
 
-def _print(tallies: "dict[str, dict[str, Tally]]") -> None:
+def _print(tallies: dict[str, dict[str, dict[str, Any]]]) -> None:
     """Print sums by task and attack; those of attacks that succeeded stand out."""
     tasks = dict.fromkeys(task for of_tasks in tallies.values() for task in of_tasks)
-    sums = [(t, attack, tallies[attack][t]) for t in tasks for attack in tallies]
-    rows = [
-        (
-            *(task, attack, of.level, of.tried, of.executed, of.succeeded),
-            f"{of.best_progress:.0%}",
-        )
-        for task, attack, of in sums
+    sums = [
+        {"task": task, "attack": attack, **tallies[attack][task]}
+        for task in tasks
+        for attack in tallies
     ]
-    won = [number for number, (*_, of) in enumerate(sums) if of.succeeded]
-    print_table(_HEADER, rows, labels=3, bold=won)
+    header = tuple(name.replace("_", " ") for name in sums[0]) if sums else ("task",)
+    rows = [(*list(of.values())[:-1], f"{of['best_progress']:.0%}") for of in sums]
+    won = [number for number, of in enumerate(sums) if of["succeeded"]]
+    print_table(header, rows, labels=min(3, len(header)), bold=won)
 
 
 def write_videos(

@@ -84,7 +84,7 @@ class ArmSpec:
 
     def __post_init__(self) -> None:
         """Check that every number is there and can be one of an arm's."""
-        if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name):
+        if not re.fullmatch(r"[a-z][a-z0-9_]*", str(self.name)):
             raise InvalidConfigError(
                 f"{self.name!r} cannot name an arm. Use a lower-case word: 'ur16e'."
             )
