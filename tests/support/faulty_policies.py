@@ -7,15 +7,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 
 from lemma.core.poses import Pose2
 from lemma.env.view import View
 from lemma.policies.interfaces import Decision, PastStep, PolicyInput
-from lemma.serve import serve
+from lemma.serve import PolicyServer, serve
+from lemma.serve.conversation import ProtocolMode
+from lemma.serve.websocket import connect
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 ROBOTS = ("red robot", "white robot")
@@ -38,6 +42,16 @@ def given(
     instruction: str = "go", *past: PastStep, now: View | None = None
 ) -> PolicyInput:
     return PolicyInput(instruction, ROBOTS, now or view(9), past)
+
+
+@contextmanager
+def asking(policy: object, mode: ProtocolMode) -> Iterator[Any]:
+    """Connect to a server, by its address, or to a policy that is served meanwhile."""
+    with ExitStack() as stack:
+        url = policy
+        if not isinstance(url, str):
+            url = stack.enter_context(PolicyServer(policy, port=0)).url
+        yield stack.enter_context(closing(connect(url, mode)))
 
 
 def moved(x: float = 0.1, y: float = 0.2, yaw: float = 0.3) -> Decision:

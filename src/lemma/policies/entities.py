@@ -166,6 +166,8 @@ class Traits:
 def traits_of(entities: EntitySet, device: torch.device) -> Traits:
     """Return what is known of the kinds of some entities, on a device."""
     kinds = entities.kinds
+    grasps = [kind.grasp for kind in kinds]
+    supports = [kind.support_m for kind in kinds]
 
     def column(values: Iterable[float]) -> Tensor:
         return torch.tensor(list(values), device=device)
@@ -177,17 +179,11 @@ def traits_of(entities: EntitySet, device: torch.device) -> Traits:
             top_m=column(kind.top_m for kind in kinds),
             disc_m=column(kind.disc_m for kind in kinds),
             side_m=column(kind.side_m for kind in kinds),
-            support_m=column(
-                -1.0 if kind.support_m is None else kind.support_m for kind in kinds
-            ),
-            turn_rad=column(
-                kind.grasp.turn_rad if kind.grasp else 0.0 for kind in kinds
-            ),
-            grasp_yaw=column(
-                kind.grasp.at.yaw if kind.grasp else 0.0 for kind in kinds
-            ),
+            support_m=column(-1.0 if far is None else far for far in supports),
+            turn_rad=column(grasp.turn_rad if grasp else 0.0 for grasp in grasps),
+            grasp_yaw=column(grasp.at.yaw if grasp else 0.0 for grasp in grasps),
             faceted=column(kind.faceted for kind in kinds),
-            graspable=column(kind.grasp is not None for kind in kinds),
+            graspable=column(grasp is not None for grasp in grasps),
             draggable=column(kind.drag_m is not None for kind in kinds),
             drag_m=column(kind.drag_m or 0.0 for kind in kinds),
         )

@@ -191,31 +191,29 @@ class LanguageModelPlanner(Composite):
     def _decide(self, given: PolicyInput, scene: SceneText) -> Decision:
         tally = _Tally()
         try:
-            talk = self._one if self._options.team == "one" else self._each
-            return Decision(talk(given, scene, tally), None, effort=tally.effort())
+            subtask = self._ask_team(given, scene, tally)
+            return Decision(subtask, None, effort=tally.effort())
         except _GaveUpError as error:
             return Decision(
                 STOP, None, str(error), failed=error.kind, effort=tally.effort()
             )
 
-    def _one(self, given: PolicyInput, scene: SceneText, tally: _Tally) -> SubTask:
-        team = robot_names(len(given.robots))
-        answers = AnswerFormat(team, _names(scene))
-        said = self._converse(given, answers, question(given, scene), tally)
-        assert said.subtask is not None
-        return said.subtask
+    def _ask_team(self, given: PolicyInput, scene: SceneText, tally: _Tally) -> SubTask:
+        """Ask the one planner, or one robot after the other until one does something.
 
-    def _each(self, given: PolicyInput, scene: SceneText, tally: _Tally) -> SubTask:
-        """Ask one robot after the other until one does something; they take turns."""
+        Robots take turns in being asked first.
+        """
         team = robot_names(len(given.robots))
+        names = tuple(thing.name for thing in scene.objects)
         first = len(given.past) % len(team)
-        order = (*team[first:], *team[:first])
+        speakers: tuple[str, ...] = ("",)
+        if self._options.team == "each":
+            speakers = (*team[first:], *team[:first])
         messages: tuple[tuple[str, str], ...] = ()
-        for robot in order:
-            last = robot == order[-1]
-            answers = AnswerFormat(
-                (robot,), _names(scene), talks=True, may_wait=not last
-            )
+        for robot in speakers:
+            waits = robot != speakers[-1]
+            own = (robot,) if robot else team
+            answers = AnswerFormat(own, names, talks=bool(robot), may_wait=waits)
             text = question(given, scene, robot, messages)
             said = self._converse(given, answers, text, tally)
             if said.subtask is not None:
@@ -276,7 +274,3 @@ class LanguageModelPlanner(Composite):
             },
         } | self._options.fields
         return {name: value for name, value in request.items() if value is not None}
-
-
-def _names(scene: SceneText) -> tuple[str, ...]:
-    return tuple(thing.name for thing in scene.objects)
