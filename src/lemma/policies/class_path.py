@@ -77,9 +77,12 @@ def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
     try:
         return make(**(arguments or {}))
     except Exception as error:
+        given = ", ".join(
+            f"{key}={value!r}" for key, value in (arguments or {}).items()
+        )
         raise InvalidConfigError(
             f"{name} could not be made: {type(error).__name__}: {error}. It is called "
-            f"{_with(arguments)}."
+            f"with {given or 'no arguments'}."
         ) from error
 
 
@@ -108,9 +111,3 @@ def check_no_secret(names: Iterable[str]) -> None:
                 "arguments of a policy. Have the policy read it from an environment "
                 "variable or a file."
             )
-
-
-def _with(arguments: Mapping[str, Any] | None) -> str:
-    if not arguments:
-        return "without arguments"
-    return "with " + ", ".join(f"{name}={value!r}" for name, value in arguments.items())
