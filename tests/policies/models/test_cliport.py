@@ -1,6 +1,7 @@
-"""CLIPort learns, decides each frame for itself, and says what it cannot do."""
+"""CLIPort, of two kinds, learns, decides each frame for itself, says what it cannot."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -18,13 +19,21 @@ from batches import (
 )
 
 from lemma.core.errors import InvalidConfigError
-from lemma.policies.batch import PRIMITIVES
+from lemma.policies.batch import PRIMITIVES, STOP
 from lemma.policies.entities import BENCHMARK
-from lemma.policies.interfaces import Grounder
-from lemma.policies.models.cliport.model import CLIPort, Poses, score_poses
+from lemma.policies.interfaces import Grounder, Policy
+from lemma.policies.models.cliport.model import (
+    CLIPort,
+    MCLIPort,
+    MCLIPortConfig,
+    PickAndPlace,
+    Poses,
+    score_poses,
+)
 from lemma.policies.models.cliport.networks import CLIPortConfig
 from lemma.scene.objects.entity import ENTITIES
-from lemma.tasks.subtask import STOP, Primitive, SubTask
+from lemma.tasks.subtask import STOP as STOP_SUBTASK
+from lemma.tasks.subtask import Primitive, SubTask
 
 PLACES = BENCHMARK.places
 
@@ -34,6 +43,11 @@ TINY = CLIPortConfig(**TINY_STREAMS)
 def tiny(**changes: Any) -> CLIPort:
     torch.manual_seed(0)
     return CLIPort(replace(TINY, **changes))
+
+
+def tiny_whole() -> MCLIPort:
+    torch.manual_seed(0)
+    return MCLIPort(MCLIPortConfig(**TINY_STREAMS))
 
 
 @pytest.mark.slow
@@ -61,9 +75,12 @@ def test_it_learns_an_episode_by_heart() -> None:
         assert abs(found.place.yaw - found.pick.yaw) <= math.pi + 1e-5
 
 
-def test_every_weight_has_a_gradient() -> None:
-    model = tiny()
-    total(model.loss(drawn_batch(3))).backward()
+@pytest.mark.parametrize("make", [tiny, tiny_whole])
+def test_every_weight_has_a_gradient(make: Callable[[], PickAndPlace]) -> None:
+    model = make()
+    losses = model.loss(drawn_batch(3))
+    assert all(value.isfinite() for value in losses.values())
+    total(losses).backward()
     for name, gradient in gradients(model).items():
         assert gradient is not None, name
         assert gradient.isfinite().all(), name
@@ -167,7 +184,7 @@ def test_what_has_no_words_is_not_grounded() -> None:
     found = model.ground(
         inputs,
         [
-            STOP,
+            STOP_SUBTASK,
             SubTask("robot_0", Primitive.HOOK, "stick", "blue_pad"),
             move,
             SubTask("robot_0", Primitive.MOVE, "", ""),
@@ -242,3 +259,67 @@ def test_scores_know_the_symmetries(
 def test_bad_options_are_explained(changes: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidConfigError, match=message):
         tiny(**changes)
+
+
+@pytest.mark.slow
+def test_the_whole_learns_an_episode_by_heart() -> None:
+    batch = drawn_batch(4)
+    decision = labels_of(batch).decision.clone()
+    decision[1, 1] = PRIMITIVES.index("poke")
+    batch = replace(batch, labels=replace(labels_of(batch), decision=decision))
+    model = tiny_whole()
+    learn_by_heart(model, batch, 180)
+    scores = model.score(batch)
+    assert scores["right_stop"].tolist() == [1.0] * 4
+    assert scores["right_robot"][:3].tolist() == [1.0] * 3
+    assert scores["right_primitive"][:3].tolist() == [1.0] * 3
+    assert scores["decided"][3] == 1.0
+    found = model.act(inputs_of(batch))
+    assert [d.subtask.robot for d in found] == ["robot_0", "robot_1", "robot_0", ""]
+    assert [d.subtask.primitive for d in found] == [
+        Primitive.MOVE,
+        Primitive.POKE,
+        Primitive.MOVE,
+        Primitive.STOP,
+    ]
+    assert found[3].grounded is None
+    for decision_found, pick in zip(
+        found[:3], labels_of(batch).pick_pose.tolist(), strict=False
+    ):
+        grounded = decision_found.grounded
+        assert grounded is not None
+        assert math.dist(grounded.pick.xy, pick[:2]) < 0.03
+        assert grounded.primitive is decision_found.subtask.primitive
+
+
+def test_a_batch_of_stops_alone_is_fine() -> None:
+    batch = part_of(drawn_batch(2), [1])
+    losses = tiny_whole().loss(batch)
+    assert losses["stop"] > 0
+    assert all(v == 0 for n, v in losses.items() if n != "stop")
+
+
+def test_a_whole_decision_does_not_depend_on_the_others() -> None:
+    model = tiny_whole()
+    inputs = inputs_of(drawn_batch(5, stop_last=False))
+    together, alone = model.act(inputs)[3], model.act(inputs[3:4])[0]
+    assert together.subtask == alone.subtask
+    if together.grounded and alone.grounded:
+        assert math.dist(together.grounded.place.xy, alone.grounded.place.xy) < 1e-4
+    assert model.act(inputs) == model.act(inputs)
+    assert isinstance(model, Policy)
+
+
+def test_a_wrong_stop_is_no_decision() -> None:
+    batch = drawn_batch(2)
+    model = tiny_whole()
+    last = model.stop[-1]
+    assert isinstance(last, torch.nn.Linear)
+    for value, expected in ((50.0, [0.0, 1.0]), (-50.0, [0.0, 0.0])):
+        torch.nn.init.constant_(last.bias, value)
+        scores = model.score(batch)
+        assert scores["right_stop"].tolist() == (
+            [0.0, 1.0] if value > 0 else [1.0, 0.0]
+        )
+        assert scores["decided"].tolist() == expected
+    assert labels_of(batch).decision[1, 1] == STOP

@@ -2,18 +2,17 @@ import copy
 import gc
 from dataclasses import replace
 
-import numpy as np
+import batches
 import pytest
 import torch
-from batches import TEAM, drawn_batch
+from batches import drawn_batch, labels_of, part_of
 from tiny_transformer import tiny
 
-from lemma.env.view import View
-from lemma.policies.batch import MAX_PAST, NOBODY, STOP, Batch, Labels
+from lemma.policies.batch import MAX_PAST, NOBODY, STOP, Batch
 from lemma.policies.compose import MultiStep
 from lemma.policies.entities import BENCHMARK
 from lemma.policies.interfaces import PastStep, PolicyInput
-from lemma.policies.models.base import MODELS
+from lemma.policies.models.base import MODELS, subtask_of
 from lemma.policies.models.episodic_transformer import (
     PARTS,
     SLOTS,
@@ -23,91 +22,34 @@ from lemma.policies.models.episodic_transformer import (
     choose,
     layout_of_batch,
 )
+from lemma.policies.training.loader import joined
 from lemma.scene.objects.entity import ENTITIES
-from lemma.tasks.language.bank import robot_phrases_in_order
-from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
 
 PLACES = BENCHMARK.places
 
 
-def rows(batch: Batch, chosen: list[int]) -> Batch:
-    assert batch.labels is not None
-    where = torch.tensor(chosen)
-
-    def part(value: object) -> object:
-        if isinstance(value, torch.Tensor):
-            return value[where]
-        if isinstance(value, list):
-            return [value[i] for i in chosen]
-        return value
-
-    labels = Labels(**{k: part(v) for k, v in vars(batch.labels).items()})  # type: ignore[arg-type]
-    others = {k: part(v) for k, v in vars(batch).items() if k != "labels"}
-    return replace(batch, **others, labels=labels)  # type: ignore[arg-type]
-
-
 def episodes(*sizes: int) -> Batch:
     """Return several episodes one after the other."""
-    parts = [drawn_batch(size, seed) for seed, size in enumerate(sizes)]
+    batch, *others = (drawn_batch(size, seed) for seed, size in enumerate(sizes))
+    for number, other in enumerate(others, 1):
+        batch = joined(batch, other, number)
+    return batch
 
-    def joined(values: list[object]) -> object:
-        if isinstance(values[0], torch.Tensor):
-            return torch.cat(values)  # type: ignore[arg-type]
-        if isinstance(values[0], list):
-            return [x for value in values for x in value]  # type: ignore[attr-defined]
-        return values[0]
 
-    labels = [part.labels for part in parts]
-    assert labels[0] is not None
-    merged = {k: joined([vars(x)[k] for x in labels]) for k in vars(labels[0])}
-    merged["episode"] = torch.arange(len(sizes)).repeat_interleave(torch.tensor(sizes))
-    fields = {k: joined([vars(p)[k] for p in parts]) for k in vars(parts[0])}
-    return Batch(**{**fields, "labels": replace(labels[0], **merged)})  # type: ignore[arg-type]
+def decided(batch: Batch) -> list[SubTask]:
+    rows = labels_of(batch).decision.tolist()
+    return [subtask_of(row, BENCHMARK) for row in rows]
 
 
 def inputs_of(batch: Batch) -> list[PolicyInput]:
     """Return what a policy is given at each frame of one episode."""
-    assert batch.labels is not None
-    views = [
-        View(
-            batch.rgb[i].numpy(),
-            batch.height_m[i].numpy(),
-            batch.coverage[i].numpy(),
-            batch.joints[i].numpy().astype(np.float64),
-            batch.opening_m[i].numpy().astype(np.float64),
-        )
-        for i in range(len(batch))
-    ]
     past: tuple[PastStep, ...] = ()
     found = []
-    for view, row in zip(views, batch.labels.decision.tolist(), strict=True):
-        text = batch.instructions[0]
-        found.append(PolicyInput(text, robot_phrases_in_order(TEAM), view, past))
-        if row[1] != STOP:
-            done = SubTask(
-                f"robot_{row[0]}",
-                Primitive.MOVE,
-                ENTITIES[row[2]],
-                PLACES[row[3]],
-            )
-            past = (*past, PastStep(view, done))
+    for given, subtask in zip(batches.inputs_of(batch), decided(batch), strict=True):
+        found.append(given.with_past(past))
+        past = (*past, PastStep(given.view, subtask))
     return found
-
-
-def decided(batch: Batch) -> list[SubTask]:
-    assert batch.labels is not None
-    return [
-        STOP_SUBTASK
-        if row[1] == STOP
-        else SubTask(
-            f"robot_{row[0]}",
-            Primitive.MOVE,
-            ENTITIES[row[2]],
-            PLACES[row[3]],
-        )
-        for row in batch.labels.decision.tolist()
-    ]
 
 
 def test_it_is_known_by_name_and_trains_on_episodes() -> None:
@@ -166,7 +108,7 @@ def test_episodes_in_a_batch_do_not_touch_each_other() -> None:
     batch = episodes(3, 4, 2)
     with torch.inference_mode():
         together = model(batch)
-        alone = model(rows(batch, [3, 4, 5, 6]))
+        alone = model(part_of(batch, [3, 4, 5, 6]))
     for whole, part in zip(together, alone, strict=True):
         assert torch.allclose(whole[3:7], part, atol=1e-4)
 
@@ -176,16 +118,16 @@ def test_a_frame_does_not_see_what_comes_after_it() -> None:
     batch = drawn_batch(4)
     with torch.inference_mode():
         whole = model(batch)
-        early = model(rows(batch, [0, 1]))
+        early = model(part_of(batch, [0, 1]))
         # Earlier views do matter.
-        single = model(rows(batch, [1]))
+        single = model(part_of(batch, [1]))
     for a, b, c in zip(whole, early, single, strict=True):
         assert torch.allclose(a[:2], b, atol=1e-4)
         assert not torch.allclose(a[1:2], c, atol=1e-4)
 
 
 def test_a_batch_splits_where_frames_do_not_follow() -> None:
-    batch = rows(episodes(3, 4), [0, 1, 2, 4, 5, 3, 6])
+    batch = part_of(episodes(3, 4), [0, 1, 2, 4, 5, 3, 6])
     layout = layout_of_batch(batch)
     assert layout.episode.tolist() == [0, 0, 0, 1, 1, 2, 3]
     assert layout.slot.tolist() == [0, 1, 2, 1, 2, 0, 3]

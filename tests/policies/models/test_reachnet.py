@@ -138,11 +138,6 @@ def test_a_decision_does_not_depend_on_the_rest_of_the_batch(expert: ReachNet) -
         assert expert.act([inputs[i]])[0].subtask == all_at_once[i].subtask
 
 
-def test_losses_are_determined_by_the_seed() -> None:
-    first, second = (trained(tiny(), 3) for _ in range(2))
-    assert first == second
-
-
 @pytest.mark.slow
 def test_demonstrations_alone_tell_who_reached() -> None:
     model = tiny("demonstrations")

@@ -79,23 +79,11 @@ def test_every_sub_task_has_one_number() -> None:
     numbers = torch.arange(5 * 11 * 2 + 4 * 5 * 2 + 2 + 1)
     decisions = decision_of(numbers, 2)
     assert number_of(decisions, 2).tolist() == numbers.tolist()
-    assert len({tuple(d) for d in decisions.tolist()}) == len(numbers)
-
-
-@pytest.mark.parametrize(
-    "decision",
-    [
-        (0, MOVE, CUBE, PAD),
-        (1, MOVE, CUBE, SHARED),
-        (1, MOVE, BENCHMARK.stick, SHARED),
-        (0, PREHOOK, BENCHMARK.stick, CUBE),
-        (1, POKE, BENCHMARK.stick, OTHER),
-        (-1, STOP, -1, -1),
-    ],
-)
-def test_numbers_say_the_same_sub_task(decision: tuple[int, ...]) -> None:
-    number = number_of(row(*decision), 2)
-    assert decision_of(number, 2).tolist() == [list(decision)]
+    stick = BENCHMARK.stick
+    assert {
+        *((0, MOVE, CUBE, PAD), (1, MOVE, CUBE, SHARED), (1, MOVE, stick, SHARED)),
+        *((0, PREHOOK, stick, CUBE), (1, POKE, stick, OTHER), (-1, STOP, -1, -1)),
+    } <= {tuple(d) for d in decisions.tolist()}
 
 
 def test_turning_twice_changes_nothing() -> None:

@@ -9,13 +9,14 @@ from tempfile import mkdtemp
 import numpy as np
 import pytest
 import torch
+from batches import labels_of
 from painted_keyframes import RASTER, paint, write_painted
 from rendered_sets import keyframes_folder
 from torch import Tensor
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
-from lemma.policies.batch import NOBODY, Batch, Frames, Labels
+from lemma.policies.batch import NOBODY, Batch, Frames
 from lemma.policies.training.augmentation import augment, move, permute_colors
 from lemma.policies.training.config import Augmentation
 from lemma.policies.training.loader import with_instructions, with_language
@@ -53,11 +54,6 @@ def rendered() -> Frames:
 
 def whole(source: Frames) -> Batch:
     return source.batch(range(len(source)))
-
-
-def labels_of(batch: Batch) -> Labels:
-    assert batch.labels is not None
-    return batch.labels
 
 
 def shown_color(batch: Batch, frame: int, x: float, y: float) -> str | None:
