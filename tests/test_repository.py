@@ -33,7 +33,20 @@ PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 """Pages that describe the present; the changelog names what is gone, too."""
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
-MAX_FILE_LINES = 500
+MAX_FILE_LINES = 400
+LONGER_FILES = {
+    *("audit/control/row.py", "audit/control/stick.py", "serve/conversation.py"),
+    *("dataset/lerobot/export.py", "dataset/rendered/dataset.py"),
+    *("dataset/teleoperation.py", "evaluation/report/sections.py"),
+    *("evaluation/report/tables.py", "policies/models/cliport/model.py"),
+    *("policies/models/cliport/networks.py", "policies/models/episodic_transformer.py"),
+    *("policies/models/reachnet/grounder.py", "policies/models/reachnet/planner.py"),
+    *("policies/models/reachnet/utility.py", "env/test_bad_input.py"),
+    *("evaluation/run/test_fault_isolation.py", "serve/test_sockets.py"),
+}
+"""One noun each that takes more, up to :data:`MAX_LONGER_LINES`; split them at a
+change."""
+MAX_LONGER_LINES = 500
 MAX_FUNCTION_LINES = 60
 MAX_MODULES = 12
 """In one folder, ``__init__.py`` apart."""
@@ -56,7 +69,12 @@ def text_of(path: Path) -> str:
 
 def test_files_are_short() -> None:
     sizes = {relative(path): len(text_of(path).splitlines()) for path in PYTHON_FILES}
-    too_long = {name: lines for name, lines in sizes.items() if lines > MAX_FILE_LINES}
+    longer = {name for name in sizes if name.endswith(tuple(LONGER_FILES))}
+    too_long = {
+        name: lines
+        for name, lines in sizes.items()
+        if lines > (MAX_LONGER_LINES if name in longer else MAX_FILE_LINES)
+    }
     assert too_long == {}, "split them"
 
 
