@@ -1,19 +1,16 @@
 """Files that are whole or not there, and complaints that say what to do."""
 
 import errno
-import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recipes import made_up, small_disk, small_order, write_recipe
+from recipes import made_up, small_order, write_recipe
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import (
@@ -25,7 +22,6 @@ from lemma.core.files import (
     write_whole,
 )
 from lemma.core.workers.pool import Serial
-from lemma.core.workers.resumable import check_same_job
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.recipe import files
 from lemma.dataset.recipe.files import (
@@ -37,7 +33,7 @@ from lemma.dataset.recipe.files import (
     write_table,
 )
 from lemma.dataset.recipe.generate import generate
-from lemma.dataset.recipe.schema import SCHEMA, from_table, to_table
+from lemma.dataset.recipe.schema import from_table, to_table
 from lemma.tasks.instance import BENCHMARK_VERSION
 from make_recipe import export
 
@@ -93,25 +89,6 @@ def write_old(folder: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def tiny_disk(tmp_path: Path) -> Iterator[Path]:
-    with small_disk(tmp_path / "disk", 256) as folder:
-        yield folder
-
-
-def test_a_disk_that_really_is_full(tiny_disk: Path) -> None:
-    first = tiny_disk / "first.parquet"
-    write_table(first, to_table([made_up()]), ABOUT)
-    noise = np.random.default_rng(0).bytes(400_000).hex()
-    with pytest.raises(DatasetError, match="disk is full"):
-        write_text(tiny_disk / "second.txt", noise)
-    big = to_table([made_up(index=i, keyframes=40) for i in range(40)])
-    with pytest.raises(DatasetError, match="disk is full"):
-        write_table(tiny_disk / "third.parquet", big, ABOUT)
-    assert from_table(read_table(first)) == [made_up()]
-    assert sorted(path.name for path in tiny_disk.iterdir()) == ["first.parquet"]
-
-
 def test_a_folder_that_may_not_be_written_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -131,14 +108,6 @@ def write_text_there(folder: Path) -> None:
 def hold(folder: Path) -> None:
     with only_writer(folder):
         pass
-
-
-def test_a_file_where_a_folder_should_be(tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("")
-    with pytest.raises(DatasetError, match=r"taken.*cannot be written"):
-        write_text_there(tmp_path / "taken")
-    with pytest.raises(DatasetError, match=r"taken.*cannot be written"):
-        hold(tmp_path / "taken")
 
 
 def test_a_folder_has_one_writer(tmp_path: Path) -> None:
@@ -185,36 +154,6 @@ def test_a_file_says_what_wrote_it(tmp_path: Path) -> None:
     assert set(about) == names
 
 
-def damage_end(data: bytearray) -> bytearray:
-    return data[: len(data) // 2]
-
-
-def damage_middle(data: bytearray) -> bytearray:
-    # In the states, which are most of the file and do not compress.
-    data[len(data) // 3] ^= 1
-    return data
-
-
-def damage_all(data: bytearray) -> bytearray:
-    return bytearray()
-
-
-@pytest.mark.parametrize("damage", [damage_end, damage_middle, damage_all])
-def test_a_damaged_file_is_named_and_explained(
-    tmp_path: Path, damage: Callable[[bytearray], bytearray]
-) -> None:
-    path = tmp_path / "a.parquet"
-    write_table(path, to_table([made_up(index=i) for i in range(40)]), ABOUT)
-    path.write_bytes(damage(bytearray(path.read_bytes())))
-    with pytest.raises(DatasetError, match=r"a\.parquet.*lemma generate"):
-        read_table(path)
-
-
-def test_a_missing_file_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"none\.parquet"):
-        read_table(tmp_path / "none.parquet")
-
-
 def test_the_parquet_of_somebody_else_is_refused(tmp_path: Path) -> None:
     pq.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
     with pytest.raises(DatasetError, match="no recipe of this benchmark"):
@@ -231,16 +170,6 @@ def test_a_later_format_is_refused(tmp_path: Path) -> None:
     write_table(tmp_path / "a.parquet", to_table([made_up()]), about)
     with pytest.raises(DatasetError, match=r"format 9.*format 1.*7\.0\.0"):
         open_table(tmp_path / "a.parquet")
-
-
-@pytest.mark.parametrize("name", sorted(set(ABOUT) - {"revision"}))
-def test_another_version_is_refused(name: str) -> None:
-    with pytest.raises(DatasetError, match=f"{name} was 0 and is now"):
-        check_same_job(Path("a"), {**ABOUT, name: "0"}, ABOUT)
-
-
-def test_another_revision_of_the_same_version_is_not_refused() -> None:
-    check_same_job(Path("a"), {**ABOUT, "revision": "other"}, ABOUT)
 
 
 def test_checksums(tmp_path: Path) -> None:
@@ -309,13 +238,6 @@ def test_an_instance_that_is_no_json_object(text: str) -> None:
         record.instance_data()
 
 
-def test_json_has_the_same_bytes_for_the_same_data(tmp_path: Path) -> None:
-    write_json(tmp_path / "a.json", {"b": 1, "a": [2]})
-    write_json(tmp_path / "b.json", {"a": [2], "b": 1})
-    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
-    assert json.loads((tmp_path / "a.json").read_text()) == {"a": [2], "b": 1}
-
-
 def test_the_revision_is_never_that_of_somebody_elses_repository(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -338,9 +260,3 @@ def test_where_git_does_not_say_the_revision_it_is_no_release(
     # As a checkout of another owner, which git does not trust.
     (tmp_path / ".git").write_text("gitdir: nowhere")
     assert versions(BENCHMARK_VERSION)["revision"] == "unknown"
-
-
-def test_columns_can_be_read_alone(tmp_path: Path) -> None:
-    write_table(tmp_path / "a.parquet", to_table([made_up()]), ABOUT)
-    assert read_table(tmp_path / "a.parquet", ["task"]).column_names == ["task"]
-    assert read_table(tmp_path / "a.parquet").column_names == SCHEMA.names

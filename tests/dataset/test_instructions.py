@@ -28,19 +28,6 @@ def said_by_anybody(kind: str, sentence: str) -> bool:
     return any(said(task, kind, sentence) for task in SUITE)
 
 
-def test_drawing_is_a_pure_function() -> None:
-    first = draw_instruction(
-        "stack", PAIRS, f"{BENCHMARK_VERSION}/stack/train/3", seed=1, epoch=2
-    )
-    draw_instruction(
-        "stack", PAIRS, f"{BENCHMARK_VERSION}/stack/train/4", seed=1, epoch=2
-    )
-    again = draw_instruction(
-        "stack", PAIRS, f"{BENCHMARK_VERSION}/stack/train/3", seed=1, epoch=2
-    )
-    assert first == again
-
-
 def test_both_kinds_and_all_their_templates_are_drawn() -> None:
     drawn = [draw_instruction("stack", PAIRS, "key", epoch=e) for e in range(600)]
     high = sum(said("stack", "high_level", sentence) for sentence in drawn)
@@ -52,17 +39,6 @@ def test_both_kinds_and_all_their_templates_are_drawn() -> None:
         for template in templates("stack", kind)
     }
     assert set(drawn) == possible
-
-
-@pytest.mark.parametrize("task", SUITE)
-def test_nothing_held_out_is_drawn(task: str) -> None:
-    instance = load_instance(task, "train", 0)
-    for epoch in range(40):
-        sentence = draw_instruction(
-            task, instance.goal.pairs, instance.key, epoch=epoch
-        )
-        assert not said(task, "unseen", sentence)
-        assert any(said(task, kind, sentence) for kind in TRAINING_KINDS)
 
 
 @given(
@@ -172,15 +148,6 @@ def test_what_training_sees_is_printed(capsys: pytest.CaptureFixture[str]) -> No
     assert not any(said("stack", "unseen", sentence) for sentence in sentences)
     assert printed(capsys, "stack") == records
     assert printed(capsys, "stack", "--seed", 1) != records
-
-
-@pytest.mark.parametrize("task", SUITE)
-def test_training_never_prints_what_is_held_out(
-    task: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for seed in range(3):
-        for record in printed(capsys, task, "--n", 40, "--seed", seed):
-            assert not said_by_anybody("unseen", record["instruction"])
 
 
 def test_sub_instructions_are_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,6 +8,7 @@ those of a recipe.
 
 import json
 import math
+from contextlib import suppress
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
@@ -255,38 +256,30 @@ def perform(
     Raises:
         LemmaError: A step is impossible: the file was changed.
     """
-    clock = _Clock(episode.simulation, done)
+    simulation = episode.simulation
+    clock = _Clock(simulation, done)
     try:
-        _perform(done, episode, clock, before)
+        for number, part in enumerate(done.parts):
+            try:
+                while simulation.time_s < part.start_s - _EARLY_S:
+                    simulation.tick()
+                before(number)
+                if isinstance(part, Executed):
+                    clock.until_s = part.until_s
+                    carry_out(episode, part.grounded)
+                else:
+                    carry_out(episode, part)
+            except _ReachedError:
+                if clock.at_end:
+                    break
+            finally:
+                clock.until_s = None
+        with suppress(_ReachedError):
+            while not clock.at_end:
+                simulation.tick()
     finally:
         clock.stop()
     before(len(done.parts))
-
-
-def _perform(
-    done: Teleoperation, episode: Episode, clock: _Clock, before: Watcher
-) -> None:
-    simulation = episode.simulation
-    for number, part in enumerate(done.parts):
-        try:
-            while simulation.time_s < part.start_s - _EARLY_S:
-                simulation.tick()
-            before(number)
-            if isinstance(part, Executed):
-                clock.until_s = part.until_s
-                carry_out(episode, part.grounded)
-            else:
-                carry_out(episode, part)
-        except _ReachedError:
-            if clock.at_end:
-                return
-        finally:
-            clock.until_s = None
-    try:
-        while not clock.at_end:
-            simulation.tick()
-    except _ReachedError:
-        pass
 
 
 def is_same(done: Teleoperation, episode: Episode) -> bool:

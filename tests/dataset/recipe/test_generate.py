@@ -134,27 +134,6 @@ def test_a_full_disk_loses_nothing(
     assert bytes_of(tmp_path) == bytes_of(small_recipe())
 
 
-def test_an_interrupt_loses_one_episode_at_most(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    done: list[Instance] = []
-
-    def interrupt(instance: Instance) -> EpisodeRecord:
-        if len(done) == 5:
-            raise KeyboardInterrupt
-        done.append(instance)
-        return record_episode(instance)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(generating, "record_episode", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            generate(small_order(tmp_path), Serial())
-    counts: list[int] = []
-    generate(small_order(tmp_path), Serial(), counts.append)
-    assert counts[0] == 5
-    assert bytes_of(tmp_path) == bytes_of(small_recipe())
-
-
 def test_a_failing_expert_is_told_and_the_rest_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -108,23 +108,6 @@ def test_an_empty_folder_is_no_recipe(tmp_path: Path) -> None:
             load(folder)
 
 
-def test_a_truncated_file_is_named(long_recipe: Path) -> None:
-    path = long_recipe / "train" / "stack.parquet"
-    path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(DatasetError, match=r"stack\.parquet is damaged.*cut short"):
-        load(long_recipe)
-
-
-def test_damage_inside_a_file_is_found_when_it_is_read(long_recipe: Path) -> None:
-    path = long_recipe / "train" / "stack.parquet"
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
-    path.write_bytes(data)
-    recipe = load(long_recipe)
-    with pytest.raises(DatasetError, match=r"stack\.parquet is damaged"):
-        list(recipe)
-
-
 def test_the_files_of_another_engine_can_still_be_read(tmp_path: Path) -> None:
     write_recipe(
         tmp_path, [made_up()], {**versions(BENCHMARK_VERSION), "mujoco": "4.0.0"}

@@ -25,7 +25,7 @@ from lemma.core.files import read_json, write_json
 from lemma.core.workers.pool import ProcessPool, Serial
 from lemma.dataset.files import MANIFEST, shorten
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
-from lemma.dataset.recipe.files import METADATA_KEY, load, open_table
+from lemma.dataset.recipe.files import load, open_table
 from lemma.dataset.recipe.generate import generate, generate_part, recipe_file
 from lemma.dataset.recipe.record import record_perturbed
 from lemma.dataset.recipe.replay import expected_digests, replay_all
@@ -41,13 +41,11 @@ from lemma.dataset.recipe.schema import (
 from lemma.dataset.recipe.summary import recovery_figures
 from lemma.dataset.rendered.capture import KeyframeForm
 from lemma.dataset.rendered.dataset import KeyframeDataset
-from lemma.dataset.rendered.keyframes import FORM, KEYFRAMES_VERSION, Header
 from lemma.dataset.rendered.render import RenderConfig, render
 from lemma.env.episode import Episode
 from lemma.expert.disturbances import KINDS, NONE, Perturbation
 from lemma.expert.expert import Expert
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.scene.raster import RASTER
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import STOP
@@ -139,30 +137,6 @@ def test_other_seeds_make_other_mistakes_in_the_same_instance() -> None:
     assert one.keyframe_sha256[0] == other.keyframe_sha256[0]
     assert one.keyframe_sha256[1] != other.keyframe_sha256[1]
     assert one.key != other.key != instance.key
-
-
-def test_demonstrations_are_what_they_were() -> None:
-    # Their digests are in the package, so only what surrounds them is left to see.
-    file, about = open_table(recipe_file(small_recipe(), "val", "stack"))
-    assert file.schema_arrow.names == SCHEMA.names
-    assert not {"perturb", "perturb_seed"} & set(about)
-    assert "perturb" not in (small_recipe() / MANIFEST).read_text()
-    assert "perturb" not in (small_recipe() / "README.md").read_text()
-    header = Header(
-        form=FORM,
-        part="maps",
-        version=KEYFRAMES_VERSION,
-        versions=about,
-        renderer="",
-        robots=2,
-        width=640,
-        height=480,
-        raster=RASTER,
-        entities=(),
-    )
-    assert not header.perturbed
-    assert not {"perturbation", "executed_robot"} & set(header.schema().names)
-    assert b"perturb" not in header.schema().metadata[METADATA_KEY]
 
 
 def test_a_folder_says_that_it_is_no_part_of_the_benchmark() -> None:

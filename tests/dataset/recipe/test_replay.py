@@ -4,16 +4,14 @@ import json
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
-from shutil import copytree
 
 import numpy as np
 import pytest
-from recipes import made_up, small_recipe, write_recipe
+from recipes import small_recipe, write_recipe
 
 from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import ProcessPool, Serial
 from lemma.dataset.recipe.files import load, versions
-from lemma.dataset.recipe.generate import recipe_file
 from lemma.dataset.recipe.replay import check_versions, replay, replay_all
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.tasks.instance import BENCHMARK_VERSION
@@ -93,18 +91,3 @@ def test_another_numpy_is_not_refused() -> None:
     check_versions(
         {**versions(BENCHMARK_VERSION), "numpy": "0", "numba": "0", "revision": "?"}
     )
-
-
-def test_a_file_of_another_engine_is_refused(tmp_path: Path) -> None:
-    write_recipe(
-        tmp_path, [made_up()], {**versions(BENCHMARK_VERSION), "mujoco": "4.0.0"}
-    )
-    with pytest.raises(DatasetError, match=r"mujoco 4\.0\.0.*Install that version"):
-        replay_all(load(tmp_path), Serial())
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    folder = copytree(small_recipe(), tmp_path / "copy")
-    recipe_file(folder, "test", "pass").unlink()
-    with pytest.raises(DatasetError, match=r"pass\.parquet is missing"):
-        replay_all(load(folder), Serial())

@@ -115,12 +115,6 @@ def test_the_digest_notices_every_change_of_a_subtask(field: str) -> None:
     assert replace(record, subtasks=rows).digest() != record.digest()
 
 
-def test_the_digest_outlives_the_file() -> None:
-    record = made_up()
-    again = from_table(to_table([record]))[0]
-    assert again.digest() == record.digest()
-
-
 def test_a_record_gives_back_states_and_instance() -> None:
     record = made_up(keyframes=4)
     assert record.keyframes == 4

@@ -36,7 +36,6 @@ from lemma.dataset.rendered.dataset import (
     MapsInMemory,
     Sample,
 )
-from lemma.tasks.language.bank import templates
 
 pytestmark = pytest.mark.render
 
@@ -133,27 +132,6 @@ def test_the_unseen_sentences_are_not_for_training(tmp_path: Path) -> None:
         KeyframeDataset(tmp_path, "train", language=Language(kind="unseen"))
 
 
-def test_sentences_are_drawn_for_an_episode_and_an_epoch() -> None:
-    found = dataset(columns=("task", "goal"), language=RESAMPLED)
-    drawn: dict[int, set[str]] = {}
-    for epoch in range(30):
-        found.set_epoch(epoch)
-        for episode, frames in enumerate(found.episodes()):
-            sentences = {found[i]["instruction"] for i in frames}
-            assert len(sentences) == 1
-            drawn.setdefault(episode, set()).update(sentences)
-    for record, sentences in zip(recipe(), drawn.values(), strict=True):
-        assert len(sentences) > 4
-        allowed = (
-            *templates(record.task, "high_level"),
-            *templates(record.task, "human"),
-        )
-        for sentence in sentences:
-            assert any(t.parse(sentence) for t in allowed)
-            held_out = templates(record.task, "unseen")
-            assert not any(t.parse(sentence) for t in held_out)
-
-
 def test_drawn_sentences_depend_on_seed_and_epoch_alone() -> None:
     def sentences(seed: int, epoch: int, start: int) -> list[str]:
         found = dataset(
@@ -182,12 +160,6 @@ def test_workers_read_the_same() -> None:
     assert len(pickle.dumps(found)) < 20_000
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         assert same(pool.submit(read, found, 5).result(), here)
-
-
-def test_what_a_caller_changes_is_his_own() -> None:
-    found = dataset()
-    found[0]["map_rgb"][...] = 0
-    assert found[0]["map_rgb"].any()
 
 
 def test_a_batch_is_its_samples() -> None:
@@ -305,12 +277,3 @@ def test_a_folder_without_keyframes_is_explained(tmp_path: Path) -> None:
         KeyframeDataset(tmp_path, SPLIT)
     with pytest.raises(DatasetError, match="holds 'recipe'"):
         KeyframeDataset(recipe_folder(), SPLIT)
-
-
-def test_a_manifest_of_another_set_is_noticed(tmp_path: Path) -> None:
-    copy = copytree(keyframes_folder(), tmp_path / "set")
-    path = copy / "maps" / SPLIT / "stack-000.arrow"
-    with path.open("ab") as file:
-        file.write(b"more")
-    with pytest.raises(DatasetError, match=f"bytes, but {MANIFEST} says"):
-        KeyframeDataset(copy, SPLIT)

@@ -141,30 +141,6 @@ def test_writing_that_fails_leaves_nothing(tmp_path: Path) -> None:
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
-@pytest.mark.parametrize("kept", [0, 10, 1000, -1, -40])
-def test_a_file_that_was_cut_short_is_explained(tmp_path: Path, kept: int) -> None:
-    path = write(tmp_path, noise(3))["maps"]
-    path.write_bytes(path.read_bytes()[:kept])
-    with pytest.raises(DatasetError, match=r"is damaged.*run 'lemma render' again"):
-        KeyframeFile(path)
-
-
-def test_a_missing_file_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="No such file"):
-        KeyframeFile(tmp_path / "none.arrow")
-
-
-def test_a_batch_that_is_damaged_is_explained(tmp_path: Path) -> None:
-    path = write(tmp_path, noise(3))["cameras"]
-    data = bytearray(path.read_bytes())
-    # Compressed images are most of the file.
-    middle = len(data) // 2
-    data[middle - 3000 : middle + 3000] = bytes(6000)
-    path.write_bytes(data)
-    with pytest.raises(DatasetError, match="is damaged"):
-        [KeyframeFile(path)[row] for row in range(3)]
-
-
 def other_header(path: Path, **changes: Any) -> None:
     header = json.loads(HEADER.schema().metadata[METADATA_KEY])
     text = json.dumps({**header, **changes}).encode()

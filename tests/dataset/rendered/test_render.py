@@ -1,7 +1,6 @@
 """From a recipe to images of its keyframes: what they show, and what survives."""
 
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -34,7 +33,6 @@ from lemma.scene.cameras import Camera, CameraImage, CameraIntrinsics
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.raster import decode_depth
-from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
 from lemma.tasks.instance import Instance
@@ -78,20 +76,6 @@ def cameras(sample: Sample, names: Sequence[str]) -> list[Camera]:
     return found
 
 
-def test_every_keyframe_of_every_episode_is_there() -> None:
-    dataset = everything()
-    expected = [
-        (record.key, keyframe)
-        for record in recipe()
-        for keyframe in range(record.keyframes)
-    ]
-    found = [
-        (s["key"], s["keyframe"]) for s in (dataset[i] for i in range(len(dataset)))
-    ]
-    assert found == expected
-    assert len(expected) == sum(record.keyframes for record in recipe())
-
-
 def test_what_is_decoded_is_what_was_rendered_bit_for_bit() -> None:
     dataset, rig = everything(), CameraRig()
     for episode, frames in enumerate(dataset.episodes()):
@@ -101,18 +85,6 @@ def test_what_is_decoded_is_what_was_rendered_bit_for_bit() -> None:
             for name in (*MAP_COLUMNS, *CAMERA_COLUMNS):
                 assert sample[name].dtype == shown[name].dtype
                 assert np.array_equal(sample[name], shown[name]), name
-
-
-def test_images_are_the_cameras_of_the_robots() -> None:
-    sample, scene, renderer = everything()[1], scene_at(0, 1), Renderer()
-    for robot in (0, 1):
-        image = renderer.rgbd(scene.model, scene.data, f"robot_{robot}/camera")
-        assert np.array_equal(sample["rgb"][robot], image.rgb)
-        depth = decode_depth(sample["depth"][robot])
-        assert np.abs(depth - image.depth_m).max() < 0.51e-4
-        assert (depth > 0).mean() > 0.9
-        lens = image.camera.intrinsics.matrix()
-        assert np.array_equal(sample["intrinsics"][robot], lens)
 
 
 def test_what_is_stored_can_be_fused_to_the_same_map() -> None:
@@ -176,25 +148,6 @@ def test_cubes_lie_in_the_map_where_they_are() -> None:
         * len(frames)
         for e, frames in enumerate(dataset.episodes())
     )
-
-
-def test_cubes_lie_in_the_images_where_they_are() -> None:
-    dataset, hits = everything(), set()
-    for episode, frames in enumerate(dataset.episodes()):
-        sample, scene = dataset[frames[0]], scene_at(episode, 0)
-        for name in scene.spec.object_names:
-            x, y, z = scene.pose(name).position
-            top = (x, y, z + CUBE_EDGE_M / 2)
-            for robot, camera in enumerate(cameras(sample, ("a", "b"))):
-                pixel, depth = camera.project([top])
-                u, v = np.rint(pixel[0]).astype(int)
-                if not (name.endswith("cube") and 0 <= u < 640 and 0 <= v < 480):
-                    continue
-                if abs(decode_depth(sample["depth"])[robot, v, u] - depth[0]) < 0.01:
-                    assert color_of(sample["rgb"][robot, v, u]) == name.split("_")[0]
-                    hits.add((robot, name))
-    assert len(hits) >= 4
-    assert {robot for robot, _ in hits} == {0, 1}
 
 
 def test_labels_are_those_of_the_recipe() -> None:
@@ -297,18 +250,3 @@ def test_bad_input_is_explained(
     assert run("render", recipe_folder(), "--out", out, *words) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
-
-
-def test_no_recipe_is_explained(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("render", tmp_path, "--out", tmp_path / "set") == 2
-    assert "There is no recipe" in capsys.readouterr().err
-
-
-def test_nan_marks_the_end_and_nothing_else() -> None:
-    dataset = everything()
-    for index in range(len(dataset)):
-        sample = dataset[index]
-        is_last = sample["keyframe"] == sample["keyframes"] - 1
-        assert math.isnan(sample["place_pose"][0]) == is_last

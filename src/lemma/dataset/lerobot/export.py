@@ -122,14 +122,9 @@ class Shard:
 
 
 def _rank(path: Path, group: int) -> tuple[int, tuple[int, str], str, int]:
-    splits = list(SPLITS)
-    split, task = path.parent.name, path.stem
-    return (
-        splits.index(split) if split in splits else len(splits),
-        task_rank(task),
-        path.as_posix(),
-        group,
-    )
+    split = path.parent.name
+    rank = [*SPLITS, split].index(split)
+    return rank, task_rank(path.stem), path.as_posix(), group
 
 
 def write_dataset(

@@ -168,11 +168,16 @@ def generate(
             for split in order.splits
             for task in order.tasks
         ]
-        for name in sorted(known):
-            if (order.out / name).exists():
-                check_sum(order.out / name, known[name], "lemma generate")
+        there = {name: e for name, e in known.items() if (order.out / name).exists()}
+        for name in sorted(there):
+            check_sum(order.out / name, there[name], "lemma generate")
         begin(order.out, RECORD, about)
-        _forget(order.out, known, listed, about)
+        # A run that is killed after it wrote a file, and before the manifest, must not
+        # make that file look damaged.
+        grows = {file.path for file in listed if file.there < len(file.parts)}
+        kept = {name: e for name, e in there.items() if order.out / name not in grows}
+        if kept != known:
+            write_json(order.out / MANIFEST, {"versions": about, "files": kept})
         made, worker_mb = _work(listed, engine, about, advance)
         rmtree(order.out / PARTS, ignore_errors=True)
         _write_manifest(order.out, about)
@@ -298,27 +303,6 @@ def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
     files = listed_files(folder)
     check_same_job(folder, listed_versions(folder), about)
     return files
-
-
-def _forget(
-    folder: Path,
-    known: dict[str, dict[str, Any]],
-    listed: list[_File],
-    about: dict[str, str],
-) -> None:
-    """Remove from the manifest the files that are about to be written.
-
-    A run that is killed after it wrote a file, and before the manifest, must not make
-    that file look damaged.
-    """
-    open_ended = {file.path for file in listed if file.there < len(file.parts)}
-    kept = {
-        name: entry
-        for name, entry in known.items()
-        if (folder / name).exists() and folder / name not in open_ended
-    }
-    if kept != known:
-        write_json(folder / MANIFEST, {"versions": about, "files": kept})
 
 
 def _put_together(file: _File, about: dict[str, str]) -> None:

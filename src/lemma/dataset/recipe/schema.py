@@ -270,9 +270,19 @@ def describe(*, perturbed: bool = False) -> str:
         perturbed: Whether to describe instead the columns that only recipes of
             perturbed executions have.
     """
-    columns = _PERTURBED_COLUMNS if perturbed else _COLUMNS
-    lines = ["| column | type | meaning |", "|---|---|---|"]
-    lines += [
-        f"| `{name}` | `{kind}` | {text} |" for name, (kind, text) in columns.items()
-    ]
-    return "\n".join(lines)
+    return "\n".join(markdown_rows(_PERTURBED_COLUMNS if perturbed else _COLUMNS))
+
+
+def markdown_rows(columns: Columns) -> list[str]:
+    """Return the lines of a Markdown table of columns."""
+    rows = (
+        f"| `{name}` | `{_type_name(kind)}` | {text} |"
+        for name, (kind, text) in columns.items()
+    )
+    return ["| column | type | meaning |", "|---|---|---|", *rows]
+
+
+def _type_name(kind: pa.DataType) -> str:
+    if isinstance(kind, pa.FixedShapeTensorType):
+        return f"{kind.value_type}{list(kind.shape)}"
+    return str(kind)

@@ -14,19 +14,18 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from lemma.core.errors import DatasetError, UnknownNameError
 from lemma.core.files import damaged, parse_json, write_whole
 from lemma.dataset.recipe.files import METADATA_KEY, explained
-from lemma.dataset.recipe.schema import Columns, perturbed_as
+from lemma.dataset.recipe.schema import Columns, markdown_rows, perturbed_as
 from lemma.scene.raster import RASTER, Raster
 
 WRITTEN_BY = "lemma render"
@@ -144,20 +143,9 @@ def describe() -> str:
     """Return all columns as Markdown, for ``docs/rendered_format.md``."""
     header = Header(FORM, "", "", {}, "", 2, 640, 480, RASTER, ("",) * 11)
     lines = []
-    for part, columns in zip(
-        PARTS, (map_columns(header), camera_columns(header)), strict=True
-    ):
-        lines += [f"### `{part}/`", "", "| column | type | meaning |", "|---|---|---|"]
-        for name, (kind, meaning) in columns.items():
-            lines.append(f"| `{name}` | `{_type_name(kind)}` | {meaning} |")
-        lines.append("")
+    for part, columns in zip(PARTS, (map_columns, camera_columns), strict=True):
+        lines += [f"### `{part}/`", "", *markdown_rows(columns(header)), ""]
     return "\n".join(lines)
-
-
-def _type_name(kind: pa.DataType) -> str:
-    if isinstance(kind, pa.FixedShapeTensorType):
-        return f"{kind.value_type}{list(kind.shape)}"
-    return str(kind)
 
 
 def map_columns(header: Header) -> Columns:
@@ -278,6 +266,7 @@ def _array(value: Any, kind: pa.DataType) -> pa.Array:
     return pa.ExtensionArray.from_storage(kind, storage)
 
 
+@cache
 def _dtype(scalar: pa.DataType) -> np.dtype[Any]:
     """Return NumPy's name for a type of numbers; pyarrow's own way may need pandas."""
     dtype: np.dtype[Any] = pa.array([], scalar).to_numpy().dtype
@@ -336,9 +325,9 @@ class KeyframeFile:
             return pa.ipc.open_file(self._source, options=options)
 
     @cached_property
-    def _decoders(self) -> list[tuple[str, "_Tensor | None"]]:
-        schema = self._reader.get_batch(0).schema
-        return [(f.name, _Tensor.of(f.type)) for f in schema]
+    def _kinds(self) -> list[tuple[str, pa.DataType]]:
+        # As they are in a batch: without the columns that nobody asked for.
+        return [(f.name, f.type) for f in self._reader.get_batch(0).schema]
 
     def __len__(self) -> int:
         """Return the number of keyframes."""
@@ -354,28 +343,17 @@ class KeyframeFile:
         with explained(self.path, WRITTEN_BY):
             batch = self._reader.get_batch(row)
             return {
-                name: batch.column(i)[0].as_py()
-                if tensor is None
-                else tensor.decode(batch.column(i))
-                for i, (name, tensor) in enumerate(self._decoders)
+                name: _value(batch.column(i), kind)
+                for i, (name, kind) in enumerate(self._kinds)
             }
 
 
-@dataclass(frozen=True, slots=True)
-class _Tensor:
-    dtype: np.dtype[Any]
-    shape: tuple[int, ...]
-
-    @classmethod
-    def of(cls, kind: pa.DataType) -> "_Tensor | None":
-        if not isinstance(kind, pa.FixedShapeTensorType):
-            return None
-        return cls(_dtype(kind.value_type), tuple(kind.shape))
-
-    def decode(self, column: pa.ExtensionArray) -> NDArray[Any]:
-        """Return an array that can be written to, without copying if possible."""
-        buffer = column.storage.values.buffers()[1]
-        array = np.frombuffer(buffer, self.dtype, math.prod(self.shape))
-        array = array.reshape(self.shape)
-        # Uncompressed buffers are the file itself: copy them.
-        return array if array.flags.writeable else array.copy()
+def _value(column: pa.Array, kind: pa.DataType) -> Any:
+    """Return the one value of a column; an array can be written to."""
+    if not isinstance(kind, pa.FixedShapeTensorType):
+        return column[0].as_py()
+    buffer = column.storage.values.buffers()[1]
+    array = np.frombuffer(buffer, _dtype(kind.value_type), math.prod(kind.shape))
+    array = array.reshape(kind.shape)
+    # Uncompressed buffers are the file itself: copy them.
+    return array if array.flags.writeable else array.copy()
