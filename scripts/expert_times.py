@@ -17,8 +17,13 @@ import numpy as np
 from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
 from lemma.core.workers.pool import Engine, ProcessPool
-from lemma.evaluation.protocol.expert_times import TIMED_SPLITS, TIMES
-from lemma.evaluation.protocol.perturbed_starts import APART_M, FROM_STICK_M, perturbed
+from lemma.evaluation.protocol.expert_times import (
+    APART_M,
+    FROM_STICK_M,
+    TIMED_SPLITS,
+    TIMES,
+    perturbed,
+)
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.spec import ORACLE, PolicySpec
 from lemma.scene.camera_mounts import CameraFootprint

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lemma.evaluation.run.control.rollout import ControlPlayer
+from lemma.evaluation.run.control import ControlPlayer
 from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.policies.control.interfaces import ControlInput
 from lemma.policies.interfaces import (

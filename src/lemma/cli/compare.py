@@ -1,5 +1,6 @@
 """`lemma compare`: two results on the same episodes."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -44,7 +45,7 @@ def compare(
     if as_json:
         print_json(
             {
-                kind: {task: one.to_dict() for task, one in by_task.items()}
+                kind: {task: asdict(one) for task, one in by_task.items()}
                 for kind, by_task in found.items()
             }
         )
@@ -60,7 +61,7 @@ def compare(
 
 
 def _cells(one: Comparison) -> tuple[str, ...]:
-    first, second = one.rates
+    first, second = one.success_rates
     low, high = one.interval
     return (
         f"{100 * first:.1f}",

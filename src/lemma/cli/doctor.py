@@ -25,9 +25,9 @@ def doctor(
     with messages().status("Checking (the first run compiles, for half a minute) ..."):
         checks = run_checks(all_states=states)
         if evaluation:
-            from lemma.evaluation.self_check import check_evaluation
+            from lemma.bench.evaluation_checks import check_evaluation
 
-            checks += [Check(**asdict(answer)) for answer in check_evaluation()]
+            checks += check_evaluation()
         machine = describe_machine()
     healthy = all(check.ok for check in checks if check.essential)
     if as_json:

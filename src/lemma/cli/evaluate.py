@@ -148,19 +148,19 @@ def _config(
     policy: str, out: Path, ask: EvaluateOptions, model: ChatOptions
 ) -> "EvaluationConfig":
     """Return what the options mean."""
-    from lemma.evaluation.evaluation import named_at
+    from lemma.evaluation.evaluation import named_at, usual_split
     from lemma.evaluation.run.config import EvaluationConfig
     from lemma.policies.spec import PolicySpec
     from lemma.tasks.instance import OWN_SPLIT, Instance
     from lemma.tasks.language.blind import kinds_of
-    from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
+    from lemma.tasks.suite import SUITE
 
     own = Instance.load(ask.instance) if ask.instance else None
     tasks = words(ask.tasks, every=SUITE)
     if own is not None and ask.tasks == ALL:
         tasks, split = (own.task,), OWN_SPLIT
     else:
-        split = "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
+        split = usual_split(tasks)
     split = ask.split or split
     asks_model = model != NO_MODEL or policy.startswith("llm:")
     chat = model if asks_model else None

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from filelock import FileLock, Timeout
@@ -78,6 +79,24 @@ def only_writer(folder: Path) -> Iterator[None]:
     finally:
         clear_drafts(folder)
         lock.release()
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Give a folder that is removed at the end.
+
+    Raises:
+        DatasetError: There is no room for one.
+    """
+    try:
+        folder = TemporaryDirectory(ignore_cleanup_errors=True)
+    except OSError as error:
+        raise DatasetError(
+            f"No temporary folder can be made: {error.strerror or error}. Free some "
+            "space, or let TMPDIR name a folder that you may write to."
+        ) from error
+    with folder as name:
+        yield Path(name)
 
 
 _NO_ROOM = {

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
+from lemma.core.files import temporary_folder
 from lemma.core.workers.pool import Engine, ProcessPool, Serial
 from lemma.evaluation.analysis.result import Result, summarise
 from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
@@ -105,17 +105,30 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     Raises:
         LemmaError: There is no such policy, task, split or kind, or it is none.
     """
-    tasks, kinds = _names(tasks), _names(kinds)
+    tasks = (tasks,) if isinstance(tasks, str) else tuple(tasks)
+    kinds = (kinds,) if isinstance(kinds, str) else tuple(kinds)
     workers = whole("workers", workers, 1)
     spec, engine = _policy(policy, level, planning, gta=gta, workers=workers)
-    if out is not None and isinstance(spec, GivenPolicy):
-        _check_new(Path(out))
-    with TemporaryDirectory() as nowhere:
-        where, split = Path(out or nowhere), split or _usual_split(tasks)
+    # Nobody knows whether an object is the one that played before.
+    if (
+        out is not None
+        and isinstance(spec, GivenPolicy)
+        and (Path(out) / ABOUT).exists()
+    ):
+        raise InvalidConfigError(
+            f"{out} holds a result already, which may be of another object. Choose "
+            "a new folder; a policy that has a name can go on in its own."
+        )
+    with temporary_folder() as nowhere:
         config = EvaluationConfig(
-            out=where, policy=spec, tasks=tasks, split=split,
-            kinds=kinds, episodes=episodes, verdicts=protocol,
-        )  # fmt: skip
+            out=Path(out or nowhere),
+            policy=spec,
+            tasks=tasks,
+            split=split or usual_split(tasks),
+            kinds=kinds,
+            episodes=episodes,
+            verdicts=protocol,
+        )
         rows = play(config, engine)
         result = summarise(rows, read_about(config.out), config.command())
         if out is not None:
@@ -123,26 +136,9 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     return Evaluation(result, tuple(rows))
 
 
-def _usual_split(tasks: tuple[str, ...]) -> str:
+def usual_split(tasks: Sequence[str]) -> str:
+    """Return the list that tasks are played on unless another is named."""
     return "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
-
-
-def _names(told: str | Sequence[str]) -> tuple[str, ...]:
-    return (told,) if isinstance(told, str) else tuple(told)
-
-
-def _check_new(folder: Path) -> None:
-    """Check that nothing was evaluated into a folder.
-
-    Raises:
-        InvalidConfigError: Something was. Of an object nobody knows whether it is the
-            one that played before, so its lines are not taken for those of another.
-    """
-    if (folder / ABOUT).exists():
-        raise InvalidConfigError(
-            f"{folder} holds a result already, which may be of another object. Choose "
-            "a new folder; a policy that has a name can go on in its own."
-        )
 
 
 def _policy(

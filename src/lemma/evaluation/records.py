@@ -5,6 +5,7 @@
 writes the lines. Files may come from anywhere, so their content is checked.
 """
 
+import math
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -70,10 +71,11 @@ class _Strict(msgspec.Struct, forbid_unknown_fields=True):
 
 
 Names = Annotated[list[str], Meta(max_length=1000)]
-ByName = Annotated[dict[str, float], Meta(max_length=1000)]
 
 
-class _SubTask(_Strict):
+class Symbols(_Strict):
+    """A sub-task without poses."""
+
     robot: str
     primitive: str
     pick: str
@@ -87,23 +89,32 @@ class _Grounded(_Strict):
     place: tuple[float, float, float]
 
 
-class _Feedback(_Strict):
-    expected: _SubTask
+class Feedback(_Strict):
+    """Judgement of the expert on a decision, before it is carried out."""
+
+    expected: Symbols
+    """The expert's own decision; ``stop`` if the goal holds, or no plan is left."""
     left: int | None
+    """Sub-tasks of the expert's plan; None where there is no plan."""
     departure: Departure
     able: bool | None
+    """Whether the robot could do it now; None where none of the robots could."""
     pick_error_mm: float | None
+    """Distance of the pick from the middle of the cube that is meant; None for the
+    stick, which can be grasped along its handle."""
     place_error_mm: float | None
+    """Distance of a ``move``'s place from the middle of the pad or cube that is meant;
+    None for the shared region and for tools, which leave a choice."""
 
 
-class _Step(_SubTask, kw_only=True):
+class _Step(Symbols, kw_only=True):
     grounded: _Grounded | None
     outcome: str
     explanation: str
     start_s: float
     duration_s: float
     fell: Names
-    expert: _Feedback
+    expert: Feedback
 
 
 Steps = Annotated[list[_Step], Meta(max_length=200)]
@@ -156,22 +167,24 @@ class _Control(_Strict):
     fallen: Names
 
 
-class _Lenient(_Strict):
-    """The verdict of an episode that went on after its strict end."""
+class _Verdict(_Strict, kw_only=True):
+    """The strict verdict of an episode, or that after it went on."""
 
     success: bool
-    progress: float
+    progress: Annotated[float, Meta(ge=0.0, le=1.0)]
     failure: str | None
     policy_error: _Fault | None
     asked_holds: bool | None
     elapsed_s: float
     subtasks: Steps
     planning: _Planning | None = None
-    """Effort of the further decisions; only for policies that count it."""
+    """Effort of the decisions; only for policies that count it."""
     state_sha256: str | None = None
+    """Digest of the last state, which depends on all earlier ones; None in lines of
+    earlier releases."""
 
 
-class _Line(_Strict):
+class _Line(_Verdict, kw_only=True):
     """The fields of an episode's line: the strict verdict, with the lenient in it."""
 
     protocol: int
@@ -185,26 +198,14 @@ class _Line(_Strict):
     instruction_kind: str
     instruction: str
     asked: Annotated[list[tuple[str, str]], Meta(max_length=100)] | None
-    asked_holds: bool | None
-    success: bool
-    progress: float
-    failure: str | None
-    policy_error: _Fault | None
-    elapsed_s: float
-    idle_s: ByName
+    idle_s: Annotated[dict[str, float], Meta(max_length=1000)]
     coordination: _Coordination
-    subtasks: Steps
     left: int | None
-    lenient: _Lenient | None
+    lenient: _Verdict | None
     """None if it was played strictly alone."""
     control: _Control | None = None
     """Only for policies at control level."""
-    planning: _Planning | None = None
-    """Effort of the decisions; only for policies that count it."""
     wall_s: float = 0.0
-    state_sha256: str | None = None
-    """Digest of the last state, which depends on all earlier ones; None in lines of
-    earlier releases."""
     keeps_state: bool = False
     """Whether the policy says that it remembers other episodes."""
 
@@ -239,6 +240,11 @@ class _About(msgspec.Struct):
 def key_of(row: Row) -> EpisodeKey:
     """Return which episode a line is of: kind of instruction, task and number."""
     return row["instruction_kind"], row["task"], row["index"]
+
+
+def enough(left: int | None) -> float:
+    """Return how many sub-tasks are left; no number is enough where no plan exists."""
+    return math.inf if left is None else left
 
 
 def place_of(row: Row) -> tuple[Any, ...]:
@@ -326,6 +332,3 @@ def check_line(row: object) -> None:
         )
     if line.success and line.lenient is not None and not line.lenient.success:
         raise ValueError("it succeeded strictly, but not leniently")
-    for verdict in (line, line.lenient):
-        if verdict is not None and not 0.0 <= verdict.progress <= 1.0:
-            raise ValueError(f"progress {verdict.progress} is not from 0 to 1")

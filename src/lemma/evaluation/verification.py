@@ -8,8 +8,8 @@ shows what the decisions lead to. It cannot show who made them.
 import random
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import asdict, dataclass, replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from lemma.env.simulation import HORIZON_S
 from lemma.evaluation.analysis.result import Result, check_lines, read_result
 from lemma.evaluation.experiments.catalog import EXPERIMENTS
 from lemma.evaluation.lines import lines_at, lines_in, read_lines, result_beside
-from lemma.evaluation.protocol.rules import NAME, quote
+from lemma.evaluation.protocol.rules import GROUP, NAME, quote
 from lemma.evaluation.records import SUMMARY, Row, check_about, key_of, read_about
 from lemma.evaluation.run.config import VERDICTS
 from lemma.evaluation.run.evaluate import start_of
@@ -30,13 +30,13 @@ from lemma.evaluation.run.replay import differences, play_again
 from lemma.policies.class_path import privileged
 from lemma.policies.planners.registry import is_planner
 from lemma.policies.spec import CONTROL, ORACLE, parts_of
-from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import SUITE
 
-_TOGETHER = 10
-"""Episodes of a job."""
 _MOST_NAMED = 5
 _MOST_PER_EPISODE = 3
+_SAME = ("benchmark", "split", "perturb_start")
+"""Fields that lines share with the settings of their result."""
 _MOST_SUMMARY_MB = 10.0
 """Size of the files beside the lines; those of a published result have 0.03 MB."""
 
@@ -68,16 +68,8 @@ class Verification:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""
-        return {
-            "lines": str(self.lines),
-            "ok": self.ok,
-            "problems": list(self.problems),
-            "policy": self.policy,
-            "episodes": self.episodes,
-            "played": self.played,
-            "complete": self.complete,
-            "knows_truth": self.knows_truth,
-        }
+        told = {name: value for name, value in asdict(self).items() if name != "digest"}
+        return {**told, "lines": str(self.lines), "ok": self.ok}
 
 
 @dataclass(frozen=True)
@@ -128,7 +120,7 @@ class Claim:
     @property
     def complete(self) -> bool:
         """Whether these are all test episodes of the suite, with some kinds."""
-        counted = Counter((row["instruction_kind"], row["task"]) for row in self.rows)
+        counted = Counter(key_of(row)[:2] for row in self.rows)
         kinds = {kind for kind, _ in counted}
         whole = {(kind, task): SPLITS["test"] for kind in kinds for task in SUITE}
         plain = self.about["split"] == "test" and self.about["language"] == "full"
@@ -157,35 +149,26 @@ class Claim:
         policy = dict(self.about["policy"])
         if ("--gta" in result.command.split()) > policy["gta"]:
             yield "Its command asks for ground-truth allocation, which it does not say."
-        if result.experiment in EXPERIMENTS:
-            experiment = EXPERIMENTS[result.experiment]
-            said = (policy, self.about["language"], self.about["perturb_start"])
-            own = (
-                experiment.policy.about(),
-                experiment.language,
-                experiment.perturb_start,
-            )
-            if said != own:
-                yield f"Its policy is not that of the experiment {experiment.name}."
+        experiment = EXPERIMENTS.get(result.experiment)
+        said = (policy, self.about["language"], self.about["perturb_start"])
+        if experiment is not None and said != experiment.decides:
+            yield f"Its policy is not that of the experiment {experiment.name}."
 
     def _of_lines(self) -> Iterator[str]:
         about = self.about
         control = _level(about["policy"]) == CONTROL
-        own = {
-            "benchmark": about["benchmark"],
-            "split": about["split"],
-            "perturb_start": about.get("perturb_start", False),
-        }
+        own = {name: about.get(name, False) for name in _SAME}
         lenient = about["verdicts"] == VERDICTS[0]
         for row in self.rows:
             odd = [name for name, told in own.items() if row[name] != told]
+            commands = row.get("control") is not None
             if odd:
                 yield f"{_named(row)} has another {odd[0]} than the result."
             elif (row["lenient"] is not None) != lenient:
                 yield f"{_named(row)} has not the verdicts that the result names."
-            elif control and row.get("control") is None:
+            elif control and not commands:
                 yield f"{_named(row)} holds no motor commands, and the result does."
-            elif not control and row.get("control") is not None:
+            elif commands and not control:
                 yield f"{_named(row)} is of control level, and the result is not."
             else:
                 continue
@@ -255,8 +238,8 @@ def verify(
         return Verification(lines, (str(error),))
     chosen = [] if problems else _drawn(claim.rows, episodes, seed)
     jobs = [
-        (dict(claim.about), tuple(chosen[start : start + _TOGETHER]))
-        for start in range(0, len(chosen), _TOGETHER)
+        (dict(claim.about), tuple(chosen[start : start + GROUP]))
+        for start in range(0, len(chosen), GROUP)
     ]
     differing: list[str] = []
     for found in engine.run(check_episodes, jobs):
@@ -285,7 +268,7 @@ def copies(found: Sequence[Verification]) -> list[Verification]:
         other = first.setdefault(one.digest or str(one.lines), one)
         if other.policy != one.policy:
             told = f"Its lines are those of {other.policy} in {other.lines}."
-            one = Verification(**{**vars(one), "problems": (*one.problems, told)})
+            one = replace(one, problems=(*one.problems, told))
         checked.append(one)
     return checked
 
@@ -295,13 +278,10 @@ def _drawn(rows: Sequence[Row], episodes: int | None, seed: int) -> list[Row]:
         return list(rows)
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row["instruction_kind"], row["task"]), []).append(row)
+        groups.setdefault(key_of(row)[:2], []).append(row)
     draw = random.Random(seed)
-    return [
-        row
-        for group in groups.values()
-        for row in draw.sample(group, min(episodes, len(group)))
-    ]
+    drawn = (draw.sample(each, min(episodes, len(each))) for each in groups.values())
+    return list(chain.from_iterable(drawn))
 
 
 def check_episodes(about: Mapping[str, Any], rows: Sequence[Row]) -> list[str]:
@@ -311,19 +291,11 @@ def check_episodes(about: Mapping[str, Any], rows: Sequence[Row]) -> list[str]:
 
 def _check(about: Mapping[str, Any], row: Row) -> str:
     try:
-        own = about.get("instance")
-        instance = (
-            start_of(
-                row["task"], row["split"], row["index"], moved=row["perturb_start"]
-            )
-            if own is None
-            else Instance.from_dict(own)
-        )
+        instance = start_of(row, about)
         if (row["task"], row["index"]) != (instance.task, instance.index):
             return f"{_named(row)} is not of the instance that was played."
-        again = msgspec.json.decode(
-            msgspec.json.encode(play_again(row, instance, about))
-        )
+        played = play_again(row, instance, about)
+        again = msgspec.json.decode(msgspec.json.encode(played))
     except (LemmaError, ValueError) as error:
         return f"{_named(row)} cannot be played: {error}"
     found = list(islice(differences(row, again), _MOST_PER_EPISODE))

@@ -27,7 +27,7 @@ def test_pairs_are_counted(tmp_path: Path) -> None:
     second = written(tmp_path / "b", {0, 1, 9})
     one = compare(first, second).by_kind["high_level"]["stack"]
     assert (one.both, one.only_first, one.only_second, one.neither) == (2, 6, 1, 1)
-    assert one.rates == (0.8, 0.3)
+    assert one.success_rates == (0.8, 0.3)
     assert one.difference == pytest.approx(0.5)
     # Two-sided: 2 (1 + 7) / 2^7.
     assert one.p_value == pytest.approx(0.125)
@@ -87,7 +87,7 @@ def test_what_only_one_has_is_left_out(
     (second / "episodes.jsonl").write_text("".join(lines[:-2]))
     found = compare(first, second)
     assert (found.common, found.unpaired) == (8, (2, 0))
-    assert found.by_kind["high_level"]["all"].rates == (0.125, 0.125)
+    assert found.by_kind["high_level"]["all"].success_rates == (0.125, 0.125)
     assert verb(second, first) == 0
     assert "has 0 others, the second 2." in capsys.readouterr().err
     (second / "episodes.jsonl").write_text(
@@ -123,7 +123,7 @@ def test_the_lenient_verdicts_are_compared_too(tmp_path: Path) -> None:
     rows[5]["lenient"] |= {"success": True, "progress": 1.0, "failure": None}
     path.write_text("".join(json.dumps(one) + "\n" for one in rows))
     found = compare(first, second).by_kind["high_level"]
-    assert found["lenient"].rates == (0.2, 0.2)
-    assert found["all"].rates == (0.2, 0.1)
+    assert found["lenient"].success_rates == (0.2, 0.2)
+    assert found["all"].success_rates == (0.2, 0.1)
     path.write_text("".join(json.dumps({**r, "lenient": None}) + "\n" for r in rows))
     assert list(compare(first, second).by_kind["high_level"]) == ["all", "stack"]

@@ -137,8 +137,8 @@ def test_the_expert_is_asked_while_an_episode_is_played() -> None:
     (taken,) = over.steps
     assert taken.advice.left == 2
     assert taken.advice.departure is Departure.NONE
-    assert taken.advice.pick_error_m == pytest.approx(0.04)
-    assert taken.advice.place_error_m is None
+    assert taken.advice.pick_error_mm == pytest.approx(40.0)
+    assert taken.advice.place_error_mm is None
 
 
 def test_the_expert_agrees_with_itself_to_the_end() -> None:

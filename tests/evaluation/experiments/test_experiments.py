@@ -15,6 +15,7 @@ from lemma.core.errors import UnknownNameError
 from lemma.core.files import write_json
 from lemma.core.workers.pool import Serial
 from lemma.evaluation.analysis.result import check_lines, read_result
+from lemma.evaluation.experiments import reproduction
 from lemma.evaluation.experiments.catalog import (
     ABLATION_EPISODES,
     ABLATIONS,
@@ -32,7 +33,6 @@ from lemma.evaluation.experiments.reproduction import (
 )
 from lemma.evaluation.lines import packed_beside, read_lines
 from lemma.evaluation.run.loading import learned_parts
-from lemma.policies import weights
 from lemma.policies.spec import PolicySpec
 from lemma.policies.training.config import TrainingConfig, model_options
 from lemma.policies.weights import published_weights
@@ -149,7 +149,7 @@ def test_beside_its_training_stands_how_a_published_one_was_really_made(
 ) -> None:
     entry = published_weights()["cliport"]
     shorter = {**entry, "ended": TIME_LIMIT, "steps": 12}
-    monkeypatch.setattr(weights, "published_weights", lambda: {"cliport": shorter})
+    monkeypatch.setattr(reproduction, "published_weights", lambda: {"cliport": shorter})
     told = [x for x in commands(selected("paper")) if x.startswith("# ")]
     (line,) = told
     assert entry["command"] in line

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from made_up import row, step
 
+from lemma.bench import evaluation_checks
 from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError
-from lemma.evaluation import self_check
 from lemma.evaluation.experiments.catalog import EXPERIMENTS
 from lemma.evaluation.experiments.published import compared, published_sample
 from lemma.evaluation.lines import packed_beside, read_lines, write_packed
@@ -104,10 +104,12 @@ def test_what_differs_from_published_lines_is_no_ok(
     (line,) = published_sample()["oracle"]
     changed = {**line, "elapsed_s": 1.0}
     monkeypatch.setattr(
-        self_check, "published_sample", lambda: {"reachnet": [changed], "oracle": []}
+        evaluation_checks,
+        "published_sample",
+        lambda: {"reachnet": [changed], "oracle": []},
     )
     # All that needs no network.
-    found = {one.name: one for one in islice(self_check.check_evaluation(), 4)}
+    found = {one.name: one for one in islice(evaluation_checks.check_evaluation(), 4)}
     assert not found["published decisions"].ok
     assert "elapsed_s is 1.0, and" in found["published decisions"].found
     # Nothing to compare is no agreement.

@@ -8,11 +8,13 @@ from expert_times import is_alike, time_expert
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2, wrap
 from lemma.evaluation.protocol.expert_times import (
+    SHIFT_M,
     TIMED_SPLITS,
+    TURN_RAD,
     expert_s,
+    perturbed,
     perturbed_start,
 )
-from lemma.evaluation.protocol.perturbed_starts import SHIFT_M, TURN_RAD, perturbed
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.suite import SUITE, load_instance
 

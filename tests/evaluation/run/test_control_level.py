@@ -17,7 +17,7 @@ from lemma.evaluation.analysis.failure_causes import Cause, cause_of
 from lemma.evaluation.evaluation import Evaluation
 from lemma.evaluation.lines import read_rows
 from lemma.evaluation.records import EPISODES, WALL_CLOCK, Row
-from lemma.evaluation.run.control.rollout import ControlPlayer, ControlRollout
+from lemma.evaluation.run.control import ControlPlayer, ControlRollout
 from lemma.policies.control.interfaces import Actions
 from lemma.policies.control.oracle import ExpertControl
 from lemma.policies.interfaces import Oracle

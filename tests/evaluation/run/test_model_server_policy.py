@@ -13,8 +13,8 @@ import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.workers.pool import Serial
 from lemma.evaluation.run.config import EvaluationConfig
-from lemma.evaluation.run.control.model_server import DEFAULTS, ask_model_server
 from lemma.evaluation.run.evaluate import evaluate
+from lemma.evaluation.run.loading import MODEL_SERVER_DEFAULTS, ask_model_server
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.spec import PolicySpec
 from lemma.serve.conversation import ProtocolMode
@@ -39,7 +39,7 @@ def moved(state: Any, step: int) -> Any:
 class Here:
     """The same policy as an object of this process."""
 
-    control_options: ClassVar[dict[str, Any]] = {**DEFAULTS, **BLIND}
+    control_options: ClassVar[dict[str, Any]] = {**MODEL_SERVER_DEFAULTS, **BLIND}
 
     def act(self, inputs: list[ControlInput]) -> list[Actions]:
         return [

@@ -1,9 +1,9 @@
 """Two results on the same episodes, compared episode by episode."""
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.intervals import mcnemar_p, paired_interval
@@ -21,53 +21,20 @@ _SAME = ("split", "lemma")
 class Comparison:
     """How two policies did on the same episodes."""
 
+    episodes: int
+    success_rates: tuple[float, float]
+    """Of the first and of the second."""
     both: int
     """Episodes that both solved."""
     only_first: int
     only_second: int
     neither: int
-
-    @property
-    def episodes(self) -> int:
-        """How many there are."""
-        return self.both + self.only_first + self.only_second + self.neither
-
-    @property
-    def rates(self) -> tuple[float, float]:
-        """Success rates of the first and of the second."""
-        first, second = self.both + self.only_first, self.both + self.only_second
-        return first / self.episodes, second / self.episodes
-
-    @property
-    def difference(self) -> float:
-        """First rate minus second."""
-        return (self.only_first - self.only_second) / self.episodes
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of the difference (Newcombe, paired)."""
-        return paired_interval(
-            self.both, self.only_first, self.only_second, self.neither
-        )
-
-    @property
-    def p_value(self) -> float:
-        """The p-value of McNemar's exact test that both are as good."""
-        return mcnemar_p(self.only_first, self.only_second)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON."""
-        return {
-            "episodes": self.episodes,
-            "success_rates": self.rates,
-            "both": self.both,
-            "only_first": self.only_first,
-            "only_second": self.only_second,
-            "neither": self.neither,
-            "difference": self.difference,
-            "interval": self.interval,
-            "p_value": self.p_value,
-        }
+    difference: float
+    """First rate minus second."""
+    interval: tuple[float, float]
+    """95 % interval of the difference (Newcombe, paired)."""
+    p_value: float
+    """The p-value of McNemar's exact test that both are as good."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +64,15 @@ def compare(first: Path, second: Path) -> Comparisons:
     """
     places = lines_at(first), lines_at(second)
     mine, others = map(_rows, (first, second), places)
-    _check_same_world((first, second), places)
+    about, other = map(read_about, places)
+    check_protocol(about, other, first, second)
+    for name in _SAME:
+        if about.get(name) != other.get(name):
+            raise DatasetError(
+                f"{first} was made with {name} {about.get(name)}, and {second} with "
+                f"{other.get(name)}: what differs may not be the policy. Evaluate one "
+                "of them again."
+            )
     pairs = {name: (row, others[name]) for name, row in mine.items() if name in others}
     if not pairs:
         raise DatasetError(
@@ -108,24 +83,31 @@ def compare(first: Path, second: Path) -> Comparisons:
     for kind in EVALUATION_KINDS:
         of_kind = {name: pair for name, pair in pairs.items() if name[0] == kind}
         if of_kind:
-            found[kind] = {"all": _count(of_kind.values())}
+            groups = {"all": list(of_kind.values())}
             for task in in_order(name[1] for name in of_kind):
-                of_task = [pair for name, pair in of_kind.items() if name[1] == task]
-                found[kind][task] = _count(of_task)
+                groups[task] = [
+                    pair for name, pair in of_kind.items() if name[1] == task
+                ]
             later = [(one["lenient"], two["lenient"]) for one, two in of_kind.values()]
             if all(one and two for one, two in later):
-                found[kind]["lenient"] = _count(later)
+                groups["lenient"] = later
+            found[kind] = {name: _count(group) for name, group in groups.items()}
     unpaired = len(mine) - len(pairs), len(others) - len(pairs)
     return Comparisons(found, len(pairs), unpaired)
 
 
 def _count(pairs: Iterable[tuple[Row, Row]]) -> Comparison:
-    listed = [(bool(one["success"]), bool(two["success"])) for one, two in pairs]
+    solved = Counter((bool(one["success"]), bool(two["success"])) for one, two in pairs)
+    episodes = solved.total()
+    both, neither = solved[True, True], solved[False, False]
+    only_first, only_second = solved[True, False], solved[False, True]
     return Comparison(
-        both=listed.count((True, True)),
-        only_first=listed.count((True, False)),
-        only_second=listed.count((False, True)),
-        neither=listed.count((False, False)),
+        episodes,
+        ((both + only_first) / episodes, (both + only_second) / episodes),
+        *(both, only_first, only_second, neither),
+        difference=(only_first - only_second) / episodes,
+        interval=paired_interval(both, only_first, only_second, neither),
+        p_value=mcnemar_p(only_first, only_second),
     )
 
 
@@ -137,17 +119,3 @@ def _rows(path: Path, lines: Path) -> dict[EpisodeKey, Row]:
             "on where it was stopped."
         )
     return {key_of(row): row for row in rows}
-
-
-def _check_same_world(paths: Sequence[Path], places: Sequence[Path]) -> None:
-    first, second = paths
-    abouts = [read_about(lines) for lines in places]
-    check_protocol(abouts[0], abouts[1], first, second)
-    for name in _SAME:
-        values = [about.get(name) for about in abouts]
-        if values[0] != values[1]:
-            raise DatasetError(
-                f"{first} was made with {name} {values[0]}, and {second} with "
-                f"{values[1]}: what differs may not be the policy. Evaluate one of "
-                "them again."
-            )

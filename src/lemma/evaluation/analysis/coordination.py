@@ -5,25 +5,27 @@ All of it is of the strict episodes, unless it says *lenient*.
 ==================  ==================================================================
 makespan            simulated time until the episode ends, ``elapsed_s``. It is compared
                     with the expert's on the same instance, over successful episodes
-                    alone: sum of the policy's over sum of the expert's.
-idle time           of one robot: makespan less the time in which it carries out
-                    sub-tasks. Robots take turns, so somebody always waits.
-allocation          share of sub-tasks whose robot could do them, as the expert judges
-                    by the true state before each; of those that any robot could do.
-                    ``stop`` is none. A protective stop ends the episode, so all of
-                    these are first tries. Besides: share whose robot is the expert's,
-                    of the sub-tasks that are in its plan, now or later, with any robot.
+                    alone: sum of the policy's, ``timed_s``, over sum of the expert's,
+                    ``expert_s``.
+idle time           of one robot, ``idle_s``: makespan less the time in which it carries
+                    out sub-tasks. Robots take turns, so somebody always waits.
+allocation          share of sub-tasks whose robot could do them, ``able``, as the
+                    expert judges by the true state before each; of those that any robot
+                    could do, ``doable``. ``stop`` is none. A protective stop ends the
+                    episode, so all of these are first tries. Besides: share whose robot
+                    is the expert's, ``as_expert``, of the sub-tasks that are in its
+                    plan, now or later, with any robot, ``planned``.
 order violation     a sub-task that is in the expert's plan, but further on, which could
                     not be done yet, or was done and left as many sub-tasks to do as
                     before. Sub-tasks in any order are none.
 clearance           smallest distance between the two arms, looked at ten times in a
-                    simulated second (:mod:`lemma.evaluation.run.clearance`).
+                    simulated second (:mod:`lemma.evaluation.run.watches`).
                     Signed: 0 or less is touching.
 ==================  ==================================================================
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from lemma.evaluation.records import PROTECTIVE_STOP, Row
@@ -38,28 +40,21 @@ class Coordination:
     task: str
     episodes: int
     elapsed_s: float
-    """Sum of the makespans."""
     idle_s: dict[str, float]
-    """Sum of the idle times by robot; ``robot_0`` stands at the left."""
+    """By robot; ``robot_0`` stands at the left."""
     timed: int
     """Successful episodes whose expert's time is known."""
     timed_s: float
-    """Sum of their makespans."""
     expert_s: float
-    """Sum of the expert's on the same instances."""
     doable: int
-    """Sub-tasks that some robot could do."""
     able: int
-    """Those of them that were assigned to such a robot."""
     planned: int
-    """Sub-tasks that are in the expert's plan, for this robot or another."""
     as_expert: int
-    """Those of them with the expert's robot."""
     order_violations: int
     nearest_mm: float | None
     """Smallest clearance in any episode; None where no scene has two arms."""
     touching: int
-    """Episodes in which it was 0 or less."""
+    """Number of episodes."""
     stops: int
     """Episodes that a protective stop ended."""
     refusals: int | None
@@ -68,7 +63,6 @@ class Coordination:
     lenient_timed_s: float
     """As ``timed_s``, of the episodes that succeeded leniently."""
     lenient_expert_s: float
-    """As ``expert_s``, of those."""
 
 
 _COUNTED = ("doable", "able", "planned", "as_expert", "order_violations")
@@ -83,43 +77,37 @@ def coordination_of(rows: Sequence[Row], kind: str, task: str) -> Coordination:
     known = [row for row in rows if row["coordination"]["expert_s"] is not None]
     timed = [row for row in known if row["success"]]
     later = [row for row in known if row["lenient"] and row["lenient"]["success"]]
+    robots = sorted({robot for row in rows for robot in row["idle_s"]})
     return Coordination(
         kind=kind,
         task=task,
         episodes=len(rows),
         elapsed_s=_sum(row["elapsed_s"] for row in rows),
-        idle_s=_sums(row["idle_s"] for row in rows),
+        idle_s={
+            robot: _sum(row["idle_s"].get(robot, 0.0) for row in rows)
+            for robot in robots
+        },
         timed=len(timed),
         timed_s=_sum(row["elapsed_s"] for row in timed),
-        expert_s=_expert_s(timed),
+        expert_s=_sum(row["coordination"]["expert_s"] for row in timed),
         **{name: sum(each[name] for each in figures) for name in _COUNTED},
         nearest_mm=min(clearances, default=None),
         touching=sum(gap <= 0.0 for gap in clearances),
         stops=sum(row["failure"] == PROTECTIVE_STOP for row in rows),
         refusals=_refusals(rows),
         lenient_timed_s=_sum(row["lenient"]["elapsed_s"] for row in later),
-        lenient_expert_s=_expert_s(later),
+        lenient_expert_s=_sum(row["coordination"]["expert_s"] for row in later),
     )
 
 
 def _refusals(rows: Sequence[Row]) -> int | None:
     if any(row["lenient"] is None for row in rows):
         return None
-    steps = (
-        step for row in rows for step in (*row["subtasks"], *row["lenient"]["subtasks"])
+    return sum(
+        step["outcome"] in REFUSED
+        for row in rows
+        for step in (*row["subtasks"], *row["lenient"]["subtasks"])
     )
-    return sum(step["outcome"] in REFUSED for step in steps)
-
-
-def _expert_s(rows: Iterable[Row]) -> float:
-    return _sum(row["coordination"]["expert_s"] for row in rows)
-
-
-def _sums(each: Iterable[Mapping[str, float]]) -> dict[str, float]:
-    """Return sums by name, in the order of names; what has no value counts as 0."""
-    listed = list(each)
-    names = sorted({name for values in listed for name in values})
-    return {name: _sum(one.get(name, 0.0) for one in listed) for name in names}
 
 
 def _sum(values: Iterable[float]) -> float:

@@ -10,12 +10,16 @@ leaves the number unchanged, so a protective stop is a mistake; its cause says w
 wrong with it.
 """
 
-import math
 from collections.abc import Mapping
 from enum import StrEnum
 from typing import Any
 
-from lemma.evaluation.records import POLICY_ERROR, POSE_TOLERANCE_MM, Departure
+from lemma.evaluation.records import (
+    POLICY_ERROR,
+    POSE_TOLERANCE_MM,
+    Departure,
+    enough,
+)
 from lemma.motion.outcome import Outcome
 
 
@@ -88,7 +92,7 @@ def cause_of(row: Mapping[str, Any]) -> Cause | None:
         return _of_mistake(row["subtasks"][mistake])
     if row["failure"] == Outcome.OUT_OF_TIME:
         return Cause.OUT_OF_TIME
-    return Cause.STOPPED_EARLY if _number(row["left"]) else Cause.EXECUTION
+    return Cause.STOPPED_EARLY if enough(row["left"]) else Cause.EXECUTION
 
 
 def _of_control(told: Mapping[str, Any]) -> Cause:
@@ -108,14 +112,9 @@ def mistake_of(row: Mapping[str, Any]) -> int | None:
         row: A line of ``episodes.jsonl``.
     """
     steps = row["subtasks"]
-    left = [_number(step["expert"]["left"]) for step in steps] + [_number(row["left"])]
+    left = [enough(step["expert"]["left"]) for step in steps] + [enough(row["left"])]
     found = (i for i in range(len(steps)) if min(left[i + 1 :]) >= left[i])
     return next(found, None)
-
-
-def _number(left: int | None) -> float:
-    """Return how many sub-tasks are left; no number is enough where no plan exists."""
-    return math.inf if left is None else left
 
 
 def _of_mistake(step: Mapping[str, Any]) -> Cause:
@@ -127,22 +126,19 @@ def _of_mistake(step: Mapping[str, Any]) -> Cause:
         return Cause.OUT_OF_TIME
     if step["fell"]:
         return Cause.FELL
-    pick_mm = step["expert"]["pick_error_mm"]
-    place_mm = step["expert"]["place_error_mm"]
-    if _pick_is_missed(pick_mm, outcome):
-        return Cause.MISSED_PICK
-    if _place_is_missed(place_mm, outcome):
-        return Cause.MISSED_PLACE
+    for end, cause, telling in _MISSED:
+        error_mm = step["expert"][f"{end}_error_mm"]
+        if outcome in telling if error_mm is None else error_mm > POSE_TOLERANCE_MM:
+            return cause
     return Cause.EXECUTION
 
 
-def _pick_is_missed(error_mm: float | None, outcome: Outcome) -> bool:
-    if error_mm is not None:
-        return error_mm > POSE_TOLERANCE_MM
-    return outcome in (Outcome.INVALID, Outcome.NOTHING_TO_PICK, Outcome.MISSED_GRASP)
-
-
-def _place_is_missed(error_mm: float | None, outcome: Outcome) -> bool:
-    if error_mm is not None:
-        return error_mm > POSE_TOLERANCE_MM
-    return outcome in (Outcome.SUCCESS, Outcome.UNREACHABLE)
+_MISSED = (
+    (
+        "pick",
+        Cause.MISSED_PICK,
+        (Outcome.INVALID, Outcome.NOTHING_TO_PICK, Outcome.MISSED_GRASP),
+    ),
+    ("place", Cause.MISSED_PLACE, (Outcome.SUCCESS, Outcome.UNREACHABLE)),
+)
+"""Ends of a sub-task, with the outcomes that tell where no single pose is right."""

@@ -120,7 +120,7 @@ def rate_of(cells: Iterable[Cell]) -> Rate:
     return Rate(
         episodes,
         sum(cell.successes for cell in listed),
-        sum(cell.progress for cell in listed) / episodes,
+        math.fsum(cell.progress for cell in listed) / episodes,
     )
 
 

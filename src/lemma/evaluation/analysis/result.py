@@ -5,6 +5,7 @@ The same episodes give the same bytes: there is no clock in a result.
 
 import hashlib
 import json
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -19,7 +20,6 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_text
 from lemma.evaluation.analysis.coordination import Coordination, coordination_of
 from lemma.evaluation.analysis.failure_causes import cause_of
-from lemma.evaluation.analysis.planning import Planning, planning_in
 from lemma.evaluation.records import (
     POSE_TOLERANCE_MM,
     RESULT_VERSION,
@@ -87,6 +87,29 @@ class Asked:
     """Number whose sentence asked for another goal that the table allows."""
     held: int
     """Number of those in which that goal held at the end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Planning:
+    """Sums over the strict episodes of one kind of instructions and one task.
+
+    Whether the robots were well chosen stands in
+    :class:`~lemma.evaluation.analysis.coordination.Coordination`.
+    """
+
+    kind: str
+    task: str
+    episodes: int
+    decisions: int
+    """Sub-tasks, ``stop``, and decisions that no answer came to."""
+    calls: int
+    """Requests to the model."""
+    prompt_tokens: int
+    completion_tokens: int
+    invalid: dict[str, int]
+    """Answers that were no sub-task, by kind."""
+    replans: int
+    """Decisions after a sub-task that was not carried out."""
 
 
 @dataclass(frozen=True)
@@ -299,11 +322,7 @@ def summarise(
             coordination_of(listed, *name) for name, listed in _questions(ordered)
         ),
         asked=tuple(_asked(ordered)),
-        planning=tuple(
-            found
-            for name, listed in _questions(ordered)
-            if (found := planning_in(listed, *name)) is not None
-        ),
+        planning=tuple(_planning(ordered)),
         experiment=experiment,
     )
 
@@ -320,7 +339,7 @@ def cells_of(rows: Iterable[Row]) -> tuple[Cell, ...]:
             episodes=len(listed),
             successes=sum(bool(row["success"]) for row in listed),
             lenient_successes=lenient_successes(listed),
-            progress=round(sum(row["progress"] for row in listed), 6),
+            progress=round(math.fsum(row["progress"] for row in listed), 6),
         )
         for name, listed in sorted(groups.items(), key=lambda item: _order(item[0]))
     )
@@ -340,6 +359,22 @@ def _question(row: Row) -> tuple[str, str]:
 def _questions(rows: Iterable[Row]) -> Iterable[tuple[tuple[str, str], list[Row]]]:
     """Return rows by kind and task; they are in that order already."""
     return [(name, list(listed)) for name, listed in groupby(rows, key=_question)]
+
+
+def _planning(rows: Iterable[Row]) -> Iterable[Planning]:
+    """Yield what decisions took, where somebody counted it."""
+    for name, listed in _questions(rows):
+        told = [row["planning"] for row in listed if row.get("planning")]
+        if told:
+            invalid: Counter[str] = Counter()
+            for each in told:
+                invalid.update(each["invalid"])
+            sums = {name: sum(each[name] for each in told) for name in _EFFORT}
+            ordered = dict(sorted(invalid.items()))
+            yield Planning(*name, len(listed), invalid=ordered, **sums)
+
+
+_EFFORT = ("decisions", "calls", "prompt_tokens", "completion_tokens", "replans")
 
 
 def _asked(rows: Iterable[Row]) -> Iterable[Asked]:

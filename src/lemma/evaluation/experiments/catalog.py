@@ -1,15 +1,19 @@
-"""Every row of every table, and every training that they need, as data."""
+"""Every row of every table, and every training that they need.
 
+They are data, in ``experiments.toml``, with all tables of the paper (arXiv 2308.00937).
+"""
+
+import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from lemma.core.errors import UnknownNameError
-from lemma.core.registry import Registry
-from lemma.evaluation.experiments import paper_figures as paper
-from lemma.evaluation.experiments.paper_figures import Figures
-from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
-from lemma.policies.spec import ORACLE, PolicySpec
+from lemma.policies.spec import PolicySpec
 from lemma.policies.training.config import DEFAULTS
 from lemma.tasks.instance import BENCHMARK_VERSION
 from lemma.tasks.language.template import EVALUATION_KINDS
@@ -24,6 +28,9 @@ ABLATIONS = "ablations"
 ABLATION_EPISODES = 100
 """Demonstrations of each task that ablations are trained on: with all 700 of them, what
 is left out is hardly missed."""
+_ABLATED = "reachnet"
+_ABLATION_SAMPLES = 100_000
+"""Samples of each ablation; fewer than the model's own, because there are many."""
 _RECIPE = f"data/lemma-{BENCHMARK_VERSION}"
 DATA = f"{_RECIPE}-keyframes"
 RECOVERY = f"{_RECIPE}-recovery-keyframes"
@@ -34,6 +41,66 @@ DATA_COMMANDS = (
     f"lemma render {_RECIPE}-recovery --form keyframes --out {RECOVERY}",
 )
 """Make what all trainings need."""
+TEAMS = ("ur5+ur5", "ur5+ur10", "ur10+ur10")
+"""In the order of the paper's tables."""
+_NONE: Mapping[str, str] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One figure of the paper [%]."""
+
+    mean: float
+    std: float
+
+    def __str__(self) -> str:
+        """Return it as it is printed there."""
+        return f"{self.mean:.2f} ± {self.std:.2f}"
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of the paper for one policy and kind of instructions."""
+
+    mean: Measured
+    """Mean over the eight tasks."""
+    tasks: Mapping[str, Measured]
+    """By task."""
+    teams: Mapping[str, Measured]
+    """By types of the robots, if there are some."""
+    distractors: Mapping[str, Mapping[int, Measured]]
+    """By task and number of distractors."""
+
+    @classmethod
+    def read(
+        cls, tasks: str, teams: str = "", distractors: Mapping[str, str] = _NONE
+    ) -> "Figures":
+        """Return a row as it is printed there: ``"34.33±2.19 0.00±0.00"``."""
+        *each, mean = _measured(tasks)
+        return cls(
+            mean,
+            dict(zip(SUITE, each, strict=True)),
+            dict(zip(TEAMS, _measured(teams), strict=bool(teams))),
+            {
+                task: dict(enumerate(_measured(row)))
+                for task, row in distractors.items()
+            },
+        )
+
+    def of(
+        self, task: str = "", team: str = "", distractors: int | None = None
+    ) -> Measured | None:
+        """Return the figure of some episodes, if the paper has it; else of all."""
+        if distractors is not None:
+            return self.distractors.get(task, {}).get(distractors)
+        if team:
+            return self.teams.get(team)
+        return self.tasks.get(task) if task else self.mean
+
+
+def _measured(text: str) -> list[Measured]:
+    pairs = (word.split("±") for word in text.split())
+    return [Measured(float(mean), float(std)) for mean, std in pairs]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +128,11 @@ class Experiment:
     """The command that makes its weights, where ``lemma train`` does not."""
     paper: Mapping[str, Figures] = field(default_factory=dict)
     """By kind; what the paper reports for this row."""
+
+    @property
+    def decides(self) -> tuple[dict[str, Any], str, bool]:
+        """Policy, language and start, as settings of its results say them."""
+        return self.policy.about(), self.language, self.perturb_start
 
     def runs(self, seed: int) -> str:
         """Return the folder that :meth:`Training.command` puts its weights into."""
@@ -106,10 +178,44 @@ class Training:
         return " ".join(words)
 
 
-EXPERIMENTS: Registry[Experiment] = Registry("experiment", Experiment)
-"""By name, in the order of the tables."""
-TRAININGS: Registry[Training] = Registry("training", Training)
-"""By name of the weights."""
+def _read() -> tuple[dict[str, Experiment], dict[str, Training]]:
+    """Return what the file holds: experiments and trainings by name, in its order."""
+    path = files("lemma.evaluation.experiments") / "experiments.toml"
+    data = tomllib.loads(path.read_text("utf-8"))
+    experiments = []
+    for told in data["experiment"]:
+        row = data["paper"].get(told.pop("paper", ""), {})
+        figures = {kind: Figures.read(**printed) for kind, printed in row.items()}
+        one = msgspec.convert(told, Experiment)
+        experiments.append(replace(one, paper=figures))
+    trainings = [Training(**told) for told in data["training"]]
+    for told in data["ablation"]:
+        experiments.append(_ablation(**told))
+        trainings.append(_ablated(**told))
+    return (
+        {experiment.name: experiment for experiment in experiments},
+        {training.name: training for training in trainings},
+    )
+
+
+def _ablation(name: str, title: str, language: str = "full", **_: Any) -> Experiment:
+    policy = PolicySpec(f"{_ABLATED}-{name}")
+    return Experiment(
+        name=name, title=title, suite=ABLATIONS, policy=policy, language=language
+    )
+
+
+def _ablated(
+    name: str, arguments: str = "", *, recovery: bool = True, **_: Any
+) -> Training:
+    few = f"--episodes-per-task {ABLATION_EPISODES} {arguments}".strip()
+    return Training(f"{_ABLATED}-{name}", _ABLATED, few, recovery, _ABLATION_SAMPLES)
+
+
+EXPERIMENTS, TRAININGS = _read()
+"""By name, in the order of the tables; and by name of the weights."""
+CONTROL_TASKS = EXPERIMENTS["act"].tasks
+"""Tasks of the policies at control level; one policy for all of them."""
 
 
 def selected(name: str) -> list[Experiment]:
@@ -131,194 +237,3 @@ def selected(name: str) -> list[Experiment]:
     if name == ALL:
         return [one for one in every if one.suite not in (ABLATIONS, CONTROL_LEVEL)]
     return [one for one in every if one.suite == name]
-
-
-def _add(experiment: Experiment) -> None:
-    EXPERIMENTS.add(experiment.name, experiment)
-
-
-_TWO_LEVELS = "episodic-transformer+cliport"
-for _planning, _gta, _figures in (
-    ("single-step", False, paper.SINGLE_STEP),
-    ("single-step", True, paper.SINGLE_STEP_GTA),
-    ("multi-step", False, paper.MULTI_STEP),
-    ("multi-step", True, paper.MULTI_STEP_GTA),
-):
-    _add(
-        Experiment(
-            name=f"et-cliport-{_planning}{'-gta' * _gta}",
-            title=f"ET + CLIPort, {_planning}{' + GTA' * _gta}",
-            suite="paper",
-            policy=PolicySpec(_TWO_LEVELS, _planning, _gta),
-            paper=_figures,
-        )
-    )
-_add(
-    Experiment(
-        name="m-cliport",
-        title="M-CLIPort",
-        suite="paper",
-        policy=PolicySpec("m-cliport"),
-        paper=paper.M_CLIPORT,
-    )
-)
-_add(
-    Experiment(
-        name="reachnet",
-        title="ReachNet",
-        suite="ours",
-        policy=PolicySpec("reachnet"),
-    )
-)
-_add(
-    Experiment(
-        name="reachnet-demonstrations",
-        title="ReachNet, reach from demonstrations alone",
-        suite="ours",
-        policy=PolicySpec("reachnet-demonstrations"),
-    )
-)
-for _name, _title, _policy in (
-    ("oracle", "the expert", PolicySpec(ORACLE)),
-    (
-        "et-oracle",
-        "ET + the expert's poses",
-        PolicySpec(f"episodic-transformer+{ORACLE}"),
-    ),
-    ("oracle-cliport", "the expert's plan + CLIPort", PolicySpec(f"{ORACLE}+cliport")),
-    ("reachnet-gta", "ReachNet + GTA", PolicySpec("reachnet", gta=True)),
-    (
-        "reachnet-oracle",
-        "ReachNet's plan + the expert's poses",
-        PolicySpec(f"reachnet+{ORACLE}"),
-    ),
-):
-    _add(Experiment(name=_name, title=_title, suite="controls", policy=_policy))
-for _language, _title in (
-    ("none", "ReachNet, told nothing"),
-    ("shuffled", "ReachNet, told what belongs to another instance"),
-    ("swapped", "ReachNet, told other colors"),
-):
-    _add(
-        Experiment(
-            name=f"reachnet-told-{_language}",
-            title=_title,
-            suite="controls",
-            policy=PolicySpec("reachnet"),
-            language=_language,
-        )
-    )
-
-_add(
-    Experiment(
-        name="reachnet-perturbed-start",
-        title="ReachNet, perturbed starts",
-        suite="controls",
-        policy=PolicySpec("reachnet"),
-        perturb_start=True,
-    )
-)
-
-CONTROL_TASKS = ("pass", "stack", "poke", "hook")
-"""Tasks of the policies at control level; one policy for all of them."""
-_BASELINES = "python scripts/control_baselines.py --policies"
-_AS_TRAINED = (
-    f"{_BASELINES} act,diffusion "
-    "--cameras robot_0,robot_1,robot_0_wrist,robot_1_wrist --size 128x96 "
-    "--batch 128 --train-s 651"
-)
-"""The command that trained on camera images: both at a time, on one GPU."""
-for _learner, _called in (("act", "ACT"), ("diffusion", "Diffusion Policy")):
-    _add(
-        Experiment(
-            name=_learner,
-            title=f"{_called}, camera images",
-            suite=CONTROL_LEVEL,
-            policy=PolicySpec(f"{LEROBOT}{_learner}", arguments=(("hz", 5),)),
-            tasks=CONTROL_TASKS,
-            training=_AS_TRAINED,
-        )
-    )
-    _add(
-        Experiment(
-            name=f"{_learner}-privileged",
-            title=f"{_called}, told poses and goal",
-            suite=CONTROL_LEVEL,
-            policy=PolicySpec(
-                f"{LEROBOT_PRIVILEGED}{_learner}-privileged", arguments=(("hz", 5),)
-            ),
-            # It is given the goal, independent of the sentence.
-            kinds=EVALUATION_KINDS[:1],
-            tasks=CONTROL_TASKS,
-            training=f"{_BASELINES} {_learner} --observation privileged",
-        )
-    )
-
-for _model in ("episodic-transformer", "cliport", "m-cliport", "reachnet"):
-    TRAININGS.add(_model, Training(_model, _model))
-TRAININGS.add(
-    "reachnet-demonstrations",
-    Training("reachnet-demonstrations", "reachnet", "--options reach=demonstrations"),
-)
-
-_ABLATED = "reachnet"
-_ABLATION_SAMPLES = 100_000
-"""Samples of each ablation; fewer than the model's own, because there are many."""
-_AUGMENTATIONS = {
-    "no-palette": ("no palette swap", "--augmentation.no-palette"),
-    "no-templates": ("no template resampling", "--augmentation.no-templates"),
-    "no-paraphrases": ("no paraphrases", "--augmentation.paraphrases 0"),
-    "no-translation": ("no translation", "--augmentation.translate-cells 0"),
-    "no-turn": ("no half turn", "--augmentation.no-turn"),
-    "no-color-noise": (
-        "no image noise",
-        "--augmentation.brightness 0 --augmentation.pixel-noise 0",
-    ),
-    "no-height-noise": ("no height noise", "--augmentation.height-noise-m 0"),
-    "no-dropouts": ("no holes", "--augmentation.dropouts 0"),
-}
-"""Parts that can be left out: title and arguments of the training."""
-
-
-def _add_ablation(
-    name: str,
-    title: str,
-    arguments: str = "",
-    *,
-    recovery: bool = True,
-    language: str = "full",
-) -> None:
-    weights = f"{_ABLATED}-{name}"
-    few = f"--episodes-per-task {ABLATION_EPISODES}"
-    training = Training(
-        weights, _ABLATED, f"{few} {arguments}".strip(), recovery, _ABLATION_SAMPLES
-    )
-    TRAININGS.add(weights, training)
-    _add(
-        Experiment(
-            name=name,
-            title=title,
-            suite=ABLATIONS,
-            policy=PolicySpec(weights),
-            language=language,
-        )
-    )
-
-
-_add_ablation("complete", "nothing left out")
-for _name, (_title, _arguments) in _AUGMENTATIONS.items():
-    _add_ablation(_name, _title, _arguments)
-_add_ablation(
-    "no-augmentation",
-    "no augmentation at all",
-    " ".join(arguments for _, arguments in _AUGMENTATIONS.values()),
-)
-_add_ablation("no-recovery", "no recovery states", recovery=False)
-_add_ablation("no-reach", "no reach", "--options reach=none")
-_add_ablation(
-    "no-language",
-    "control: no language",
-    "--language none --options reader.guesses=true",
-    language="none",
-)
-_add_ablation("shuffled-language", "control: shuffled language", "--language shuffled")

@@ -6,14 +6,13 @@ decisions with them, so poses have a tolerance; all else must be equal.
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
 from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.files import temporary_folder
 from lemma.core.workers.pool import Engine
 from lemma.evaluation.experiments.catalog import SEEDS, Experiment
 from lemma.evaluation.experiments.reproduction import Reproduction
@@ -71,8 +70,8 @@ def check_experiment(
         # Lines that were just played lie in a folder.
         path = lines_at(experiment.summary_path(results, SHIPPED).with_suffix(""))
     lines = {key_of(row): row for row in read_lines(path)}
-    with TemporaryDirectory() as folder:
-        plan = Reproduction(out=Path(folder), episodes=episodes)
+    with temporary_folder() as folder:
+        plan = Reproduction(out=folder, episodes=episodes)
         config, seed = plan.config(experiment)
         if seed != SHIPPED:
             raise DatasetError(f"Weights of {experiment.name} ship with seed {seed}.")
@@ -100,48 +99,47 @@ def compared(pairs: Sequence[tuple[Row, Row]]) -> Agreement:
 
 def _differences(line: Row, now: Row) -> Iterator[str]:
     """Yield in what an episode differs from its line, in words."""
-    for name in ("instruction", "team", "success", "failure", "progress"):
-        if line[name] != now[name]:
-            yield f"{name} was {line[name]!r}, is {now[name]!r}"
-    for name in ("success", "failure", "progress"):
-        old, new = line["lenient"][name], now["lenient"][name]
-        if old != new:
-            yield f"leniently, {name} was {old!r}, is {new!r}"
+    judged = ("success", "failure", "progress")
+    yield from _unequal(line, now, "", ("instruction", "team", *judged))
+    yield from _unequal(line["lenient"], now["lenient"], "leniently, ", judged)
     before, after = _subtasks(line), _subtasks(now)
     if len(before) != len(after):
         yield f"{len(before)} sub-tasks, now {len(after)}"
     for number, (old, new) in enumerate(zip(before, after, strict=False), 1):
-        for name in ("robot", "primitive", "pick", "place", "outcome"):
-            if old[name] != new[name]:
-                yield f"sub-task {number}: {name} was {old[name]}, is {new[name]}"
+        where = f"sub-task {number}: "
+        yield from _unequal(old, new, where, (*_SYMBOLS, "outcome"))
         posed, poses = old["grounded"], new["grounded"]
         if (posed is None) != (poses is None):
-            yield f"sub-task {number}: poses were {posed}, are {poses}"
-        elif posed is not None:
-            for end in ("pick", "place"):
-                shift_m, turn_rad = _shift(posed[end], poses[end])
-                if shift_m > TOLERANCE_M or turn_rad > TOLERANCE_RAD:
-                    yield (
-                        f"sub-task {number}: its {end} moved by {1e3 * shift_m:.2f} mm "
-                        f"and {turn_rad:.4f} rad"
-                    )
+            yield f"{where}poses were {posed}, are {poses}"
+        for end, (shift_m, turn_rad) in _shifts(old, new):
+            if shift_m > TOLERANCE_M or turn_rad > TOLERANCE_RAD:
+                moved = f"{1e3 * shift_m:.2f} mm and {turn_rad:.4f} rad"
+                yield f"{where}its {end} moved by {moved}"
 
 
-def _subtasks(line: Row) -> list[dict[str, Any]]:
+_SYMBOLS = ("robot", "primitive", "pick", "place")
+
+
+def _unequal(old: Row, new: Row, where: str, names: Iterable[str]) -> Iterator[str]:
+    for name in names:
+        if old[name] != new[name]:
+            yield f"{where}{name} was {old[name]}, is {new[name]}"
+
+
+def _shifts(old: Row, new: Row) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield by how far the poses (x, y, yaw) of a sub-task moved [m], and turned."""
+    if old["grounded"] and new["grounded"]:
+        for end in ("pick", "place"):
+            one, other = old["grounded"][end], new["grounded"][end]
+            turn_rad = math.remainder(other[2] - one[2], 2 * math.pi)
+            yield end, (math.dist(one[:2], other[:2]), abs(turn_rad))
+
+
+def _subtasks(line: Row) -> list[Row]:
     return [*line["subtasks"], *line["lenient"]["subtasks"]]
 
 
-def _shift(old: Sequence[float], new: Sequence[float]) -> tuple[float, float]:
-    """Return by how far a pose (x, y, yaw) moved [m], and turned [rad]."""
-    turn = math.remainder(new[2] - old[2], 2 * math.pi)
-    return math.dist(old[:2], new[:2]), abs(turn)
-
-
 def _farthest(line: Row, now: Row) -> float:
-    shifts = [
-        _shift(old["grounded"][end], new["grounded"][end])[0]
-        for old, new in zip(_subtasks(line), _subtasks(now), strict=False)
-        if old["grounded"] and new["grounded"]
-        for end in ("pick", "place")
-    ]
+    pairs = zip(_subtasks(line), _subtasks(now), strict=False)
+    shifts = (shift_m for pair in pairs for _, (shift_m, _) in _shifts(*pair))
     return max(shifts, default=0.0)

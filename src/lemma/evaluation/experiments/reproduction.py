@@ -23,10 +23,11 @@ from lemma.evaluation.run.evaluate import evaluate
 from lemma.evaluation.run.loading import learned_parts, weights_of
 from lemma.policies.class_path import checkpoint_of
 from lemma.policies.spec import PolicySpec
+from lemma.policies.weights import published_weights
 
 _FILE = "weights.safetensors"
-_LAST = "checkpoints/last/pretrained_model"
-"""Folder of the policy to play, in a training run of LeRobot."""
+_CHECKPOINT = "checkpoints/last/pretrained_model/model.safetensors"
+"""File of the policy to play, in a training run of LeRobot."""
 
 
 class MissingWeightsError(DatasetError):
@@ -97,50 +98,37 @@ class Reproduction:
 
     def _found(self, experiment: Experiment) -> PolicySpec:
         """Return the policy with parts that can be loaded."""
-        policy = experiment.policy
+        policy, runs = experiment.policy, experiment.runs(SEEDS[0])
         checkpoint = checkpoint_of(policy.name)
-        learned = learned_parts(policy.name)
-        if not learned and checkpoint is None:
-            return policy
-        # torch is an extra, which the expert does without.
-        from lemma.policies.weights import published_weights  # noqa: PLC0415
-
         if checkpoint is not None:
-            return self._found_checkpoint(experiment, checkpoint)
-        parts = list(policy.parts)
-        for part in learned:
-            if self.weights is not None:
-                path = self.weights / part
-                missing = not (path / _FILE).is_file()
-                where = f"are not in {self.weights}"
-                parts[parts.index(part)] = str(path)
-            else:
-                missing, where = part not in published_weights(), "do not ship yet"
-            if missing:
-                raise MissingWeightsError(
-                    f"The weights of {part} {where}. They are made by: "
-                    f"{TRAININGS[part].command(experiment.runs(0), 0)}"
-                )
-        return replace(policy, name="+".join(parts))
+            how = f"{experiment.training}; then --weights {runs} finds them."
+            path = self._weights(checkpoint, _CHECKPOINT, how)
+            return replace(policy, name=policy.name.removesuffix(checkpoint) + path)
+        names = list(policy.parts)
+        for part in learned_parts(policy.name):
+            how = TRAININGS[part].command(runs, SEEDS[0])
+            names[names.index(part)] = self._weights(part, _FILE, how)
+        return replace(policy, name="+".join(names))
 
-    def _found_checkpoint(self, experiment: Experiment, name: str) -> PolicySpec:
-        """Return a policy of LeRobot that can be loaded."""
-        from lemma.policies.weights import published_weights  # noqa: PLC0415
+    def _weights(self, name: str, file: str, how: str) -> str:
+        """Return the name of weights that ship, or the folder that holds them.
 
-        policy = experiment.policy
-        if self.weights is None:
-            missing, where = name not in published_weights(), "do not ship yet"
-        else:
-            path = self.weights / name / _LAST
-            missing, where = not path.is_dir(), f"are not in {self.weights}"
-            policy = replace(policy, name=f"{policy.name.removesuffix(name)}{path}")
-        if missing:
-            raise MissingWeightsError(
-                f"The weights of {name} {where}. They are made by: "
-                f"{experiment.training}; then --weights {experiment.runs(SEEDS[0])} "
-                "finds them."
-            )
-        return policy
+        Args:
+            name: As they ship, or as their run is named.
+            file: Their file in the folder of the run.
+            how: The command that makes them.
+        """
+        if self.weights is None and name in published_weights():
+            return name
+        where = "do not ship yet"
+        if self.weights is not None:
+            path = self.weights / name / file
+            if path.is_file():
+                return str(path.parent)
+            where = f"are not in {self.weights}"
+        raise MissingWeightsError(
+            f"The weights of {name} {where}. They are made by: {how}"
+        )
 
     def _command(self, experiment: Experiment, seed: int) -> str:
         words = [f"lemma reproduce {experiment.name}"]
@@ -177,9 +165,6 @@ def commands(experiments: list[Experiment]) -> list[str]:
 
 def _as_it_was(name: str) -> list[str]:
     """Return a comment with the command that made published weights, if others did."""
-    # torch is an extra, which the expert does without.
-    from lemma.policies.weights import published_weights  # noqa: PLC0415
-
     entry = published_weights().get(name)
     if entry is None or entry["ended"] == "steps":
         return []

@@ -17,14 +17,14 @@ from lemma.core.errors import DatasetError
 from lemma.core.workers.resumable import flat
 from lemma.env.episode import LEAST_STEP_S, STILL_S
 from lemma.env.simulation import HORIZON_S, TICK_S
-from lemma.evaluation.protocol.expert_times import times_sha256
-from lemma.evaluation.protocol.language_controls import LANGUAGES
-from lemma.evaluation.protocol.perturbed_starts import (
+from lemma.evaluation.protocol.expert_times import (
     APART_M,
     FROM_STICK_M,
     SHIFT_M,
     TURN_RAD,
+    times_sha256,
 )
+from lemma.evaluation.protocol.language_controls import LANGUAGES
 from lemma.evaluation.records import (
     POSE_TOLERANCE_MM,
     PROTOCOL_VERSION,

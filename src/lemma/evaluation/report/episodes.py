@@ -1,6 +1,6 @@
 """Episodes behind a report: which there are, and why they failed, in words."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, zip_longest
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lemma.evaluation.analysis.failure_causes import Cause, cause_of, mistake_of
-from lemma.evaluation.analysis.result import Result, counts, lines_of
+from lemma.evaluation.analysis.result import counts, lines_of
 from lemma.evaluation.lines import lines_in, read_lines
 from lemma.evaluation.records import PROTECTIVE_STOP, Departure, Row
 from lemma.evaluation.report.policy_results import PolicyResults
@@ -51,11 +51,7 @@ class Case:
     @cached_property
     def instance(self) -> Instance:
         """The problem, as this installation has it."""
-        row, own = self.row, self.about.get("instance")
-        if own is not None:
-            return Instance.from_dict(own)
-        moved = row.get("perturb_start", False)
-        return start_of(row["task"], row["split"], row["index"], moved=moved)
+        return start_of(self.row, self.about)
 
     @property
     def is_repeatable(self) -> bool:
@@ -90,23 +86,15 @@ def cases_of(
     cases: list[Case] = []
     for entry in entries:
         for result in entry.results:
-            name = entry.title
-            if len(entry.results) > 1:
-                name += f", seed {result.seed}"
-            for file, rows in _lines_of(result, found):
-                cases += [Case(name, row, result.about, file) for row in rows]
+            several = len(entry.results) > 1
+            name = f"{entry.title}{f', seed {result.seed}' * several}"
+            for file, lines in found.items():
+                rows = lines_of(result, lines)
+                if counts(result, rows):
+                    cases += [Case(name, row, result.about, file) for row in rows]
+                    break
     counted = {case.lines for case in cases}
     return cases, [file for file in found if file not in counted]
-
-
-def _lines_of(
-    result: Result, found: Mapping[Path, Sequence[Row]]
-) -> list[tuple[Path, list[Row]]]:
-    for file, lines in found.items():
-        rows = lines_of(result, lines)
-        if counts(result, rows):
-            return [(file, rows)]
-    return []
 
 
 def spread(cases: Iterable[Case], most: int) -> list[Case]:
@@ -166,18 +154,25 @@ def _of_stop(row: Row) -> str:
 
 
 def _of_mistake(case: Case, cause: Cause, step: Mapping[str, Any], number: int) -> str:
-    wanted = f"The expert would go on with “{subtask_words(case, _expected(step))}”."
-    if cause is Cause.WRONG_ROBOT:
-        return f"Sub-task {number} is given to the wrong robot. {wanted}"
-    if cause is Cause.WRONG_ORDER:
-        return f"Sub-task {number} comes too soon. {wanted}"
-    if cause is Cause.WRONG_PRIMITIVE:
-        if _expected(step)["primitive"] == Primitive.STOP:
-            return f"Sub-task {number} goes on where the goal held. {wanted}"
-        return f"Sub-task {number} has the wrong primitive. {wanted}"
-    if cause is Cause.WRONG_OBJECT:
-        return f"Sub-task {number} is about the wrong object or place. {wanted}"
-    return " ".join((f"Sub-task {number} is the expert's.", *_of_poses(cause, step)))
+    if cause not in _MISTAKES:
+        told = (f"Sub-task {number} is the expert's.", *_of_poses(cause, step))
+        return " ".join(told)
+    expected = step["expert"]["expected"]
+    words = _MISTAKES[cause]
+    if cause is Cause.WRONG_PRIMITIVE and expected["primitive"] == Primitive.STOP:
+        words = "goes on where the goal held"
+    return (
+        f"Sub-task {number} {words}. The expert would go on with "
+        f"“{subtask_words(case, expected)}”."
+    )
+
+
+_MISTAKES = {
+    Cause.WRONG_ROBOT: "is given to the wrong robot",
+    Cause.WRONG_ORDER: "comes too soon",
+    Cause.WRONG_PRIMITIVE: "has the wrong primitive",
+    Cause.WRONG_OBJECT: "is about the wrong object or place",
+}
 
 
 def _without_mistake(cause: Cause, row: Row) -> str:
@@ -186,11 +181,6 @@ def _without_mistake(cause: Cause, row: Row) -> str:
     if cause is Cause.STOPPED_EARLY:
         return "No sub-task was a mistake, but the policy stopped with work left."
     return "Nothing was left to do, but the goal did not hold at rest."
-
-
-def _expected(step: Mapping[str, Any]) -> Mapping[str, str]:
-    expected: Mapping[str, str] = step["expert"]["expected"]
-    return expected
 
 
 def _of_poses(cause: Cause, step: Mapping[str, Any]) -> Iterator[str]:

@@ -212,10 +212,8 @@ def entries_of(
     for result in results:
         named.setdefault(_row_of(result), []).append(result)
     entries = [
-        PolicyResults(
-            EXPERIMENTS[name].title, _by_seed(named.pop(name, [])), EXPERIMENTS[name]
-        )
-        for name in EXPERIMENTS
+        PolicyResults(experiment.title, _by_seed(named.pop(name, [])), experiment)
+        for name, experiment in EXPERIMENTS.items()
         if complete or name in named
     ]
     return entries + [
@@ -258,13 +256,10 @@ def _row_of(result: Result) -> str:
     """Return the experiment that a result is of; else what its policy is called."""
     if result.experiment in EXPERIMENTS:
         return result.experiment
-    for name in EXPERIMENTS:
-        one = EXPERIMENTS[name]
-        wanted = (one.policy.about(), one.language, one.perturb_start)
-        about = result.about
-        if wanted == (about["policy"], about["language"], starts_perturbed(result)):
-            return name
-    return title_of(result)
+    about = result.about
+    said = (about["policy"], about["language"], starts_perturbed(result))
+    found = (name for name, one in EXPERIMENTS.items() if one.decides == said)
+    return next(found, title_of(result))
 
 
 def _by_seed(results: list[Result]) -> tuple[Result, ...]:

@@ -1,11 +1,12 @@
 """The report of results: its sections, and the page in Markdown.
 
-Made from results and from nothing else.
+Made from results and from nothing else; its prose is in ``page.md``.
 """
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.result import Result
@@ -40,32 +41,9 @@ SUCCESS, CONTROLS, DIAGNOSES, ROWS = TOPICS = (
 ablations; causes of failure; how rows are made."""
 CONTROL = "Control level"
 """Title of the table of policies that answer motor commands."""
+HOW = "How each row is made"
+"""Title of the table that says of how many episodes each result is."""
 _LIMITED = " (a time limit ended the training: nobody can repeat it)"
-_INTRODUCTION = """\
-# Results
-
-Success rates of policies on the frozen lists, skills executed in the simulator. This
-page is written by a command, from {source} and from nothing else.
-
-- **What a number is.** {protocol}
-  An episode counts if its goal holds at the end. {guide} says what else fixes a number.
-- **Strict and lenient.** The headline is strict: the first sub-task that the chosen
-  robot cannot do ends the episode, as a protective stop ends what a real arm does. The
-  row *lenient* below it is of the same episodes, played on: the policy is told, and the
-  attempt costs five simulated seconds. Diagnoses are of the strict episodes.
-- **Intervals.** With one training seed: the rate and its 95 % Wilson interval over the
-  episodes. With several: mean ± standard deviation over the seeds. The simulator is
-  deterministic, so a second run of the same weights gives the same episodes.
-- **The paper's figures** are as printed there, mean ± standard deviation over ten runs
-  of the same weights on Isaac Sim, with its own scenes and sentences; ours are from
-  MuJoCo. Simulators differ: the same row is the same kind of policy, not the same
-  experiment.
-- *{not_run}* says that there are no results yet: the weights do not ship, or nobody has
-  evaluated them.
-
-`lemma reproduce NAME` makes a row, with the names that stand at the end; with `--print`
-it prints how the weights are trained.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,17 +85,28 @@ def page(
         guide: The page about evaluation, as the page names it.
         curves: By experiment.
     """
-    text = _INTRODUCTION.format(
-        source=source,
-        guide=guide,
-        protocol=protocol_words(entries),
-        not_run=NOT_RUN,
-    )
+    introduction, _ = _prose(guide)
+    text = introduction.format(source=source, protocol=protocol_words(entries))
     return text + "".join(
         _written(section)
         for section in sections(entries, guide, curves)
         if section.table.rows
     )
+
+
+def _prose(guide: str) -> tuple[str, dict[str, str]]:
+    """Return the introduction of the page, and what is said of each table by title."""
+    text = (files("lemma.evaluation.report") / "page.md").read_text("utf-8")
+    for name, told in (
+        ("guide", guide),
+        ("not_run", NOT_RUN),
+        ("ablation_episodes", str(ABLATION_EPISODES)),
+        ("seeds", ", ".join(map(str, SEEDS))),
+    ):
+        text = text.replace(f"{{{name}}}", told)
+    introduction, *parts = text.split("\n## ")
+    notes = (part.partition("\n") for part in parts)
+    return introduction, {title: " ".join(note.split()) for title, _, note in notes}
 
 
 def sections(
@@ -132,154 +121,74 @@ def sections(
         guide: The page about evaluation, as notes name it.
         curves: By experiment.
     """
+    _, notes = _prose(guide)
     sample = sample_words([one for one in entries if one.suite != CONTROL_LEVEL])
-    control = sample_words([one for one in entries if one.suite == CONTROL_LEVEL])
-    curve = Section(
-        "Learning curves",
-        "Of the policies at control level: checkpoints on episodes of split `val`, "
-        "strict.",
-        tables.learning_curves(curves),
-        CONTROLS,
-    )
-    found = [
-        Section(title, note, table, topic, control if title == CONTROL else sample)
+    samples = {
+        CONTROL: sample_words([one for one in entries if one.suite == CONTROL_LEVEL]),
+        "Learning curves": "",
+        HOW: "",
+    }
+    return [
+        Section(title, notes.get(title, ""), table, topic, samples.get(title, sample))
         for topic, listed in (
             (SUCCESS, _of_success(entries)),
-            (CONTROLS, _of_controls(entries, guide)),
-            (DIAGNOSES, _of_diagnoses(entries, guide)),
+            (CONTROLS, _of_controls(entries, curves)),
+            (DIAGNOSES, _of_diagnoses(entries)),
+            (ROWS, {HOW: _provenance(entries)}),
         )
-        for title, note, table in listed
-    ]
-    return [*found, curve, _provenance(entries)]
-
-
-Told = list[tuple[str, str, Table]]
-"""Title, note and table of sections."""
-
-
-def _of_success(entries: Sequence[PolicyResults]) -> Told:
-    found = [
-        (
-            "High-level instructions",
-            "As in the paper.",
-            tables.by_task(entries, "high_level"),
-        ),
-        (
-            "Human instructions",
-            "As in the paper. Templates of this kind are seen in training; ours "
-            "are not crowd-sourced.",
-            tables.by_task(entries, "human"),
-        ),
-        (
-            "Distractors, as in the paper",
-            "By number of objects that the goal does not need, in four tasks.",
-            tables.distractors_by_task(entries),
-        ),
-    ]
-    for kind in ("high_level", "human"):
-        name = f"{tables.words(kind, '-')} instructions"
-        mixed = (
-            "All tasks together. They have different ranges of it, so the columns hold "
-            "different mixtures of tasks."
-        )
-        distractors = tables.breakdown(entries, kind, "distractors")
-        teams = tables.breakdown(entries, kind, "team")
-        found += [
-            (f"Distractors, {name}", mixed, distractors),
-            (f"Robot types, {name}", "As in the paper: by team.", teams),
-        ]
-    return [
-        *found,
-        (
-            "Unseen templates",
-            "Sentences of templates that training never sees; not in the paper.",
-            tables.by_task(entries, "unseen"),
-        ),
-        (
-            "Blind templates",
-            "Sentences of somebody who had read none of this project's templates, "
-            "rules or results, and which no part of a policy was made with; not in the "
-            "paper.",
-            tables.by_task(entries, "blind"),
-        ),
+        for title, table in listed.items()
     ]
 
 
-def _of_controls(entries: Sequence[PolicyResults], guide: str) -> Told:
-    return [
-        (
-            "Other sentences",
-            "How much a policy needs the sentence: success at the goal of the instance "
-            "when something else is said, or nothing; strict. Without distractors "
-            "there is little to guess. Last: how often what swapped colors ask for "
-            "holds.",
-            tables.language(entries),
-        ),
-        (
-            CONTROL,
-            "ACT and Diffusion Policy of LeRobot, which answer where each gripper "
-            "shall go five times a second; one policy for these tasks. *Told poses and "
-            "goal* is an oracle: it sees no pictures and reads no sentence. `lemma "
-            "reproduce control-level --print` says how they are trained.",
-            tables.control_level(entries),
-        ),
-        (
-            "Perturbed starts",
-            f"Objects begin a little elsewhere; strict. {guide} says how.",
-            tables.starts(entries),
-        ),
-        (
-            "Ablations",
-            "One thing left out of ReachNet's training each, and two controls; all are "
-            f"trained alike long, on {ABLATION_EPISODES} demonstrations of each task, "
-            f"with seed 0; strict. {guide} lists them.",
-            tables.ablations(entries),
-        ),
-    ]
+def _of_success(entries: Sequence[PolicyResults]) -> dict[str, Table]:
+    """Return success as in the paper, and with sentences that it does not have."""
+    return {
+        "High-level instructions": tables.by_task(entries, "high_level"),
+        "Human instructions": tables.by_task(entries, "human"),
+        "Distractors, as in the paper": tables.distractors_by_task(entries),
+        **{
+            f"{title}, {tables.words(kind, '-')} instructions": tables.breakdown(
+                entries, kind, by
+            )
+            for kind in ("high_level", "human")
+            for title, by in (("Distractors", "distractors"), ("Robot types", "team"))
+        },
+        "Unseen templates": tables.by_task(entries, "unseen"),
+        "Blind templates": tables.by_task(entries, "blind"),
+    }
 
 
-def _of_diagnoses(entries: Sequence[PolicyResults], guide: str) -> Told:
-    return [
-        (
-            "Where the points are lost",
-            "Failed episodes by cause, over all seeds. The expert is asked before "
-            "every sub-task what it would do in the same state; "
-            f"{guide} defines the causes.",
-            tables.losses(entries),
-        ),
-        *(
-            (f"{entry.title}: losses by task", "", tables.losses_by_task(entry))
+def _of_controls(
+    entries: Sequence[PolicyResults], curves: Mapping[str, LearningCurve]
+) -> dict[str, Table]:
+    """Return controls, control level and ablations."""
+    return {
+        "Other sentences": tables.language(entries),
+        CONTROL: tables.control_level(entries),
+        "Perturbed starts": tables.starts(entries),
+        "Ablations": tables.ablations(entries),
+        "Learning curves": tables.learning_curves(curves),
+    }
+
+
+def _of_diagnoses(entries: Sequence[PolicyResults]) -> dict[str, Table]:
+    """Return how policies fail, and how robots share work."""
+    return {
+        "Where the points are lost": tables.losses(entries),
+        **{
+            f"{entry.title}: losses by task": tables.losses_by_task(entry)
             for entry in entries
             # A page has room for the rows of the paper, ours, and anybody's own.
             if entry.suite in ("", *SUITES[:2]) and entry.causes()
-        ),
-        (
-            "How exact the poses are",
-            "High-level instructions; distance from the middle of the cube, or of the "
-            "pad or cube below, where the sub-task was the expert's. In brackets the "
-            "part that is more than 20 mm off. Places in the shared region and poses "
-            "of the stick are a matter of choice, so they are not here.",
-            tables.precision(entries, "high_level"),
-        ),
-        (
-            "Coordination",
-            "High-level instructions. Time against the expert's where both succeed, "
-            "the part of it in which each robot is idle, sub-tasks given at the first "
-            "try to a robot that is able to do them, and to the expert's, those that "
-            "came too soon, and how near the arms came to each other; "
-            f"{guide} defines them.",
-            tables.coordination(entries, "high_level"),
-        ),
-    ]
+        },
+        "How exact the poses are": tables.precision(entries, "high_level"),
+        "Coordination": tables.coordination(entries, "high_level"),
+    }
 
 
 def _written(section: Section) -> str:
     body = "\n\n".join(filter(None, (section.caption, section.table.markdown())))
     return f"\n## {section.title}\n\n{body}"
-
-
-HOW = "How each row is made"
-"""Title of the table that says of how many episodes each result is."""
 
 
 def protocol_words(entries: Sequence[PolicyResults], where: str = f"*{HOW}*") -> str:
@@ -386,7 +295,7 @@ def _extent(result: Result) -> str:
     return f"{episodes} of {len(kinds) * len(_wanted(result)) * SPLITS[split]}"
 
 
-def _provenance(entries: Iterable[PolicyResults]) -> Section:
+def _provenance(entries: Iterable[PolicyResults]) -> Table:
     """Return how each result is made, and of which weights."""
     rows: list[tuple[str, ...]] = []
     for entry in entries:
@@ -403,10 +312,4 @@ def _provenance(entries: Iterable[PolicyResults]) -> Section:
                 (entry.title, f"`{result.command}`", hashes, seed, _extent(result))
             )
     header = ("row", "command", "SHA-256 of the weights", "training seed", "episodes")
-    return Section(
-        HOW,
-        f"Reported models are trained with seeds {', '.join(map(str, SEEDS))}; "
-        "the weights of the first ship.",
-        Table(header, tuple(rows), labels=3),
-        ROWS,
-    )
+    return Table(header, tuple(rows), labels=3)

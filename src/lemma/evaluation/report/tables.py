@@ -24,8 +24,10 @@ from lemma.evaluation.experiments.catalog import (
     CONTROL_LEVEL,
     EXPERIMENTS,
     SUITES,
+    TEAMS,
+    Figures,
+    Measured,
 )
-from lemma.evaluation.experiments.paper_figures import TEAMS, Figures, Measured
 from lemma.evaluation.protocol.language_controls import FULL, LANGUAGES
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,

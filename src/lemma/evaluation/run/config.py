@@ -3,20 +3,18 @@
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-from lemma.core.arguments import known
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.arguments import known, whole
+from lemma.core.errors import InvalidConfigError
 from lemma.core.plugins import plugin_words
 from lemma.dataset.recipe.files import versions
 from lemma.evaluation.protocol.expert_times import TIMED_SPLITS
 from lemma.evaluation.protocol.language_controls import FULL, LANGUAGES
 from lemma.evaluation.protocol.rules import GROUP, quote
-from lemma.evaluation.records import (
-    PROTOCOL_VERSION,
-    EpisodeKey,
-)
+from lemma.evaluation.records import PROTOCOL_VERSION, EpisodeKey
 from lemma.evaluation.run.loading import served_parts, weights_of
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.interfaces import TIMEOUT_S
@@ -51,7 +49,7 @@ class EvaluationConfig:
     :data:`lemma.evaluation.protocol.language_controls.LANGUAGES`."""
     perturb_start: bool = False
     """Whether objects begin a little elsewhere, see
-    :mod:`lemma.evaluation.protocol.perturbed_starts`."""
+    :mod:`lemma.evaluation.protocol.expert_times`."""
     verdicts: str = VERDICTS[0]
     """One of :data:`VERDICTS`; strictly alone, an episode ends where the other would go
     on after a protective stop."""
@@ -69,26 +67,19 @@ class EvaluationConfig:
             )
         for task in self.tasks:
             check_split(task, self.split)
-        for kind in self.kinds:
-            if kind not in EVALUATION_KINDS:
-                raise UnknownNameError("kind of instruction", kind, EVALUATION_KINDS)
-            if kind == BLIND:
-                for task in self.tasks:
+            for kind in self.kinds:
+                if known("kind of instruction", kind, EVALUATION_KINDS) == BLIND:
                     check_blind(task, self.split)
-        if self.language not in LANGUAGES:
-            raise UnknownNameError("control of language", self.language, LANGUAGES)
-        if self.verdicts not in VERDICTS:
-            raise UnknownNameError("protocol", self.verdicts, VERDICTS)
+        known("control of language", self.language, LANGUAGES)
+        known("protocol", self.verdicts, VERDICTS)
         if self.perturb_start and self.split not in TIMED_SPLITS:
             raise InvalidConfigError(
                 f"Split {self.split!r} has no perturbed starts; "
                 f"{' and '.join(TIMED_SPLITS)} have."
             )
-        if self.episodes is not None and self.episodes < 1:
-            raise InvalidConfigError(
-                f"Episodes per task are 1 or more, not {self.episodes}."
-            )
-        if self.episodes is None and self.split == FREE_SPLIT:
+        if self.episodes is not None:
+            whole("episodes", self.episodes, 1)
+        elif self.split == FREE_SPLIT:
             raise InvalidConfigError(
                 f"Split {FREE_SPLIT!r} is sampled and has no end. Say how many "
                 "episodes of each task there shall be, with --episodes."
@@ -147,15 +138,16 @@ class EvaluationConfig:
         policy = self.policy
         kinds = ",".join(kind.replace("_", "-") for kind in self.kinds)
         told = [f"{name}={value}" for name, value in policy.arguments]
+        own = self.instance is not None
         wanted = (
-            ("--split", self.split, self.instance is None),
-            ("--instance", "FILE.json", self.instance is not None),
-            ("--tasks", ",".join(self.tasks), not self._of_suite),
+            ("--split", self.split, not own),
+            ("--instance", "FILE.json", own),
+            ("--tasks", ",".join(self.tasks), not own and self.tasks != SUITE),
             ("--episodes", str(self.episodes), self.episodes is not None),
             ("--level", policy.level, bool(policy.level)),
             ("--policy-args", ",".join(told), bool(told)),
             ("--planning", policy.planning, policy.planning != PLANNINGS[0]),
-            ("--gta", None, policy.gta),
+            ("--gta", "", policy.gta),
             ("--timeout", f"{policy.timeout_s:g}", policy.timeout_s != TIMEOUT_S),
             ("--language", self.language, self.language != FULL),
         )
@@ -163,27 +155,20 @@ class EvaluationConfig:
         words += ["--instructions", kinds]
         for name, value, is_wanted in wanted:
             if is_wanted:
-                words += [name] if value is None else [name, value]
+                words += [name, value] if value else [name]
         # These are quoted already.
         asked = policy.chat.words() if policy.chat is not None else []
-        words_later = ["--perturb-start"] if self.perturb_start else []
-        if self.verdicts != VERDICTS[0]:
-            words_later += ["--protocol", self.verdicts]
-        return " ".join([shlex.join(words), *asked, *words_later])
-
-    @property
-    def _of_suite(self) -> bool:
-        return self.tasks == SUITE or self.instance is not None
+        asked += ["--perturb-start"] * self.perturb_start
+        asked += ["--protocol", self.verdicts] * (self.verdicts != VERDICTS[0])
+        return " ".join([shlex.join(words), *asked])
 
     def groups(self) -> Iterator[tuple[str, str, range]]:
         """Yield kind, task and numbers of the episodes that are played together."""
         first = self.instance.index if self.instance else 0
         last = first + self.per_task
-        for kind in self.kinds:
-            for task in self.tasks:
-                for start in range(first, last, GROUP):
-                    end = min(start + GROUP, last)
-                    yield kind, task, range(start, end)
+        for kind, task in product(self.kinds, self.tasks):
+            for start in range(first, last, GROUP):
+                yield kind, task, range(start, min(start + GROUP, last))
 
     def keys(self) -> set[EpisodeKey]:
         """Return which episodes are asked for."""

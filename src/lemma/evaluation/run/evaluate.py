@@ -8,7 +8,7 @@ again, so that a run that goes on gives what an undisturbed one gives.
 
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from math import inf
 from multiprocessing import parent_process
@@ -34,7 +34,7 @@ from lemma.evaluation.records import (
     place_of,
 )
 from lemma.evaluation.run.config import VERDICTS, EvaluationConfig
-from lemma.evaluation.run.control.rollout import load_player
+from lemma.evaluation.run.control import load_player
 from lemma.evaluation.run.expert_feedback import count_steps
 from lemma.evaluation.run.loading import hang_up
 from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
@@ -102,17 +102,18 @@ def evaluate(
     return [row for row in rows if key_of(row) in wanted]
 
 
-def start_of(task: str, split: str, index: int, *, moved: bool) -> Instance:
-    """Return what an episode begins with, such as one that a line is of.
+def start_of(row: Row, about: Mapping[str, Any] | None = None) -> Instance:
+    """Return the instance that the episode of a line begins with.
 
     Args:
-        task: Name of the task.
-        split: Name of the list.
-        index: Number in the list.
-        moved: Whether from its perturbed start, ``perturb_start`` in the line.
+        row: A line of ``episodes.jsonl``.
+        about: Settings, as in ``about.json``, which hold an instance of one's own.
     """
-    instance = load_instance(task, split, index)
-    return perturbed_start(instance) if moved else instance
+    own = (about or {}).get("instance")
+    if own is not None:
+        return Instance.from_dict(own)
+    instance = load_instance(row["task"], row["split"], row["index"])
+    return perturbed_start(instance) if row.get("perturb_start") else instance
 
 
 def play_group(
@@ -123,9 +124,9 @@ def play_group(
     kept = {"keeps_state": True} if keeps_state(player.policy) else {}
     rollouts = []
     for index in indices:
-        instance = config.instance or start_of(
-            task, config.split, index, moved=config.perturb_start
-        )
+        instance = config.instance or load_instance(task, config.split, index)
+        if config.perturb_start:
+            instance = perturbed_start(instance)
         control = control_of(config.language, instance, kind)
         rollouts.append(player.begin(instance, kind, control))
     rows: list[Row] = []
@@ -194,7 +195,8 @@ def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
     taken, further = subtasks[: strict.steps], subtasks[strict.steps :]
     asks = rollout.control.asks
     least_m = strict.clearance_m
-    asked = planning_of(rollout, range(strict.asked))
+    place = instance.task, instance.split, instance.index
+    planning = planning_of(rollout, range(strict.asked))
     later = planning_of(rollout, range(strict.asked, end.asked))
     return {
         "protocol": PROTOCOL_VERSION,
@@ -211,19 +213,14 @@ def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
         **_judged(strict),
         "idle_s": {name: round(idle, 3) for name, idle in strict.idle_s.items()},
         "coordination": {
-            "expert_s": expert_s(
-                instance.task,
-                instance.split,
-                instance.index,
-                perturbed_start=moved,
-            ),
+            "expert_s": expert_s(*place, perturbed_start=moved),
             **count_steps(taken, strict.left),
             "clearance_mm": round(1000.0 * least_m, 1) if least_m < inf else None,
         },
         "subtasks": taken,
         "left": strict.left,
         **rollout.told(),
-        **asked,
+        **planning,
         "lenient": {**_judged(end), "subtasks": further, **later} if lenient else None,
     }
 

@@ -7,11 +7,10 @@ sub-task served the goal, whichever of several good ones it was.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 from lemma.env.episode import Episode
-from lemma.evaluation.records import Departure, Row
+from lemma.evaluation.records import Departure, Feedback, Row, Symbols, enough
 from lemma.motion.outcome import Outcome
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
@@ -21,36 +20,6 @@ from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 
-@dataclass(frozen=True, slots=True)
-class ExpertFeedback:
-    """Judgement of the expert on a decision, before it is carried out."""
-
-    expected: SubTask
-    """The expert's own decision; ``stop`` if the goal holds, or no plan is left."""
-    left: int | None
-    """Sub-tasks of the expert's plan; None where there is no plan."""
-    departure: Departure
-    able: bool | None
-    """Whether the robot could do it now; None where none of the robots could."""
-    pick_error_m: float | None = None
-    """Distance of the pick from the middle of the cube that is meant [m]; None for the
-    stick, which can be grasped along its handle."""
-    place_error_m: float | None = None
-    """Distance of a ``move``'s place from the middle of the pad or cube that is meant
-    [m]; None for the shared region and for tools, which leave a choice."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON."""
-        return {
-            "expected": self.expected.to_dict(),
-            "left": self.left,
-            "departure": str(self.departure),
-            "able": self.able,
-            "pick_error_mm": _millimetres(self.pick_error_m),
-            "place_error_mm": _millimetres(self.place_error_m),
-        }
-
-
 def left_in(episode: Episode) -> int | None:
     """Return how many sub-tasks the expert needs from here; None if it has no plan."""
     now = SymbolicState.observe(episode.simulation.scene)
@@ -58,7 +27,7 @@ def left_in(episode: Episode) -> int | None:
     return None if plan is None else len(plan)
 
 
-def advise(episode: Episode, decision: Decision) -> ExpertFeedback:
+def advise(episode: Episode, decision: Decision) -> Feedback:
     """Return what the expert says of a decision in the state that an episode is in."""
     now = SymbolicState.observe(episode.simulation.scene)
     geometry = GeometricGrounder(now.spec)
@@ -71,13 +40,13 @@ def advise(episode: Episode, decision: Decision) -> ExpertFeedback:
             pick = decision.grounded.pick.distance(now.poses[subtask.pick])
         if subtask.primitive is Primitive.MOVE and subtask.place in now.poses:
             place = decision.grounded.place.distance(now.poses[subtask.place])
-    return ExpertFeedback(
-        expected=plan[0] if plan else STOP,
+    return Feedback(
+        expected=Symbols(**(plan[0] if plan else STOP).to_dict()),
         left=None if plan is None else len(plan),
         departure=departed,
         able=departed is Departure.NONE or _is_able(subtask, now, geometry),
-        pick_error_m=pick,
-        place_error_m=place,
+        pick_error_mm=_millimetres(pick),
+        place_error_mm=_millimetres(place),
     )
 
 
@@ -92,7 +61,7 @@ def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:
         ``doable``, ``able``, ``planned``, ``as_expert`` and ``order_violations``.
     """
     told = [step["expert"] for step in steps]
-    lefts = [_enough(each["left"]) for each in told] + [_enough(left)]
+    lefts = [enough(each["left"]) for each in told] + [enough(left)]
     departures = [Departure(each["departure"]) for each in told]
     as_expert = sum(d in (Departure.NONE, Departure.ORDER) for d in departures)
     return {
@@ -143,11 +112,6 @@ def _plan(
 ) -> tuple[SubTask, ...] | None:
     plan = find_plan(now, episode.instance.goal, geometry)
     return None if plan is None else plan.subtasks
-
-
-def _enough(left: int | None) -> float:
-    """Return how many sub-tasks are left; no number is enough where no plan exists."""
-    return math.inf if left is None else left
 
 
 def _millimetres(metres: float | None) -> float | None:

@@ -70,16 +70,13 @@ class IsolatedPolicy:
         if len(inputs) > 1 and not self._one_by_one:
             answers = self._ask(inputs)
             if not isinstance(answers, Fault):
-                return [
-                    check(answer, given)
-                    for answer, given in zip(answers, inputs, strict=True)
-                ]
+                return list(map(check, answers, inputs))
             self._one_by_one = answers.kind is FaultKind.TIMEOUT
-        return [self._decide_one(given) for given in inputs]
-
-    def _decide_one(self, given: Any) -> Any:
-        answers = self._ask([given])
-        return answers if isinstance(answers, Fault) else check(answers[0], given)
+        alone = [self._ask([given]) for given in inputs]
+        return [
+            found if isinstance(found, Fault) else check(found[0], given)
+            for found, given in zip(alone, inputs, strict=True)
+        ]
 
     def _ask(self, inputs: Sequence[Any]) -> list[object] | Fault:
         try:
@@ -105,16 +102,6 @@ class IsolatedPolicy:
         return list(answers)
 
 
-class _FaultError(Exception):
-    """Carries a fault out of the check."""
-
-    def __init__(
-        self, kind: FaultKind, explanation: str, effort: Effort | None = None
-    ) -> None:
-        super().__init__(explanation)
-        self.fault = Fault(kind, _cut(explanation), effort)
-
-
 def check(answer: Any, given: PolicyInput | ControlInput) -> Decision | Actions | Fault:
     """Return a decision in plain Python types, or what is wrong with it.
 
@@ -129,15 +116,21 @@ def check(answer: Any, given: PolicyInput | ControlInput) -> Decision | Actions 
     try:
         if isinstance(given, ControlInput):
             return _checked_actions(answer)
-        return _checked(answer, len(given.robots))
-    except _FaultError as error:
-        return error.fault
+        return _checked_decision(answer, len(given.robots))
+    except PolicyFailedError as error:
+        failed = isinstance(answer, Decision) and bool(answer.failed)
+        effort = _effort(answer) if failed else None
+        return Fault(error.kind, _cut(str(error)), effort)
+
+
+def _effort(answer: Decision) -> Effort | None:
+    return answer.effort if isinstance(answer.effort, Effort) else None
 
 
 def _checked_actions(answer: Any) -> Actions:
     """Return actions; the environment checks their shape."""
     if isinstance(answer, PolicyFailedError):
-        raise _FaultError(answer.kind, str(answer))
+        raise answer
     found = answer if isinstance(answer, Actions) else Actions(answer)
     try:
         rows = np.asarray(found.rows)
@@ -149,53 +142,43 @@ def _checked_actions(answer: Any) -> Actions:
             f"The actions are a {kind} of {rows.dtype}, no array of numbers"
         )
     if not np.isfinite(rows).all():
-        raise _FaultError(
-            FaultKind.NOT_FINITE, "The actions are not finite: NaN or infinite."
-        )
+        raise _not_finite("The actions are not finite: NaN or infinite.")
     return Actions(rows, found.memory)
 
 
-def _checked(answer: object, robots: int) -> Decision:
+def _checked_decision(answer: object, robots: int) -> Decision:
     if not isinstance(answer, Decision):
         raise _malformed(
             f"The policy decided on a {type(answer).__name__}, no Decision"
         )
-    explanation = str(answer.explanation)
-    effort = answer.effort if isinstance(answer.effort, Effort) else None
+    explanation, effort = str(answer.explanation), _effort(answer)
     if answer.failed:
         known = answer.failed in tuple(FaultKind)
         kind = FaultKind(answer.failed) if known else FaultKind.MALFORMED
-        raise _FaultError(kind, explanation, effort)
+        raise PolicyFailedError(kind, explanation)
     subtask = _subtask(answer.subtask, robots)
-    if subtask.primitive is Primitive.STOP:
-        return Decision(STOP, None, explanation, effort=effort)
-    if answer.grounded is None:
-        if not (subtask.pick and subtask.place):
-            raise _FaultError(
-                FaultKind.UNKNOWN_NAME,
-                f"The decision has no poses, and names no entity: {subtask}.",
-            )
-        return Decision(subtask, None, explanation, effort=effort)
-    grounded = _grounded(answer.grounded, subtask)
+    grounded = None
+    if answer.grounded is not None and subtask is not STOP:
+        grounded = _grounded(answer.grounded, subtask)
+    elif subtask is not STOP and not (subtask.pick and subtask.place):
+        raise PolicyFailedError(
+            FaultKind.UNKNOWN_NAME,
+            f"The decision has no poses, and names no entity: {subtask}.",
+        )
     return Decision(subtask, grounded, explanation, effort=effort)
 
 
 def _subtask(subtask: object, robots: int) -> SubTask:
     if not isinstance(subtask, SubTask):
         raise _malformed(f"The sub-task is a {type(subtask).__name__}, no SubTask")
-    try:
-        primitive = Primitive(subtask.primitive)
-    except ValueError:
-        raise _unknown("primitive", subtask.primitive, list(Primitive)) from None
+    _check_name("primitive", subtask.primitive, list(Primitive))
+    primitive = Primitive(subtask.primitive)
     if primitive is Primitive.STOP:
         return STOP
-    team = robot_names(robots)
-    if subtask.robot not in team:
-        raise _unknown("robot", subtask.robot, team)
-    names = (*known_entities(), SHARED)
+    _check_name("robot", subtask.robot, robot_names(robots))
     for entity in (subtask.pick, subtask.place):
-        if entity != "" and entity not in names:
-            raise _unknown("entity", entity, list(names))
+        if entity != "":
+            _check_name("entity", entity, (*known_entities(), SHARED))
     return SubTask(subtask.robot, primitive, subtask.pick, subtask.place)
 
 
@@ -203,41 +186,34 @@ def _grounded(grounded: object, subtask: SubTask) -> GroundedSubTask:
     if not isinstance(grounded, GroundedSubTask):
         name = type(grounded).__name__
         raise _malformed(f"The grounded sub-task is a {name}, no GroundedSubTask")
-    symbols = (grounded.robot, grounded.primitive)
-    if symbols != (subtask.robot, subtask.primitive):
+    if (grounded.robot, grounded.primitive) != (subtask.robot, subtask.primitive):
         raise _malformed(
             f"The poses are for {grounded.robot} {grounded.primitive}, but the "
             f"decision is {subtask.robot} {subtask.primitive}"
         )
-    return GroundedSubTask(
-        subtask.robot,
-        subtask.primitive,
-        _pose("pick", grounded.pick),
-        _pose("place", grounded.place),
-    )
+    pick, place = _pose("pick", grounded.pick), _pose("place", grounded.place)
+    return GroundedSubTask(subtask.robot, subtask.primitive, pick, place)
 
 
 def _pose(end: str, pose: object) -> Pose2:
     if not isinstance(pose, Pose2):
         raise _malformed(f"The {end} pose is a {type(pose).__name__}, no Pose2")
-    numbers = [_number(end, value) for value in (pose.x, pose.y, pose.yaw)]
-    if not all(math.isfinite(number) for number in numbers):
-        raise _FaultError(
-            FaultKind.NOT_FINITE, f"The {end} pose is not finite: {numbers}."
+    x, y, yaw = numbers = [_number(end, n) for n in (pose.x, pose.y, pose.yaw)]
+    if not all(map(math.isfinite, numbers)):
+        raise _not_finite(f"The {end} pose is not finite: {numbers}.")
+    if math.hypot(x, y) > FARTHEST_M:
+        raise _not_finite(
+            f"The {end} pose is beyond every table, at ({x:g}, {y:g}) m; poses are in "
+            "metres."
         )
-    if math.hypot(numbers[0], numbers[1]) > FARTHEST_M:
-        raise _FaultError(
-            FaultKind.NOT_FINITE,
-            f"The {end} pose is beyond every table, at ({numbers[0]:g}, "
-            f"{numbers[1]:g}) m; poses are in metres.",
-        )
-    return Pose2(*numbers)
+    return Pose2(x, y, yaw)
 
 
 def _number(end: str, value: Any) -> float:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
-    if not _is_real(value):
+    is_real = isinstance(value, float | int | np.integer | np.floating)
+    if not is_real or isinstance(value, bool):
         raise _malformed(
             f"The {end} pose holds a {type(value).__name__} where a number belongs"
         )
@@ -247,21 +223,20 @@ def _number(end: str, value: Any) -> float:
         return math.inf
 
 
-def _is_real(value: object) -> bool:
-    return isinstance(value, float | int | np.integer | np.floating) and not isinstance(
-        value, bool
-    )
+def _malformed(what: str) -> PolicyFailedError:
+    return PolicyFailedError(FaultKind.MALFORMED, f"{what}.")
 
 
-def _malformed(what: str) -> _FaultError:
-    return _FaultError(FaultKind.MALFORMED, f"{what}.")
+def _not_finite(what: str) -> PolicyFailedError:
+    return PolicyFailedError(FaultKind.NOT_FINITE, what)
 
 
-def _unknown(kind: str, name: object, valid: Sequence[str]) -> _FaultError:
-    return _FaultError(
-        FaultKind.UNKNOWN_NAME,
-        f"The policy names the {kind} {name!r:.60}. Valid: {', '.join(valid)}.",
-    )
+def _check_name(kind: str, name: object, valid: Sequence[str]) -> None:
+    if name not in valid:
+        raise PolicyFailedError(
+            FaultKind.UNKNOWN_NAME,
+            f"The policy names the {kind} {name!r:.60}. Valid: {', '.join(valid)}.",
+        )
 
 
 def _cut(text: str) -> str:

@@ -1,18 +1,22 @@
 """Policies by name, with other people's kept at a distance."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lemma.core.arguments import known
 from lemma.core.errors import (
     DatasetError,
     InvalidConfigError,
     UnknownNameError,
     WeightsError,
+    shown,
 )
 from lemma.core.files import read_json, sha256_of
-from lemma.evaluation.run.control.model_server import ask_model_server
+from lemma.env.control.modes import CONTROLS
+from lemma.env.learning.flat_view import STATES
 from lemma.policies.class_path import LEROBOT, checkpoint_of, privileged
-from lemma.policies.control.interfaces import is_model_server
+from lemma.policies.control.interfaces import CONTROL_OPTIONS, is_model_server
 from lemma.policies.interfaces import Composite, is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
 from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part, parts_of
@@ -93,6 +97,64 @@ def connected(spec: PolicySpec, address: str) -> Any:
     if is_model_server(address):
         return ask_model_server(address, mode, dict(spec.arguments))
     return connect(address, mode)
+
+
+MODEL_SERVER_DEFAULTS: dict[str, Any] = {
+    "control": "joint_position",
+    "control_hz": 20.0,
+    "observation": "rgb",
+    "clip_actions": True,
+    "width": 224,
+    "height": 224,
+}
+"""As in the benchmark for vla-eval's own harness."""
+_STATE = "state"
+
+
+def ask_model_server(
+    url: str, mode: ProtocolMode, asked: Mapping[str, Any]
+) -> ModelServer:
+    """Return a model server as a policy.
+
+    Its action space is the requested one, else the one that the server names in its
+    ``observation_params``, else the default.
+
+    Args:
+        url: Such as ``"vla-eval://127.0.0.1:8001"``.
+        mode: How patient to be.
+        asked: Options, of :data:`lemma.policies.control.interfaces.CONTROL_OPTIONS`,
+            and ``state``: what the state consists of.
+
+    Raises:
+        LemmaError: There is no such option, nobody answers there, or its actions are
+            others.
+    """
+    valid = (*CONTROL_OPTIONS, _STATE)
+    for name in asked:
+        known("option of a model server", name, valid)
+    server = ModelServer(url, mode)
+    params = server.welcome.get("observation_params")
+    wanted = params if isinstance(params, Mapping) else {}
+    options = {
+        **MODEL_SERVER_DEFAULTS,
+        **{name: value for name, value in wanted.items() if name in valid},
+        **asked,
+    }
+    state = _names(options.pop(_STATE, STATES[:1]))
+    if "cameras" in options:
+        options["cameras"] = _names(options["cameras"])
+    if not state or not set(state) <= set(STATES):
+        raise InvalidConfigError(
+            f"state={shown(state)} is impossible. Valid: some of {', '.join(STATES)}, "
+            "joined by +."
+        )
+    server.use(options, CONTROLS[options["control"]].columns, state)
+    return server
+
+
+def _names(told: Any) -> tuple[str, ...]:
+    """Return several names, also of a command line, where ``+`` is between them."""
+    return tuple(told.split("+") if isinstance(told, str) else told)
 
 
 Weights = dict[str, dict[str, Any]]

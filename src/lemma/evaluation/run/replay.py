@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from lemma.core.errors import PhysicsError
 from lemma.env.episode import Episode
 from lemma.evaluation.protocol.language_controls import FULL, control_of
 from lemma.evaluation.records import STATE, WALL_CLOCK, Row
@@ -49,35 +48,21 @@ def play_again(
     )
     lenient = None if strictly else row["lenient"]
     subtasks = [*row["subtasks"], *(lenient["subtasks"] if lenient else ())]
-    fault = (lenient or row)["policy_error"]
     for number, step in enumerate(subtasks):
-        if _is_over(rollout, strictly=lenient is None):
+        if rollout.is_over(strict=lenient is None):
             break
         watch(rollout.episode, number)
         given = rollout.given(None)
-        decision = check(_decision(step), given)
-        if not isinstance(decision, Decision):
-            # No evaluation wrote this: the policy would have failed there.
-            fault = {"kind": FaultKind.MALFORMED, "explanation": str(decision)}
-            break
-        before = rollout.episode.snapshot()
-        try:
-            rollout.take(given, decision)
-        except PhysicsError as error:
-            rollout.episode.restore(before)
-            rollout.fail(Fault(FaultKind.UNSTABLE, str(error)))
-    if not _is_over(rollout, strictly=lenient is None):
+        # No evaluation wrote what is no decision: the policy would have failed there.
+        rollout.carry_out(given, check(_decision(step), given))
+    fault = (lenient or row)["policy_error"]
+    if not rollout.is_over(strict=lenient is None):
         if fault is None:
             rollout.episode.stop()
         else:
             rollout.fail(Fault(FaultKind(fault["kind"]), fault["explanation"]))
     watch(rollout.episode, len(subtasks))
     return line_of(rollout, moved=row["perturb_start"], lenient=lenient is not None)
-
-
-def _is_over(rollout: Rollout, *, strictly: bool) -> bool:
-    stopped = strictly and rollout.protective_stop is not None
-    return stopped or rollout.episode.is_over
 
 
 def _decision(step: dict[str, Any]) -> Decision:

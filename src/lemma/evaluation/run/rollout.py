@@ -9,9 +9,10 @@ depend on what follows, not even by the company that a batch is decided in.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import compress, islice
+from itertools import islice
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from lemma.core.errors import PhysicsError
@@ -21,11 +22,11 @@ from lemma.env.simulation import HORIZON_S
 from lemma.env.view import View
 from lemma.evaluation.protocol.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.protocol.rules import REFUSAL_S
-from lemma.evaluation.records import POLICY_ERROR, PROTECTIVE_STOP
-from lemma.evaluation.run.clearance import ClearanceWatch
-from lemma.evaluation.run.expert_feedback import ExpertFeedback, advise, left_in
+from lemma.evaluation.records import POLICY_ERROR, PROTECTIVE_STOP, Feedback
+from lemma.evaluation.run.expert_feedback import advise, left_in
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.evaluation.run.loading import load_policy
+from lemma.evaluation.run.watches import ClearanceWatch
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
 from lemma.planning.symbolic_state import SymbolicState
@@ -65,7 +66,7 @@ class TakenStep:
     result: SkillResult
     start_s: float
     """Simulated time at which it began [s]."""
-    advice: ExpertFeedback
+    advice: Feedback
     """Judgement of the expert on it."""
     fell: tuple[str, ...] = ()
     """Names of the objects that fell off the table meanwhile."""
@@ -141,6 +142,10 @@ class Rollout:
     def _ended_well(self) -> bool:
         return self.fault is None and self.episode.is_success
 
+    def is_over(self, *, strict: bool) -> bool:
+        """Whether it is over, or, strictly, has had to stop."""
+        return self.episode.is_over or (strict and self.protective_stop is not None)
+
     @property
     def asked_holds(self) -> bool | None:
         """Whether the other goal holds that was asked for; None if none was."""
@@ -205,12 +210,22 @@ class Rollout:
     def fail(self, fault: Fault) -> None:
         """End the episode for a fault of its policy."""
         self.fault = fault
-        self._count(fault.effort)
+        self.efforts += [fault.effort] if fault.effort else []
         self.episode.stop()
 
-    def _count(self, effort: Effort | None) -> None:
-        if effort is not None:
-            self.efforts.append(effort)
+    def carry_out(self, given: Any, decision: Any) -> TakenStep | None:
+        """Carry out a decision, or end the episode for a fault; None if it is over."""
+        if isinstance(decision, Fault):
+            self.fail(decision)
+            return None
+        before = self.episode.snapshot()
+        try:
+            return self.take(given, decision)
+        except PhysicsError as error:
+            # Judge the state before physics failed.
+            self.episode.restore(before)
+            self.fail(Fault(FaultKind.UNSTABLE, str(error)))
+            return None
 
     def take(self, given: PolicyInput, decision: Decision) -> TakenStep | None:
         """Carry out a decision; None if it was to stop.
@@ -219,7 +234,7 @@ class Rollout:
             PhysicsError: It made the physics unstable.
         """
         episode = self.episode
-        self._count(decision.effort)
+        self.efforts += [decision.effort] if decision.effort else []
         if decision.stops:
             episode.stop()
             return None
@@ -317,58 +332,38 @@ def roll_out(
         PolicyUnreachableError: The policy's server is gone.
         PlannerUnavailableError: So is that of its language model.
     """
-    play = _Play(player, IsolatedPolicy(player.policy), at_once, on_step)
+    guard = IsolatedPolicy(player.policy)
     stopped = []
-    for rollout in play.to_the_end(rollouts, strict=True):
+    for rollout in _to_the_end(rollouts, player, guard, at_once, on_step, strict=True):
         if lenient and not rollout.episode.is_over:
             stopped.append(rollout)
         else:
             yield rollout
-    yield from play.to_the_end(stopped, strict=False)
+    yield from _to_the_end(stopped, player, guard, at_once, on_step, strict=False)
 
 
-@dataclass(frozen=True)
-class _Play:
-    player: Player
-    guard: IsolatedPolicy
-    at_once: int
-    on_step: Callable[[Rollout, TakenStep], None] | None
-
-    def to_the_end(
-        self, rollouts: Iterable[Rollout], *, strict: bool
-    ) -> Iterator[Rollout]:
-        """Yield each rollout when it is over, or, strictly, has had to stop."""
-        waiting = iter(rollouts)
-        running = list(islice(waiting, self.at_once))
-        while running:
-            self._go_on(running)
-            over = [
-                rollout.episode.is_over
-                or (strict and rollout.protective_stop is not None)
-                for rollout in running
-            ]
-            yield from compress(running, over)
-            running = [r for r, ended in zip(running, over, strict=True) if not ended]
-            running += islice(waiting, self.at_once - len(running))
-
-    def _go_on(self, running: Sequence[Rollout]) -> None:
-        """Let the policy decide once for every rollout."""
-        inputs = [self.player.given(rollout) for rollout in running]
-        decisions = self.guard.decide(inputs)
+def _to_the_end(
+    rollouts: Iterable[Rollout],
+    player: Player,
+    guard: IsolatedPolicy,
+    at_once: int,
+    on_step: Callable[[Rollout, TakenStep], None] | None,
+    *,
+    strict: bool,
+) -> Iterator[Rollout]:
+    """Yield each rollout when it is over, or, strictly, has had to stop."""
+    waiting = iter(rollouts)
+    running = list(islice(waiting, at_once))
+    while running:
+        inputs = [player.given(rollout) for rollout in running]
+        decisions = guard.decide(inputs)
         for rollout, given, decision in zip(running, inputs, decisions, strict=True):
-            if isinstance(decision, Fault):
-                rollout.fail(decision)
-                continue
-            before = rollout.episode.snapshot()
-            try:
-                step = rollout.take(given, decision)
-            except PhysicsError as error:
-                # Judge the state before physics failed.
-                rollout.episode.restore(before)
-                rollout.fail(Fault(FaultKind.UNSTABLE, str(error)))
-                continue
-            if step is not None and self.on_step is not None:
-                self.on_step(rollout, step)
+            step = rollout.carry_out(given, decision)
+            if step is not None and on_step is not None:
+                on_step(rollout, step)
+        yield from [one for one in running if one.is_over(strict=strict)]
+        running = [one for one in running if not one.is_over(strict=strict)]
+        running += islice(waiting, at_once - len(running))
 
 
 def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
@@ -382,7 +377,7 @@ def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
             "start_s": round(step.start_s, 3),
             "duration_s": round(step.result.duration_s, 3),
             "fell": list(step.fell),
-            "expert": step.advice.to_dict(),
+            "expert": msgspec.to_builtins(step.advice),
         }
         for step in steps
     ]

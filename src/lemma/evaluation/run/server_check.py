@@ -27,7 +27,7 @@ from lemma.env.control.pose_controllers import (
 )
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
-from lemma.evaluation.run.control.rollout import ControlPlayer, ControlRollout
+from lemma.evaluation.run.control import ControlPlayer, ControlRollout
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.evaluation.run.rollout import Rollout
 from lemma.expert.expert import Expert

@@ -18,7 +18,7 @@ from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.poses import Pose2
 from lemma.dataset.teleoperation import Teleoperation, nudge
 from lemma.evaluation.protocol.language_controls import LanguageControl
-from lemma.evaluation.run.control.rollout import ControlPlayer
+from lemma.evaluation.run.control import ControlPlayer
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
 from lemma.policies.control.interfaces import Actions
 from lemma.policies.interfaces import Decision, Insight

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.core.poses import Pose2
-from lemma.evaluation.run.control.rollout import ControlPlayer, load_player
+from lemma.evaluation.run.control import ControlPlayer, load_player
 from lemma.evaluation.run.loading import weights_of
 from lemma.evaluation.run.rollout import Player
 from lemma.policies.control.interfaces import is_model_server

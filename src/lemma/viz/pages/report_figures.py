@@ -8,8 +8,7 @@ from lemma.core.files import write_text
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.analysis.intervals import mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Cell
-from lemma.evaluation.experiments.catalog import ABLATIONS, CONTROL_LEVEL
-from lemma.evaluation.experiments.paper_figures import Measured
+from lemma.evaluation.experiments.catalog import ABLATIONS, CONTROL_LEVEL, Measured
 from lemma.evaluation.report.policy_results import PolicyResults, tasks_of
 from lemma.evaluation.report.tables import values_of, words
 from lemma.tasks.language.template import EVALUATION_KINDS

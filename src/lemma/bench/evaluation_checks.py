@@ -4,15 +4,15 @@ A fixed sample of each level is played and compared with published lines.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from functools import partial
 
 import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.wrappers import RescaleAction
 
+from lemma.bench.checks import Check
 from lemma.core.errors import LemmaError
+from lemma.core.files import temporary_folder
 from lemma.core.seeding import stream
 from lemma.core.workers.pool import Serial
 from lemma.env.config import EnvConfig
@@ -34,46 +34,32 @@ ROUND_TRIP = 1e-6
 _ACTIONS = 100
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """The answer to one question."""
-
-    name: str
-    ok: bool
-    found: str
-    """The finding, for people."""
-    advice: str = ""
-    """Instructions for people if the check failed."""
-    essential: bool = True
-    """Whether evaluation is wrong without it."""
-
-
-def check_evaluation() -> Iterator[Answer]:
+def check_evaluation() -> Iterator[Check]:
     """Yield answers, from the recorded to the learned; none of them raises."""
     yield _attempt("protocol", _protocol)
     yield _attempt("actions, normalised and back", _round_trip)
     yield _attempt("published decisions", _decisions)
-    yield _attempt("skill level: the expert", lambda: _policy(PolicySpec(ORACLE)))
+    yield _attempt("skill level: the expert", partial(_policy, PolicySpec(ORACLE)))
     controlling = PolicySpec(ORACLE, level=CONTROL)
-    yield _attempt("control level: the expert", lambda: _policy(controlling))
-    name = f"plan and poses: {NETWORK}"
-    yield _attempt(name, lambda: _policy(PolicySpec(NETWORK)), essential=False)
+    yield _attempt("control level: the expert", partial(_policy, controlling))
+    learned = partial(_policy, PolicySpec(NETWORK))
+    yield _attempt(f"plan and poses: {NETWORK}", learned, essential=False)
 
 
 def _attempt(
     name: str, question: Callable[[], tuple[bool, str]], *, essential: bool = True
-) -> Answer:
+) -> Check:
     try:
         ok, found = question()
     except ImportError as error:
         advice = "Install the extra 'learn', which brings torch."
-        return Answer(name, False, f"not checked: {error}", advice, essential=False)
+        return Check(name, False, f"not checked: {error}", advice, essential=False)
     except LemmaError as error:
-        return Answer(name, False, f"not checked: {error}", essential=essential)
-    advice = "" if ok else "Results of this installation are not comparable."
-    if not ok and not essential:
+        return Check(name, False, f"not checked: {error}", essential=essential)
+    advice = "Results of this installation are not comparable."
+    if not essential:
         advice = "Another renderer moves a network's poses: docs/determinism.md."
-    return Answer(name, ok, found, advice, essential=essential)
+    return Check(name, ok, found, "" if ok else advice, essential=essential)
 
 
 def _protocol() -> tuple[bool, str]:
@@ -107,8 +93,7 @@ def _decisions() -> tuple[bool, str]:
     """Play published decisions again; everything must be equal to the bit."""
     rows = published_sample()[NETWORK]
     for row in rows:
-        instance = start_of(row["task"], row["split"], row["index"], moved=False)
-        again = play_again(row, instance, {"horizon_s": 100.0})
+        again = play_again(row, start_of(row), {"horizon_s": 100.0})
         for told in differences(row, again):
             return False, f"{'/'.join(map(str, key_of(row)))}: {told}"
     return True, f"{len(rows)} episodes, equal to the published lines to the bit"
@@ -130,10 +115,10 @@ def _policy(spec: PolicySpec) -> tuple[bool, str]:
 
 
 def _played(spec: PolicySpec, line: Row) -> Row:
-    with TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         config = EvaluationConfig(
-            out=Path(folder),
-            policy=replace(spec),
+            out=folder,
+            policy=spec,
             tasks=(line["task"],),
             split=line["split"],
             kinds=(line["instruction_kind"],),

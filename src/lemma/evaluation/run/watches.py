@@ -1,15 +1,21 @@
-"""How near the arms of a scene come to each other, watched at ten hertz."""
+"""Watches of an episode: how near the arms come, and what is grasped and touched.
+
+They read the state and change nothing.
+"""
 
 import math
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
+from lemma.env.episode import Episode
 from lemma.env.simulation import TICK_S, Simulation
 from lemma.robots.collision_model import envelope_of, place_capsules, segment_distance
 from lemma.robots.ur.kinematics import frames
+from lemma.scene.objects.entity import STICK
 from lemma.scene.scene import RobotIndex
 
 PERIOD_S = 0.1
@@ -22,8 +28,7 @@ class ClearanceWatch:
 
     The arms are the capsules that enclose their links and grippers, without what is
     held, at the measured joint angles. The distance is signed: 0 or less says that two
-    capsules touch or overlap, which real links inside of them may not yet do. Watching
-    reads the joint angles and changes nothing.
+    capsules touch or overlap, which real links inside of them may not yet do.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -92,3 +97,56 @@ def _ball_gap(a: FloatArray, b: FloatArray) -> float:
     lengths = math.sqrt(length_a) + math.sqrt(length_b)
     gap: float = 0.5 * (math.sqrt(middle) - lengths) - a[6] - b[6]
     return gap
+
+
+class HandlingWatch:
+    """Takes note of what is grasped and let go, and of what a hand or tool touches.
+
+    It looks once per control step of an episode at control level.
+    """
+
+    def __init__(self, episode: Episode) -> None:
+        """Begin with nothing in any hand."""
+        self._episode = episode
+        scene = episode.simulation.scene
+        self._data = scene.data
+        self._owners = [
+            scene.entity_of_body(int(scene.model.geom_bodyid[geom]))
+            or scene.model.geom(geom).name.partition("/")[0]
+            for geom in range(scene.model.ngeom)
+        ]
+        """The entity or robot that each geom belongs to."""
+        self._hands = {*episode.simulation.arms, STICK}
+        self._held: dict[str, str] = {}
+        self._events: list[dict[str, Any]] = []
+        self._touched: set[str] = set()
+
+    def look(self) -> None:
+        """Look at the present moment."""
+        held = self._episode.simulation.held()
+        if held != self._held:
+            self._note(held)
+        for contact in self._data.contact[: self._data.ncon]:
+            one, other = (self._owners[geom] for geom in contact.geom)
+            for hand, thing in ((one, other), (other, one)):
+                if hand in self._hands and thing not in self._hands:
+                    self._touched.add(thing)
+
+    def _note(self, held: dict[str, str]) -> None:
+        time_s = round(self._episode.elapsed_s, 3)
+        for robot in self._episode.simulation.arms:
+            before, now = self._held.get(robot), held.get(robot)
+            for name, event in ((before, "released"), (now, "grasped")):
+                if name is not None and before != now:
+                    told = {"robot": robot, "event": event, "object": name}
+                    self._events.append({"time_s": time_s, **told})
+        self._held = dict(held)
+
+    def told(self) -> dict[str, Any]:
+        """Return it as plain data, ready for JSON."""
+        tops = {on.top for on in self._episode.instance.goal.conjuncts}
+        return {
+            "events": self._events,
+            "touched": sorted(tops & self._touched),
+            "fallen": list(self._episode.fallen),
+        }

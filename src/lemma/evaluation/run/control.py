@@ -10,20 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from lemma.core.errors import (
-    InvalidActionError,
-    InvalidConfigError,
-    UnknownNameError,
-)
+from lemma.core.arguments import known
+from lemma.core.errors import InvalidActionError, InvalidConfigError
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
 from lemma.env.observation import OBSERVATIONS, Observer, write_text
 from lemma.evaluation.protocol.language_controls import OWN_SENTENCE, LanguageControl
-from lemma.evaluation.run.control.handling import HandlingWatch
 from lemma.evaluation.run.fault_isolation import Fault
 from lemma.evaluation.run.loading import load_policy
 from lemma.evaluation.run.rollout import Player, Rollout
+from lemma.evaluation.run.watches import HandlingWatch
 from lemma.policies.control.interfaces import (
     CONTROL_OPTIONS,
     ControlInput,
@@ -40,19 +37,16 @@ from lemma.tasks.suite import FREE_SPLIT
 _DEFAULTS = {"control": "joint_position", "control_hz": 20.0, "observation": "rgb"}
 
 
-def control_config(
-    policy: object, task: str, split: str, horizon_s: float
-) -> EnvConfig:
+def environment_of(policy: object, task: str) -> EnvConfig:
     """Return the environment that a policy acts in.
 
     Args:
         policy: Anything that acts at control level.
         task: Name of the task.
-        split: Where its instances come from.
-        horizon_s: Simulated time after which an episode ends [s].
 
     Raises:
-        LemmaError: It asks for what does not exist, or for what others decide.
+        LemmaError: It asks for what does not exist, or for what others decide; or it
+            would observe the truth and is no oracle.
     """
     asked = getattr(policy, "control_options", {})
     if not isinstance(asked, Mapping):
@@ -61,26 +55,21 @@ def control_config(
             'dictionary, such as {"control": "delta_ee_pose", "control_hz": 10}.'
         )
     for name in asked:
-        if name not in CONTROL_OPTIONS:
-            raise UnknownNameError("option of a policy", name, CONTROL_OPTIONS)
-    return EnvConfig(
-        task=task, split=split, horizon_s=horizon_s, **{**_DEFAULTS, **asked}
+        known("option of a policy", name, CONTROL_OPTIONS)
+    config = EnvConfig(
+        task=task,
+        split=FREE_SPLIT,
+        horizon_s=Rollout.horizon_s,
+        **{**_DEFAULTS, **asked},
     )
-
-
-def check_fair(config: EnvConfig, *, oracle: bool) -> None:
-    """Check that only an oracle observes the truth.
-
-    Raises:
-        InvalidConfigError: Somebody else would.
-    """
-    if OBSERVATIONS[config.observation].truth and not oracle:
+    if OBSERVATIONS[config.observation].truth and not is_oracle(policy):
         fair = (name for name in OBSERVATIONS if not OBSERVATIONS[name].truth)
         raise InvalidConfigError(
             f"observation={config.observation!r} holds the truth. Valid: "
             f"{', '.join(fair)}; or derive the policy from "
             "lemma.policies.interfaces.Oracle, and its result says so."
         )
+    return config
 
 
 @dataclass(kw_only=True)
@@ -143,26 +132,18 @@ class ControlRollout(Rollout):
         try:
             chunk = chunk_of(decision.rows, layout.shape)
         except ValueError as error:
-            what = (
-                f"{error}; rows {', '.join(layout.rows)}, {', '.join(layout.columns)}."
-            )
-            self.fail(Fault(FaultKind.MALFORMED, what))
+            names = f"rows {', '.join(layout.rows)}, {', '.join(layout.columns)}"
+            self.fail(Fault(FaultKind.MALFORMED, f"{error}; {names}."))
             return
-        for row in chunk:
-            try:
+        try:
+            for row in chunk:
                 _, terminated, truncated = self.env.advance(row)
-            except InvalidActionError as error:
-                self.fail(Fault(FaultKind.MALFORMED, str(error)))
-                return
-            self.actions += 1
-            self.handling.look()
-            if terminated or truncated:
-                return
-
-    def fail(self, fault: Fault) -> None:
-        """End the episode for a fault of its policy; its robots stand still."""
-        self.fault = fault
-        self.episode.stop()
+                self.actions += 1
+                self.handling.look()
+                if terminated or truncated:
+                    return
+        except InvalidActionError as error:
+            self.fail(Fault(FaultKind.MALFORMED, str(error)))
 
     def told(self) -> dict[str, Any]:
         """Return what its line says beside what every line does."""
@@ -194,7 +175,6 @@ class ControlPlayer(Player):
             policy: Decides.
         """
         super().__init__(policy)
-        self._oracle = is_oracle(policy)
         self._observers: dict[int, Observer] = {}
 
     def begin(
@@ -205,10 +185,7 @@ class ControlPlayer(Player):
         Raises:
             LemmaError: The policy asks for an environment that does not exist.
         """
-        config = control_config(
-            self.policy, instance.task, FREE_SPLIT, Rollout.horizon_s
-        )
-        check_fair(config, oracle=self._oracle)
+        config = environment_of(self.policy, instance.task)
         return ControlRollout(instance, kind, control=control, config=config)
 
     def given(self, rollout: Rollout) -> ControlInput:
@@ -223,7 +200,7 @@ class ControlPlayer(Player):
                 (config.width, config.height),
                 config.cameras,
             )
-        return rollout.look(self._observers[robots], oracle=self._oracle)
+        return rollout.look(self._observers[robots], oracle=is_oracle(self.policy))
 
 
 def load_player(spec: PolicySpec) -> Player:
