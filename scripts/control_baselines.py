@@ -30,11 +30,11 @@ from typing import Annotated, Literal
 
 import tyro
 
+from learning_curves import CURVE, LearningCurve, Point
 from lemma.core.files import read_json, write_json
 from lemma.evaluation.analysis.result import read_result
 from lemma.evaluation.experiments.catalog import CONTROL_TASKS
 from lemma.evaluation.records import SUMMARY
-from lemma.evaluation.report.policy_results import CURVE, LearningCurve, Point
 from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
 from side_by_side import start, visible_gpus
 

@@ -8,18 +8,19 @@ Without results, the page and the README say that nothing was run.
 from collections.abc import Sequence
 from pathlib import Path
 
+from learning_curves import learning_curves, read_curves
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.experiments.catalog import SUITES
 from lemma.evaluation.report.policy_results import (
     PolicyResults,
     entries_of,
-    read_curves,
     read_results,
     shown,
     shown_mean,
 )
 from lemma.evaluation.report.sections import (
+    CONTROLS,
     HOW,
     TOPICS,
     Section,
@@ -112,11 +113,15 @@ def entries(results: Path = RESULTS) -> list[PolicyResults]:
 def pages(results: Path = RESULTS) -> dict[Path, str]:
     """Return all that is written below docs, by file."""
     every = entries(results)
-    found = [
-        section
-        for section in sections(every, "[](../evaluation.md)", read_curves(results))
-        if section.table.rows
-    ]
+    curves = Section(
+        "Learning curves",
+        "Of the policies at control level: checkpoints on episodes of split `val`, "
+        "strict.",
+        learning_curves(read_curves(results)),
+        CONTROLS,
+    )
+    told = [*sections(every, "[](../evaluation.md)"), curves]
+    found = [section for section in told if section.table.rows]
     played = _headliners(every)
     written = {PAGE: _front(every, played, found)}
     for topic in TOPICS:

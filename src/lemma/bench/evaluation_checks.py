@@ -3,8 +3,10 @@
 A fixed sample of each level is played and compared with published lines.
 """
 
+import json
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib.resources import files
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -19,7 +21,7 @@ from lemma.env.config import EnvConfig
 from lemma.env.control.modes import CONTROLS
 from lemma.env.control_env import ControlEnv
 from lemma.env.learning.flat_view import FlatView
-from lemma.evaluation.experiments.published import compared, published_sample
+from lemma.evaluation.experiments.reproduction import compared
 from lemma.evaluation.protocol.rules import NAME, departures
 from lemma.evaluation.records import Row, key_of
 from lemma.evaluation.run.config import EvaluationConfig
@@ -44,6 +46,13 @@ def check_evaluation() -> Iterator[Check]:
     yield _attempt("control level: the expert", partial(_policy, controlling))
     learned = partial(_policy, PolicySpec(NETWORK))
     yield _attempt(f"plan and poses: {NETWORK}", learned, essential=False)
+
+
+def published_sample() -> dict[str, list[Row]]:
+    """Return some published lines by policy, from the package."""
+    text = (files("lemma.bench") / "published.json").read_text("utf-8")
+    found: dict[str, list[Row]] = json.loads(text)
+    return found
 
 
 def _attempt(

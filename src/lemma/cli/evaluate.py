@@ -225,7 +225,7 @@ def _rates(
     cells: "tuple[Cell, ...]", kinds: tuple[str, ...]
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Return rates of success by kind of instruction and task, ready for JSON."""
-    from lemma.evaluation.analysis.intervals import leniently, rates_by
+    from lemma.evaluation.analysis.result import leniently, rates_by
 
     strict = rates_by(cells, "kind", "task")
     lenient = rates_by(leniently(cells), "kind", "task")

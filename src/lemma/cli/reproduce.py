@@ -12,10 +12,10 @@ from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import DatasetError
 from lemma.core.files import write_text
 from lemma.evaluation.experiments.catalog import CONTROL_LEVEL, Experiment, selected
-from lemma.evaluation.experiments.published import check_experiment
 from lemma.evaluation.experiments.reproduction import (
     MissingWeightsError,
     Reproduction,
+    check_experiment,
     commands,
 )
 from lemma.evaluation.protocol.rules import check_protocol, quote

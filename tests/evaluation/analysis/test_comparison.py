@@ -9,8 +9,7 @@ from made_up import ABOUT, row
 
 from lemma.cli.compare import compare as verb
 from lemma.core.errors import DatasetError
-from lemma.evaluation.analysis.comparison import compare
-from lemma.evaluation.analysis.intervals import mcnemar_p, paired_interval
+from lemma.evaluation.analysis.comparison import compare, mcnemar_p, paired_interval
 
 
 def written(folder: Path, successes: set[int], **about: Any) -> Path:
@@ -60,14 +59,6 @@ def test_paired_interval(
     assert paired_interval(*counts) == pytest.approx((low, high), abs=1e-4)
 
 
-def test_the_same_twice_does_not_differ(tmp_path: Path) -> None:
-    first = written(tmp_path / "a", {1, 2, 3})
-    one = compare(first, first).by_kind["high_level"]["all"]
-    low, high = one.interval
-    assert one.p_value == 1.0
-    assert low <= 0.0 <= high
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [("split", "other"), ("lemma", "other"), ("protocol", "other"), ("protocol", 7)],
@@ -96,11 +87,6 @@ def test_what_only_one_has_is_left_out(
     (first / "episodes.jsonl").write_text(lines[5])
     with pytest.raises(DatasetError, match="no episode in common"):
         compare(first, second)
-
-
-def test_a_folder_without_episodes_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="nowhere"):
-        compare(written(tmp_path / "a", {1}), tmp_path / "nowhere")
 
 
 def test_the_verb_prints_both(

@@ -187,13 +187,6 @@ def test_unstable_physics_are_judged_by_the_state_before(
     assert 0.5 < row["elapsed_s"] < 2.5
 
 
-def test_what_is_out_of_bounds_is_clipped_on_request() -> None:
-    policy = with_options(clip_actions=True)
-    policy.says = "bounds"
-    (row,) = evaluate(policy).rows
-    assert "4 calls" in row["policy_error"]["explanation"]
-
-
 @pytest.mark.parametrize(
     ("options", "error", "told"),
     [

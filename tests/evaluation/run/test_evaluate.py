@@ -15,8 +15,7 @@ from lemma.cli.workers import Workers
 from lemma.core import plugins
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.workers.pool import Job, Listener, ProcessPool, Serial, ignore
-from lemma.evaluation.analysis.intervals import rates_by, wilson_interval
-from lemma.evaluation.analysis.result import cells_of
+from lemma.evaluation.analysis.result import wilson_interval
 from lemma.evaluation.lines import read_rows
 from lemma.evaluation.protocol.rules import quote
 from lemma.evaluation.records import ABOUT, EPISODES, Row
@@ -174,13 +173,6 @@ def test_perturbed_starts_are_solved_too(tmp_path: Path) -> None:
     ]
 
 
-def test_damaged_lines_are_named(tmp_path: Path) -> None:
-    evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
-    (tmp_path / EPISODES).write_text("{not json\n")
-    with pytest.raises(DatasetError, match=EPISODES):
-        evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -197,18 +189,6 @@ def test_orders_are_checked(tmp_path: Path, wrong: dict[str, Any]) -> None:
         order(tmp_path, **wrong)
 
 
-def test_rates_are_counted_from_lines(whole: list[Row]) -> None:
-    rows = [
-        {**row, "success": i % 4 == 0, "progress": 0.5} for i, row in enumerate(whole)
-    ]
-    rates = rates_by(cells_of(rows), "task")
-    assert rates["stack",].successes == 3
-    assert rates["stack",].success_rate == 0.25
-    assert rates["stack",].progress == 0.5
-    low, high = rates["stack",].interval
-    assert low < 0.25 < high
-
-
 # No success in n trials: up to z² / (n + z²).
 @pytest.mark.parametrize(
     ("successes", "trials", "low", "high"),
@@ -221,11 +201,6 @@ def test_rates_are_counted_from_lines(whole: list[Row]) -> None:
 )
 def test_wilson_interval(successes: int, trials: int, low: float, high: float) -> None:
     assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=1e-5)
-
-
-def test_no_trials_have_no_interval() -> None:
-    with pytest.raises(ValueError, match="not less than 1"):
-        wilson_interval(0, 0)
 
 
 def test_the_verb_prints_a_table(

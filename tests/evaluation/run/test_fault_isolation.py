@@ -30,7 +30,7 @@ from lemma.evaluation.run.fault_isolation import (
     check,
 )
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
-from lemma.motion.outcome import Outcome, SkillResult
+from lemma.motion.outcome import SkillResult
 from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
@@ -216,14 +216,6 @@ def test_only_the_guilty_one_pays(answer: Any, kind: FaultKind, words: str) -> N
     assert policy.asked == [3, 1, 1, 1]
 
 
-def test_one_wrong_decision_of_a_batch_needs_no_second_question() -> None:
-    policy = Answers(lambda inputs: [GOOD, posed(x=math.nan), GOOD])
-    good, bad, other = IsolatedPolicy(policy).decide(INPUTS)
-    assert (good, other) == (GOOD, GOOD)
-    assert isinstance(bad, Fault)
-    assert policy.asked == [3]
-
-
 def test_after_a_hang_everybody_is_asked_alone() -> None:
     policy = Answers(raises(PolicyFailedError(FaultKind.TIMEOUT, "Too long.")))
     guard = IsolatedPolicy(policy)
@@ -273,13 +265,6 @@ def not_a_number(decision: Decision) -> Decision:
     return replace(decision, grounded=replace(decision.grounded, place=pose))
 
 
-def out_of_reach(decision: Decision) -> Decision:
-    if decision.grounded is None:
-        return decision
-    pose = Pose2(3.0, 0.0, 0.0)
-    return replace(decision, grounded=replace(decision.grounded, place=pose))
-
-
 @pytest.mark.parametrize(
     ("spoil", "kind"),
     [(division, FaultKind.RAISED), (not_a_number, FaultKind.NOT_FINITE)],
@@ -297,17 +282,6 @@ def test_the_others_solve_their_tasks(spoil: Any, kind: FaultKind) -> None:
     assert len(plays[1].steps) == 1
     assert plays[0].failure is None
     assert plays[0].fault is None
-
-
-def test_what_cannot_be_reached_is_a_wrong_decision_not_a_fault() -> None:
-    instance = load_instance("stack", "test", 0)
-    policy = Expert(instance.instructions["high_level"], out_of_reach)
-    [play] = roll_out([Rollout(instance, horizon_s=30.0)], Player(policy))
-    assert play.fault is None
-    assert not play.success
-    # It goes on, and may correct itself.
-    assert len(play.steps) > 2
-    assert play.steps[1].result.outcome is Outcome.UNREACHABLE
 
 
 def test_unstable_physics_cost_one_episode_and_are_judged_as_before(
@@ -432,8 +406,3 @@ class Straight:
 
     def close(self) -> None:
         pass
-
-
-def test_other_errors_of_files_are_the_policys() -> None:
-    [fault] = IsolatedPolicy(InTrouble(FileNotFoundError("mine"))).decide([given()])
-    assert fault.kind is FaultKind.RAISED

@@ -86,7 +86,6 @@ def test_replay_gives_the_same_bytes_without_a_server(
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_processes_record_what_one_does(tmp_path: Path) -> None:
     keys = []
     for workers in (1, 2):
@@ -210,16 +209,3 @@ def test_the_command_line_records_and_replays(
     code, _, error = run("c", "--cassette-mode", "strict", "--team", "each")
     assert code == 2
     assert "in line" in error
-
-
-def test_rules_count_nothing_and_need_nobody(tmp_path: Path) -> None:
-    for name in ("random-valid", "greedy-reach", "noisy-oracle:0.2"):
-        out = tmp_path / name.replace(":", "-")
-        config = EvaluationConfig(
-            out=out, policy=PolicySpec(name), tasks=("pass",), episodes=2, split="val"
-        )
-        rows = evaluate(config, Serial())
-        assert all("planning" not in row for row in rows)
-        summarise(rows, read_about(out)).write(out / SUMMARY)
-        assert b'"planning": [' not in (out / SUMMARY).read_bytes()
-        assert read_about(out)["oracle"] is True

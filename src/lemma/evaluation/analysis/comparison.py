@@ -1,12 +1,13 @@
 """Two results on the same episodes, compared episode by episode."""
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from lemma.core.errors import DatasetError
-from lemma.evaluation.analysis.intervals import mcnemar_p, paired_interval
+from lemma.evaluation.analysis.result import wilson_interval
 from lemma.evaluation.lines import lines_at, read_lines
 from lemma.evaluation.protocol.rules import check_protocol
 from lemma.evaluation.records import EpisodeKey, Row, key_of, read_about
@@ -119,3 +120,69 @@ def _rows(path: Path, lines: Path) -> dict[EpisodeKey, Row]:
             "on where it was stopped."
         )
     return {key_of(row): row for row in rows}
+
+
+def mcnemar_p(only_first: int, only_second: int) -> float:
+    """Return the exact two-sided p-value of McNemar's test.
+
+    Args:
+        only_first: Episodes that only the first policy solved.
+        only_second: Episodes that only the second one solved.
+    """
+    # As in :func:`wilson_interval`.
+    from scipy.stats import binomtest  # noqa: PLC0415
+
+    discordant = only_first + only_second
+    if discordant == 0:
+        return 1.0
+    return float(binomtest(only_first, discordant).pvalue)
+
+
+def paired_interval(
+    both: int, only_first: int, only_second: int, neither: int
+) -> tuple[float, float]:
+    """Return Newcombe's interval of the difference of two paired rates, first - second.
+
+    It joins the Wilson intervals of the two rates by their correlation (Newcombe 1998,
+    method 10), so it stays within [-1, 1] and holds for small numbers.
+
+    Args:
+        both: Episodes that both policies solved.
+        only_first: Episodes that only the first one solved.
+        only_second: Episodes that only the second one solved.
+        neither: Episodes that none of them solved.
+
+    Raises:
+        ValueError: There are no episodes.
+    """
+    total = both + only_first + only_second + neither
+    first, second = both + only_first, both + only_second
+    rate_1, rate_2 = first / max(total, 1), second / max(total, 1)
+    low_1, high_1 = wilson_interval(first, total)
+    low_2, high_2 = wilson_interval(second, total)
+    phi = _correlation(both, only_first, only_second, neither)
+    below = _joined(rate_1 - low_1, high_2 - rate_2, phi)
+    above = _joined(high_1 - rate_1, rate_2 - low_2, phi)
+    difference = rate_1 - rate_2
+    return difference - below, difference + above
+
+
+def _joined(one: float, other: float, phi: float) -> float:
+    return math.sqrt(max(0.0, one * one - 2.0 * phi * one * other + other * other))
+
+
+def _correlation(both: int, only_first: int, only_second: int, neither: int) -> float:
+    """Return phi, with Newcombe's correction for continuity where it is positive."""
+    total = both + only_first + only_second + neither
+    margins = (
+        (both + only_first)
+        * (only_second + neither)
+        * (both + only_second)
+        * (only_first + neither)
+    )
+    if margins == 0:
+        return 0.0
+    cross = float(both * neither - only_first * only_second)
+    if cross > 0:
+        cross = max(cross - total / 2.0, 0.0)
+    return cross / math.sqrt(margins)

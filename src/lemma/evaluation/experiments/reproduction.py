@@ -1,11 +1,15 @@
-"""Experiments carried out: from weights to the files that tables are made from."""
+"""Experiments carried out: from weights to the files that tables are made from.
 
-from collections.abc import Callable
+Policies are compared with published lines as well: sub-tasks, outcomes and poses.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lemma.core.errors import DatasetError
-from lemma.core.files import read_json
+from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.files import read_json, temporary_folder
 from lemma.core.workers.pool import Engine
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.experiments.catalog import (
@@ -16,8 +20,8 @@ from lemma.evaluation.experiments.catalog import (
     Experiment,
     Training,
 )
-from lemma.evaluation.lines import packed_beside, write_packed
-from lemma.evaluation.records import ABOUT, training_seed
+from lemma.evaluation.lines import lines_at, packed_beside, read_lines, write_packed
+from lemma.evaluation.records import ABOUT, Row, key_of, training_seed
 from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate
 from lemma.evaluation.run.loading import learned_parts, weights_of
@@ -28,6 +32,12 @@ from lemma.policies.weights import published_weights
 _FILE = "weights.safetensors"
 _CHECKPOINT = "checkpoints/last/pretrained_model/model.safetensors"
 """File of the policy to play, in a training run of LeRobot."""
+SHIPPED = SEEDS[0]
+"""Training seed of the weights that ship."""
+TOLERANCE_M = 0.001
+TOLERANCE_RAD = 0.01
+"""By how much poses may differ, since pictures of another renderer move the poses of a
+network; all else must be equal."""
 
 
 class MissingWeightsError(DatasetError):
@@ -178,3 +188,110 @@ def _needed(experiments: list[Experiment]) -> list[Training]:
     """Return the trainings of experiments, each once."""
     parts = [part for one in experiments for part in learned_parts(one.policy.name)]
     return [TRAININGS[part] for part in dict.fromkeys(parts)]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How episodes that were played anew agree with their lines."""
+
+    episodes: int
+    differing: tuple[str, ...]
+    """Differences of each episode that differs, in words."""
+    farthest_m: float
+    """By how far a pose moved at most [m]."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether all agree."""
+        return not self.differing
+
+
+def check_experiment(
+    experiment: Experiment, results: Path, episodes: int, engine: Engine
+) -> Agreement:
+    """Play some episodes with the weights that ship, and compare with published lines.
+
+    Args:
+        experiment: Which row.
+        results: Folder of published results.
+        episodes: How many of each task and kind of instruction.
+        engine: Workers that run the jobs.
+
+    Raises:
+        DatasetError: There are no lines of it, or its weights are missing.
+    """
+    path = lines_at(experiment.summary_path(results, SHIPPED))
+    lines = {key_of(row): row for row in read_lines(path)}
+    with temporary_folder() as folder:
+        plan = Reproduction(out=folder, episodes=episodes)
+        config, seed = plan.config(experiment)
+        if seed != SHIPPED:
+            raise DatasetError(f"Weights of {experiment.name} ship with seed {seed}.")
+        tasks = tuple(t for t in config.tasks if t in {task for _, task, _ in lines})
+        kinds = tuple(k for k in config.kinds if k in {kind for kind, _, _ in lines})
+        rows = evaluate(replace(config, tasks=tasks, kinds=kinds), engine)
+    return compared([(lines[key_of(row)], row) for row in rows if key_of(row) in lines])
+
+
+def compared(pairs: Sequence[tuple[Row, Row]]) -> Agreement:
+    """Compare lines with what was played anew.
+
+    Raises:
+        InvalidConfigError: There is nothing to compare.
+    """
+    if not pairs:
+        raise InvalidConfigError("No episode that was played has a published line.")
+    differing = tuple(
+        f"{'/'.join(map(str, key_of(line)))}: {'; '.join(found)}"
+        for line, now in pairs
+        if (found := list(_differences(line, now)))
+    )
+    return Agreement(len(pairs), differing, max(_farthest(*pair) for pair in pairs))
+
+
+def _differences(line: Row, now: Row) -> Iterator[str]:
+    """Yield in what an episode differs from its line, in words."""
+    judged = ("success", "failure", "progress")
+    yield from _unequal(line, now, "", ("instruction", "team", *judged))
+    yield from _unequal(line["lenient"], now["lenient"], "leniently, ", judged)
+    before, after = _subtasks(line), _subtasks(now)
+    if len(before) != len(after):
+        yield f"{len(before)} sub-tasks, now {len(after)}"
+    for number, (old, new) in enumerate(zip(before, after, strict=False), 1):
+        where = f"sub-task {number}: "
+        yield from _unequal(old, new, where, (*_SYMBOLS, "outcome"))
+        posed, poses = old["grounded"], new["grounded"]
+        if (posed is None) != (poses is None):
+            yield f"{where}poses were {posed}, are {poses}"
+        for end, (shift_m, turn_rad) in _shifts(old, new):
+            if shift_m > TOLERANCE_M or turn_rad > TOLERANCE_RAD:
+                moved = f"{1e3 * shift_m:.2f} mm and {turn_rad:.4f} rad"
+                yield f"{where}its {end} moved by {moved}"
+
+
+_SYMBOLS = ("robot", "primitive", "pick", "place")
+
+
+def _unequal(old: Row, new: Row, where: str, names: Iterable[str]) -> Iterator[str]:
+    for name in names:
+        if old[name] != new[name]:
+            yield f"{where}{name} was {old[name]}, is {new[name]}"
+
+
+def _shifts(old: Row, new: Row) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield by how far the poses (x, y, yaw) of a sub-task moved [m], and turned."""
+    if old["grounded"] and new["grounded"]:
+        for end in ("pick", "place"):
+            one, other = old["grounded"][end], new["grounded"][end]
+            turn_rad = math.remainder(other[2] - one[2], 2 * math.pi)
+            yield end, (math.dist(one[:2], other[:2]), abs(turn_rad))
+
+
+def _subtasks(line: Row) -> list[Row]:
+    return [*line["subtasks"], *line["lenient"]["subtasks"]]
+
+
+def _farthest(line: Row, now: Row) -> float:
+    pairs = zip(_subtasks(line), _subtasks(now), strict=False)
+    shifts = (shift_m for pair in pairs for _, (shift_m, _) in _shifts(*pair))
+    return max(shifts, default=0.0)

@@ -8,12 +8,16 @@ from itertools import groupby
 from pathlib import Path
 from statistics import fmean, stdev
 
-import msgspec
-
 from lemma.core.errors import DatasetError
-from lemma.core.files import read_json
-from lemma.evaluation.analysis.intervals import leniently, mean_over_tasks, rate_of
-from lemma.evaluation.analysis.result import Cell, Result, check_lines, read_result
+from lemma.evaluation.analysis.result import (
+    Cell,
+    Result,
+    check_lines,
+    leniently,
+    mean_over_tasks,
+    rate_of,
+    read_result,
+)
 from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS, Experiment
 from lemma.evaluation.lines import is_lines, lines_beside, read_lines, result_beside
 from lemma.evaluation.protocol.language_controls import FULL
@@ -25,8 +29,6 @@ NOTHING = "–"
 NOT_RUN = "not run"
 PARTIAL = "†"
 """Marks a mean over other tasks than all of the suite."""
-CURVE = "curve.json"
-"""File of a learning curve, beside the results of its experiment."""
 
 
 @dataclass(frozen=True)
@@ -285,39 +287,3 @@ def _data_of(result: Result) -> dict[str, str | None]:
     """Return the digest of the data that each part of a policy was trained on."""
     weights = result.about["weights"]
     return {name: told.get("data", {}).get("digest") for name, told in weights.items()}
-
-
-@dataclass(frozen=True)
-class Point:
-    """A checkpoint that was evaluated."""
-
-    steps: int
-    """Steps of the training."""
-    episodes: int
-    """Episodes of split val that were played."""
-    successes: int
-    """Strictly."""
-
-
-@dataclass(frozen=True)
-class LearningCurve:
-    """Checkpoints of one training, by number of steps."""
-
-    points: tuple[Point, ...]
-
-
-def read_curves(results: Path) -> dict[str, LearningCurve]:
-    """Return the learning curves in a folder of results, by experiment.
-
-    Raises:
-        DatasetError: One is damaged.
-    """
-    found = {}
-    for name in EXPERIMENTS:
-        path = results / name / CURVE
-        if path.exists():
-            try:
-                found[name] = msgspec.convert(read_json(path), LearningCurve)
-            except msgspec.ValidationError as error:
-                raise DatasetError(f"{path} is no learning curve: {error}.") from error
-    return found

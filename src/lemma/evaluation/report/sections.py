@@ -4,7 +4,7 @@ Made from results and from nothing else; its prose is in ``page.md``.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
@@ -21,7 +21,6 @@ from lemma.evaluation.report import tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     PARTIAL,
-    LearningCurve,
     PolicyResults,
     tasks_of,
 )
@@ -30,7 +29,6 @@ from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
 REPORT = "results.md"
-NONE: Mapping[str, LearningCurve] = {}
 SUCCESS, CONTROLS, DIAGNOSES, ROWS = TOPICS = (
     "success",
     "controls",
@@ -75,7 +73,6 @@ def page(
     entries: Sequence[PolicyResults],
     source: str = "the files named below",
     guide: str = "docs/evaluation.md",
-    curves: Mapping[str, LearningCurve] = NONE,
 ) -> str:
     """Return the page.
 
@@ -83,14 +80,11 @@ def page(
         entries: Results to report.
         source: Where the results are from, as the page says it.
         guide: The page about evaluation, as the page names it.
-        curves: By experiment.
     """
     introduction, _ = _prose(guide)
     text = introduction.format(source=source, protocol=protocol_words(entries))
     return text + "".join(
-        _written(section)
-        for section in sections(entries, guide, curves)
-        if section.table.rows
+        _written(section) for section in sections(entries, guide) if section.table.rows
     )
 
 
@@ -110,29 +104,25 @@ def _prose(guide: str) -> tuple[str, dict[str, str]]:
 
 
 def sections(
-    entries: Sequence[PolicyResults],
-    guide: str = "docs/evaluation.md",
-    curves: Mapping[str, LearningCurve] = NONE,
+    entries: Sequence[PolicyResults], guide: str = "docs/evaluation.md"
 ) -> list[Section]:
     """Return all tables, in the order of the report.
 
     Args:
         entries: Results to report.
         guide: The page about evaluation, as notes name it.
-        curves: By experiment.
     """
     _, notes = _prose(guide)
     sample = sample_words([one for one in entries if one.suite != CONTROL_LEVEL])
     samples = {
         CONTROL: sample_words([one for one in entries if one.suite == CONTROL_LEVEL]),
-        "Learning curves": "",
         HOW: "",
     }
     return [
         Section(title, notes.get(title, ""), table, topic, samples.get(title, sample))
         for topic, listed in (
             (SUCCESS, _of_success(entries)),
-            (CONTROLS, _of_controls(entries, curves)),
+            (CONTROLS, _of_controls(entries)),
             (DIAGNOSES, _of_diagnoses(entries)),
             (ROWS, {HOW: _provenance(entries)}),
         )
@@ -158,16 +148,13 @@ def _of_success(entries: Sequence[PolicyResults]) -> dict[str, Table]:
     }
 
 
-def _of_controls(
-    entries: Sequence[PolicyResults], curves: Mapping[str, LearningCurve]
-) -> dict[str, Table]:
+def _of_controls(entries: Sequence[PolicyResults]) -> dict[str, Table]:
     """Return controls, control level and ablations."""
     return {
         "Other sentences": tables.language(entries),
         CONTROL: tables.control_level(entries),
         "Perturbed starts": tables.starts(entries),
         "Ablations": tables.ablations(entries),
-        "Learning curves": tables.learning_curves(curves),
     }
 
 

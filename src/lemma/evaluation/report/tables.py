@@ -12,17 +12,17 @@ from typing import Any
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.coordination import Coordination
 from lemma.evaluation.analysis.failure_causes import Cause
-from lemma.evaluation.analysis.intervals import (
+from lemma.evaluation.analysis.result import (
+    Cell,
     Rate,
+    Result,
     leniently,
     mean_over_tasks,
     rates_by,
 )
-from lemma.evaluation.analysis.result import Cell, Result
 from lemma.evaluation.experiments.catalog import (
     ABLATIONS,
     CONTROL_LEVEL,
-    EXPERIMENTS,
     SUITES,
     TEAMS,
     Figures,
@@ -32,7 +32,6 @@ from lemma.evaluation.protocol.language_controls import FULL, LANGUAGES
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     NOTHING,
-    LearningCurve,
     PolicyResults,
     is_plain,
     policy_of,
@@ -358,23 +357,21 @@ class Metric:
         return f"{told} ± {stdev(values):.{self.places}f}"
 
 
-Part = Callable[[Coordination], float]
-
-
-def _ratio(part: Part, whole: Part, scale: float = 100.0) -> OfSeed:
-    """Return a ratio of two sums, which is not defined where the second is 0."""
+def _ratio(part: str, whole: str, scale: float = 100.0, robot: str = "") -> OfSeed:
+    """Return a ratio of two summed fields, which is not defined where one is 0."""
 
     def of_seed(found: Sequence[Coordination]) -> float | None:
-        below = math.fsum(map(whole, found))
-        return scale * math.fsum(map(part, found)) / below if below else None
+        below = math.fsum(getattr(one, whole) for one in found)
+        parts = (getattr(one, part) for one in found)
+        above = math.fsum(one.get(robot, 0.0) if robot else one for one in parts)
+        return scale * above / below if below else None
 
     return of_seed
 
 
 def _refusals(found: Sequence[Coordination]) -> float | None:
-    counts = [one.refusals for one in found if one.refusals is not None]
-    episodes = sum(one.episodes for one in found)
-    return 100.0 * sum(counts) / episodes if len(counts) == len(found) else None
+    played = all(one.refusals is not None for one in found)
+    return _ratio("refusals", "episodes")(found) if played else None
 
 
 def _nearest(found: Sequence[Coordination]) -> float | None:
@@ -383,30 +380,19 @@ def _nearest(found: Sequence[Coordination]) -> float | None:
 
 
 METRICS = (
-    Metric(
-        "time / expert's", _ratio(lambda c: c.timed_s, lambda c: c.expert_s, 1.0), 2
-    ),
-    Metric(
-        "idle, left [%]",
-        _ratio(lambda c: c.idle_s.get("robot_0", 0.0), lambda c: c.elapsed_s),
-    ),
-    Metric(
-        "idle, right [%]",
-        _ratio(lambda c: c.idle_s.get("robot_1", 0.0), lambda c: c.elapsed_s),
-    ),
-    Metric("first-try allocation [%]", _ratio(lambda c: c.able, lambda c: c.doable)),
-    Metric("expert's robot [%]", _ratio(lambda c: c.as_expert, lambda c: c.planned)),
-    Metric(
-        "order violations per 100",
-        _ratio(lambda c: c.order_violations, lambda c: c.episodes),
-    ),
+    Metric("time / expert's", _ratio("timed_s", "expert_s", 1.0), 2),
+    Metric("idle, left [%]", _ratio("idle_s", "elapsed_s", robot="robot_0")),
+    Metric("idle, right [%]", _ratio("idle_s", "elapsed_s", robot="robot_1")),
+    Metric("first-try allocation [%]", _ratio("able", "doable")),
+    Metric("expert's robot [%]", _ratio("as_expert", "planned")),
+    Metric("order violations per 100", _ratio("order_violations", "episodes")),
     Metric("nearest arms [mm]", _nearest, 0, min),
     Metric("touching", lambda found: sum(one.touching for one in found), 0, sum),
-    Metric("protective stops per 100", _ratio(lambda c: c.stops, lambda c: c.episodes)),
+    Metric("protective stops per 100", _ratio("stops", "episodes")),
     Metric("lenient: refusals per 100", _refusals),
     Metric(
         "lenient: time / expert's",
-        _ratio(lambda c: c.lenient_timed_s, lambda c: c.lenient_expert_s, 1.0),
+        _ratio("lenient_timed_s", "lenient_expert_s", 1.0),
         2,
     ),
 )
@@ -505,18 +491,3 @@ def _asked(family: PolicyResults, kind: str) -> str:
     if not episodes:
         return NOTHING
     return f"{100 * sum(one.held for one in listed) / episodes:.1f} of {episodes}"
-
-
-def learning_curves(curves: Mapping[str, LearningCurve]) -> Table:
-    """Return a row for each checkpoint; curves are by experiment."""
-    rows = (
-        (
-            EXPERIMENTS[name].title,
-            f"{point.steps:,}",
-            f"{point.episodes}",
-            f"{100.0 * point.successes / point.episodes:.1f}",
-        )
-        for name, curve in curves.items()
-        for point in curve.points
-    )
-    return Table(("policy", "steps", "episodes", "success [%]"), tuple(rows))

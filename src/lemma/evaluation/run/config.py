@@ -14,7 +14,7 @@ from lemma.dataset.recipe.files import versions
 from lemma.evaluation.protocol.expert_times import TIMED_SPLITS
 from lemma.evaluation.protocol.language_controls import FULL, LANGUAGES
 from lemma.evaluation.protocol.rules import GROUP, quote
-from lemma.evaluation.records import PROTOCOL_VERSION, EpisodeKey
+from lemma.evaluation.records import PROTOCOL_VERSION
 from lemma.evaluation.run.loading import served_parts, weights_of
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.interfaces import TIMEOUT_S
@@ -169,11 +169,3 @@ class EvaluationConfig:
         for kind, task in product(self.kinds, self.tasks):
             for start in range(first, last, GROUP):
                 yield kind, task, range(start, min(start + GROUP, last))
-
-    def keys(self) -> set[EpisodeKey]:
-        """Return which episodes are asked for."""
-        return {
-            (kind, task, index)
-            for kind, task, indices in self.groups()
-            for index in indices
-        }

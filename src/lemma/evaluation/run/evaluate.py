@@ -29,6 +29,7 @@ from lemma.evaluation.records import (
     EPISODES,
     PROTOCOL_VERSION,
     STATE,
+    EpisodeKey,
     Row,
     key_of,
     place_of,
@@ -75,12 +76,15 @@ def evaluate(
         parts = (config.out / PARTS).absolute()
         done = {key_of(row): row for row in read_rows(config.out)}
         groups = []
+        wanted: set[EpisodeKey] = set()
         for kind, task, indices in config.groups():
             path = parts / f"{kind}-{task}-{indices.start}-{indices.stop}.jsonl"
-            there = all((kind, task, index) in done for index in indices)
+            keys = {(kind, task, index) for index in indices}
+            there = keys <= done.keys()
+            wanted |= keys
             job = (config, kind, task, indices, path)
             groups.append(Part(job, len(indices), there or path.exists()))
-        ended: dict[tuple[str, str, int], Row] = {}
+        ended: dict[EpisodeKey, Row] = {}
 
         def take(row: Row) -> None:
             # Episodes of a worker that died end twice.
@@ -98,7 +102,6 @@ def evaluate(
             rows = sorted(done.values(), key=place_of)
             write_rows(config.out / EPISODES, rows)
             rmtree(parts, ignore_errors=True)
-    wanted = config.keys()
     return [row for row in rows if key_of(row) in wanted]
 
 

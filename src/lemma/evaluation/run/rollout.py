@@ -333,37 +333,29 @@ def roll_out(
         PlannerUnavailableError: So is that of its language model.
     """
     guard = IsolatedPolicy(player.policy)
+
+    def to_the_end(begun: Iterable[Rollout], *, strict: bool) -> Iterator[Rollout]:
+        """Yield each rollout when it is over, or, strictly, has had to stop."""
+        waiting = iter(begun)
+        running = list(islice(waiting, at_once))
+        while running:
+            inputs = [player.given(one) for one in running]
+            decisions = guard.decide(inputs)
+            for one, given, decision in zip(running, inputs, decisions, strict=True):
+                step = one.carry_out(given, decision)
+                if step is not None and on_step is not None:
+                    on_step(one, step)
+            yield from [one for one in running if one.is_over(strict=strict)]
+            running = [one for one in running if not one.is_over(strict=strict)]
+            running += islice(waiting, at_once - len(running))
+
     stopped = []
-    for rollout in _to_the_end(rollouts, player, guard, at_once, on_step, strict=True):
+    for rollout in to_the_end(rollouts, strict=True):
         if lenient and not rollout.episode.is_over:
             stopped.append(rollout)
         else:
             yield rollout
-    yield from _to_the_end(stopped, player, guard, at_once, on_step, strict=False)
-
-
-def _to_the_end(
-    rollouts: Iterable[Rollout],
-    player: Player,
-    guard: IsolatedPolicy,
-    at_once: int,
-    on_step: Callable[[Rollout, TakenStep], None] | None,
-    *,
-    strict: bool,
-) -> Iterator[Rollout]:
-    """Yield each rollout when it is over, or, strictly, has had to stop."""
-    waiting = iter(rollouts)
-    running = list(islice(waiting, at_once))
-    while running:
-        inputs = [player.given(rollout) for rollout in running]
-        decisions = guard.decide(inputs)
-        for rollout, given, decision in zip(running, inputs, decisions, strict=True):
-            step = rollout.carry_out(given, decision)
-            if step is not None and on_step is not None:
-                on_step(rollout, step)
-        yield from [one for one in running if one.is_over(strict=strict)]
-        running = [one for one in running if not one.is_over(strict=strict)]
-        running += islice(waiting, at_once - len(running))
+    yield from to_the_end(stopped, strict=False)
 
 
 def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
