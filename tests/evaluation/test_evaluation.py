@@ -7,13 +7,14 @@ from typing import Any
 
 import pytest
 from faulty_policies import Keeping, Remembering
+from made_up import timeless
 
 import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.evaluation.analysis.result import check_lines, read_result
 from lemma.evaluation.evaluation import Evaluation, evaluate
 from lemma.evaluation.lines import read_rows
-from lemma.evaluation.records import EPISODES, SUMMARY, WALL_CLOCK, Row
+from lemma.evaluation.records import EPISODES, SUMMARY
 from lemma.policies.interfaces import Decision, Oracle, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
 from lemma.tasks.subtask import Primitive, SubTask
@@ -60,10 +61,6 @@ class Silent:
         if self.says:
             raise RuntimeError(self.says)
         return [Decision(STOP, None) for _ in inputs]
-
-
-def timeless(rows: Sequence[Row]) -> list[Row]:
-    return [{k: v for k, v in row.items() if k not in WALL_CLOCK} for row in rows]
 
 
 def test_an_object_and_a_name_give_the_same_lines() -> None:

@@ -14,7 +14,7 @@ from clumsy import FAILED, KINDS, play_clumsily
 from command import run
 from made_up import ABOUT, row
 
-from lemma.core.errors import DatasetError, LemmaError
+from lemma.core.errors import DatasetError
 from lemma.evaluation.analysis.comparison import compare
 from lemma.evaluation.analysis.result import check_lines, read_result, summarise
 from lemma.evaluation.lines import (
@@ -250,15 +250,6 @@ def test_failures_of_several_results_are_played(
     assert count == 1
     # A failure comes first, beside the expert.
     assert [side.success for side in next(replays).sides] == [False, True]
-
-
-def test_summaries_need_no_lines(tmp_path: Path) -> None:
-    path = kept(tmp_path / "seed-0.json")
-    packed_beside(path).unlink()
-    (found,) = read_results([tmp_path])
-    assert cases_of(entries_of([found]), [tmp_path]) == ([], [])
-    with pytest.raises(LemmaError, match="no episodes in"):
-        compare(path, path)
 
 
 @pytest.mark.slow

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 from clumsy import EPISODES, KINDS, play_clumsily
+from command import run
 
-from lemma.cli.main import main
 from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import Serial
 from lemma.evaluation.analysis.result import summarise
@@ -187,10 +187,8 @@ def test_an_honest_result_stands(honest: Path) -> None:
     assert verify(honest / LINES, Serial(), episodes=1).played == len(KINDS)
 
 
-def code_of(*words: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(["verify", *map(str, words), "--workers", "1"])
-    return int(ended.value.code or 0)
+def code_of(*words: object) -> object:
+    return run("verify", *words, "--workers", 1)
 
 
 def test_a_class_in_the_process_of_the_evaluation_may_know_the_truth(

@@ -1,10 +1,10 @@
 """Lines of episodes that nobody played, for tests of what is made of them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from lemma.evaluation.analysis.result import Result, summarise
-from lemma.evaluation.records import PROTOCOL_VERSION
+from lemma.evaluation.records import PROTOCOL_VERSION, WALL_CLOCK, Row
 from lemma.evaluation.run.expert_feedback import count_steps
 from lemma.tasks.instance import BENCHMARK_VERSION
 
@@ -29,6 +29,11 @@ ABOUT = {
     "lemma": "0.1.0",
     "mujoco": "3.17.0",
 }
+
+
+def timeless(rows: Iterable[Row]) -> list[Row]:
+    """Return lines without what depends on the machine."""
+    return [{k: v for k, v in row.items() if k not in WALL_CLOCK} for row in rows]
 
 
 def step(

@@ -224,11 +224,6 @@ def test_both_verdicts_are_counted() -> None:
     assert (found.expert_s, found.lenient_expert_s) == (20.0, 60.0)
 
 
-def test_what_was_played_strictly_has_no_lenient_verdict() -> None:
-    (cell,) = summarise([later(1), {**later(2), "lenient": None}], ABOUT).cells
-    assert (cell.successes, cell.lenient_successes) == (0, None)
-
-
 def test_a_line_says_which_protocol_it_follows(tmp_path: Path) -> None:
     path = tmp_path / EPISODES
     write_rows(path, [later(0)])

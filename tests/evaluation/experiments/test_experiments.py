@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 import tyro
+from command import run
 from made_up import row, step
 
 import control_baselines
 from lemma.bench import evaluation_checks
 from lemma.bench.evaluation_checks import published_sample
-from lemma.cli.main import main
 from lemma.core.arguments import decode
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import write_json
@@ -293,9 +293,7 @@ def test_reproduce_says_whether_policies_decide_as_published(
         # One of them says something else.
         lines[0]["success"] = success
         write_packed(kept, lines)
-        with pytest.raises(SystemExit) as left:
-            main(["reproduce", "oracle", "--check", "--out", str(tmp_path)])
-        assert left.value.code == code
+        assert run("reproduce", "oracle", "--check", "--out", tmp_path) == code
         told = capsys.readouterr().out
         assert f"oracle: {2 - code} of 2 episodes are equal" in told
 
@@ -305,8 +303,7 @@ def test_reproduce_says_whether_policies_decide_as_published(
 def test_the_doctor_plays_a_sample_of_each_level(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    with pytest.raises(SystemExit):
-        main(["doctor", "--evaluation", "--json"])
+    run("doctor", "--evaluation", "--json")
     checks = json.loads(capsys.readouterr().out)["checks"]
     found = {check["name"]: check for check in checks}
     for name in ("protocol", "published decisions", "control level: the expert"):

@@ -2,7 +2,6 @@
 
 import argparse
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
@@ -98,22 +97,6 @@ def control_plan(
         episodes=1,
         tests=1,
     )
-
-
-def save(run: Path, steps: int, share: float = 0.5) -> None:
-    """Leave what a training leaves at a step, as far as it is looked at."""
-    state = run / "checkpoints" / f"{steps:06d}" / "training_state"
-    state.mkdir(parents=True)
-    (state / "training_step.json").write_text(f'{{"share": {share}}}')
-
-
-def test_a_training_is_done_when_its_last_checkpoint_is_there(tmp_path: Path) -> None:
-    plan, run = control_plan(tmp_path), ("act", 0)
-    assert not plan.trained(run)
-    save(plan.run(*run), 20)
-    assert not plan.trained(run)
-    save(plan.run(*run), 30, share=1.0)
-    assert plan.trained(run)
 
 
 def script(folder: Path, name: str, *lines: str) -> str:
@@ -220,13 +203,6 @@ def test_a_failure_is_told_when_the_others_have_ended(tmp_path: Path) -> None:
         words = ("train-", "val-")[number]
         assert all(f"{words}{name}" in str(failed.value) for name in OTHER)
         assert len(told(plan)) == 4
-
-
-def test_all_ends_with_the_time(tmp_path: Path) -> None:
-    begin = time.monotonic()
-    # It waits for one that is not there.
-    control_baselines.work(scripted(tmp_path), BOTH[:1], ("train",), 0.5)
-    assert time.monotonic() - begin < 30.0
 
 
 class Rehearsal(Machine):

@@ -74,20 +74,6 @@ def test_another_release_of_mujoco_is_another_protocol(
     assert departure.startswith("physics.mujoco 9.9.9 instead of ")
 
 
-def test_who_departs_is_told(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    told = {**frozen(), "name": "mine"}
-    monkeypatch.setattr(protocol, "in_force", lambda: told)
-    ask = EvaluateOptions(tasks="stack", episodes=1)
-    assert evaluate("oracle", tmp_path, ask, Workers(workers=1)) == 0
-    assert "name mine instead of lemma-v2" in capsys.readouterr().err
-    about = json.loads((tmp_path / "about.json").read_text())
-    assert about["protocol"] == sha256_of_protocol(told)
-
-
 def test_nothing_is_played_beside_results_of_another_protocol(tmp_path: Path) -> None:
     made = result(3)
     made.write(tmp_path / "reachnet" / "seed-0.json")
@@ -242,3 +228,17 @@ def test_shuffled_sentences_are_of_the_next_instance() -> None:
                 instance.scene.object_names
             )
             assert set(asks) != set(instance.goal.pairs)
+
+
+def test_who_departs_is_told(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    told = {**frozen(), "name": "mine"}
+    monkeypatch.setattr(protocol, "in_force", lambda: told)
+    ask = EvaluateOptions(tasks="stack", episodes=1)
+    assert evaluate("oracle", tmp_path, ask, Workers(workers=1)) == 0
+    assert "name mine instead of lemma-v2" in capsys.readouterr().err
+    about = json.loads((tmp_path / "about.json").read_text())
+    assert about["protocol"] == sha256_of_protocol(told)

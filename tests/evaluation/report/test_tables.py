@@ -30,7 +30,7 @@ from lemma.evaluation.report.policy_results import (
     entries_of,
     read_results,
 )
-from lemma.evaluation.report.sections import CONTROL, page, sections
+from lemma.evaluation.report.sections import page, sections
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.suite import SUITE
 
@@ -373,16 +373,6 @@ def test_a_result_of_all_their_tasks_is_no_sample() -> None:
     assert not any("ample" in one.caption for one in sections(entries_of([whole])))
     part = result(3, experiment=NAME, tasks=CONTROL_TASKS)
     assert any("A sample:**" in one.caption for one in sections(entries_of([part])))
-
-
-def test_a_sample_is_of_their_own_tasks() -> None:
-    part = result(3, experiment=NAME, tasks=CONTROL_TASKS)
-    whole = result(5, tasks=SUITE, episodes=60)
-    notes = {one.title: one.caption for one in sections(entries_of([whole, part]))}
-    names = ", ".join(CONTROL_TASKS)
-    words = f"10 of 60 episodes of each of 4 of the eight tasks ({names})"
-    assert notes.pop(CONTROL).endswith(f"**A sample:** {words}.")
-    assert not any("ample:**" in note for note in notes.values())
 
 
 def test_learning_curves_are_read_back_and_shown(tmp_path: Path) -> None:

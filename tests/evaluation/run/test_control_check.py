@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command import run
 from model_server import HELLO, model_server
 
-from lemma.cli.main import main
 from lemma.env.learning.motor_state import WAYPOINT, motor_state
 from lemma.evaluation.run.server_check import ServerCheck, check_control
 from lemma.policies.control.interfaces import ControlInput
@@ -114,12 +114,6 @@ def test_what_is_no_action_is_an_error() -> None:
             asked("joint_position", change)
 
 
-def leaves_with(*words: str) -> object:
-    with pytest.raises(SystemExit) as left:
-        main(list(words))
-    return left.value.code
-
-
 def test_a_model_server_is_checked_by_the_command(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -128,10 +122,10 @@ def test_a_model_server_is_checked_by_the_command(
     with model_server(
         lambda seen, step: {"actions": seen["states"] * closed}, hello=hello
     ) as url:
-        assert leaves_with("serve", "--check", url) == 1
+        assert run("serve", "--check", url) == 1
     assert "WRONG gripper" in capsys.readouterr().out
     with model_server(
         lambda seen, step: {"actions": seen["states"]}, hello=hello
     ) as url:
-        assert leaves_with("serve", "--check", url, "--json") == 0
+        assert run("serve", "--check", url, "--json") == 0
     assert json.loads(capsys.readouterr().out)["mistakes"] == {}

@@ -5,18 +5,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command import run
 from control_policies import CALLS, SMALL, Stays
+from made_up import timeless
 from reachable import secrets_within
 
 import lemma
-from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.evaluation.analysis.failure_causes import Cause, cause_of
 from lemma.evaluation.evaluation import Evaluation
 from lemma.evaluation.lines import read_rows
-from lemma.evaluation.records import EPISODES, WALL_CLOCK, Row
+from lemma.evaluation.records import EPISODES, Row
 from lemma.evaluation.run.control import ControlPlayer, ControlRollout
 from lemma.policies.control.interfaces import Actions
 from lemma.policies.control.oracle import ExpertControl
@@ -29,10 +30,6 @@ ONE: dict[str, Any] = {"tasks": ["pass"], "episodes": 1, "split": "val"}
 
 def evaluate(policy: object, **others: Any) -> Evaluation:
     return lemma.evaluate(policy, level="control", **(ONE | others))
-
-
-def without_clock(rows: Any) -> list[Row]:
-    return [{k: v for k, v in row.items() if k not in WALL_CLOCK} for row in rows]
 
 
 def with_options(**options: Any) -> Stays:
@@ -76,16 +73,7 @@ def test_chunks_are_carried_out_before_the_policy_is_asked_again() -> None:
 def test_who_says_in_which_environment_it_acts_controls() -> None:
     (row,) = lemma.evaluate(Stays(), **ONE).rows
     assert row["control"]["actions"] == 5 * CALLS
-    assert without_clock([row]) == without_clock(evaluate(Stays()).rows)
-
-
-def test_who_controls_is_not_played_at_another_level() -> None:
-    with pytest.raises(InvalidConfigError, match="--level control"):
-        lemma.evaluate(Stays(), level="skill", **ONE)
-    for timeout_s in (0.0, 10.0):
-        spec = PolicySpec("control_policies:Stays", timeout_s=timeout_s)
-        with pytest.raises(InvalidConfigError, match="--level control"):
-            spec.load()
+    assert timeless([row]) == timeless(evaluate(Stays()).rows)
 
 
 def test_each_episode_has_a_memory_of_its_own() -> None:
@@ -130,18 +118,16 @@ def test_a_class_in_another_process_gives_the_same(tmp_path: Path) -> None:
     words = ("--policy-args", "chunk=6,says=and it knows why", "--level", "control")
     out = tmp_path / "there"
     assert command_line("control_policies:Stays", out, *words) == 0
-    assert without_clock(read_rows(out)) == without_clock(here)
+    assert timeless(read_rows(out)) == timeless(here)
     # The same command goes on: there is nothing left to play.
     lines = (out / EPISODES).read_bytes()
     assert command_line("control_policies:Stays", out, *words) == 0
     assert (out / EPISODES).read_bytes() == lines
 
 
-def command_line(policy: str, out: Path, *words: str) -> int:
+def command_line(policy: str, out: Path, *words: str) -> object:
     few = ("--tasks", "pass", "--split", "val", "--episodes", "1")
-    with pytest.raises(SystemExit) as end:
-        main(["evaluate", "--policy", policy, "--out", str(out), *few, *words])
-    return int(end.value.code or 0)
+    return run("evaluate", "--policy", policy, "--out", out, *few, *words)
 
 
 # --- What is wrong with it ---------------------------------------------------------
@@ -203,13 +189,6 @@ def test_an_environment_that_cannot_be_is_refused(
 ) -> None:
     with pytest.raises(error, match=told):
         evaluate(with_options(**options))
-
-
-def test_options_must_be_a_dictionary() -> None:
-    policy = Stays()
-    vars(policy)["control_options"] = ["joint_position"]
-    with pytest.raises(InvalidConfigError, match="a dictionary, such as"):
-        evaluate(policy)
 
 
 class Knows(Stays, Oracle):
@@ -301,3 +280,19 @@ def test_who_lets_go_too_early_has_misplaced() -> None:
     seen = rollout.told()["control"]
     assert [each["event"] for each in seen["events"]] == ["grasped"]
     assert rollout.actions == 60
+
+
+def test_who_controls_is_not_played_at_another_level() -> None:
+    with pytest.raises(InvalidConfigError, match="--level control"):
+        lemma.evaluate(Stays(), level="skill", **ONE)
+    for timeout_s in (0.0, 10.0):
+        spec = PolicySpec("control_policies:Stays", timeout_s=timeout_s)
+        with pytest.raises(InvalidConfigError, match="--level control"):
+            spec.load()
+
+
+def test_options_must_be_a_dictionary() -> None:
+    policy = Stays()
+    vars(policy)["control_options"] = ["joint_position"]
+    with pytest.raises(InvalidConfigError, match="a dictionary, such as"):
+        evaluate(policy)

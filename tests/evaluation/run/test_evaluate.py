@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from made_up import timeless
 
 from lemma.cli.evaluate import EvaluateOptions
 from lemma.cli.evaluate import evaluate as verb
@@ -31,10 +32,6 @@ TASKS = ("stack", "pass")
 def order(out: Path, policy: str = "oracle", **changes: Any) -> EvaluationConfig:
     wanted = {"tasks": TASKS, "episodes": 12, "kinds": ("high_level",), **changes}
     return EvaluationConfig(out=out, policy=PolicySpec(policy), **wanted)
-
-
-def without_times(rows: Sequence[Row]) -> list[Row]:
-    return [{k: v for k, v in row.items() if k != "wall_s"} for row in rows]
 
 
 @pytest.fixture(scope="module")
@@ -85,12 +82,12 @@ def test_interrupted_and_resumed_gives_the_same(
     assert counts == [0] + [1] * 13
     kept = read_rows(tmp_path)
     assert len(kept) == 13
-    equal = {(row["task"], row["index"]): row for row in without_times(whole)}
-    for row in without_times(kept):
+    equal = {(row["task"], row["index"]): row for row in timeless(whole)}
+    for row in timeless(kept):
         assert row == equal[row["task"], row["index"]]
     counts.clear()
     rows = evaluate(order(tmp_path), Serial(), counts.append)
-    assert without_times(rows) == without_times(whole)
+    assert timeless(rows) == timeless(whole)
     assert sum(counts) == 24
     assert counts[0] == 12
     lines = (tmp_path / EPISODES).read_text().splitlines()
@@ -100,7 +97,7 @@ def test_interrupted_and_resumed_gives_the_same(
 @pytest.mark.slow
 def test_processes_give_the_same(tmp_path: Path, whole: list[Row]) -> None:
     rows = evaluate(order(tmp_path), ProcessPool(2))
-    assert without_times(rows) == without_times(whole)
+    assert timeless(rows) == timeless(whole)
 
 
 def test_a_result_grows_with_what_is_asked(tmp_path: Path) -> None:

@@ -7,12 +7,14 @@ from typing import Any
 
 import pytest
 from chat_server import RuleServer, chat_server
+from command import run as command
+from made_up import timeless
 
-from lemma.cli.main import main
 from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import ProcessPool, Serial
 from lemma.evaluation.analysis.result import read_result, summarise
-from lemma.evaluation.records import ABOUT, EPISODES, SUMMARY, Row, read_about
+from lemma.evaluation.lines import read_rows
+from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
 from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate
 from lemma.policies.planners.chat import ChatOptions, PlannerUnavailableError
@@ -35,8 +37,7 @@ def order(out: Path, chat: ChatOptions, **changes: Any) -> EvaluationConfig:
 
 
 def lines(out: Path) -> list[dict[str, Any]]:
-    rows = [json.loads(line) for line in (out / EPISODES).read_text().splitlines()]
-    return [{k: v for k, v in row.items() if k != "wall_s"} for row in rows]
+    return [dict(row) for row in timeless(read_rows(out))]
 
 
 @pytest.fixture(scope="module")
@@ -191,11 +192,10 @@ def test_the_command_line_records_and_replays(
     line = ["evaluate", "--policy", "llm:rules", "--split", "val", "--tasks", "pass"]
     line += ["--episodes", "2", "--workers", "1", "--cassette", str(cassette)]
 
-    def run(out: str, *more: str) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as left:
-            main([*line, "--out", str(tmp_path / out), *more])
+    def run(out: str, *more: str) -> tuple[object, str, str]:
+        code = command(*line, "--out", tmp_path / out, *more)
         told = capsys.readouterr()
-        return int(str(left.value.code)), told.out, told.err
+        return code, told.out, told.err
 
     with chat_server() as server:
         code, told, _ = run("a", "--base-url", server.url)

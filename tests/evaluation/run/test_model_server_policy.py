@@ -136,8 +136,3 @@ def test_what_is_asked_for_must_exist(
         pytest.raises(error, match=words),
     ):
         ask_model_server(url, SOON, arguments)
-
-
-def test_motor_commands_are_not_combined() -> None:
-    with pytest.raises(InvalidConfigError, match="nothing to combine"):
-        PolicySpec("vla-eval://127.0.0.1:1+oracle")

@@ -330,14 +330,14 @@ def cells_of(rows: Iterable[Row]) -> tuple[Cell, ...]:
             *name,
             episodes=len(listed),
             successes=sum(bool(row["success"]) for row in listed),
-            lenient_successes=lenient_successes(listed),
+            lenient_successes=_lenient_successes(listed),
             progress=round(math.fsum(row["progress"] for row in listed), 6),
         )
         for name, listed in sorted(groups.items(), key=lambda item: _order(item[0]))
     )
 
 
-def lenient_successes(rows: Sequence[Row]) -> int | None:
+def _lenient_successes(rows: Sequence[Row]) -> int | None:
     """Return how many episodes succeeded leniently; None if not all were played so."""
     if any(row["lenient"] is None for row in rows):
         return None

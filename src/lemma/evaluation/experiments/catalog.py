@@ -190,26 +190,16 @@ def _read() -> tuple[dict[str, Experiment], dict[str, Training]]:
         experiments.append(replace(one, paper=figures))
     trainings = [Training(**told) for told in data["training"]]
     for told in data["ablation"]:
-        experiments.append(_ablation(**told))
-        trainings.append(_ablated(**told))
+        weights = f"{_ABLATED}-{told['name']}"
+        few = f"--episodes-per-task {ABLATION_EPISODES} {told.pop('arguments', '')}"
+        made = (_ABLATED, few.strip(), told.pop("recovery", True), _ABLATION_SAMPLES)
+        trainings.append(Training(weights, *made))
+        policy = PolicySpec(weights)
+        experiments.append(Experiment(suite=ABLATIONS, policy=policy, **told))
     return (
         {experiment.name: experiment for experiment in experiments},
         {training.name: training for training in trainings},
     )
-
-
-def _ablation(name: str, title: str, language: str = "full", **_: Any) -> Experiment:
-    policy = PolicySpec(f"{_ABLATED}-{name}")
-    return Experiment(
-        name=name, title=title, suite=ABLATIONS, policy=policy, language=language
-    )
-
-
-def _ablated(
-    name: str, arguments: str = "", *, recovery: bool = True, **_: Any
-) -> Training:
-    few = f"--episodes-per-task {ABLATION_EPISODES} {arguments}".strip()
-    return Training(f"{_ABLATED}-{name}", _ABLATED, few, recovery, _ABLATION_SAMPLES)
 
 
 EXPERIMENTS, TRAININGS = _read()

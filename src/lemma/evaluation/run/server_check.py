@@ -233,7 +233,8 @@ def _direction(
     scene = env.episode.simulation.scene
     at = _poses(env)[robot, :2]
     wanted = scene.pose_row(cube)[:2] - at
-    cosines = [_cosine(row[:2], wanted) for row in rows]
+    lengths = np.linalg.norm(rows[:, :2], axis=1) * math.hypot(*wanted)
+    cosines = rows[:, :2] @ wanted / np.maximum(lengths, 1e-12)
     others = [n for n, cosine in enumerate(cosines) if n != robot and cosine > -_AWAY]
     stands = math.hypot(*rows[robot, :2]) < _LEAST_STEP
     if cosines[robot] > _AWAY and not (stands and others):
@@ -244,11 +245,6 @@ def _direction(
         f"({rows[robot, 0]:.2g}, {rows[robot, 1]:.2g}), but {cube} lies "
         f"({wanted[0]:.2f}, {wanted[1]:.2f}) m from its hand in the world frame. {hint}"
     }
-
-
-def _cosine(one: FloatArray, other: FloatArray) -> float:
-    length = math.hypot(*one) * math.hypot(*other)
-    return float(one @ other) / length if length > 0.0 else 0.0
 
 
 def _jump(env: ControlEnv, rows: FloatArray) -> float:
