@@ -85,17 +85,9 @@ def _announce(url: str) -> None:
 
 
 def _check(url: str, policy_args: str, as_json: Flag) -> int:
-    from lemma.evaluation.run.loading import connected
-    from lemma.evaluation.run.server_check import check_control, check_server
-    from lemma.policies.spec import PolicySpec
+    from lemma.evaluation.run.server_check import check_server
 
-    part = connected(PolicySpec(url, arguments=arguments(policy_args)), url)
-    try:
-        controls = bool(getattr(part, "control_options", None))
-        found = check_control(part) if controls else None
-    finally:
-        part.close()
-    found = found or check_server(url)
+    found = check_server(url, arguments(policy_args))
     if as_json:
         document = {"ok": found.ok, "instruction": found.instruction, **found.answer}
         if "subtask" in document:

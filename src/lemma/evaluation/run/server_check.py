@@ -29,16 +29,15 @@ from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
 from lemma.evaluation.run.control import ControlPlayer, ControlRollout
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
+from lemma.evaluation.run.loading import connected
 from lemma.evaluation.run.rollout import Rollout
 from lemma.expert.expert import Expert
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.symbolic_state import SymbolicState
-from lemma.policies.control.interfaces import chunk_of
-from lemma.policies.interfaces import TIMEOUT_S
+from lemma.policies.control.interfaces import chunk_of, has_options
+from lemma.policies.spec import PolicySpec
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.serve.conversation import ProtocolMode
 from lemma.serve.faults import FaultKind, PolicyFailedError
-from lemma.serve.websocket import connect
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 from lemma.tasks.suite import load_instance
 
@@ -83,12 +82,12 @@ def first_subtask() -> SubTask:
     return subtask
 
 
-def check_server(url: str, timeout_s: float = TIMEOUT_S) -> ServerCheck:
-    """Ask a served policy for its first decision in the known scene.
+def check_server(url: str, arguments: tuple[tuple[str, Any], ...] = ()) -> ServerCheck:
+    """Ask a served policy the known question of its level.
 
     Args:
-        url: Such as ``"http://127.0.0.1:8000"``.
-        timeout_s: For the decision [s].
+        url: Such as ``"http://127.0.0.1:8000"``, or the address of a model server.
+        arguments: Names and values of the environment of a model server.
 
     Raises:
         InvalidConfigError: It is no address.
@@ -97,25 +96,30 @@ def check_server(url: str, timeout_s: float = TIMEOUT_S) -> ServerCheck:
         PolicyFailedError: It has no decision, or one that cannot be read.
         RenderingError: OpenGL does not work here.
     """
-    part: Any = connect(url, ProtocolMode(timeout_s))
+    part = connected(PolicySpec(url, arguments=arguments), url)
     try:
-        play = Rollout(load_instance(*SCENE))
-        given = play.given(CameraRig())
-        subtask, grounded = first_subtask(), None
-        if hasattr(part, "act"):
-            [decision] = part.act([given])
-            subtask, grounded = decision.subtask, decision.grounded
-        else:
-            if hasattr(part, "plan"):
-                [subtask] = part.plan([given])
-            if hasattr(part, "ground") and subtask.robot:
-                [grounded] = part.ground([given], [subtask])
+        return check_control(part) if has_options(part) else _check_decision(part)
     finally:
         part.close()
-    mistakes = _decision_mistakes(play, subtask, grounded)
+
+
+def _check_decision(part: Any) -> ServerCheck:
+    """Ask a policy, planner or grounder for its first decision in the known scene."""
+    play = Rollout(load_instance(*SCENE))
+    given = play.given(CameraRig())
+    subtask, grounded = first_subtask(), None
+    if hasattr(part, "act"):
+        [decision] = part.act([given])
+        subtask, grounded = decision.subtask, decision.grounded
+    else:
+        if hasattr(part, "plan"):
+            [subtask] = part.plan([given])
+        if hasattr(part, "ground") and subtask.robot:
+            [grounded] = part.ground([given], [subtask])
     poses = None if grounded is None else grounded.to_dict()
     answer = {"subtask": subtask, "grounded": poses}
-    return ServerCheck(given.instruction, answer, mistakes)
+    found = _decision_mistakes(play, subtask, grounded)
+    return ServerCheck(given.instruction, answer, found)
 
 
 def _decision_mistakes(
