@@ -177,7 +177,7 @@ def test_vectors_are_made_of_each_task(plugin: Any) -> None:
     assert list(made) == ["pass", "hook"]
     env = made["hook"][0]
     observation, info = env.reset(seed=[plugin.FIRST_SEED + 2])
-    assert info["instance"][0] == "v2/hook/test/2"
+    assert info["instance"][0] == "v3/hook/test/2"
     assert observation["agent_pos"].shape == env.action_space.shape == (1, 14)
     shapes = {name: image.shape for name, image in observation["pixels"].items()}
     assert shapes == dict.fromkeys(TEAM, (1, 32, 48, 3))

@@ -4,7 +4,16 @@ from collections.abc import Iterator
 
 import pytest
 from own_plugins import loaded
-from soft_tables import ARM, SOFT, THIN, reach, soft_table, stack_out_of_reach
+from soft_tables import (
+    ARM,
+    SOFT,
+    THIN,
+    THROWS,
+    pad_out_of_reach,
+    reach,
+    soft_table,
+    stack_out_of_reach,
+)
 from tiers import slow_but
 
 from lemma.audit.attack import ATTACKS, Attack
@@ -12,6 +21,7 @@ from lemma.audit.run import Found, audit_instance, cheap_attacks_succeed, names_
 from lemma.audit.skill_trial import SkillTrial
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.robots.could import could_of
+from lemma.scene.coasting import Coasting
 from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE, load_instance
@@ -19,7 +29,7 @@ from lemma.viz.replay import replay_attack
 
 QUICK = (
     *("drag_home", "push_tower", "greedy_skills", "out_of_order"),
-    *("tilted_move", "cube_chain", "topple", "fling"),
+    *("tilted_move", "cube_chain", "topple", "lob", "search"),
 )
 """One attack of each family; the others are slow tests."""
 TEAM = tuple(name for name in ATTACKS if ATTACKS[name].team)
@@ -45,13 +55,33 @@ def beyond_could() -> float:
 
 
 @pytest.mark.parametrize("name", slow_but(SOFT, *QUICK))
-def test_succeeds_where_one_robot_can_and_is_replayed(name: str) -> None:
+def test_succeeds_where_one_robot_can_and_is_replayed(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name in THROWS:
+        monkeypatch.setattr(Coasting, "look", lambda self: None)
     soft = soft_table(name)
     found = played(name, soft)
     assert (found.succeeded, found.progress, found.robot) == (True, 1.0, "robot_0")
     recording = replay_attack(found, soft, frame_s=0.5)
     assert recording.success
     assert len(recording.frames) == pytest.approx(2 * recording.elapsed_s, abs=2)
+
+
+@pytest.mark.parametrize("name", slow_but(THROWS, "lob"))
+def test_no_throw_succeeds_where_nothing_may_move_by_itself(name: str) -> None:
+    found = played(name, soft_table(name))
+    assert (found.acted, found.succeeded) == (True, False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("thrown", [True, False])
+def test_a_search_throws_where_that_is_allowed(
+    thrown: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if thrown:
+        monkeypatch.setattr(Coasting, "look", lambda self: None)
+    assert played("search", pad_out_of_reach(0.22)).succeeded == thrown
 
 
 @pytest.mark.slow

@@ -36,7 +36,7 @@ def test_numbers_as_json(
     assert found["tasks"]["pass"]["subtasks"]["mean"] == 2.0
     assert found["splits"]["val"]["episodes"] == 4
     assert sum(team["episodes"] for team in found["teams"].values()) == 4
-    assert found["versions"]["benchmark"] == "v2"
+    assert found["versions"]["benchmark"] == "v3"
     assert found["primitives_s"]["move"]["mean"] > 1.0
     assert list(tmp_path.iterdir()) == []
 
@@ -71,7 +71,7 @@ def test_one_episode_as_pictures(
     words = ("--task", "stack", "--split", "val", "--index", 1, "--out", out)
     assert run("inspect", recipe, *words) == 0
     text = capsys.readouterr().out
-    assert "v2/stack/val/1" in text
+    assert "v3/stack/val/1" in text
     assert "solved after" in text
     assert "shared space" in text.replace("\n", " ")
     picture = Image.open(out).convert("RGB")

@@ -25,7 +25,7 @@ def test_commands_are_printed_and_nothing_is_done(
     assert run("reproduce", "m-cliport", "--print", "--out", out) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 4 + 6
-    assert lines[0] == "lemma generate --out data/lemma-v2"
+    assert lines[0] == "lemma generate --out data/lemma-v3"
     assert lines[-1] == "lemma reproduce m-cliport --weights runs/seed-2"
     assert not out.exists()
 

@@ -34,7 +34,7 @@ def assert_usable(env: LemmaEnv) -> None:
     env.action_space.seed(0)
     observation, info = env.reset(seed=0, options={"split": "test", "index": 0})
     assert observation in env.observation_space
-    assert info["instance"] == "v2/stack/test/0"
+    assert info["instance"] == "v3/stack/test/0"
     assert env.step(env.action_space.sample())[4]["elapsed_s"] > 0.0
 
 
@@ -115,7 +115,7 @@ def test_bad_option_is_refused(options: dict[str, Any], words: str) -> None:
 
 def test_options_of_numpy_types_are_fine() -> None:
     env = make(index=np.int64(3), width=np.int32(64), horizon_s=np.float32(5))
-    assert env.reset(seed=np.int64(1))[1]["instance"] == "v2/stack/test/3"  # type: ignore[arg-type]
+    assert env.reset(seed=np.int64(1))[1]["instance"] == "v3/stack/test/3"  # type: ignore[arg-type]
     assert type(env.config.width) is int
 
 
@@ -135,7 +135,7 @@ BAD_RESETS: list[tuple[Any, str]] = [
     ({"index": np.array([1, 2])}, "."),
     ({"instance": 5}, "."),
     ({"instance": {}}, "."),
-    ({"instance": "v2/stack/test/0"}, "."),
+    ({"instance": "v3/stack/test/0"}, "."),
     (5, "."),
     ("split", "."),
     ([("split", "test")], "."),
@@ -161,9 +161,9 @@ def test_option_of_a_wrapper_is_ignored_with_one_warning() -> None:
     env = make()
     foreign = {"lerobot_new_rollout": True, "index": 2}
     with pytest.warns(UserWarning, match="'lerobot_new_rollout'.*ignored"):
-        assert env.reset(options=foreign)[1]["instance"] == "v2/stack/test/2"
+        assert env.reset(options=foreign)[1]["instance"] == "v3/stack/test/2"
     # Warnings are errors in tests: a second one would raise.
-    assert env.reset(options=foreign)[1]["instance"] == "v2/stack/test/2"
+    assert env.reset(options=foreign)[1]["instance"] == "v3/stack/test/2"
     names: list[Any] = [("a", 1), 7, "100 % of %s"]
     for name in names:
         with pytest.warns(UserWarning, match="ignored"):

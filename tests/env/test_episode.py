@@ -54,7 +54,7 @@ def test_a_fresh_episode_is_not_over(episode: Episode) -> None:
     assert episode.elapsed_s == 0.0
     assert not episode.is_over
     assert not episode.is_success
-    assert episode.progress == 0.0
+    assert episode.goal_progress == 0.0
     assert episode.failure is None
     assert episode.executed == []
     assert episode.horizon_s == HORIZON_S == 100.0
@@ -62,10 +62,10 @@ def test_a_fresh_episode_is_not_over(episode: Episode) -> None:
 
 def test_progress_grows_to_success(episode: Episode) -> None:
     assert episode.execute(FIRST).ok
-    assert episode.progress == 0.5
+    assert episode.goal_progress == 0.5
     assert not episode.is_success
     assert episode.execute(SECOND).ok
-    assert episode.progress == 1.0
+    assert episode.goal_progress == 1.0
     assert episode.is_success
     assert not episode.is_over
     assert episode.stop().outcome is Outcome.STOPPED
@@ -93,7 +93,7 @@ def test_what_is_held_is_no_success() -> None:
         assert not episode.is_success
     simulation.rest(0.2)
     assert simulation.held() == {"robot_0": "red_cube"}
-    assert episode.progress == 0.0
+    assert episode.goal_progress == 0.0
     assert not episode.is_success
     assert not episode.info()["is_success"]
     for _ in skill:
@@ -110,7 +110,7 @@ def test_holding_something_else_is_no_success_either() -> None:
     while not episode.simulation.held():
         next(skill)
         episode.simulation.tick(("robot_0",))
-    assert episode.progress == 1.0
+    assert episode.goal_progress == 1.0
     assert not episode.is_success
 
 
@@ -159,7 +159,7 @@ def test_nothing_can_be_done_after_the_end(how: str) -> None:
         episode.stop()
     else:
         episode.simulation.rest(1.0)
-    with pytest.raises(ResetNeededError, match="v2/pass/free/0 is over"):
+    with pytest.raises(ResetNeededError, match="v3/pass/free/0 is over"):
         episode.execute(FIRST)
     assert episode.executed == []
 
@@ -178,7 +178,7 @@ def test_a_goal_that_comes_undone_is_undone(episode: Episode) -> None:
     assert episode.is_success
     episode.simulation.scene.set_pose("red_cube", Pose((0.0, 0.0, 0.025)))
     assert not episode.is_success
-    assert episode.progress == 0.5
+    assert episode.goal_progress == 0.5
 
 
 def test_info_says_it_all(episode: Episode) -> None:
@@ -193,7 +193,7 @@ def test_info_says_it_all(episode: Episode) -> None:
     assert info["idle_s"]["robot_1"] == pytest.approx(episode.elapsed_s)
     assert info["failure"] is None
     assert info["instruction"] == "Put them away."
-    assert info["instance"] == "v2/pass/free/0"
+    assert info["instance"] == "v3/pass/free/0"
 
 
 # --- The judge's second ------------------------------------------------------------
@@ -276,7 +276,7 @@ def test_an_episode_goes_back_and_on_again(episode: Episode) -> None:
     episode.restore(kept)
     assert not episode.is_over
     assert len(episode.executed) == 1
-    assert episode.progress == 0.5
+    assert episode.goal_progress == 0.5
     assert episode.execute(SECOND) == result
     assert episode.simulation.scene.state_hash() == after
     assert episode.info()["is_success"]
@@ -293,7 +293,7 @@ def test_a_fresh_episode_takes_a_snapshot_over(episode: Episode) -> None:
 
 def test_a_snapshot_of_another_instance_is_refused(episode: Episode) -> None:
     kept = Episode(replace(INSTANCE, index=1)).snapshot()
-    with pytest.raises(InvalidConfigError, match=r"of v2/pass/free/1.*v2/pass/free/0"):
+    with pytest.raises(InvalidConfigError, match=r"of v3/pass/free/1.*v3/pass/free/0"):
         episode.restore(kept)
 
 

@@ -108,7 +108,7 @@ def test_instance_depends_on_split_and_index_alone() -> None:
     fresh = make().reset(options={"split": "val", "index": 7})[1]
     play(env, 3)
     again = env.reset(options={"split": "val", "index": 7})[1]
-    assert again["instance"] == fresh["instance"] == "v2/stack/val/7"
+    assert again["instance"] == fresh["instance"] == "v3/stack/val/7"
     assert str(again["state"]) == str(fresh["state"])
 
 

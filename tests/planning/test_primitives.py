@@ -23,7 +23,7 @@ from lemma.tasks.language.bank import phrase, sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask, primitive_names
 
 SIX = ("move", "prehook", "hook", "prepoke", "poke", "stop")
-PUSHED = 14
+PUSHED = 39
 """Number of an instance in which pushing is the best that the first robot can do."""
 PUSH = EXAMPLES / "12_write_a_primitive.py"
 
@@ -135,7 +135,7 @@ def test_what_cannot_be_pushed_is_told_at_plan_level(push: Primitive) -> None:
         (pad, "invalid", "is pushed to the shared space"),
         ("shared", "unreachable", "cannot reach"),
     ):
-        far = "robot_1"
+        far = "robot_0"
         *_, info = env.step(env.encode(SubTask(far, push, cube, place)))
         assert info["outcome"] == outcome
         assert why in info["explanation"]

@@ -80,6 +80,18 @@ def row(
     judged = {
         "success": success,
         "progress": float(success),
+        "goal_progress": float(success),
+        "stages": {
+            "progress": float(success),
+            "subtask": 1 if success else None,
+            "stage": "placed" if success else "",
+            "time_s": 20.0,
+            "moved": "red_cube",
+            "by": "robot_0",
+            "understood": success,
+            "allocated": True,
+            "executed": success,
+        },
         "failure": None if success else failure,
         "policy_error": None,
         "asked_holds": None,

@@ -176,13 +176,18 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "tip_off_stick": lambda: pad_out_of_reach(0.25),
     "fling": lambda: pad_out_of_reach(0.10),
     "throw": lambda: pad_out_of_reach(0.45, "rug"),
+    "lob": lambda: pad_out_of_reach(0.10),
+    "search": lambda: pad_out_of_reach(0.20),
     "strike": lambda: pad_out_of_reach(0.25, "mat"),
     "topple": lambda: pad_out_of_reach(0.25, "mat"),
-    "cube_chain": lambda: pad_out_of_reach(0.30),
+    "cube_chain": lambda: pad_out_of_reach(0.20, "mat"),
     "stick_relay": lambda: pad_out_of_reach(0.95, "mat"),
     "tower_push": lambda: pad_out_of_reach(0.25),
 }
 """Attacks, and an instance that each of them solves."""
+
+THROWS = ("fling", "throw", "lob")
+"""Attacks that solve theirs only where objects may be thrown."""
 
 
 def soft_table(attack: str) -> Instance:

@@ -34,7 +34,7 @@ from lemma.tasks.drags import (
 from lemma.tasks.goal import Goal
 from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.subtask import Primitive
-from lemma.tasks.zones import Territory, Zone
+from lemma.tasks.zones import OUTSIDE_M, REMOTE_M, Territory, Zone
 
 TEAM = (
     RobotPlacement("ur5", "red", Pose2(-0.9, 0.0, 0.0)),
@@ -64,11 +64,11 @@ def works(robot: int, pose: Pose2) -> bool:
     return reach.inner_m + 0.03 <= away <= reach.travel_m - 0.03
 
 
-def cannot(robot: int, kind: ObjectKind, pose: Pose2) -> bool:
+def cannot(robot: int, kind: ObjectKind, pose: Pose2, by_m: float = OUTSIDE_M) -> bool:
     """Whether a robot could do nothing there, written out."""
     could, away = could_of(TEAM[robot].arm), distance(robot, pose)
     put = could.place_m + (kind.support_m or 0.0)
-    return away >= could.touch_m + kind.disc_m + 0.03 and away >= put + 0.03
+    return away >= max(could.touch_m + kind.disc_m, put) + by_m
 
 
 def sifts(zone: Zone, kind: ObjectKind, pose: Pose2) -> bool:
@@ -97,8 +97,9 @@ def test_zones_say_who_could_do_what(pose: Pose2, kind: ObjectKind) -> None:
     table = placer()
     can = [works(robot, pose) for robot in (0, 1)]
     never = [cannot(robot, kind, pose) for robot in (0, 1)]
-    assert sifts(table.only(0), kind, pose) == (can[0] and never[1])
-    assert sifts(table.only(1), kind, pose) == (can[1] and never[0])
+    far = [cannot(robot, kind, pose, REMOTE_M) for robot in (0, 1)]
+    assert sifts(table.only(0), kind, pose) == (can[0] and far[1])
+    assert sifts(table.only(1), kind, pose) == (can[1] and far[0])
     assert sifts(table.nobody(), kind, pose) == all(never)
     assert sifts(table.anywhere(), kind, pose) == all(
         a or b for a, b in zip(can, never, strict=True)

@@ -19,9 +19,10 @@ from lemma.env.base_env import EnvSnapshot
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.robots.could import could_of
-from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.robots.gripper import FINGER_OPENING_M, TCP_OFFSET_M
 from lemma.robots.reach import gripper_ik
 from lemma.robots.ur.build import ARMS
+from lemma.robots.ur.kinematics import forward
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import On
@@ -154,6 +155,13 @@ class ControlTrial(Trial):
     def postures(self, hand: FloatArray) -> FloatArray:
         """Return all joint angles, (n, 6) [rad], that put the hand at a pose."""
         return gripper_ik(self.placement.arm, self.placement.base.matrix(), hand)
+
+    def hand_at(self, joints: FloatArray) -> FloatArray:
+        """Return the pose of the hand at joint angles, (4, 4)."""
+        base = self.placement.base.matrix()
+        hand: FloatArray = base @ forward(ARMS[self.placement.arm].dh, joints)
+        hand[:3, 3] += TCP_OFFSET_M * hand[:3, 2]
+        return hand
 
     def can(self, *hands: FloatArray) -> bool:
         """Whether the hand can be at each of some poses."""

@@ -21,7 +21,13 @@ from lemma.tasks.suite import load_instance
 # A module registers its attacks when it is imported.
 for _name in (
     *("skill.stick", "skill.push", "skill.plan"),
-    *("control.hand", "control.row", "control.stick"),
+    *(
+        "control.hand",
+        "control.flight",
+        "control.search",
+        "control.row",
+        "control.stick",
+    ),
 ):
     import_module(f"lemma.audit.{_name}")
 

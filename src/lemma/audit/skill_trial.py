@@ -60,7 +60,7 @@ class SkillTrial(Trial):
         start_s = self.episode.elapsed_s
         result = self.episode.execute(subtask)
         self.episode.linger(start_s)
-        if self.episode.progress == 1.0 and not self.episode.is_over:
+        if self.episode.goal_progress == 1.0 and not self.episode.is_over:
             before = self.episode.snapshot()
             if self.finish():
                 raise AttemptOver
@@ -90,7 +90,7 @@ class SkillTrial(Trial):
         """Say ``stop``, and return whether the episode is a success."""
         if not self.episode.is_over:
             self.episode.stop()
-        self.best_progress = max(self.best_progress, self.episode.progress)
+        self.best_progress = max(self.best_progress, self.episode.goal_progress)
         return self.episode.is_success
 
     def record(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ class AttemptOver(Exception):
 
 
 class Lost(AttemptOver):
-    """Something that the goal needs has fallen off the table."""
+    """Something that the goal needs has fallen off the table, or was thrown."""
 
 
 class Trial(ABC):
@@ -138,9 +138,11 @@ class Trial(ABC):
 
         Raises:
             AttemptOver: The episode is over.
-            Lost: The goal cannot be reached any more.
+            Lost: The goal cannot be reached any more, or something was thrown.
         """
-        self.best_progress = max(self.best_progress, self.episode.progress)
+        self.best_progress = max(self.best_progress, self.episode.goal_progress)
+        if self.episode.is_thrown:
+            raise Lost
         if is_over:
             raise AttemptOver
         if not set(self.episode.fallen).isdisjoint(self.goal.entities):

@@ -75,8 +75,8 @@ def generate(
             recorded too.
         perturb_seed: With --perturb: another seed makes other mistakes in the same
             instances.
-        out: Folder of the recipe; data/lemma-v2 by default, and
-            data/lemma-v2-recovery with --perturb.
+        out: Folder of the recipe; data/lemma-v3 by default, and
+            data/lemma-v3-recovery with --perturb.
         working: Options of the workers.
         resume: Complete an existing folder; otherwise it must be empty.
         as_json: Print one JSON object instead of a table.

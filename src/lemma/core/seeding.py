@@ -15,7 +15,7 @@ def stream(*words: str | int) -> np.random.Generator:
 
     Args:
         *words: Purpose of the numbers, outermost scope first:
-            ``stream("v2", "stack", "test", 3, "layout")``.
+            ``stream("v3", "stack", "test", 3, "layout")``.
 
     Returns:
         A PCG64 generator seeded with the SHA-256 of the words.

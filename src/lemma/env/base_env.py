@@ -2,8 +2,8 @@
 
 An environment is one face of an :class:`~lemma.env.episode.Episode`. Rewards are
 sparse, 1 when the episode ends in success, else 0, or
-:mod:`dense <lemma.env.rewards>`; ``info["progress"]`` says how much of the
-goal holds.
+:mod:`dense <lemma.env.rewards>`; ``info["progress"]`` says how far the
+episode has come.
 """
 
 from abc import abstractmethod
@@ -301,13 +301,22 @@ def numbers_of(info: dict[str, Any]) -> dict[str, Any]:
         info: As every step and reset reports it.
 
     Returns:
-        ``is_success`` and ``success``, ``progress``, ``elapsed_s`` [s], with dense
-        rewards ``potential``, how many objects have fallen, and ``idle_s`` in the order
+        ``is_success`` and ``success``, ``progress`` and ``goal_progress``,
+        ``elapsed_s`` [s], with dense rewards ``potential``, how many objects have
+        fallen and were thrown, and ``idle_s`` in the order
         of the robots, (robots,) [s].
     """
-    names = ("is_success", "success", "progress", "elapsed_s", "potential")
+    names = (
+        "is_success",
+        "success",
+        "progress",
+        "goal_progress",
+        "elapsed_s",
+        "potential",
+    )
     return {
         **{name: info[name] for name in names if name in info},
         "fallen": len(info["fallen"]),
+        "thrown": len(info["thrown"]),
         "idle_s": np.array(list(info["idle_s"].values())),
     }

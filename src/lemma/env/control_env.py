@@ -24,9 +24,10 @@ class ControlEnv(LemmaEnv):
     error, the arm then does what it can.
 
     The episode is terminated when the goal has held for half a second with nothing in
-    any gripper, and truncated at T_max; then the robots stand still for a second, and
-    success is judged. A robot is busy, for ``info["idle_s"]``, while
-    a joint turns faster than 0.02 rad/s or a finger moves faster than 2 mm/s.
+    any gripper, or when an object is thrown, and truncated at T_max; then the robots
+    stand still for a second, and success is judged. A robot is busy, for
+    ``info["idle_s"]``, while a joint turns faster than 0.02 rad/s or a finger moves
+    faster than 2 mm/s.
     """
 
     def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
@@ -52,7 +53,7 @@ class ControlEnv(LemmaEnv):
         )
         self._controller: Controller | None = None
         self._settled_s = 0.0
-        self._progress: float | None = None
+        self._goal_progress: float | None = None
 
     def _begin(self, episode: Episode) -> None:
         super()._begin(episode)
@@ -108,7 +109,7 @@ class ControlEnv(LemmaEnv):
             ResetNeededError: The episode is over.
         """
         reward, terminated, truncated = self.advance(action)
-        info = self._report(self._progress)
+        info = self._report(self._goal_progress)
         return self.observe(), reward, terminated, truncated, info
 
     def advance(self, action: ArrayLike) -> tuple[float, bool, bool]:
@@ -128,17 +129,18 @@ class ControlEnv(LemmaEnv):
             for _ in range(busy):
                 clock.busy_s += TICK_S
         step_s = 1.0 / self.config.control_hz
-        self._progress = episode.progress
-        success = episode.succeeds(self._progress)
+        self._goal_progress = episode.goal_progress
+        success = episode.succeeds(self._goal_progress)
         self._settled_s = self._settled_s + step_s if success else 0.0
         if self._settled_s >= SETTLE_S - 0.5 * TICK_S:
             episode.stop()
         episode.conclude()
         if episode.is_over:
             # Time has passed since.
-            self._progress = None
+            self._goal_progress = None
         reward = self.rewards.reward(episode)
-        return reward, episode.stopped, episode.out_of_time and not episode.stopped
+        terminated = episode.stopped or episode.is_thrown
+        return reward, terminated, episode.out_of_time and not terminated
 
     def _remember(self) -> dict[str, Any]:
         return {"settled_s": self._settled_s}

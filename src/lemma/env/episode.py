@@ -6,6 +6,7 @@ from typing import Any
 from lemma.core.arguments import real
 from lemma.core.errors import InvalidConfigError, ResetNeededError
 from lemma.env.simulation import HORIZON_S, TICK_S, Simulation, SimulationSnapshot
+from lemma.env.stages import StageState, StageWatch
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.instance import Instance
@@ -33,6 +34,7 @@ class EpisodeSnapshot:
 
     instance: Instance
     simulation: SimulationSnapshot
+    stages: StageState
     executed: tuple[ExecutedSubTask, ...]
     stopped: bool
     ended_s: float | None
@@ -47,7 +49,8 @@ class Episode:
     When it ends, by ``stop`` or at the horizon, its robots stand still for
     :data:`STILL_S`; then it succeeds if the whole goal holds and nothing is held. That
     time is the judge's: ``elapsed_s`` does not count it. Before the end the same
-    question is answered for the present moment.
+    question is answered for the present moment. An episode in which an object was
+    thrown (:mod:`lemma.scene.coasting`) ends then and has failed.
     """
 
     def __init__(
@@ -72,6 +75,7 @@ class Episode:
         self.instance = instance
         self.horizon_s = real("horizon_s", horizon_s, TICK_S)
         self.simulation = Simulation(instance.scene, actuation)
+        self.stages = StageWatch(self.simulation, instance.goal)
         self.executed: list[ExecutedSubTask] = []
         self.stopped = False
         self._ended_s: float | None = None
@@ -92,11 +96,26 @@ class Episode:
 
     @property
     def is_over(self) -> bool:
-        """Whether somebody said ``stop`` or the time is up."""
-        return self.stopped or self.out_of_time
+        """Whether somebody said ``stop``, the time is up or something was thrown."""
+        return self.stopped or self.is_thrown or self.out_of_time
+
+    @property
+    def is_thrown(self) -> bool:
+        """Whether it has failed because an object was thrown."""
+        return self.simulation.scene.coasting.is_thrown
+
+    @property
+    def thrown(self) -> tuple[str, ...]:
+        """Names of the objects that were thrown."""
+        return self.simulation.scene.coasting.thrown
 
     @property
     def progress(self) -> float:
+        """Share of the stages that are reached; see :mod:`lemma.env.stages`."""
+        return self.stages.progress
+
+    @property
+    def goal_progress(self) -> float:
         """Fraction of the goal that holds now, in [0, 1]."""
         return self.instance.goal.progress(self.simulation.scene)
 
@@ -108,13 +127,15 @@ class Episode:
     @property
     def is_success(self) -> bool:
         """Whether it succeeded; before its end, whether it would if nothing changed."""
-        return self.succeeds(self.progress)
+        return self.succeeds(self.goal_progress)
 
-    def succeeds(self, progress: float) -> bool:
-        """Return :attr:`is_success` for the present progress, where that is known."""
+    def succeeds(self, goal_progress: float) -> bool:
+        """Return :attr:`is_success` for the present share of the goal."""
         if self._verdict is not None:
             return self._verdict
-        return progress == 1.0 and not self.simulation.held()
+        if self.is_thrown:
+            return False
+        return goal_progress == 1.0 and not self.simulation.held()
 
     @property
     def failure(self) -> str | None:
@@ -124,6 +145,8 @@ class Episode:
         """
         if not self.is_over or self.is_success:
             return None
+        if self.is_thrown:
+            return str(Outcome.THROWN)
         if self.out_of_time:
             return str(Outcome.OUT_OF_TIME)
         failed = [done.result.outcome for done in self.executed if not done.result.ok]
@@ -167,7 +190,7 @@ class Episode:
             return
         self._ended_s = self.simulation.time_s
         self.simulation.stand_still(STILL_S)
-        self._verdict = self.succeeds(self.progress)
+        self._verdict = self.succeeds(self.goal_progress)
 
     def stop(self) -> SkillResult:
         """End the episode and judge it."""
@@ -180,6 +203,7 @@ class Episode:
         return EpisodeSnapshot(
             self.instance,
             self.simulation.snapshot(),
+            self.stages.state(),
             tuple(self.executed),
             self.stopped,
             self._ended_s,
@@ -198,24 +222,26 @@ class Episode:
                 f"episode of {self.instance.key}. Begin an episode of that instance."
             )
         self.simulation.restore(snapshot.simulation)
+        self.stages.restore(snapshot.stages)
         self.executed = list(snapshot.executed)
         self.stopped = snapshot.stopped
         self._ended_s, self._verdict = snapshot.ended_s, snapshot.verdict
 
-    def info(self, progress: float | None = None) -> dict[str, Any]:
+    def info(self, goal_progress: float | None = None) -> dict[str, Any]:
         """Return the figures that every step and reset reports.
 
         Args:
-            progress: The present progress, where that is known.
+            goal_progress: The present fraction of the goal, where that is known.
         """
-        if progress is None:
-            progress = self.progress
-        success = self.succeeds(progress)
+        holds = self.goal_progress if goal_progress is None else goal_progress
+        success = self.succeeds(holds)
         elapsed = self.elapsed_s
         return {
             "is_success": success,
             "success": success,
-            "progress": progress,
+            "progress": self.progress,
+            "goal_progress": holds,
+            "stages": self.stages.record(),
             "elapsed_s": elapsed,
             "idle_s": {
                 name: clock.idle_s(elapsed)
@@ -223,6 +249,7 @@ class Episode:
             },
             "failure": self.failure,
             "fallen": list(self.fallen),
+            "thrown": list(self.thrown),
             "instruction": self.instance.instructions["high_level"],
             "instance": self.instance.key,
         }

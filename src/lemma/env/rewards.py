@@ -92,6 +92,7 @@ REWARDS: Registry[Potential | None] = Registry("reward", Potential | None)
 """The rewards by name: the potential that each adds to the sparse one, or None."""
 REWARDS.add("sparse", None)
 REWARDS.add("dense", goal_potential)
+REWARDS.add("stages", lambda episode: episode.progress)
 
 
 class RewardMeter:
@@ -123,7 +124,7 @@ class RewardMeter:
         if self._potential is None or self.potential is None:
             return float(succeeded)
         before = self.potential
-        if episode.stopped:
+        if episode.stopped or episode.is_thrown:
             self.potential = float(succeeded)
         else:
             self.potential = self._potential(episode)

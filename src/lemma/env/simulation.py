@@ -19,6 +19,7 @@ from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.motion.skills import Skill, SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.build import TIME_STEP_S
+from lemma.scene.coasting import CoastingState
 from lemma.scene.overlaps import check_layout
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
@@ -89,6 +90,8 @@ class SimulationSnapshot:
     physics: FloatArray
     """The full integration state."""
     arms: dict[str, ArmSnapshot]
+    coasting: CoastingState
+    """How far each object has moved by itself."""
 
 
 class Simulation:
@@ -149,7 +152,7 @@ class Simulation:
             PhysicsError: The state has become infinite, or no number at all.
         """
         model, data = self.scene.model, self.scene.data
-        start = data.time
+        note, start = self.scene.coasting.note, data.time
         if active:
             # The reference of RMPflow does not depend on the physics within a tick.
             control, commands = self._control, self._commands
@@ -161,18 +164,20 @@ class Simulation:
                 if drive is not None:
                     drive()
                 mujoco.mj_step(model, data)
-        elif drive is not None:
-            for _ in range(STEPS_PER_TICK):
-                drive()
-                mujoco.mj_step(model, data)
+                note()
         else:
-            mujoco.mj_step(model, data, STEPS_PER_TICK)
+            for _ in range(STEPS_PER_TICK):
+                if drive is not None:
+                    drive()
+                mujoco.mj_step(model, data)
+                note()
         # MuJoCo resets a state that diverges, its time included.
         if not data.time > start:
             raise PhysicsError(
                 f"The physics became unstable {start:g} s after the beginning, and "
                 "what is simulated means nothing any more. Reset before you go on."
             )
+        self.scene.coasting.look()
         for observer in self.observers:
             observer()
 
@@ -265,6 +270,13 @@ class Simulation:
             except BaseException:
                 self._free(name)
                 raise
+            if result is None and self.scene.coasting.thrown:
+                result = SkillResult(
+                    Outcome.THROWN,
+                    "Moved on without a robot: "
+                    f"{', '.join(self.scene.coasting.thrown)}.",
+                    self.time_s - running.start_s,
+                )
             if result is None and self.time_s >= running.until_s - 0.5 * TIME_STEP_S:
                 result = SkillResult(
                     Outcome.OUT_OF_TIME,
@@ -286,7 +298,7 @@ class Simulation:
     def _with_losses(self, result: SkillResult, before: tuple[str, ...]) -> SkillResult:
         """Return a result that tells what fell off the table, if something did."""
         fell = [name for name in self.scene.fallen if name not in before]
-        if not fell or result.outcome is Outcome.OUT_OF_TIME:
+        if not fell or result.outcome in (Outcome.OUT_OF_TIME, Outcome.THROWN):
             return result
         explanation = "" if result.ok else f"{result.explanation} "
         explanation += f"The {' and the '.join(fell)} fell off the table."
@@ -335,7 +347,9 @@ class Simulation:
             )
             for name, arm in self.arms.items()
         }
-        return SimulationSnapshot(self.scene.snapshot(), arms)
+        return SimulationSnapshot(
+            self.scene.snapshot(), arms, self.scene.coasting.state()
+        )
 
     def restore(self, snapshot: SimulationSnapshot) -> None:
         """Go back to a snapshot; what follows is equal to the bit. No robot is busy."""
@@ -343,6 +357,7 @@ class Simulation:
             running.skill.close()
         self._running.clear()
         self.scene.restore(snapshot.physics)
+        self.scene.coasting.restore(snapshot.coasting)
         # The contacts too, which tell what is held.
         mujoco.mj_fwdPosition(self.scene.model, self.scene.data)
         for name, saved in snapshot.arms.items():

@@ -61,8 +61,9 @@ class SubTaskEnv(LemmaEnv):
         episode.linger(start)
         reward = self.rewards.reward(episode)
         info = self.info()
-        truncated = episode.out_of_time and not episode.stopped
-        return self.observe(), reward, episode.stopped, truncated, info
+        terminated = episode.stopped or episode.is_thrown
+        truncated = episode.out_of_time and not terminated
+        return self.observe(), reward, terminated, truncated, info
 
     def _full_info(self, progress: float | None) -> dict[str, Any]:
         found = super()._full_info(progress)

@@ -26,10 +26,11 @@ ABOUT = "about.json"
 SUMMARY = "summary.json"
 PACKED = ".jsonl.xz"
 """End of the name of packed lines, which are small enough to be committed."""
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
 """Version of the rules by which episodes are played and judged: since 2 there are a
-strict and a lenient verdict."""
-RESULT_VERSION = "2"
+strict and a lenient verdict, since 3 nothing may be thrown, and progress is counted in
+stages."""
+RESULT_VERSION = "3"
 """Version of the summaries."""
 WALL_CLOCK = ("wall_s",)
 """Fields of an episode's line that depend on the machine."""
@@ -167,11 +168,27 @@ class _Control(_Strict):
     fallen: Names
 
 
+class _Stages(_Strict):
+    """The furthest stage, and the verdicts on the first move."""
+
+    progress: Annotated[float, Meta(ge=0.0, le=1.0)]
+    subtask: int | None
+    stage: str
+    time_s: float
+    moved: str
+    by: str
+    understood: bool | None
+    allocated: bool | None
+    executed: bool | None
+
+
 class _Verdict(_Strict, kw_only=True):
     """The strict verdict of an episode, or that after it went on."""
 
     success: bool
     progress: Annotated[float, Meta(ge=0.0, le=1.0)]
+    goal_progress: Annotated[float, Meta(ge=0.0, le=1.0)]
+    stages: _Stages
     failure: str | None
     policy_error: _Fault | None
     asked_holds: bool | None

@@ -12,7 +12,7 @@ from lemma.motion.arm_motion import ArmMotion, largest_turn
 from lemma.motion.joint_path import joint_path
 from lemma.motion.outcome import Outcome, SkillFailure
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.robots.reach import TRAVEL_HEIGHT_M
+from lemma.robots.reach import GRASP_HEIGHT_M, TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import top_down
 
 Motion = Generator[None, None, None]
@@ -41,6 +41,9 @@ _STALL_S = 1.0
 _STALL_PROGRESS_M = 0.001
 _GRASP_LEAST_M = 0.015
 """Narrower than this the fingers hold nothing that exists here."""
+_OPEN_M = FINGER_OPENING_M - 0.005
+_HELD_UP_M = 0.05
+"""A hand that stays so far behind where it is led has met something."""
 _FINGERS_STILL_M = 2e-5
 _FINGERS_STILL_S = 0.05
 _SETTLE_S = 0.15
@@ -229,17 +232,38 @@ class Moves:
             )
 
     def give_up(self) -> Motion:
-        """Open the gripper where the arm is and rise, so that parking is safe."""
+        """Put down what is held where the arm is, and rise, so that parking is safe."""
         self.arm.sync()
         self.arm.hold()
+        holds = _GRASP_LEAST_M <= self.scene.opening_m(self.arm.robot) < _OPEN_M
+        if holds:
+            yield from self._straight(GRASP_HEIGHT_M, _TOUCHDOWN_M_S)
         self.arm.opening_m = FINGER_OPENING_M
         yield from self.wait_for_fingers()
+        if holds:
+            yield from self._straight(
+                float(self.arm.tcp_pose()[2, 3]) + RETREAT_M, _VERTICAL_M_S
+            )
         pose = self.arm.tcp_pose()
         pose[2, 3] = max(pose[2, 3], TRAVEL_HEIGHT_M)
         self.arm.aim(pose)
         for _ in range(100):
             if abs(self.arm.tcp_pose()[2, 3] - pose[2, 3]) < FLY_BY_M:
                 break
+            yield
+
+    def _straight(self, height_m: float, speed_m_s: float) -> Motion:
+        """Lead the hand straight down or up, until it meets something at the latest."""
+        pose = self.arm.tcp_pose()
+        x, y, z = (float(pose[i, 3]) for i in range(3))
+        yaw = math.atan2(pose[1, 0], pose[0, 0])
+        posture = self.arm.solve_posture(top_down(x, y, height_m, yaw))
+        step = math.copysign(speed_m_s * _TICK_S, height_m - z)
+        for _ in range(math.ceil(abs((height_m - z) / step))):
+            if posture is None or abs(self.arm.tcp_pose()[2, 3] - z) > _HELD_UP_M:
+                break
+            z += step
+            self.arm.aim_down(x, y, z, yaw, posture)
             yield
 
     def park(self) -> Motion:

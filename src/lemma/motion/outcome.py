@@ -24,6 +24,9 @@ class Outcome(StrEnum):
     """The held object was lost, or an object fell off the table."""
     FALLEN = "fallen"
     """An object that it needs has fallen off the table before."""
+    THROWN = "thrown"
+    """An object flew, or moved on by itself; the episode has failed. See
+    :mod:`lemma.scene.coasting`."""
     COLLISION = "collision"
     """Something was in the way."""
     TIMEOUT = "timeout"

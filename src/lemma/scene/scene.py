@@ -13,6 +13,7 @@ from lemma.core.poses import FloatArray, Pose, Pose2
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec
 from lemma.scene.build import compile_model
+from lemma.scene.coasting import Coasting
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -82,6 +83,8 @@ class Scene:
             self.model.body(placed.name).id: placed.name for placed in spec.objects
         }
         self._state_size = mujoco.mj_stateSize(self.model, _STATE)
+        self.coasting = Coasting(self.model, self.data)
+        """How far each object has moved by itself."""
 
     def _index_robot(self, name: str, placement: RobotPlacement) -> RobotIndex:
         model = self.model
@@ -175,6 +178,7 @@ class Scene:
         self.data.qpos[address + 3 : address + 7] = pose.quaternion
         dof = int(self.model.joint(name).dofadr[0])
         self.data.qvel[dof : dof + 6] = 0.0
+        self.coasting.put(name)
 
     def speed(self, name: str) -> float:
         """Return the linear speed of an object [m/s]; 0 where it is fixed."""

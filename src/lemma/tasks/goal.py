@@ -69,7 +69,7 @@ class On:
         # From cheap to dear: this is asked at every step.
         return (
             self._is_above(scene)
-            and all(_is_at_rest(scene, name) for name in (self.top, self.bottom))
+            and all(is_at_rest(scene, name) for name in (self.top, self.bottom))
             and all(_stands_on_a_face(scene, name) for name in (self.top, self.bottom))
             and not {self.top, self.bottom} & set(scene.fallen)
             and _carries_alone(scene, self.bottom, self.top)
@@ -122,7 +122,7 @@ class Goal:
         return held.count(True) / len(held)
 
 
-def _is_at_rest(scene: Scene, name: str) -> bool:
+def is_at_rest(scene: Scene, name: str) -> bool:
     """Whether an object neither moves nor turns."""
     return scene.speed(name) < REST_M_S and scene.turn_rate(name) < REST_RAD_S
 

@@ -14,7 +14,7 @@ from lemma.core.poses import Pose2
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 
-BENCHMARK_VERSION = "v2"
+BENCHMARK_VERSION = "v3"
 """Part of every instance's key: a change of the sampler is a new version."""
 
 OWN_SPLIT = "own"
@@ -95,7 +95,7 @@ class Instance:
 
     @property
     def key(self) -> str:
-        """Unique readable name: ``"v2/stack/test/3"``."""
+        """Unique readable name: ``"v3/stack/test/3"``."""
         return f"{BENCHMARK_VERSION}/{self.task}/{self.split}/{self.index}"
 
     @property

@@ -25,13 +25,18 @@ from lemma.scene.table import TABLE_HALF_Y_M, Gap, tops
 INSIDE_M = 0.03
 """How far inside its reach a robot's objects are, at least."""
 OUTSIDE_M = 0.03
-"""How far outside of its possibilities the others' objects are, at least."""
+"""How far outside of its possibilities lies what a robot shall not touch, at least."""
+REMOTE_M = 0.09
+"""How far outside of its possibilities lies that on which it shall put nothing, at
+least. A cube whose near edge a fingertip touches, and that then moves on by itself as
+far as it may (:data:`~lemma.scene.coasting.COAST_M`), does not get there."""
 
 FROM_EDGE_M = 0.01
 """Between the disc around an object and the table's edge, at least."""
 SLIDE_M = 0.15
-"""How far what a hand has pushed slides on, at most: two cubes that lie on each other
-slow down alike, so that a tower slides as one."""
+"""How far a tower that a hand has pushed slides on, at most: two cubes that lie on each
+other slow down alike. Since nothing may coast farther than
+:data:`~lemma.scene.coasting.COAST_M`, this has a margin of 10 cm."""
 STICK_DIAGONAL_M = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M)
 """How much farther the stick lets a robot do anything, however it is held."""
 _MAP_EDGE_M = 0.06
@@ -109,7 +114,7 @@ class Territory:
         def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
             found = self.works(robot, x, y)
             for other in others:
-                found &= self.cannot(other, kind, x, y, tool=tool)
+                found &= self.cannot(other, kind, x, y, tool=tool, by_m=REMOTE_M)
             return found
 
         says = f"where the {{{robot}}} works, and no other robot could do anything"
@@ -159,6 +164,7 @@ class Territory:
         y: FloatArray,
         *,
         tool: bool = False,
+        by_m: float = OUTSIDE_M,
     ) -> Mask:
         """Return at which positions a robot could do nothing to a kind of thing.
 
@@ -168,8 +174,10 @@ class Territory:
             x: World positions, (n,) [m].
             y: World positions, (n,) [m].
             tool: Whether with the stick in its hand, held by either end.
+            by_m: How far beyond its possibilities they are, at least [m].
         """
-        return self.distance(robot, x, y) >= self._safe_m(robot, kind, tool=tool)
+        safe_m = self._safe_m(robot, kind, tool=tool) + by_m
+        return self.distance(robot, x, y) >= safe_m
 
     def keeps_off(
         self, robot: int, placed: ObjectPlacement, row_m: float, *, tool: bool = False
@@ -187,13 +195,13 @@ class Territory:
             tool: Whether with the stick in its hand.
         """
         kind, at = placed.entity.kind, placed.pose
-        safe_m = self._safe_m(robot, kind, tool=tool) + row_m + SLIDE_M
+        safe_m = self._safe_m(robot, kind, tool=tool) + OUTSIDE_M + row_m + SLIDE_M
         return self.robots[robot].base.distance(at) >= safe_m
 
     def _safe_m(self, robot: int, kind: ObjectKind, *, tool: bool) -> float:
         """Return the distance from which on a robot could do nothing to a thing."""
         safe_m = self.could(robot).radius_m(kind.disc_m, kind.support_m or 0.0)
-        return safe_m + OUTSIDE_M + (STICK_DIAGONAL_M if tool else 0.0)
+        return safe_m + (STICK_DIAGONAL_M if tool else 0.0)
 
     def on_table(self, x: FloatArray, y: FloatArray, edge_m: float) -> Mask:
         """Return which positions are on a table top, so far from its edges [m]."""

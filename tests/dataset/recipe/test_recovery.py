@@ -295,9 +295,9 @@ def test_the_verb_says_what_it_came_to(
 
 def test_perturbed_executions_have_a_place_of_their_own() -> None:
     order = order_of(perturb=0.3)
-    assert order.out == Path("data/lemma-v2-recovery")
+    assert order.out == Path("data/lemma-v3-recovery")
     assert order.splits == ("train",)
-    assert order_of().out == Path("data/lemma-v2")
+    assert order_of().out == Path("data/lemma-v3")
     assert order_of().splits == ("train", "val", "test")
     with pytest.raises(InvalidConfigError, match="Add --perturb"):
         order_of(perturb_seed=1)

@@ -27,11 +27,11 @@ def begun(env: HarnessEpisodes, **how: Any) -> str:
 def test_seeds_are_instances_of_the_split_in_order() -> None:
     env, count = episodes(first_seed=1000), SPLITS["test"]
     names = [begun(env, seed=seed) for seed in (1000, 1001, 1000 + count)]
-    assert names == [f"v2/stack/test/{index}" for index in (0, 1, 0)]
-    assert begun(env) == "v2/stack/test/1"
-    assert begun(env, seed=3, options={"index": 5}) == "v2/stack/test/5"
-    assert begun(env, options={"of_a_harness": True}) == "v2/stack/test/2"
-    assert begun(env, options={"split": "val"}) == "v2/stack/val/3"
+    assert names == [f"v3/stack/test/{index}" for index in (0, 1, 0)]
+    assert begun(env) == "v3/stack/test/1"
+    assert begun(env, seed=3, options={"index": 5}) == "v3/stack/test/5"
+    assert begun(env, options={"of_a_harness": True}) == "v3/stack/test/2"
+    assert begun(env, options={"split": "val"}) == "v3/stack/val/3"
 
 
 def test_success_is_said_at_the_end_alone() -> None:
@@ -56,7 +56,7 @@ def test_success_is_said_at_the_end_alone() -> None:
 
 def test_flat_views_see_through_it() -> None:
     env = FlatView(episodes())
-    assert env.reset(seed=0)[1]["instance"] == "v2/stack/test/0"
+    assert env.reset(seed=0)[1]["instance"] == "v3/stack/test/0"
     assert env.get_wrapper_attr("_max_episode_steps") > 0
     assert env.get_wrapper_attr("task_description").startswith("Place")
 

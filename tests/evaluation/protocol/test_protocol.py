@@ -239,6 +239,6 @@ def test_who_departs_is_told(
     monkeypatch.setattr(protocol, "in_force", lambda: told)
     ask = EvaluateOptions(tasks="stack", episodes=1)
     assert evaluate("oracle", tmp_path, ask, Workers(workers=1)) == 0
-    assert "name mine instead of lemma-v2" in capsys.readouterr().err
+    assert "name mine instead of lemma-v3" in capsys.readouterr().err
     about = json.loads((tmp_path / "about.json").read_text())
     assert about["protocol"] == sha256_of_protocol(told)

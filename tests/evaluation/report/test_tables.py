@@ -22,7 +22,7 @@ from lemma.core.files import write_json
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.result import Asked, Result, summarise
 from lemma.evaluation.experiments.catalog import CONTROL_TASKS, EXPERIMENTS
-from lemma.evaluation.report import tables
+from lemma.evaluation.report import measures, tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     NOTHING,
@@ -211,7 +211,7 @@ def test_controls_do_not_crowd_the_tables_of_success() -> None:
 
 def test_coordination_is_of_sums_over_all_tasks() -> None:
     entry = entry_of(result(5))
-    found = cells(tables.coordination([entry], "high_level"), entry.title)
+    found = cells(measures.coordination([entry], "high_level"), entry.title)
     assert found["time / expert's"] == "1.50"
     assert (found["idle, left [%]"], found["idle, right [%]"]) == ("16.7", "83.3")
     assert (found["first-try allocation [%]"], found["expert's robot [%]"]) == (
@@ -220,7 +220,7 @@ def test_coordination_is_of_sums_over_all_tasks() -> None:
     )
     assert (found["nearest arms [mm]"], found["touching"]) == ("80", "0")
     several = entry_of(result(5), result(6, seed=1))
-    spread = cells(tables.coordination([several], "high_level"), entry.title)
+    spread = cells(measures.coordination([several], "high_level"), entry.title)
     assert spread["time / expert's"] == "1.50 ± 0.00"
 
 
@@ -343,7 +343,7 @@ def test_a_policy_that_does_nothing_has_a_dash_for_shares_of_its_time() -> None:
         for number in range(3)
     ]
     made = summarise(rows, {**ABOUT, "policy": PolicySpec("mine:Idle").about()})
-    table = tables.coordination([entry_of(made)], "high_level")
+    table = measures.coordination([entry_of(made)], "high_level")
     found = dict(zip(table.header, table.rows[0], strict=True))
     assert found["idle, left [%]"] == found["time / expert's"] == NOTHING
     assert "mine:Idle" in page([entry_of(made)])

@@ -268,7 +268,7 @@ PAGE = (Path(__file__).parents[3] / "docs" / "language.md").read_text(encoding="
 def test_the_code_of_the_page_runs(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     order = GenerateConfig(
-        out=Path("data/lemma-v2"), tasks=("pass",), splits=("train",), episodes=1
+        out=Path("data/lemma-v3"), tasks=("pass",), splits=("train",), episodes=1
     )
     generate(order, Serial())
     exec(code, {})

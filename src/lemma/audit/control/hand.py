@@ -1,14 +1,13 @@
-"""Attacks of the hand alone: it leans outwards, or lets go of a cube while it moves."""
+"""Attacks of the hand alone: it leans outwards, drops, or pulls with its fingertips."""
 
 import math
 from collections.abc import Iterator
-from itertools import islice, product
+from itertools import islice
 
 from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.control.stick import either_way, fetch, require_stick
 from lemma.audit.control_trial import (
     LEANS_RAD,
-    STEP_S,
     ControlTrial,
     ahead,
     drawn_back,
@@ -17,7 +16,7 @@ from lemma.audit.control_trial import (
 )
 from lemma.audit.pushes import END_GRASP
 from lemma.core.poses import FloatArray, Pose2
-from lemma.robots.gripper import FINGER_OPENING_M, FINGERTIP_BEYOND_TCP_M
+from lemma.robots.gripper import FINGERTIP_BEYOND_TCP_M
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.objects.stick import (
@@ -197,131 +196,3 @@ def _first_touch(trial: ControlTrial, name: str) -> FloatArray | None:
 ATTACKS.add("tilted_move", Attack(tilted_move, "control", attempts=6, cheap=True))
 ATTACKS.add("rake", Attack(rake, "control", attempts=3, cheap=True))
 ATTACKS.add("tilted_stick", Attack(tilted_stick, "control", attempts=_STICK_TRIES))
-
-
-# An object that is let go low and flat flies at most so far beyond the hand.
-_FLING_M = 0.5
-# Leans of the hand, when it picks and when it lets go; by attempt. The cube stands
-# upright again at the end.
-_FLING_LEANS_RAD = ((0.0, 0.5 * math.pi), (0.35, 0.35), (0.6, 0.6))
-_RUN_M = 0.4
-_RUN_ABOVE_M = (0.03, 0.07)
-_SPEEDS_M_S = (0.8, 1.2, 1.6, 2.0, 2.4)
-# Where the fingers open, as a share of the way.
-_OPEN_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7)
-_FLING_LANDING_S = 1.6
-
-# No throw of an arm at these speeds goes farther beyond its hand.
-_THROW_M = 1.2
-# Radius as a share of reach, height [m] and lean [rad] of the hand, before and after,
-# by attempt.
-_SWINGS = (
-    ((0.45, 0.15, 0.3), (0.95, 0.45, 1.3)),
-    ((0.55, 0.30, 0.0), (0.95, 0.30, 0.8)),
-)
-# Steps after which the fingers open.
-_RELEASES = (5, 9, 13, 17, 21, 25, 30, 35, 42, 50)
-_SWING_STEPS = 65
-# Shares of the swing, for throws about the best one.
-_PARTS = (1.0, 0.85, 0.7)
-_OFFS = (-2, -1, 1, 2)
-_THROW_LANDING_S = 1.8
-
-
-def fling(trial: ControlTrial) -> None:
-    """Lets a cube go while the stretched hand still moves outwards."""
-    on = _require_pad(trial, _FLING_M)
-    picking, lean = _FLING_LEANS_RAD[trial.attempt]
-    if not trial.take(on.top, picking, 0.015):
-        return
-    rest_m = trial.resting_height(on)
-
-    def let_fly(option: tuple[float, float]) -> None:
-        speed_m_s, share = option
-        steps = max(2, math.ceil(_RUN_M / (speed_m_s * STEP_S)))
-        for i in range(1, steps + 1):
-            hand = last.copy()
-            hand[:3, 3] = first[:3, 3] + (last - first)[:3, 3] * (i / steps)
-            if not trial.follow(hand, FINGER_OPENING_M if i / steps >= share else 0.0):
-                return
-        trial.wait(_FLING_LANDING_S)
-
-    for above_m in _RUN_ABOVE_M:
-        run = _run(trial, on, rest_m + above_m, lean)
-        if run is None:
-            continue
-        first, last = run
-        if trial.stand_by(first, 0.0) and trial.go(first, 0.0, 0.6):
-            ready = trial.snapshot()
-            trial.try_each(product(_SPEEDS_M_S, _OPEN_SHARES), let_fly)
-            trial.restore(ready)
-
-
-def throw(trial: ControlTrial) -> None:
-    """Swings the arm and lets a cube fly to its pad."""
-    on = _require_pad(trial, _THROW_M)
-    hold = next(trial.holds(on.top), None)
-    trial.require(hold is not None)
-    outward = trial.outward(trial.pose(on.bottom))
-    start, end = (
-        leaning(trial.at(share * trial.reach.travel_m, outward), z, lean)
-        for share, z, lean in _SWINGS[trial.attempt]
-    )
-    if hold is None or not trial.can(start, end) or not trial.pick_up(hold):
-        return
-    if not trial.go(start, 0.0):
-        return
-    target = trial.posture(end)
-    if target is None:
-        return
-    missed: list[tuple[float, int]] = []
-
-    def swing(option: tuple[FloatArray, int]) -> None:
-        joints, release = option
-        try:
-            for i in range(_SWING_STEPS):
-                trial.command(joints, 0.0 if i < release else FINGER_OPENING_M)
-            trial.wait(_THROW_LANDING_S)
-        finally:
-            miss_m = trial.pose(on.top).distance(trial.pose(on.bottom))
-            missed.append((miss_m, release))
-
-    ready, joints = trial.snapshot(), trial.joints.copy()
-    trial.try_each(product([target], _RELEASES), swing)
-    trial.restore(ready)
-    _, best = min(missed)
-    less = [joints + part * (target - joints) for part in _PARTS]
-    trial.try_each(product(less, [best + off for off in _OFFS]), swing)
-
-
-def _require_pad(trial: ControlTrial, range_m: float) -> On:
-    """Return the only conjunct; give up unless its bottom is a pad in range.
-
-    Nobody builds a tower by throwing, and of two pads one is the partner's.
-    """
-    on = trial.goal.conjuncts[0]
-    trial.require(len(trial.goal.conjuncts) == 1 and kind_of(on.bottom).fixed)
-    trial.require_near(on.bottom, trial.could.touch_m + range_m)
-    return on
-
-
-def _run(
-    trial: ControlTrial, on: On, z: float, lean: float
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the first and the last hand of a run to the edge of its reach."""
-    outward = trial.outward(trial.pose(on.bottom))
-    last: FloatArray | None = None
-    r = 0.6 * trial.reach.travel_m
-    while r < trial.could.touch_m:
-        hand = leaning(trial.at(r, outward), z, lean)
-        if trial.can(hand):
-            last = hand
-        elif last is not None:
-            break
-        r += 0.01
-    first = leaning(trial.at(r - 0.01 - _RUN_M, outward), z, lean)
-    return (first, last) if last is not None and trial.can(first) else None
-
-
-ATTACKS.add("fling", Attack(fling, "control", attempts=len(_FLING_LEANS_RAD)))
-ATTACKS.add("throw", Attack(throw, "control", attempts=len(_SWINGS)))

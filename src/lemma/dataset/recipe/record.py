@@ -101,7 +101,7 @@ class EpisodeRecorder:
             "keyframe_state": tuple(self._states),
             "keyframe_sha256": tuple(self._hashes),
             "success": info["is_success"],
-            "progress": info["progress"],
+            "progress": info["goal_progress"],
             "failure": info["failure"],
             "elapsed_s": info["elapsed_s"],
             "idle_s": tuple(info["idle_s"].values()),
@@ -147,7 +147,7 @@ def record_perturbed(instance: Instance, perturbation: Perturbation) -> Perturbe
     for number in range(_MAX_STEPS):
         subtask, grounded = Expert(scene, instance.goal).act()
         if grounded is None:
-            solved = episode.progress == 1.0
+            solved = episode.goal_progress == 1.0
             expert.append(_known(instance, subtask, None) if solved else None)
             break
         expert.append(_known(instance, subtask, grounded))

@@ -56,6 +56,8 @@ class Cause(StrEnum):
     """No mistake, or the time was over during the first one."""
     STOPPED_EARLY = "stopped_early"
     """No mistake, and ``stop`` while there was something left to do."""
+    THROWN = "thrown"
+    """An object flew, or moved on without a robot."""
     UNTOUCHED = "untouched"
     """Control level: no hand and no tool touched a cube that the goal moves."""
     UNGRASPED = "ungrasped"
@@ -85,6 +87,8 @@ def cause_of(row: Mapping[str, Any]) -> Cause | None:
         return None
     if row["failure"] == POLICY_ERROR:
         return Cause.POLICY_ERROR
+    if row["failure"] == Outcome.THROWN:
+        return Cause.THROWN
     if row.get("control"):
         return _of_control(row["control"])
     mistake = mistake_of(row)

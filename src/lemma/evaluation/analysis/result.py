@@ -21,6 +21,7 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_text
 from lemma.evaluation.analysis.coordination import Coordination, coordination_of
 from lemma.evaluation.analysis.failure_causes import cause_of
+from lemma.evaluation.analysis.reached import Reached, reached_by
 from lemma.evaluation.records import (
     POSE_TOLERANCE_MM,
     RESULT_VERSION,
@@ -50,7 +51,7 @@ class Cell:
     lenient_successes: int | None
     """With what came after a protective stop; None if that was not played."""
     progress: float
-    """Sum over the episodes of the fraction of the goal that holds at the end."""
+    """Sum over the episodes of the share of the stages that count at the end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +129,7 @@ class Result:
     precisions: tuple[Precision, ...] = ()
     coordination: tuple[Coordination, ...] = ()
     asked: tuple[Asked, ...] = ()
+    reached: tuple[Reached, ...] = ()
     planning: tuple[Planning, ...] = ()
     """Effort of planning; only for policies that count it."""
     experiment: str = ""
@@ -157,7 +159,10 @@ class Result:
         write_text(path, text + "\n}\n")
 
 
-_TABLES = ("cells", "losses", "precisions", "coordination", "asked", "planning")
+_TABLES = (
+    *("cells", "losses", "precisions", "coordination", "asked", "reached"),
+    "planning",
+)
 """Fields with an entry in each line; left out where there is none."""
 
 
@@ -314,6 +319,9 @@ def summarise(
             coordination_of(listed, *name) for name, listed in _questions(ordered)
         ),
         asked=tuple(_asked(ordered)),
+        reached=tuple(
+            reached_by(listed, *name) for name, listed in _questions(ordered)
+        ),
         planning=tuple(_planning(ordered)),
         experiment=experiment,
     )

@@ -1,40 +1,23 @@
-"""Tables of the frozen val and test splits: the expert's times, and perturbed starts.
+"""How long the expert takes for every frozen instance of the val and test splits.
 
-They are in the package, ``expert_times.json``, made by ``python
-scripts/expert_times.py`` through the same path as ``lemma evaluate --policy oracle``. A
-policy's time is compared with the expert's, and a change of skills or physics changes
-it.
-
-A perturbed start is the same problem with everything a little elsewhere: each object is
-moved by up to 3 cm and turned by up to 15 degrees. A draw counts only if every robot
-reaches what it reached before and nothing else, objects keep apart and in sight, and
-the expert solves it with as many sub-tasks as the task promises.
+A small table in the package, made by ``python scripts/expert_times.py``, through the
+same path as ``lemma evaluate --policy oracle``. A policy's time is compared with it,
+and a change of skills or physics changes it.
 """
 
 import hashlib
 import json
-import math
-from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 from lemma.core.errors import InvalidConfigError
-from lemma.core.poses import Pose2
-from lemma.core.seeding import stream
+from lemma.evaluation.protocol.perturbed_starts import perturbed
 from lemma.tasks.instance import Instance
 
 TIMES = "expert_times.json"
 """File in the package."""
 TIMED_SPLITS = ("val", "test")
-SHIFT_M = 0.03
-"""Largest distance that an object is moved by [m]."""
-TURN_RAD = math.radians(15.0)
-"""Largest angle that it is turned by [rad]."""
-APART_M = 0.12
-"""Least distance between the middles of cubes and pads [m]."""
-FROM_STICK_M = 0.09
-"""Least distance of their middles from the stick [m]."""
 
 
 def expert_s(
@@ -70,30 +53,6 @@ def perturbed_start(instance: Instance) -> Instance:
         )
     draw = _table()[instance.split][instance.task]["draw"][instance.index]
     return perturbed(instance, draw)
-
-
-def perturbed(instance: Instance, draw: int) -> Instance:
-    """Return an instance with its objects elsewhere; all else is the same.
-
-    Args:
-        instance: Any.
-        draw: Number of the draw; the same gives the same.
-    """
-    rng = stream(instance.key, "perturbed start", draw)
-    moved = []
-    for placed in instance.scene.objects:
-        # Uniform in a disc.
-        radius = SHIFT_M * math.sqrt(rng.random())
-        bearing = rng.uniform(-math.pi, math.pi)
-        turn = rng.uniform(-TURN_RAD, TURN_RAD)
-        pose = Pose2(
-            placed.pose.x + radius * math.cos(bearing),
-            placed.pose.y + radius * math.sin(bearing),
-            placed.pose.yaw + turn,
-        )
-        moved.append(replace(placed, pose=pose.rounded()))
-    scene = replace(instance.scene, objects=tuple(moved))
-    return replace(instance, scene=scene)
 
 
 def times_sha256() -> str:

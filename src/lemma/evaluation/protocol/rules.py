@@ -17,14 +17,15 @@ from lemma.core.errors import DatasetError
 from lemma.core.workers.resumable import flat
 from lemma.env.episode import LEAST_STEP_S, STILL_S
 from lemma.env.simulation import HORIZON_S, TICK_S
-from lemma.evaluation.protocol.expert_times import (
+from lemma.env.stages import LOOK_TICKS
+from lemma.evaluation.protocol.expert_times import times_sha256
+from lemma.evaluation.protocol.language_controls import LANGUAGES
+from lemma.evaluation.protocol.perturbed_starts import (
     APART_M,
     FROM_STICK_M,
     SHIFT_M,
     TURN_RAD,
-    times_sha256,
 )
-from lemma.evaluation.protocol.language_controls import LANGUAGES
 from lemma.evaluation.records import (
     POSE_TOLERANCE_MM,
     PROTOCOL_VERSION,
@@ -32,6 +33,7 @@ from lemma.evaluation.records import (
 )
 from lemma.motion.outcome import REFUSED
 from lemma.scene.build import TIME_STEP_S
+from lemma.scene.coasting import COAST_M, FLIGHT_S
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.pad import PAD
 from lemma.scene.raster import RASTER
@@ -43,7 +45,7 @@ from lemma.tasks.suite import SUITE
 
 PROTOCOL = "protocol.json"
 """File in the package."""
-NAME = "lemma-v2"
+NAME = "lemma-v3"
 REFUSAL_S = 5.0
 """Simulated time that a sub-task takes at least which its robot cannot do [s]: as long
 as an arm needs to where its fingers would close, and back. The expert's arms close
@@ -73,7 +75,10 @@ def in_force() -> dict[str, Any]:
         "episode": {
             "horizon_s": HORIZON_S,
             "least_step_s": LEAST_STEP_S,
-            "end": "the policy says stop, fails itself, or the horizon is reached",
+            "end": "the policy says stop, fails itself, something is thrown, or the "
+            "horizon is reached",
+            "thrown": {"coast_m": COAST_M, "flight_s": FLIGHT_S},
+            "look_ticks": LOOK_TICKS,
             "refused": sorted(REFUSED),
             "strict": "also the first refused sub-task ends it: protective_stop",
             "lenient": "the policy is told what was refused, and goes on",

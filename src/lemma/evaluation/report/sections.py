@@ -17,7 +17,7 @@ from lemma.evaluation.experiments.catalog import (
     SEEDS,
     SUITES,
 )
-from lemma.evaluation.report import tables
+from lemma.evaluation.report import measures, tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     PARTIAL,
@@ -161,6 +161,7 @@ def _of_controls(entries: Sequence[PolicyResults]) -> dict[str, Table]:
 def _of_diagnoses(entries: Sequence[PolicyResults]) -> dict[str, Table]:
     """Return how policies fail, and how robots share work."""
     return {
+        "Stages": measures.reached(entries),
         "Where the points are lost": tables.losses(entries),
         **{
             f"{entry.title}: losses by task": tables.losses_by_task(entry)
@@ -169,7 +170,7 @@ def _of_diagnoses(entries: Sequence[PolicyResults]) -> dict[str, Table]:
             if entry.suite in ("", *SUITES[:2]) and entry.causes()
         },
         "How exact the poses are": tables.precision(entries, "high_level"),
-        "Coordination": tables.coordination(entries, "high_level"),
+        "Coordination": measures.coordination(entries, "high_level"),
     }
 
 

@@ -258,6 +258,8 @@ def _judged(verdict: Verdict) -> dict[str, Any]:
     return {
         "success": verdict.success,
         "progress": verdict.progress,
+        "goal_progress": verdict.goal_progress,
+        "stages": verdict.stages,
         "failure": verdict.failure,
         "policy_error": verdict.fault.to_dict() if verdict.fault else None,
         "asked_holds": verdict.asked_holds,

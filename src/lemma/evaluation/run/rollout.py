@@ -78,6 +78,9 @@ class Verdict:
 
     success: bool
     progress: float
+    goal_progress: float
+    stages: dict[str, Any]
+    """The furthest stage and the verdicts; see :mod:`lemma.env.stages`."""
     failure: str | None
     """Why it failed; None if it succeeded or is not over."""
     fault: Fault | None
@@ -170,6 +173,8 @@ class Rollout:
         return Verdict(
             success=self._ended_well,
             progress=info["progress"],
+            goal_progress=info["goal_progress"],
+            stages=info["stages"],
             failure=self._failure,
             fault=self.fault,
             asked_holds=self.asked_holds,

@@ -1,0 +1,449 @@
+"""Stages: how far an episode has come, by physics alone.
+
+The expert's plan for the instance is a ladder: each of its sub-tasks has five stages,
+
+1. *approached*: the hand of an able robot is near what is grasped,
+2. *touched*: it touches it,
+3. *grasped*: both fingers do,
+4. *lifted*: and it is off the table or elsewhere; or *dragged*: the stick is held, and
+   the cube elsewhere,
+5. *placed*: what was moved rests where the sub-task puts it, and no robot leads it.
+
+``progress`` is the share of the stages of all sub-tasks that are reached *in order and
+not undone*: the stages of a sub-task count once the earlier sub-tasks about the same
+objects are done, and what is dropped, knocked away or taken back counts no more. A goal
+that holds has 1. Nothing here depends on who decides, or at which level.
+
+A robot is *able* if it reaches what the sub-task picks and, where that is an object,
+what it is put on.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.engine import mujoco
+from lemma.core.kernels import kernel
+from lemma.core.poses import FloatArray, Pose2
+from lemma.env.simulation import Simulation
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import SymbolicState
+from lemma.scene.objects.entity import STICK
+from lemma.tasks.drags import grasp_on_stick
+from lemma.tasks.goal import Goal, On, is_at_rest
+from lemma.tasks.subtask import Primitive, SubTask
+
+LOOK_TICKS = 5
+"""Servo ticks between two looks: 50 ms."""
+NEAR_M = 0.10
+"""A hand is near an object if its tool centre point is within this of the grasp [m]."""
+LIFT_M = 0.015
+"""An object is lifted if it is so much higher than it was at first [m]."""
+MOVED_M = 0.03
+"""An object has moved if it is so far from where it was at first [m]."""
+
+_WATCH_M = 0.2
+_STILL_M = 0.0005
+_PREPARES = {Primitive.PREHOOK: Primitive.HOOK, Primitive.PREPOKE: Primitive.POKE}
+_DRAGS = tuple(_PREPARES.values())
+_LEFT, _RIGHT = 2, 4
+
+
+class Stage(StrEnum):
+    """A physical event on the way of a sub-task."""
+
+    APPROACHED = "approached"
+    TOUCHED = "touched"
+    GRASPED = "grasped"
+    LIFTED = "lifted"
+    DRAGGED = "dragged"
+    """In place of lifted, where the stick moves a cube."""
+    PLACED = "placed"
+
+
+PER_SUBTASK = 5
+"""Stages of a sub-task."""
+
+
+@dataclass(frozen=True, slots=True)
+class Furthest:
+    """The most that was reached in an episode."""
+
+    progress: float = 0.0
+    """Share of the stages, in [0, 1]."""
+    subtask: int | None = None
+    """Number in the plan of the last sub-task of which a stage was reached."""
+    stage: str = ""
+    """That stage; empty if there was none."""
+    time_s: float = 0.0
+    """Simulated time at which it was reached [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstMove:
+    """The first object that a robot moved, and how that went."""
+
+    entity: str
+    robot: str
+    understood: bool | None = None
+    """Whether it belongs to the goal, and went where it belongs; None while it is
+    still under way."""
+    allocated: bool = False
+    """Whether it was moved by a robot that can."""
+    executed: bool | None = None
+    """Whether the sub-task was done with it: it rests where the plan puts it."""
+
+
+@dataclass(frozen=True, slots=True)
+class StageState:
+    """What a :class:`StageWatch` knows; plain data."""
+
+    ticks: int
+    near: bool
+    seen: tuple[float, ...]
+    stood: tuple[bool, ...] | None
+    progress: float
+    furthest: Furthest
+    first: FirstMove | None
+
+
+class StageWatch:
+    """Follows an episode up the ladder of the expert's plan."""
+
+    def __init__(self, simulation: Simulation, goal: Goal) -> None:
+        """Begin in the first state of an episode, and watch from then on."""
+        self._simulation, self._goal = simulation, goal
+        self._scene = simulation.scene
+        self._start = SymbolicState.observe(self._scene)
+        self._grounder = GeometricGrounder(self._scene.spec)
+        coasting = simulation.scene.coasting
+        self._names = coasting.names
+        self._number = {name: k for k, name in enumerate(coasting.names)}
+        self._at = coasting.qpos_at
+        self._seen = np.array([self._scene.data.qpos[at : at + 3] for at in self._at])
+        self._seen = self._seen.reshape(-1, 3)
+        self._first_seen = self._seen.copy()
+        model, robots = self._scene.model, self._scene.robots
+        self._sites = np.array([model.site(f"{r.name}/tcp").id for r in robots])
+        self._parts = _parts(self._scene.model, [r.name for r in robots])
+        self._touch = np.zeros((len(robots), len(self._names)), np.int64)
+        self._led = np.zeros(len(self._names), np.bool_)
+        self._ticks, self._near = 0, False
+        self._stood: list[bool] | None = None
+        self.progress = 1.0 if self._holds() else 0.0
+        """Share of the stages that are reached in order and not undone, in [0, 1]."""
+        self.furthest = Furthest(self.progress)
+        """The most that was reached so far."""
+        self.first: FirstMove | None = None
+        """The first object that was moved; None before."""
+        simulation.observers.append(self.look)
+
+    @cached_property
+    def plan(self) -> tuple[SubTask, ...]:
+        """The expert's plan for the instance; empty where there is none."""
+        found = find_plan(self._start, self._goal, self._grounder)
+        return () if found is None else found.subtasks
+
+    def record(self) -> dict[str, Any]:
+        """Return the furthest stage and the verdicts, ready for JSON.
+
+        Returns:
+            ``progress``, ``subtask``, ``stage`` and ``time_s`` of the most that was
+            reached; ``moved``, the first object that a robot moved, ``by`` the robot;
+            and of that move ``understood``, ``allocated`` and ``executed``, None where
+            there was none or it did not come to an end.
+        """
+        most, first = self.furthest, self.first
+        return {
+            "progress": most.progress,
+            "subtask": most.subtask,
+            "stage": str(most.stage),
+            "time_s": round(most.time_s, 3),
+            "moved": "" if first is None else first.entity,
+            "by": "" if first is None else first.robot,
+            "understood": None if first is None else first.understood,
+            "allocated": None if first is None else first.allocated,
+            "executed": None if first is None else first.executed,
+        }
+
+    def state(self) -> StageState:
+        """Return what is known so far."""
+        stood = None if self._stood is None else tuple(self._stood)
+        seen = tuple(self._seen.ravel().tolist())
+        watched = (self._ticks, self._near, seen, stood)
+        return StageState(*watched, self.progress, self.furthest, self.first)
+
+    def restore(self, state: StageState) -> None:
+        """Go back to what was known before."""
+        self._ticks, self._near, self.progress = state.ticks, state.near, state.progress
+        self._seen[:] = np.reshape(state.seen, self._seen.shape)
+        self._stood = None if state.stood is None else list(state.stood)
+        self.furthest, self.first = state.furthest, state.first
+
+    def look(self) -> None:
+        """Look at the present state, after a servo tick."""
+        simulation, data = self._simulation, self._scene.data
+        self._ticks += 1
+        if self._ticks % LOOK_TICKS:
+            return
+        near, moved = _is_near_or_moved(
+            data.qpos, self._at, data.site_xpos, self._sites, self._seen
+        )
+        if not (near or moved or self._near):
+            return
+        self._near = near
+        self._touch[:] = 0
+        self._led = self._scene.coasting.led()
+        _find_touches(
+            data.contact.geom, simulation.scene.coasting.owner, self._parts, self._touch
+        )
+        self._follow_first_move()
+        progress, step, stage = self._progress()
+        self.progress = progress
+        if progress > self.furthest.progress + 1e-9:
+            self.furthest = Furthest(progress, step, stage, simulation.time_s)
+
+    def _holds(self) -> bool:
+        return self._goal.progress(self._scene) == 1.0
+
+    def _progress(self) -> tuple[float, int | None, str]:
+        """Return the present progress, and the last sub-task and stage of it."""
+        plan = self.plan
+        if not plan:
+            share = self._goal.progress(self._scene)
+            return share, None, Stage.PLACED if share else ""
+        levels = [self._level(step) for step in plan]
+        stood = self._stood or [False] * len(plan)
+        for i in reversed(range(len(plan))):
+            stood[i] = self._is_placed(plan, i) or (
+                stood[i] and not self._is_undone(plan, i, stood, levels)
+            )
+        self._stood = stood
+        reached, last, stage = 0, None, ""
+        for i, step in enumerate(plan):
+            if not all(stood[k] for k in self._before(plan, i)):
+                continue
+            level = PER_SUBTASK if stood[i] else levels[i]
+            reached += level
+            if level:
+                last, stage = i, _stage(step, level)
+        if self._holds():
+            return 1.0, len(plan) - 1, Stage.PLACED
+        # A goal that does not hold yet is not reached, whatever the plan said.
+        share = min(reached, PER_SUBTASK * len(plan) - 1) / (PER_SUBTASK * len(plan))
+        return share, last, stage
+
+    def _before(self, plan: tuple[SubTask, ...], i: int) -> Iterator[int]:
+        """Yield the earlier sub-tasks about the same objects; pads bind nothing."""
+        mine = {name for name in _entities(plan[i]) if name in self._number}
+        return (k for k in range(i) if mine & {*_entities(plan[k])})
+
+    def _level(self, step: SubTask) -> int:
+        """Return how many of the first four stages of a sub-task hold now."""
+        if step.pick not in self._number:
+            return 0
+        item = self._number[step.pick]
+        level = 0
+        for robot, name in enumerate(self._scene.spec.robot_names):
+            touch = int(self._touch[robot, item])
+            grasped = touch & _LEFT and touch & _RIGHT
+            if not self._is_able(name, step, held=bool(grasped)):
+                continue
+            if grasped:
+                subject = self._number[_subject(step)]
+                moved = self._way_m(subject) > MOVED_M or (
+                    subject == item and self._rise_m(item) > LIFT_M
+                )
+                level = max(level, 4 if moved else 3)
+            elif touch:
+                level = max(level, 2)
+            elif self._hand_m(robot, step.pick) < NEAR_M:
+                level = max(level, 1)
+        return level
+
+    def _is_able(self, robot: str, step: SubTask, *, held: bool) -> bool:
+        """Whether a robot reaches what a sub-task picks, and what it puts that on."""
+        reaches = self._grounder.reaches
+        if not held and not reaches(robot, self._grip(step.pick)):
+            return False
+        if step.place in self._start.spec.object_names and step.pick != STICK:
+            return reaches(robot, self._scene.pose2(step.place))
+        return True
+
+    def _grip(self, name: str) -> Pose2:
+        """Return where an object is grasped."""
+        pose = self._scene.pose2(name)
+        return grasp_on_stick(pose) if name == STICK else pose
+
+    def _hand_m(self, robot: int, name: str) -> float:
+        """Return the distance of a hand from where an object is grasped [m]."""
+        x, y, z = self._scene.data.site_xpos[self._sites[robot]].tolist()
+        grip, height = self._grip(name), self._scene.position(name)[2]
+        return float(np.sqrt((x - grip.x) ** 2 + (y - grip.y) ** 2 + (z - height) ** 2))
+
+    def _rise_m(self, item: int) -> float:
+        at = self._at[item]
+        return float(self._scene.data.qpos[at + 2] - self._first_seen[item, 2])
+
+    def _way_m(self, item: int) -> float:
+        at = self._at[item]
+        off = self._scene.data.qpos[at : at + 3] - self._first_seen[item]
+        return float(np.sqrt(off @ off))
+
+    def _rests(self, name: str) -> bool:
+        """Whether no robot leads an object, and it neither moves nor turns."""
+        led = self._led[self._number[name]]
+        return not led and is_at_rest(self._scene, name)
+
+    def _is_placed(self, plan: tuple[SubTask, ...], i: int) -> bool:
+        """Whether what a sub-task moves rests where it belongs."""
+        step = plan[i]
+        if step.primitive in _PREPARES:
+            now = SymbolicState.observe(self._scene)
+            return (
+                {STICK, step.place} <= set(now.poses)
+                and now.is_prepared(_PREPARES[step.primitive], step.place)
+                and self._rests(STICK)
+            )
+        subject = _subject(step)
+        if subject not in self._number:
+            return False
+        if step.primitive not in _DRAGS and step.place in self._start.spec.object_names:
+            return On(step.pick, step.place).holds(self._scene)
+        if subject in self._scene.fallen or not self._rests(subject):
+            return False
+        wanted = _next_robots(plan, i) or self._scene.spec.robot_names
+        grip = self._grip(subject)
+        return any(self._grounder.reaches(robot, grip) for robot in wanted)
+
+    def _is_undone(
+        self, plan: tuple[SubTask, ...], i: int, stood: list[bool], levels: list[int]
+    ) -> bool:
+        """Whether the effect of a sub-task is gone, and no later one has begun."""
+        subject = _subject(plan[i])
+        if subject not in self._scene.fallen and not self._rests(subject):
+            return False
+        later = (k for k in range(i + 1, len(plan)) if subject in _entities(plan[k]))
+        return not any(stood[k] or levels[k] >= 2 for k in later)
+
+    def _follow_first_move(self) -> None:
+        """Find the first object that is moved; judge it when it comes to rest."""
+        if self.first is None:
+            for item, name in enumerate(self._names):
+                if self._led[item] and self._way_m(item) > MOVED_M:
+                    robot = self._leader(name)
+                    if robot is not None:
+                        mine = [s for s in self.plan if _subject(s) == name]
+                        able = any(step.robot == robot for step in mine)
+                        self.first = FirstMove(name, robot, allocated=able)
+                    return
+        elif self.first.understood is None and self._rests(self.first.entity):
+            name = self.first.entity
+            done = any(
+                _subject(step) == name and self._is_placed(self.plan, i)
+                for i, step in enumerate(self.plan)
+            )
+            right = done or self._belongs(name)
+            self.first = replace(self.first, understood=right, executed=done)
+
+    def _leader(self, name: str) -> str | None:
+        """Return the robot that touches an object, or the stick if none does."""
+        for item in (name, STICK):
+            if item in self._number:
+                touch = self._touch[:, self._number[item]]
+                if touch.any():
+                    return self._scene.spec.robot_names[int(np.argmax(touch))]
+        return None
+
+    def _belongs(self, name: str) -> bool:
+        """Whether an object of the goal lies where another robot gets it."""
+        if name not in {entity for step in self.plan for entity in _entities(step)}:
+            return False
+        now = SymbolicState.observe(self._scene)
+        if now.supports.get(name, "table") != "table" or name in now.fallen:
+            return False
+        before, after = (
+            {r for r in self._grounder.robots if self._grounder.reaches(r, pose)}
+            for pose in (self._start.poses[name], self._grip(name))
+        )
+        return bool(after - before)
+
+
+def _subject(step: SubTask) -> str:
+    """Return what a sub-task gets elsewhere: the cube that is dragged, or the pick."""
+    return step.place if step.primitive in _DRAGS else step.pick
+
+
+def _entities(step: SubTask) -> tuple[str, str]:
+    return (step.pick, step.place)
+
+
+def _next_robots(plan: tuple[SubTask, ...], i: int) -> tuple[str, ...]:
+    """Return the robot that handles next what a sub-task moves."""
+    subject = _subject(plan[i])
+    later = (step for step in plan[i + 1 :] if subject in _entities(step))
+    return tuple(step.robot for step in later)[:1]
+
+
+def _stage(step: SubTask, level: int) -> Stage:
+    if level == 4 and step.primitive in _DRAGS:
+        return Stage.DRAGGED
+    order = (Stage.APPROACHED, Stage.TOUCHED, Stage.GRASPED, Stage.LIFTED, Stage.PLACED)
+    return order[level - 1]
+
+
+def _parts(model: mujoco.MjModel, robots: list[str]) -> NDArray[np.int64]:
+    """Return robot and part of each geom, (ngeom, 2): part 1, or a finger's pad."""
+    found = np.full((model.ngeom, 2), -1, np.int64)
+    for geom in range(len(found)):
+        body = model.body(int(model.geom_bodyid[geom])).name
+        robot, _, _ = body.partition("/")
+        if robot in robots:
+            part = model.geom(geom).name.rpartition("/")[2]
+            bit = {"pad_left": _LEFT, "pad_right": _RIGHT}.get(part, 1)
+            found[geom] = robots.index(robot), bit
+    return found
+
+
+@kernel
+def _is_near_or_moved(
+    qpos: FloatArray,
+    at: NDArray[np.int64],
+    sites: FloatArray,
+    hands: NDArray[np.int64],
+    seen: FloatArray,
+) -> tuple[bool, bool]:
+    """Whether a hand is near an object, and whether one has moved since it was seen."""
+    near, moved = False, False
+    for k in range(len(at)):
+        x, y, z = qpos[at[k]], qpos[at[k] + 1], qpos[at[k] + 2]
+        dx, dy, dz = x - seen[k, 0], y - seen[k, 1], z - seen[k, 2]
+        if dx * dx + dy * dy + dz * dz > _STILL_M * _STILL_M:
+            moved = True
+            seen[k, 0], seen[k, 1], seen[k, 2] = x, y, z
+        for hand in hands:
+            dx, dy, dz = x - sites[hand, 0], y - sites[hand, 1], z - sites[hand, 2]
+            if dx * dx + dy * dy + dz * dz < _WATCH_M * _WATCH_M:
+                near = True
+    return near, moved
+
+
+@kernel
+def _find_touches(
+    contacts: NDArray[np.int32],
+    owner: NDArray[np.int64],
+    parts: NDArray[np.int64],
+    touch: NDArray[np.int64],
+) -> None:
+    """Note which parts of which robot touch which object, as bits."""
+    for c in range(len(contacts)):
+        for side in range(2):
+            a, b = contacts[c, side], contacts[c, 1 - side]
+            if owner[a] >= 0 and parts[b, 0] >= 0:
+                touch[parts[b, 0], owner[a]] |= parts[b, 1]

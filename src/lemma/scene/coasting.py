@@ -1,0 +1,255 @@
+"""Objects that move by themselves: thrown, struck or dropped.
+
+Reach decides who can do what only as long as nothing travels without a hand. So an
+object may move by itself no farther than :data:`COAST_M` before it rests, and fly no
+longer than :data:`FLIGHT_S`; with more it has been *thrown*.
+
+A robot *leads* an object if it touches it, or something else that is not fixed and
+touches it, over any number of such things: a cube in the fingers, one that the stick
+pushes, the upper one of two that are carried together. An object *flies* if nothing of
+the kind leads from it to a robot, the table or the floor.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.engine import mujoco
+from lemma.core.kernels import kernel
+from lemma.core.poses import FloatArray
+
+COAST_M = 0.04
+"""How far the middle of mass of an object may get from where a robot last led it, or
+where it rested since, seen from above [m]."""
+FLIGHT_S = 0.15
+"""How long it may touch nothing [s]: a fall of 11 cm."""
+
+_SLOW_M_S = 0.02
+_REST_TICKS = 10
+"""Objects rest when all have been slower than this for so many servo ticks."""
+_ROOM, _ROBOT = -1, -2
+
+
+@dataclass(frozen=True, slots=True)
+class CoastingState:
+    """What a :class:`Coasting` knows; plain data."""
+
+    left_m: FloatArray
+    since_s: FloatArray
+    thrown: NDArray[np.bool_]
+    awake: int
+
+
+class Coasting:
+    """How far, and for how long, each object of a scene has moved by itself."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Begin in a state in which no robot touches anything.
+
+        Args:
+            model: The scene's model.
+            data: Its data, which are looked at.
+        """
+        free = [j for j in range(model.njnt) if model.jnt_type[j] == 0]
+        self._data = data
+        self._qpos, self._qvel = data.qpos, data.qvel
+        self.qpos_at = model.jnt_qposadr[free].astype(np.int64)
+        """Where the position of each object begins in ``qpos``, (objects,)."""
+        self._qvel_at = model.jnt_dofadr[free].astype(np.int64)
+        self._mass_at = model.body_ipos[[int(model.jnt_bodyid[j]) for j in free]]
+        self._mass_at = np.ascontiguousarray(self._mass_at.reshape(-1, 3))
+        self.owner = _owners(model, [int(model.jnt_bodyid[j]) for j in free])
+        """Owner of each geom, (ngeom,): an object; below 0 the room, a robot."""
+        self.names = tuple(model.body(int(model.jnt_bodyid[j])).name for j in free)
+        """The objects that are not fixed to the table."""
+        self.left_m = np.zeros((len(free), 2))
+        """Where a robot last led it, or where it was first, (objects, 2) [m]."""
+        self.since_s = np.zeros(len(free))
+        """When it last touched something, (objects,) [s]."""
+        self._thrown = np.zeros(len(free), np.bool_)
+        self._held = np.zeros(len(free), np.bool_)
+        self._resting = np.zeros(len(free), np.bool_)
+        self._awake = 0
+        self.is_thrown = False
+        """Whether an object has been thrown."""
+        for name in self.names:
+            self.put(name)
+
+    def put(self, name: str) -> None:
+        """Begin anew with an object that somebody has put where it is now."""
+        k = self.names.index(name)
+        self.left_m[k] = _middle(self._qpos, self.qpos_at[k], self._mass_at[k])
+        self.since_s[k] = self._data.time
+
+    @property
+    def thrown(self) -> tuple[str, ...]:
+        """Names of the objects that have been thrown."""
+        pairs = zip(self.names, self._thrown.tolist(), strict=True)
+        return tuple(name for name, thrown in pairs if thrown)
+
+    def state(self) -> CoastingState:
+        """Return what is known so far."""
+        return CoastingState(
+            self.left_m.copy(), self.since_s.copy(), self._thrown.copy(), self._awake
+        )
+
+    def restore(self, state: CoastingState) -> None:
+        """Go back to what was known before."""
+        self.left_m[:], self.since_s[:] = state.left_m, state.since_s
+        self._thrown[:] = state.thrown
+        self._awake, self.is_thrown = state.awake, bool(state.thrown.any())
+
+    def middles(self) -> FloatArray:
+        """Return where the middles of mass are, seen from above, (objects, 2) [m]."""
+        pairs = zip(self.qpos_at, self._mass_at, strict=True)
+        found = [_middle(self._qpos, at, mass) for at, mass in pairs]
+        return np.array(found).reshape(-1, 2)
+
+    def led(self) -> NDArray[np.bool_]:
+        """Return which objects a robot leads at this moment, (objects,)."""
+        led, carried = np.zeros_like(self._held), np.zeros_like(self._held)
+        _note(self._data.contact.geom, self.owner, led, carried)
+        return led
+
+    def note(self) -> None:
+        """Note who touches whom. Call it after every physics step.
+
+        A cube that is pushed is knocked ahead again and again, each time for a step.
+        """
+        if self._awake:
+            _note(self._data.contact.geom, self.owner, self._held, self._resting)
+
+    def look(self) -> None:
+        """Look at the present state. Call it once a servo tick."""
+        now = self._data.time
+        if not _is_slow(self._qvel, self._qvel_at):
+            asleep, self._awake = not self._awake, _REST_TICKS
+            if asleep:
+                self.note()
+        elif self._awake:
+            self._awake -= 1
+        if not self._awake:
+            _rest(
+                self._qpos,
+                self.qpos_at,
+                self._mass_at,
+                self.left_m,
+                self.since_s,
+                now,
+            )
+            return
+        self.is_thrown |= _follow(
+            self._qpos,
+            self.qpos_at,
+            self._mass_at,
+            self._held,
+            self._resting,
+            self.left_m,
+            self.since_s,
+            self._thrown,
+            now,
+        )
+
+
+def _owners(model: mujoco.MjModel, bodies: list[int]) -> NDArray[np.int64]:
+    """Return the owner of each geom: an object, a robot or the room, (ngeom,)."""
+    owner = np.full(model.ngeom, _ROOM, np.int64)
+    for geom in range(model.ngeom):
+        root = int(model.body_rootid[model.geom_bodyid[geom]])
+        if root in bodies:
+            owner[geom] = bodies.index(root)
+        elif "/" in model.body(int(model.geom_bodyid[geom])).name:
+            owner[geom] = _ROBOT
+    return owner
+
+
+@kernel
+def _is_slow(qvel: FloatArray, qvel_at: NDArray[np.int64]) -> bool:
+    """Whether all objects are slow."""
+    for at in qvel_at:
+        x, y, z = qvel[at], qvel[at + 1], qvel[at + 2]
+        if x * x + y * y + z * z > _SLOW_M_S * _SLOW_M_S:
+            return False
+    return True
+
+
+@kernel
+def _middle(qpos: FloatArray, at: int, mass_at: FloatArray) -> tuple[float, float]:
+    """Return where the middle of mass of an object is, seen from above [m]."""
+    w, x, y, z = qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6]
+    a, b, c = mass_at[0], mass_at[1], mass_at[2]
+    u = (1.0 - 2.0 * (y * y + z * z)) * a + 2.0 * ((x * y - w * z) * b)
+    u += 2.0 * ((x * z + w * y) * c)
+    v = (1.0 - 2.0 * (x * x + z * z)) * b + 2.0 * ((x * y + w * z) * a)
+    v += 2.0 * ((y * z - w * x) * c)
+    return qpos[at] + u, qpos[at + 1] + v
+
+
+@kernel
+def _rest(
+    qpos: FloatArray,
+    qpos_at: NDArray[np.int64],
+    mass_at: FloatArray,
+    left_m: FloatArray,
+    since_s: FloatArray,
+    now: float,
+) -> None:
+    """Take where objects are as where they rest."""
+    for k in range(len(qpos_at)):
+        left_m[k, 0], left_m[k, 1] = _middle(qpos, qpos_at[k], mass_at[k])
+        since_s[k] = now
+
+
+@kernel
+def _note(
+    contacts: NDArray[np.int32],
+    owner: NDArray[np.int64],
+    held: NDArray[np.bool_],
+    resting: NDArray[np.bool_],
+) -> None:
+    """Note which objects a robot leads, and which ones a robot or the room carries."""
+    led, carried = np.zeros_like(held), np.zeros_like(held)
+    changed = True
+    while changed:
+        changed = False
+        for c in range(len(contacts)):
+            a, b = owner[contacts[c, 0]], owner[contacts[c, 1]]
+            for k, other in ((a, b), (b, a)):
+                if k < 0:
+                    continue
+                if not led[k] and (other == _ROBOT or (other >= 0 and led[other])):
+                    led[k] = changed = True
+                if not carried[k] and (other < 0 or carried[other]):
+                    carried[k] = changed = True
+    for k in range(len(held)):
+        held[k] |= led[k]
+        resting[k] |= carried[k]
+
+
+@kernel
+def _follow(  # noqa: PLR0913
+    qpos: FloatArray,
+    qpos_at: NDArray[np.int64],
+    mass_at: FloatArray,
+    held: NDArray[np.bool_],
+    resting: NDArray[np.bool_],
+    left_m: FloatArray,
+    since_s: FloatArray,
+    thrown: NDArray[np.bool_],
+    now: float,
+) -> bool:
+    """Take up and clear what was noted; return whether an object is newly thrown."""
+    newly = False
+    for k in range(len(held)):
+        x, y = _middle(qpos, qpos_at[k], mass_at[k])
+        if held[k]:
+            left_m[k, 0], left_m[k, 1] = x, y
+        if resting[k]:
+            since_s[k] = now
+        dx, dy = x - left_m[k, 0], y - left_m[k, 1]
+        far = dx * dx + dy * dy > COAST_M * COAST_M
+        if (far or now - since_s[k] > FLIGHT_S) and not thrown[k]:
+            thrown[k] = newly = True
+        held[k] = resting[k] = False
+    return newly

@@ -1,0 +1,135 @@
+"""Stages: what an episode has reached, in order and not undone."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from lemma.core.poses import Pose, Pose2
+from lemma.env.episode import Episode
+from lemma.env.stages import PER_SUBTASK, Stage
+from lemma.expert.expert import Expert, solve
+from lemma.motion.outcome import Outcome
+from lemma.tasks.subtask import GroundedSubTask
+from lemma.tasks.suite import SUITE, load_instance
+
+
+def begin(task: str, index: int = 0) -> Episode:
+    return Episode(load_instance(task, "free", index))
+
+
+def play(episode: Episode) -> Iterator[GroundedSubTask]:
+    scene = episode.simulation.scene
+    for step in solve(episode, Expert(scene, episode.instance.goal)):
+        yield step.grounded
+
+
+@pytest.mark.parametrize("task", SUITE)
+def test_the_expert_climbs_stage_by_stage(task: str) -> None:
+    episode = begin(task)
+    reached: list[tuple[float, int | None, str]] = []
+
+    def look() -> None:
+        most = episode.stages.furthest
+        if most.progress and (not reached or most.progress > reached[-1][0]):
+            reached.append((most.progress, most.subtask, most.stage))
+
+    episode.simulation.observers.append(look)
+    done = list(play(episode))
+    assert episode.is_success
+    assert len(episode.stages.plan) == len(done)
+    assert episode.progress == 1.0
+    shares = [progress for progress, _, _ in reached]
+    assert shares == sorted(shares)
+    assert len(reached) > 2 * len(done)
+    assert reached[-1] == (1.0, len(done) - 1, Stage.PLACED)
+    record = episode.stages.record()
+    verdicts = [record[name] for name in ("understood", "allocated", "executed")]
+    assert verdicts == [True, True, True]
+    assert record["by"] == done[0].robot
+
+
+def stop_at(episode: Episode, seconds: float) -> None:
+    """Let the expert begin, and break it off."""
+    scene = episode.simulation.scene
+    _, grounded = Expert(scene, episode.instance.goal).act()
+    assert grounded is not None
+    episode.simulation.execute(grounded, until_s=seconds)
+
+
+@pytest.mark.parametrize("task", ["pass", "stack", "hook"])
+def test_a_cube_that_is_carried_halfway_counts(task: str) -> None:
+    episode = begin(task)
+    assert episode.progress == 0.0
+    share = 1.0 / (PER_SUBTASK * len(episode.stages.plan))
+    seen = set()
+    for hundredths in range(50, 800, 25):
+        fresh = begin(task)
+        stop_at(fresh, hundredths / 100)
+        seen.add(round(fresh.progress / share))
+        if fresh.progress >= 4 * share:
+            break
+    assert {0, 1, 3, 4} <= seen
+    assert fresh.goal_progress == 0.0
+
+
+def test_what_is_undone_counts_no_more() -> None:
+    episode = begin("pass")
+    scene, steps = episode.simulation.scene, play(episode)
+    top = episode.instance.goal.pairs[0][0]
+    before = scene.pose(top)
+    next(steps)
+    assert episode.progress == 0.5
+    scene.set_pose(top, before)
+    episode.simulation.rest(0.5)
+    assert episode.progress == 0.0
+    assert episode.stages.furthest.progress == 0.5
+
+
+def test_another_object_is_not_understood() -> None:
+    for index in range(20):
+        episode = begin("pass", index)
+        spec = episode.simulation.scene.spec
+        for name in episode.instance.distractors:
+            pose = spec.placement(name).pose
+            if not name.endswith("cube"):
+                continue
+            for robot in spec.robot_names:
+                place = Pose2(pose.x, pose.y + 0.08)
+                move = GroundedSubTask(robot, "move", pose, place)
+                if episode.execute(move).outcome is Outcome.SUCCESS:
+                    record = episode.stages.record()
+                    assert record["moved"] == name
+                    assert record["understood"] is False
+                    assert record["allocated"] is False
+                    assert record["executed"] is False
+                    assert episode.progress == 0.0
+                    return
+    pytest.fail("No instance has a cube that can be moved aside.")
+
+
+def test_stages_go_on_from_a_snapshot() -> None:
+    episode = begin("pass")
+    steps = play(episode)
+    next(steps)
+    kept, record = episode.snapshot(), episode.stages.record()
+    twin = Episode(episode.instance)
+    twin.restore(kept)
+    assert twin.progress == episode.progress
+    assert twin.stages.record() == record
+    list(steps)
+    list(play(twin))
+    assert twin.stages.record() == episode.stages.record()
+    assert twin.simulation.scene.state_hash() == episode.simulation.scene.state_hash()
+
+
+def test_a_goal_that_holds_at_first_is_reached() -> None:
+    episode = begin("pass")
+    list(play(episode))
+    scene = episode.simulation.scene
+    top, bottom = episode.instance.goal.pairs[0]
+    x, y, z = scene.pose(top).position
+    assert scene.pose(bottom).position[0] == pytest.approx(x, abs=0.05)
+    again = begin("pass")
+    again.simulation.scene.set_pose(top, Pose((x, y, z), (1.0, 0.0, 0.0, 0.0)))
+    again.simulation.rest(0.5)
+    assert again.progress == again.goal_progress == 1.0
