@@ -209,7 +209,21 @@ def protocol_words(entries: Sequence[PolicyResults], where: str = f"*{HOW}*") ->
         )
     if any({task for _, task in _extents(one)} != set(SUITE) for one in results):
         text += f". {PARTIAL} marks a mean over other tasks than the suite's eight"
-    return f"{text}."
+    return f"{text}.{_older_words(results, benchmark)}"
+
+
+def _older_words(results: Iterable[Result], benchmark: str) -> str:
+    """Return a sentence where weights were trained on another version; mostly none."""
+    older = {
+        told["data"]["benchmark"]
+        for result in results
+        for told in result.about["weights"].values()
+        if told.get("data", {}).get("benchmark", benchmark) != benchmark
+    }
+    if not older:
+        return ""
+    names = " and ".join(f"`{name}`" for name in sorted(older))
+    return f" **Weights were trained on {names}** of the benchmark, and play on."
 
 
 def sample_words(entries: Sequence[PolicyResults]) -> str:
