@@ -49,10 +49,9 @@ def greedy_skills(trial: SkillTrial) -> None:
             if _distance_left(trial) < least - 0.005:
                 best, least = trial.snapshot(), _distance_left(trial)
 
+        # After draws that bring it no nearer, others are drawn.
         trial.try_each(tries, attempt)
         trial.restore(best)
-        if best is start:
-            return
 
 
 def _distance_left(trial: SkillTrial) -> float:
