@@ -13,7 +13,7 @@ import numpy as np
 
 import lemma
 
-index = int(sys.argv[1]) if len(sys.argv) > 1 else 0
+index = int(sys.argv[1]) if len(sys.argv) > 1 else 1
 env = lemma.make(
     *("pass",),
     control="ee_pose",
@@ -49,6 +49,8 @@ for position, opening, seconds in WAY:
     action[robot] = *position, *down, opening
     for _ in range(round(seconds * 20)):
         observation, reward, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            sys.exit(f"The episode has failed: {info['failure']}")
     hand = observation["tcp_pose"].reshape(2, 7)[robot, :3]
     print(f"{info['elapsed_s']:5.2f} s  hand at {hand.round(3)}")
 

@@ -109,7 +109,7 @@ lemma.PRIMITIVES.add(
 )
 
 if __name__ == "__main__":
-    index = int(sys.argv[1]) if len(sys.argv) > 1 else 14
+    index = int(sys.argv[1]) if len(sys.argv) > 1 else 39
     env = lemma.make("pass", level="plan", split="test", index=index)
     expert = lemma.ExpertPolicy(env)
     observation, info = env.reset()

@@ -253,7 +253,7 @@ def test_arms_are_aimed_with_the_posture_that_they_would_choose() -> None:
     rng = np.random.default_rng(0)
     layout = env.action_layout
     arms, found = list(env.episode.simulation.arms.values()), 0
-    for _ in range(80):
+    for _ in range(120):
         action = rng.uniform(layout.low, layout.high, layout.shape)
         action[:, 3:7] = np.eye(4)[1] + rng.normal(0.0, 0.1, (len(arms), 4))
         env.controller.command(action)
@@ -269,11 +269,12 @@ def test_arms_are_aimed_with_the_posture_that_they_would_choose() -> None:
             assert np.allclose(goal.rotation, pose[:3, :3], atol=1e-12)
             assert np.allclose(goal.position, pose[:3, 3], atol=1e-12)
             assert goal.target_weight == 1.0
-    assert 10 < found < 160
+    assert 10 < found < 240
 
 
 def test_a_cube_can_be_picked_up_with_poses() -> None:
-    env = control_env("ee_pose", "pass")
+    # The arm that reaches it waits on its side.
+    env = control_env("ee_pose", "pass", index=1)
     _, info = env.reset()
     scene = scene_of(env)
     (goal,) = env.instance.goal.pairs

@@ -15,12 +15,18 @@ import lemma
 from lemma.core.errors import InvalidConfigError, LemmaError, PhysicsError
 from lemma.core.poses import Pose2
 from lemma.env.base_env import LemmaEnv
+from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 
 GOOD = lemma.load_instance("stack", "test", 0)
 DATA = GOOD.to_dict()
+ABSENT = next(
+    cube
+    for cube in (f"{color}_cube" for color in BENCHMARK_COLORS)
+    if cube not in GOOD.scene.object_names
+)
 NUMBERS: tuple[Any, ...] = (
     math.nan,
     math.inf,
@@ -167,7 +173,7 @@ def test_table_that_cannot_be_set_is_refused(
         lambda: SceneSpec([], ()),  # type: ignore[arg-type]
         lambda: SceneSpec((5,), ()),  # type: ignore[arg-type]
         lambda: replace(GOOD, scene=None),  # type: ignore[arg-type]
-        lambda: replace(GOOD, goal=Goal.from_pairs((("white_cube", "red_pad"),) * 1)),
+        lambda: replace(GOOD, goal=Goal.from_pairs(((ABSENT, "red_pad"),))),
         lambda: replace(GOOD, distractors=("moon",)),
         lambda: replace(GOOD, index=-1),
     ],

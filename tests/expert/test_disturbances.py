@@ -27,7 +27,7 @@ Case = tuple[SubTask, GroundedSubTask, SymbolicState, list[Mistake]]
 
 
 # In both some robot could do more than one other thing.
-@pytest.fixture(scope="module", params=[("stack2", 0), ("hook", 2)], ids=str)
+@pytest.fixture(scope="module", params=[("stack2", 0), ("hook", 10)], ids=str)
 def case(request: pytest.FixtureRequest) -> Case:
     task, index = request.param
     instance = load_instance(task, "val", index)

@@ -19,6 +19,7 @@ from lemma.robots.could import could_of
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import STICK
 from lemma.scene.scene import Scene
+from lemma.scene.table import lies_on_table
 from lemma.tasks.drags import stick_gap
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import STOP, Primitive
@@ -117,6 +118,8 @@ def play(instance: Instance, after: int, disturb: Disturbance) -> Expert:
 
 def free(scene: Scene, name: str, at: Pose2) -> bool:
     """Whether a cube can be put down somewhere, with room for fingers around it."""
+    if not lies_on_table(scene.spec.gap_m, at, 0.05):
+        return False
     for other in scene.spec.object_names:
         pose = scene.pose2(other)
         gap = stick_gap(pose, *at.xy) if other == STICK else pose.distance(at)

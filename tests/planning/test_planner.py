@@ -124,31 +124,32 @@ def best_of_all(
     return best
 
 
-def few_objects(task: str, count: int) -> list[Instance]:
-    found = (load_instance(task, "test", index) for index in range(60))
-    return [i for i in found if not i.distractors][:count]
+def without_distractors(instance: Instance) -> Instance:
+    needed = [o for o in instance.scene.objects if o.name not in instance.distractors]
+    scene = replace(instance.scene, objects=tuple(needed))
+    return replace(instance, scene=scene, distractors=())
 
 
 @pytest.mark.parametrize(
-    ("task", "count"),
+    ("task", "count", "least"),
     [
-        ("pass", 5),
-        ("stack", 5),
-        ("poke", 5),
-        ("hook", 5),
-        ("pass2", 3),
-        ("poke_stack", 3),
-        ("stack2", 3),
+        ("pass", 5, 0.0),
+        ("stack", 5, 0.0),
+        ("poke", 5, 0.0),
+        ("hook", 5, 0.0),
+        ("pass2", 3, 0.0),
+        ("poke_stack", 3, 0.0),
+        # Of two free spots for a cube the nearer to its end can be the farther now.
+        ("stack2", 5, 0.06),
     ],
 )
-def test_no_other_plan_is_worth_more(task: str, count: int) -> None:
-    instances = few_objects(task, count)
-    assert len(instances) == count
-    for instance in instances:
+def test_no_other_plan_is_worth_more(task: str, count: int, least: float) -> None:
+    for index in range(count):
+        instance = without_distractors(load_instance(task, "test", index))
         now, grounder, plan = planned(instance)
         best = best_of_all(now, instance.goal, grounder, len(plan.steps))
         # States that differ in centimetres only are one to the planner.
-        assert best - 0.005 <= plan.utility <= best + 1e-9
+        assert best - 0.005 - least <= plan.utility <= best + 1e-9
 
 
 @pytest.mark.parametrize("task", ["pass", "stack"])

@@ -50,9 +50,9 @@ def instance(task: str, goal: tuple[str, str], *objects: ObjectPlacement) -> Ins
     )
 
 
-def stick_of_first() -> ObjectPlacement:
+def stick_of_first(turn_deg: float = -45.0) -> ObjectPlacement:
     """The stick in the first robot's reach, pointing outwards."""
-    turn = math.radians(-45.0)
+    turn = math.radians(turn_deg)
     end = at(0.55 * reach().travel_m, -45.0)
     back = GRASP_FROM_END_M
     pose = Pose2(end.x - back * math.cos(turn), end.y - back * math.sin(turn), turn)
@@ -114,6 +114,18 @@ def pad_out_of_reach(beyond_m: float, kind: str = "pad") -> Instance:
     )
 
 
+def tower_to_push() -> Instance:
+    """The stick points ahead, so that it need not be turned between base and tower."""
+    soft = pad_out_of_reach(0.15)
+    objects = (
+        ObjectPlacement("cube", "red", at(0.72 * reach().travel_m, 43.0)),
+        ObjectPlacement("cube", "green", at(0.55 * reach().travel_m, 68.0)),
+        *(placed for placed in soft.scene.objects if placed.kind == "pad"),
+        stick_of_first(0.0),
+    )
+    return replace(soft, scene=replace(soft.scene, objects=objects))
+
+
 def stick_across() -> Instance:
     """The stick lies across the front, all of it in reach; the rug's edge does not."""
     soft = pad_out_of_reach(0.35, "rug")
@@ -163,7 +175,7 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "take_the_stick": stick_by_its_hook,
     "push_onto_pad": lambda: pad_out_of_reach(0.15, "mat"),
     "carry_on_stick": stick_across,
-    "push_tower": lambda: pad_out_of_reach(0.25),
+    "push_tower": tower_to_push,
     "shove": lambda: pad_out_of_reach(reach().travel_m - reach().grasp_m + 0.07, "mat"),
     "greedy_skills": lambda: pad_out_of_reach(-0.25),
     "random_skills": lambda: pad_out_of_reach(-0.25),

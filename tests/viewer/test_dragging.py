@@ -16,6 +16,7 @@ from lemma.viewer.episode.status import Phase
 
 INSTANCE = load_instance("stack", "test", 0)
 ((TOP, BOTTOM),) = INSTANCE.goal.pairs
+PAD = next(o.name for o in INSTANCE.scene.objects if o.kind == "pad")
 FREE = Pose2(0.1, 0.7)
 
 
@@ -87,7 +88,7 @@ def test_thing_is_moved_while_an_episode_waits(session: Session) -> None:
     [
         (TOP, INSTANCE.scene.placement(BOTTOM).pose, "overlap"),
         (TOP, Pose2(0.0, 5.0), "does not lie on the table"),
-        ("white_pad", FREE, "is fixed"),
+        (PAD, FREE, "is fixed"),
     ],
 )
 def test_impossible_moves_are_undone(

@@ -208,7 +208,8 @@ class Client:
 
 
 def test_table_is_saved_and_opened_again(page: Page) -> None:
-    page.panel.table.drop("red_cube", Pose2(0.1, 0.7))
+    top = load_instance("stack", "test", 0).goal.pairs[0][0]
+    page.panel.table.drop(top, Pose2(0.1, 0.7))
     until_phase(page, Phase.READY)
     assert "problem" in page.panel.table.told.content
     visitor = Client()
@@ -299,10 +300,11 @@ def test_file_that_holds_no_table_is_refused(page: Page) -> None:
 def test_carried_things_are_shown_and_snap_back(page: Page) -> None:
     hands, bodies = page.panel.table.dragging, page.stage.bodies
     assert bodies is not None
-    before = bodies.pose("red_cube")
-    bodies.elsewhere["red_cube"] = Pose2(0.1, 0.0)
+    name = load_instance("stack", "test", 0).goal.pairs[0][0]
+    before = bodies.pose(name)
+    bodies.elsewhere[name] = Pose2(0.1, 0.0)
     page.tick(0.0)
-    (node,) = [n for n in bodies.nodes.values() if n.name == "/world/red_cube"]
+    (node,) = [n for n in bodies.nodes.values() if n.name == f"/world/{name}"]
     assert node.position[0] == pytest.approx(before.x + 0.1)
     hands.let_go()
     page.tick(0.0)

@@ -16,10 +16,9 @@ NAMES = ("robot_0", "overview", "robot_1_wrist")
 
 
 def seeing(**options: Any) -> ControlEnv:
-    options = {"width": 96, "height": 64, "observation": "rgbd", **options}
-    return lemma.make(
-        "stack", split="test", index=0, control="delta_ee_pose", **options
-    )
+    size = {"width": 96, "height": 64, "observation": "rgbd"}
+    options = {"split": "test", "index": 0, **size, **options}
+    return lemma.make("stack", control="delta_ee_pose", **options)
 
 
 def test_a_team_has_a_camera_for_each_robot_the_overview_and_the_wrists() -> None:
@@ -65,7 +64,8 @@ def test_maps_are_fused_from_the_cameras_of_robots_whatever_is_chosen() -> None:
 
 @pytest.mark.render
 def test_what_cameras_see_is_where_they_say() -> None:
-    env = seeing(width=160, height=120, cameras=("overview", "robot_0_wrist"))
+    # A cube that the first hand gets above within these steps.
+    env = seeing(index=1, width=160, height=120, cameras=("overview", "robot_0_wrist"))
     _, info = env.reset()
     arm = next(iter(env.episode.simulation.arms.values()))
     cubes = [row[:3] for name, row in info["state"].items() if name.endswith("cube")]
