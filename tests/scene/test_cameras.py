@@ -15,7 +15,7 @@ from lemma.scene.cameras import (
     CameraIntrinsics,
     FreeCamera,
 )
-from lemma.scene.model_cameras import add_camera, camera_from_model
+from lemma.scene.rendering.model_cameras import add_camera, camera_from_model
 
 # Above the table, looking straight down, with the image's top towards +y.
 DOWN = Pose((0.3, -0.2, 2.0), (0.0, 1.0, 0.0, 0.0))

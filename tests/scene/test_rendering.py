@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose
 from lemma.scene.cameras import FreeCamera
-from lemma.scene.model_cameras import add_camera, camera_from_model
 from lemma.scene.rendering import gl_context as canvas
+from lemma.scene.rendering.model_cameras import add_camera, camera_from_model
 from lemma.scene.rendering.renderer import Renderer, depth_from_buffer
 
 pytestmark = pytest.mark.render

@@ -28,9 +28,9 @@ from lemma.scene.cameras import (
     DepthImage,
     FreeCamera,
 )
-from lemma.scene.model_cameras import camera_from_model
 from lemma.scene.raster import LARGEST, RASTER, UNIT_M, MapImage
 from lemma.scene.rendering.batch import BATCH_RENDERERS, Pictures
+from lemma.scene.rendering.model_cameras import camera_from_model
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
 

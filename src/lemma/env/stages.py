@@ -25,15 +25,19 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lemma.core.engine import mujoco
-from lemma.core.kernels import kernel
-from lemma.core.poses import FloatArray, Pose2
+from lemma.core.poses import Pose2
 from lemma.env.simulation import Simulation
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
 from lemma.planning.symbolic_state import SymbolicState
+from lemma.scene.objects.contacts import (
+    LEFT,
+    RIGHT,
+    find_touches,
+    is_near_or_moved,
+    parts_of_robots,
+)
 from lemma.scene.objects.entity import STICK
 from lemma.tasks.drags import grasp_on_stick
 from lemma.tasks.goal import Goal, On, is_at_rest
@@ -48,11 +52,8 @@ LIFT_M = 0.015
 MOVED_M = 0.03
 """An object has moved if it is so far from where it was at first [m]."""
 
-_WATCH_M = 0.2
-_STILL_M = 0.0005
 _PREPARES = {Primitive.PREHOOK: Primitive.HOOK, Primitive.PREPOKE: Primitive.POKE}
 _DRAGS = tuple(_PREPARES.values())
-_LEFT, _RIGHT = 2, 4
 
 
 class Stage(StrEnum):
@@ -131,7 +132,7 @@ class StageWatch:
         self._first_seen = self._seen.copy()
         model, robots = self._scene.model, self._scene.robots
         self._sites = np.array([model.site(f"{r.name}/tcp").id for r in robots])
-        self._parts = _parts(self._scene.model, [r.name for r in robots])
+        self._parts = parts_of_robots(self._scene.model, [r.name for r in robots])
         self._touch = np.zeros((len(robots), len(self._names)), np.int64)
         self._led = np.zeros(len(self._names), np.bool_)
         self._ticks, self._near = 0, False
@@ -192,7 +193,7 @@ class StageWatch:
         self._ticks += 1
         if self._ticks % LOOK_TICKS:
             return
-        near, moved = _is_near_or_moved(
+        near, moved = is_near_or_moved(
             data.qpos, self._at, data.site_xpos, self._sites, self._seen
         )
         if not (near or moved or self._near):
@@ -200,7 +201,7 @@ class StageWatch:
         self._near = near
         self._touch[:] = 0
         self._led = self._scene.coasting.led()
-        _find_touches(
+        find_touches(
             data.contact.geom, simulation.scene.coasting.owner, self._parts, self._touch
         )
         self._follow_first_move()
@@ -252,7 +253,7 @@ class StageWatch:
         level = 0
         for robot, name in enumerate(self._scene.spec.robot_names):
             touch = int(self._touch[robot, item])
-            grasped = touch & _LEFT and touch & _RIGHT
+            grasped = touch & LEFT and touch & RIGHT
             if not self._is_able(name, step, held=bool(grasped)):
                 continue
             if grasped:
@@ -396,54 +397,3 @@ def _stage(step: SubTask, level: int) -> Stage:
         return Stage.DRAGGED
     order = (Stage.APPROACHED, Stage.TOUCHED, Stage.GRASPED, Stage.LIFTED, Stage.PLACED)
     return order[level - 1]
-
-
-def _parts(model: mujoco.MjModel, robots: list[str]) -> NDArray[np.int64]:
-    """Return robot and part of each geom, (ngeom, 2): part 1, or a finger's pad."""
-    found = np.full((model.ngeom, 2), -1, np.int64)
-    for geom in range(len(found)):
-        body = model.body(int(model.geom_bodyid[geom])).name
-        robot, _, _ = body.partition("/")
-        if robot in robots:
-            part = model.geom(geom).name.rpartition("/")[2]
-            bit = {"pad_left": _LEFT, "pad_right": _RIGHT}.get(part, 1)
-            found[geom] = robots.index(robot), bit
-    return found
-
-
-@kernel
-def _is_near_or_moved(
-    qpos: FloatArray,
-    at: NDArray[np.int64],
-    sites: FloatArray,
-    hands: NDArray[np.int64],
-    seen: FloatArray,
-) -> tuple[bool, bool]:
-    """Whether a hand is near an object, and whether one has moved since it was seen."""
-    near, moved = False, False
-    for k in range(len(at)):
-        x, y, z = qpos[at[k]], qpos[at[k] + 1], qpos[at[k] + 2]
-        dx, dy, dz = x - seen[k, 0], y - seen[k, 1], z - seen[k, 2]
-        if dx * dx + dy * dy + dz * dz > _STILL_M * _STILL_M:
-            moved = True
-            seen[k, 0], seen[k, 1], seen[k, 2] = x, y, z
-        for hand in hands:
-            dx, dy, dz = x - sites[hand, 0], y - sites[hand, 1], z - sites[hand, 2]
-            if dx * dx + dy * dy + dz * dz < _WATCH_M * _WATCH_M:
-                near = True
-    return near, moved
-
-
-@kernel
-def _find_touches(
-    contacts: NDArray[np.int32],
-    owner: NDArray[np.int64],
-    parts: NDArray[np.int64],
-    touch: NDArray[np.int64],
-) -> None:
-    """Note which parts of which robot touch which object, as bits."""
-    for c in range(len(contacts)):
-        for side in range(2):
-            a, b = contacts[c, side], contacts[c, 1 - side]
-            if owner[a] >= 0 and parts[b, 0] >= 0:
-                touch[parts[b, 0], owner[a]] |= parts[b, 1]

@@ -109,16 +109,7 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     kinds = (kinds,) if isinstance(kinds, str) else tuple(kinds)
     workers = whole("workers", workers, 1)
     spec, engine = _policy(policy, level, planning, gta=gta, workers=workers)
-    # Nobody knows whether an object is the one that played before.
-    if (
-        out is not None
-        and isinstance(spec, GivenPolicy)
-        and (Path(out) / ABOUT).exists()
-    ):
-        raise InvalidConfigError(
-            f"{out} holds a result already, which may be of another object. Choose "
-            "a new folder; a policy that has a name can go on in its own."
-        )
+    _check_folder(out, spec)
     with temporary_folder() as nowhere:
         config = EvaluationConfig(
             out=Path(out or nowhere),
@@ -134,6 +125,21 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         if out is not None:
             result.write(config.out / SUMMARY)
     return Evaluation(result, tuple(rows))
+
+
+def _check_folder(out: str | Path | None, spec: PolicySpec) -> None:
+    """Refuse a result to go on with if nobody knows whose it is.
+
+    Raises:
+        InvalidConfigError: An object plays into a folder that holds a result.
+    """
+    if out is None or not isinstance(spec, GivenPolicy):
+        return
+    if (Path(out) / ABOUT).exists():
+        raise InvalidConfigError(
+            f"{out} holds a result already, which may be of another object. Choose "
+            "a new folder; a policy that has a name can go on in its own."
+        )
 
 
 def usual_split(tasks: Sequence[str]) -> str:

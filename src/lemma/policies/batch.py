@@ -133,17 +133,12 @@ class Frames:
             for task, index in zip(self.tasks, columns["index"], strict=True)
         ]
         instances = [json.loads(text) for text in columns["instance"]]
+        goals = [json.loads(goal) for goal in columns["goal"]]
         self._instructions = [str(text) for text in columns["instruction"]]
         self._lists: dict[str, list[Any]] = {
             "tasks": self.tasks,
-            "goals": [
-                tuple((top, bottom) for top, bottom in json.loads(goal))
-                for goal in columns["goal"]
-            ],
-            "robot_colors": [
-                tuple(color for _, color, *_ in instance["robots"])
-                for instance in instances
-            ],
+            "goals": [tuple((top, bottom) for top, bottom in goal) for goal in goals],
+            "robot_colors": [tuple(c for _, c, *_ in i["robots"]) for i in instances],
         }
         perturbed = f"{EXECUTED}robot" in columns
         decisions = executed = _decisions(columns, entities)

@@ -6,7 +6,6 @@ from lemma.core.engine import mujoco
 from lemma.core.errors import UnknownNameError
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec, add_arm
 from lemma.scene.camera_mounts import camera_mount
-from lemma.scene.model_cameras import add_camera
 from lemma.scene.objects.bodies import (
     CONTACT_SOLIMP,
     CONTACT_SOLREF,
@@ -15,6 +14,7 @@ from lemma.scene.objects.bodies import (
     add_object,
 )
 from lemma.scene.objects.palette import FLOOR, HORIZON, SKY, TABLE, TABLE_EDGE
+from lemma.scene.rendering.model_cameras import add_camera
 from lemma.scene.spec import SceneSpec
 from lemma.scene.table import (
     FLOOR_Z_M,

@@ -7,7 +7,7 @@ image thus spans u from -0.5 to width - 0.5, and its centre is ((width - 1) / 2,
 (height - 1) / 2). Depth is the distance along the camera's z axis, not along the ray.
 
 Plain data: nothing here needs MuJoCo. Cameras of a compiled scene are in
-:mod:`lemma.scene.model_cameras`.
+:mod:`lemma.scene.rendering.model_cameras`.
 """
 
 import math

@@ -85,17 +85,7 @@ def in_force() -> dict[str, Any]:
             "refusal_s": REFUSAL_S,
             "group": GROUP,
         },
-        "success": {
-            "judged": "when the robots have stood still after the end of the episode",
-            "still_s": STILL_S,
-            "holds": "every On of the goal, and no gripper holds anything",
-            "on": "the bottom alone carries the top, by contact; both level, at rest",
-            "on_pad_m": round(PAD.support_m or 0.0, 6),
-            "on_cube_m": CUBE.support_m,
-            "rest_m_s": REST_M_S,
-            "rest_rad_s": REST_RAD_S,
-            "tilt_rad": round(TILT_RAD, 6),
-        },
+        "success": _success(),
         "view": {
             "rows": RASTER.rows,
             "columns": RASTER.columns,
@@ -115,6 +105,21 @@ def in_force() -> dict[str, Any]:
             "servo_tick_s": TICK_S,
         },
         "results": RESULT_VERSION,
+    }
+
+
+def _success() -> dict[str, Any]:
+    """Return by what an episode is judged."""
+    return {
+        "judged": "when the robots have stood still after the end of the episode",
+        "still_s": STILL_S,
+        "holds": "every On of the goal, and no gripper holds anything",
+        "on": "the bottom alone carries the top, by contact; both level, at rest",
+        "on_pad_m": round(PAD.support_m or 0.0, 6),
+        "on_cube_m": CUBE.support_m,
+        "rest_m_s": REST_M_S,
+        "rest_rad_s": REST_RAD_S,
+        "tilt_rad": round(TILT_RAD, 6),
     }
 
 

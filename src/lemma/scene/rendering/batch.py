@@ -30,8 +30,8 @@ from lemma.core.errors import InvalidConfigError, RenderingError
 from lemma.core.poses import FloatArray, matrix_from_quaternion
 from lemma.core.registry import Registry
 from lemma.scene.cameras import Camera
-from lemma.scene.model_cameras import camera_from_model
 from lemma.scene.rendering.gl_backend import choose_backend
+from lemma.scene.rendering.model_cameras import camera_from_model
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 

@@ -11,13 +11,13 @@ from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
 from lemma.scene.cameras import Camera, CameraImage, DepthImage, FreeCamera, RgbImage
-from lemma.scene.model_cameras import camera_from_model, camera_index
 from lemma.scene.rendering.gl_context import (
     Tessellation,
     Upload,
     current_context,
     upload,
 )
+from lemma.scene.rendering.model_cameras import camera_from_model, camera_index
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 

@@ -1,0 +1,65 @@
+"""Hands near objects, and the parts of robots that touch them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.engine import mujoco
+from lemma.core.kernels import kernel
+from lemma.core.poses import FloatArray
+
+LEFT, RIGHT = 2, 4
+"""Bits of the pads of the fingers; every other part of a robot has the bit 1."""
+
+_WATCH_M = 0.2
+_STILL_M = 0.0005
+
+
+def parts_of_robots(model: mujoco.MjModel, robots: list[str]) -> NDArray[np.int64]:
+    """Return robot and part of each geom, (ngeom, 2): part 1, or a finger's pad."""
+    found = np.full((model.ngeom, 2), -1, np.int64)
+    for geom in range(len(found)):
+        body = model.body(int(model.geom_bodyid[geom])).name
+        robot, _, _ = body.partition("/")
+        if robot in robots:
+            part = model.geom(geom).name.rpartition("/")[2]
+            bit = {"pad_left": LEFT, "pad_right": RIGHT}.get(part, 1)
+            found[geom] = robots.index(robot), bit
+    return found
+
+
+@kernel
+def is_near_or_moved(
+    qpos: FloatArray,
+    at: NDArray[np.int64],
+    sites: FloatArray,
+    hands: NDArray[np.int64],
+    seen: FloatArray,
+) -> tuple[bool, bool]:
+    """Whether a hand is near an object, and whether one has moved since it was seen."""
+    near, moved = False, False
+    for k in range(len(at)):
+        x, y, z = qpos[at[k]], qpos[at[k] + 1], qpos[at[k] + 2]
+        dx, dy, dz = x - seen[k, 0], y - seen[k, 1], z - seen[k, 2]
+        if dx * dx + dy * dy + dz * dz > _STILL_M * _STILL_M:
+            moved = True
+            seen[k, 0], seen[k, 1], seen[k, 2] = x, y, z
+        for hand in hands:
+            dx, dy, dz = x - sites[hand, 0], y - sites[hand, 1], z - sites[hand, 2]
+            if dx * dx + dy * dy + dz * dz < _WATCH_M * _WATCH_M:
+                near = True
+    return near, moved
+
+
+@kernel
+def find_touches(
+    contacts: NDArray[np.int32],
+    owner: NDArray[np.int64],
+    parts: NDArray[np.int64],
+    touch: NDArray[np.int64],
+) -> None:
+    """Note which parts of which robot touch which object, as bits."""
+    for c in range(len(contacts)):
+        for side in range(2):
+            a, b = contacts[c, side], contacts[c, 1 - side]
+            if owner[a] >= 0 and parts[b, 0] >= 0:
+                touch[parts[b, 0], owner[a]] |= parts[b, 1]
