@@ -17,11 +17,10 @@ import numpy as np
 from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
 from lemma.core.workers.pool import Engine, ProcessPool
-from lemma.evaluation.protocol.expert_times import (
+from lemma.evaluation.protocol.expert_times import TIMED_SPLITS, TIMES
+from lemma.evaluation.protocol.perturbed_starts import (
     APART_M,
     FROM_STICK_M,
-    TIMED_SPLITS,
-    TIMES,
     perturbed,
 )
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out

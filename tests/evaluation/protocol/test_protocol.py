@@ -16,15 +16,14 @@ from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.poses import Pose2, wrap
 from lemma.evaluation.protocol import rules as protocol
 from lemma.evaluation.protocol.expert_times import (
-    SHIFT_M,
     TIMED_SPLITS,
-    TURN_RAD,
     expert_s,
     perturbed_start,
 )
 from lemma.evaluation.protocol.language_controls import (
     control_of,
 )
+from lemma.evaluation.protocol.perturbed_starts import SHIFT_M, TURN_RAD
 from lemma.evaluation.protocol.rules import (
     check_protocol,
     departures,
