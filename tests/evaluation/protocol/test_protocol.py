@@ -191,7 +191,7 @@ def test_the_words_stay_and_the_colors_change() -> None:
     instance = load_instance("stack", "test", 0)
     control = control_of("swapped", instance, "unseen")
     assert control.asks is not None
-    colors = {entity_named(name).color for name in instance.scene.object_names[:5]}
+    colors = {entity_named(name).color for name in instance.scene.object_names}
 
     def bare(sentence: str) -> list[str]:
         return [w for w in sentence.lower().split() if w.strip(".,!?") not in colors]
@@ -204,8 +204,9 @@ def test_where_there_is_nothing_else_colors_are_of_nothing() -> None:
     alone = next(
         instance
         for index in range(60)
-        for instance in [load_instance("pass", "test", index)]
-        if len(instance.scene.objects) == 2
+        for instance in [load_instance("poke", "test", index)]
+        # A cube, its pad and the stick.
+        if len(instance.scene.objects) == 3
     )
     control = control_of("swapped", alone, "high_level")
     assert control.asks is None
