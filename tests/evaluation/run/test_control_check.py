@@ -9,12 +9,24 @@ import pytest
 from command import run
 from model_server import HELLO, model_server
 
+from lemma.core.robot_names import robot_number
 from lemma.env.learning.motor_state import WAYPOINT, motor_state
-from lemma.evaluation.run.server_check import ServerCheck, check_control
+from lemma.evaluation.run.server_check import (
+    SCENE,
+    ServerCheck,
+    check_control,
+    first_subtask,
+)
 from lemma.policies.control.interfaces import ControlInput
 from lemma.serve.faults import PolicyFailedError
+from lemma.tasks.suite import load_instance
 
 Change = Callable[[Any], Any]
+
+MOVES = robot_number(first_subtask().robot)
+"""The robot that is on its way."""
+CUBE = np.array(load_instance(*SCENE).scene.placement(first_subtask().pick).pose.xy)
+"""Where it goes [m]."""
 
 
 class Goes:
@@ -37,11 +49,11 @@ class Goes:
         if self.control == WAYPOINT:
             # Far ahead: the end of a motion.
             rows = motor_state(WAYPOINT, seen).copy()
-            rows[:, -1], rows[1, :3] = 0.1, (0.3, -0.5, 0.3)
+            rows[:, -1], rows[MOVES, :3] = 0.1, (0.3, -0.5, 0.3)
             return rows
         steps = np.zeros((2, 7))
         steps[:, -1] = 1.0
-        steps[1, :2] = 0.5 * (np.array([0.988, 1.094]) - poses[1, :2])
+        steps[MOVES, :2] = 0.5 * (CUBE - poses[MOVES, :2])
         return steps
 
 

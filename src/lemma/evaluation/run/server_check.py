@@ -41,7 +41,7 @@ from lemma.serve.faults import FaultKind, PolicyFailedError
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 from lemma.tasks.suite import load_instance
 
-SCENE = ("stack", "val", 0)
+SCENE = ("stack", "val", 3)
 """Task, split and index. Each robot reaches one of the two cubes, whose sides are far
 from parallel to the axes."""
 NEAR_M = 0.03
