@@ -35,7 +35,7 @@ from lemma.tasks.names import SUITE
 from lemma.tasks.subtask import Primitive, SubTask
 from lemma.tasks.suite import load_instance
 
-EPISODES = 3
+EPISODES = 5
 """Of each task's validation list."""
 PREPARE = (Primitive.PREHOOK, Primitive.PREPOKE)
 # As the expert has it: margins of reach, room around the stick, the dragged cube, the
@@ -96,37 +96,50 @@ def states(task: str) -> Iterator[tuple[SymbolicState, SubTask]]:
             now = step.after
 
 
-def can_drag(now: SymbolicState) -> Tensor:
-    """Return whether some candidate is possible, (robots, primitives, cubes)."""
+def can_drag(now: SymbolicState, by_m: float = 0.0) -> Tensor:
+    """Return whether some candidate is possible, (robots, primitives, cubes).
+
+    Args:
+        now: The state.
+        by_m: What each distance may lack [m].
+    """
     table = table_of(now)
     found = DragUtility().drags(table).constraints[0]
     wide = max(sweep_radius_m(robot.arm) for robot in now.spec.robots)
-    least = torch.tensor([*LEAST, HAND_CLEARANCE_M, wide + 0.027, 0.5])
-    return (found >= least).all(-1).flatten(-2).any(-1)
+    least = torch.tensor([*LEAST, HAND_CLEARANCE_M, wide + 0.027, 0.5 + by_m])
+    return (found >= least - by_m).all(-1).flatten(-2).any(-1)
 
 
 def test_it_knows_who_can_do_what() -> None:
-    """The next object may be moved by the robots that the expert names, alone."""
+    """The next object may be moved by the robots that the expert names, alone.
+
+    Its candidates are fewer than the expert's. Where it finds none and the expert
+    does, which is rare, the best one lacks less than a centimetre.
+    """
     same, wrong = 0, []
     for now, done in (found for task in SUITE for found in states(task)):
         grounder, table = GeometricGrounder(now.spec), table_of(now)
         margins = table.margins(places(table))[0]
         moved = done.place if done.primitive in PREPARE else done.pick
+        number = BENCHMARK.number(moved)
         for i, robot in enumerate(grounder.robots):
-            reaches = margins[i, BENCHMARK.number(moved)] > 0.0
-            pairs = [("reach", grounder.reaches(robot, now.poses[moved]), reaches)]
-            if done.primitive in PREPARE:
-                able = can_drag(now)
-                for side, primitive in enumerate(PREPARE):
-                    asked = SubTask(robot, primitive, STICK, moved)
-                    theirs = grounder.drag(asked, now) is not None
-                    ours = able[i, side, BENCHMARK.number(moved)]
-                    pairs.append((str(primitive), theirs, ours))
-            for what, theirs, found in pairs:
-                same += theirs == bool(found)
-                if theirs != bool(found):
-                    wrong.append((robot, what, moved, theirs))
-    assert len(wrong) <= 0.01 * same, wrong
+            assert grounder.reaches(robot, now.poses[moved]) == bool(
+                margins[i, number] > 0.0
+            )
+            same += 1
+            if done.primitive not in PREPARE:
+                continue
+            able, nearly = can_drag(now), can_drag(now, by_m=0.01)
+            for side, primitive in enumerate(PREPARE):
+                asked = SubTask(robot, primitive, STICK, moved)
+                theirs = grounder.drag(asked, now) is not None
+                ours = bool(able[i, side, number])
+                same += theirs == ours
+                if theirs != ours:
+                    wrong.append((robot, str(primitive), moved, theirs))
+                    assert theirs, wrong[-1]
+                    assert nearly[i, side, number], wrong[-1]
+    assert len(wrong) <= 0.02 * same, wrong
 
 
 @pytest.mark.parametrize("task", [name for name in SUITE if "ok" in name])
