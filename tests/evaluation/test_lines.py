@@ -254,7 +254,9 @@ def test_failures_of_several_results_are_played(
 
 @pytest.mark.slow
 def test_committed_lines_fit_their_summaries() -> None:
-    for packed in sorted(RESULTS.rglob(f"*{PACKED}")):
+    published = sorted(RESULTS.rglob(f"*{PACKED}"))
+    assert published, f"No result in {RESULTS} has its lines beside it."
+    for packed in published:
         path = result_beside(packed)
         assert path.is_file(), f"{packed} lies beside no result"
         rows, result = read_lines(packed), read_result(path)

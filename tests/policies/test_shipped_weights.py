@@ -39,6 +39,8 @@ WHOLE = tuple(
     if hasattr(MODELS[published_weights()[name]["model"]][0], "act")
 )
 
+RESULTS = sorted((Path(__file__).parents[2] / "results").glob("*/seed-0.json"))
+
 
 def test_all_trainings_of_the_tables_are_published() -> None:
     needed = {one for one in TRAININGS if TRAININGS[one].samples is None}
@@ -63,8 +65,19 @@ def test_checkpoints_are_small_and_what_is_said_of_them(
     weights = load_file(tmp_path / MODEL)
     assert all(bool(value.isfinite().all()) for value in weights.values())
     assert read_json(tmp_path / "config.json")["type"] == name
-    row = read_result(Path(__file__).parents[2] / "results" / name / "seed-0.json")
-    assert row.about["weights"][name]["sha256"] == entry["sha256"]
+
+
+def test_there_are_results() -> None:
+    assert RESULTS, "There is no result of seed 0 in results/."
+
+
+@pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.parent.name)
+def test_results_are_of_the_weights_that_ship(path: Path) -> None:
+    about = read_result(path).about
+    used = {weights["sha256"] for weights in about["weights"].values()}
+    assert used or about["oracle"]
+    if not privileged(about["policy"]["name"]):
+        assert used <= {entry["sha256"] for entry in published_weights().values()}
 
 
 @pytest.mark.parametrize("name", NAMES)

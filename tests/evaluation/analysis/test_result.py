@@ -65,7 +65,7 @@ def test_a_result_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [('"version": "2"', '"version": "1"'), ('"task"', '"tusk"')]
+    ("old", "new"), [('"version": "3"', '"version": "2"'), ('"task"', '"tusk"')]
 )
 def test_other_files_are_named(tmp_path: Path, old: str, new: str) -> None:
     path = tmp_path / "summary.json"

@@ -17,7 +17,7 @@ from made_up import row, step
 
 import control_baselines
 from lemma.bench import evaluation_checks
-from lemma.bench.evaluation_checks import published_sample
+from lemma.bench.evaluation_checks import NETWORK, published_sample
 from lemma.core.arguments import decode
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.files import write_json
@@ -43,7 +43,7 @@ from lemma.evaluation.experiments.reproduction import (
 from lemma.evaluation.lines import packed_beside, read_lines, write_packed
 from lemma.evaluation.records import key_of
 from lemma.evaluation.run.loading import learned_parts
-from lemma.policies.spec import PolicySpec
+from lemma.policies.spec import CONTROL, ORACLE, PolicySpec
 from lemma.policies.training.config import TrainingConfig, model_options
 from lemma.policies.weights import published_weights
 from lemma.policies.weights_file import TIME_LIMIT
@@ -273,11 +273,18 @@ def test_what_differs_is_told() -> None:
 
 
 def test_the_sample_in_the_package_is_of_published_lines() -> None:
-    for name in ("oracle", "reachnet"):
+    sample = published_sample()
+    assert {*sample} == {NETWORK, ORACLE, CONTROL}
+    assert all(sample.values())
+    for name in (NETWORK, ORACLE):
         path = packed_beside(EXPERIMENTS[name].summary_path(RESULTS, 0))
+        assert path.is_file(), f"The sample in the package is of {path}, which is not."
         lines = {key_of(row): row for row in read_lines(path)}
-        for line in published_sample()[name]:
-            assert line == lines[key_of(line)]
+        for line in sample[name]:
+            assert line == lines.get(key_of(line)), (
+                f"src/lemma/bench/published.json is not of the lines of {path}: it has "
+                f"another episode {'/'.join(map(str, key_of(line)))}."
+            )
 
 
 @pytest.mark.slow
@@ -314,7 +321,7 @@ def test_the_doctor_plays_a_sample_of_each_level(
 def test_what_differs_from_published_lines_is_no_ok(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    (line,) = published_sample()["oracle"]
+    line = published_sample()[ORACLE][0]
     changed = {**line, "elapsed_s": 1.0}
     monkeypatch.setattr(
         evaluation_checks,

@@ -127,7 +127,7 @@ def test_a_difference_is_told(cases: list[Case]) -> None:
     changed = {**case.row, "subtasks": steps, "progress": 0.75}
     duration, progress = sorted(differing(case, changed, lambda *_: None), reverse=True)
     assert duration.startswith("subtasks[1].duration_s is 99.0, and ")
-    assert progress == "progress is 0.75, and 0.0 when played again"
+    assert progress == "progress is 0.75, and 0.5 when played again"
 
 
 def test_as_many_fail_as_should(cases: list[Case]) -> None:
