@@ -40,7 +40,7 @@ NAME = "faulty_policies:Scripted"
 
 
 def order(out: Path, policy: str, **changes: Any) -> EvaluationConfig:
-    wanted = {"tasks": ("pass", "stack"), "episodes": 3, **changes}
+    wanted = {"tasks": ("pass", "stack2"), "episodes": 3, **changes}
     spec = PolicySpec(policy, timeout_s=changes.pop("timeout_s", 60.0))
     wanted.pop("timeout_s", None)
     return EvaluationConfig(out=out, policy=spec, **wanted)
