@@ -278,7 +278,9 @@ def test_the_sample_in_the_package_is_of_published_lines() -> None:
     assert all(sample.values())
     for name in (NETWORK, ORACLE):
         path = packed_beside(EXPERIMENTS[name].summary_path(RESULTS, 0))
-        assert path.is_file(), f"The sample in the package is of {path}, which is not."
+        assert path.is_file(), (
+            f"The sample in the package is of {path}, which is not there."
+        )
         lines = {key_of(row): row for row in read_lines(path)}
         for line in sample[name]:
             assert line == lines.get(key_of(line)), (
