@@ -9,7 +9,7 @@ from lemma.env.episode import Episode
 from lemma.env.stages import PER_SUBTASK, Stage
 from lemma.expert.expert import Expert, solve
 from lemma.motion.outcome import Outcome
-from lemma.tasks.subtask import GroundedSubTask
+from lemma.tasks.subtask import GroundedSubTask, Primitive
 from lemma.tasks.suite import SUITE, load_instance
 
 
@@ -95,7 +95,7 @@ def test_another_object_is_not_understood() -> None:
                 continue
             for robot in spec.robot_names:
                 place = Pose2(pose.x, pose.y + 0.08)
-                move = GroundedSubTask(robot, "move", pose, place)
+                move = GroundedSubTask(robot, Primitive.MOVE, pose, place)
                 if episode.execute(move).outcome is Outcome.SUCCESS:
                     record = episode.stages.record()
                     assert record["moved"] == name
