@@ -7,7 +7,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from lemma.evaluation.analysis.result import Cell, Loss, Result
+from lemma.evaluation.analysis.rates import Cell
+from lemma.evaluation.analysis.result import Loss, Result
 from lemma.evaluation.experiments.catalog import EXPERIMENTS
 from lemma.evaluation.report.policy_results import PolicyResults
 from lemma.viz.pages.report_figures import figures_of, write_figures

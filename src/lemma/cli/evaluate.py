@@ -27,7 +27,8 @@ from lemma.policies.interfaces import TIMEOUT_S
 from lemma.policies.planners.chat import ChatOptions
 
 if TYPE_CHECKING:
-    from lemma.evaluation.analysis.result import Cell, Result
+    from lemma.evaluation.analysis.rates import Cell
+    from lemma.evaluation.analysis.result import Result
     from lemma.evaluation.records import Row
     from lemma.evaluation.run.config import EvaluationConfig
 
@@ -225,7 +226,7 @@ def _rates(
     cells: "tuple[Cell, ...]", kinds: tuple[str, ...]
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Return rates of success by kind of instruction and task, ready for JSON."""
-    from lemma.evaluation.analysis.result import leniently, rates_by
+    from lemma.evaluation.analysis.rates import leniently, rates_by
 
     strict = rates_by(cells, "kind", "task")
     lenient = rates_by(leniently(cells), "kind", "task")

@@ -94,9 +94,8 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         planning: ``"single-step"``, or ``"multi-step"``: from the first image alone.
         gta: Ground-truth allocation: the right robot replaces the planner's choice.
         protocol: ``"both"`` verdicts, or ``"strict"`` alone.
-        out: Folder that keeps lines and summary, as ``lemma evaluate --out`` does. With
-            a name, what is there already is not played again; an object needs a new
-            folder. None: nothing is kept.
+        out: Folder of lines and summary, as of ``lemma evaluate --out``; or None. With
+            a name, what is there is not played again; an object needs a new one.
         workers: Processes that play; more than one only with a name.
 
     Returns:
@@ -105,8 +104,7 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     Raises:
         LemmaError: There is no such policy, task, split or kind, or it is none.
     """
-    tasks = (tasks,) if isinstance(tasks, str) else tuple(tasks)
-    kinds = (kinds,) if isinstance(kinds, str) else tuple(kinds)
+    tasks, kinds = _names(tasks), _names(kinds)
     workers = whole("workers", workers, 1)
     spec, engine = _policy(policy, level, planning, gta=gta, workers=workers)
     _check_folder(out, spec)
@@ -125,6 +123,11 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         if out is not None:
             result.write(config.out / SUMMARY)
     return Evaluation(result, tuple(rows))
+
+
+def _names(given: str | Sequence[str]) -> tuple[str, ...]:
+    """Return one name, or several, as several."""
+    return (given,) if isinstance(given, str) else tuple(given)
 
 
 def _check_folder(out: str | Path | None, spec: PolicySpec) -> None:

@@ -16,7 +16,7 @@ from lemma.cli.workers import Workers
 from lemma.core import plugins
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.workers.pool import Job, Listener, ProcessPool, Serial, ignore
-from lemma.evaluation.analysis.result import wilson_interval
+from lemma.evaluation.analysis.rates import wilson_interval
 from lemma.evaluation.lines import read_rows
 from lemma.evaluation.protocol.rules import quote
 from lemma.evaluation.records import ABOUT, EPISODES, Row

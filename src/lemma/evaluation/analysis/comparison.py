@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lemma.core.errors import DatasetError
-from lemma.evaluation.analysis.result import wilson_interval
+from lemma.evaluation.analysis.rates import wilson_interval
 from lemma.evaluation.lines import lines_at, read_lines
 from lemma.evaluation.protocol.rules import check_protocol
 from lemma.evaluation.records import EpisodeKey, Row, key_of, read_about

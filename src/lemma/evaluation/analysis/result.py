@@ -8,11 +8,10 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import cache
+from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from pathlib import Path
-from statistics import fmean, median
+from statistics import median
 from typing import Any
 
 import msgspec
@@ -21,6 +20,7 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_text
 from lemma.evaluation.analysis.coordination import Coordination, coordination_of
 from lemma.evaluation.analysis.failure_causes import cause_of
+from lemma.evaluation.analysis.rates import Cell, rates_in_words
 from lemma.evaluation.analysis.reached import Reached, reached_by
 from lemma.evaluation.records import (
     POSE_TOLERANCE_MM,
@@ -34,24 +34,6 @@ from lemma.evaluation.records import (
 )
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import task_rank
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """Episodes of one kind, task, team and number of distractors."""
-
-    kind: str
-    """Kind of instruction."""
-    task: str
-    team: str
-    distractors: int
-    episodes: int
-    successes: int
-    """Strictly: nothing was tried that its robot could not do."""
-    lenient_successes: int | None
-    """With what came after a protective stop; None if that was not played."""
-    progress: float
-    """Sum over the episodes of the share of the stages that count at the end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +222,7 @@ def lines_of(result: Result, rows: Iterable[Row]) -> list[Row]:
 def counts(result: Result, rows: Sequence[Row]) -> bool:
     """Whether lines are those that a result counts, all of them and no other."""
     # Lines of other policies have other rates, mostly; a digest takes a while.
-    if _rates(result.cells) != _rates(cells_of(rows)):
+    if rates_in_words(result.cells) != rates_in_words(cells_of(rows)):
         return False
     return _digest(sorted(rows, key=place_of)) == result.episodes_sha256
 
@@ -262,7 +244,7 @@ def check_lines(result: Result, rows: Iterable[Row], path: Path, lines: Path) ->
     )
     if again.episodes_sha256 == result.episodes_sha256 and again == result:
         return
-    told, found = _rates(result.cells), _rates(again.cells)
+    told, found = rates_in_words(result.cells), rates_in_words(again.cells)
     differing = [
         f"{' '.join(name)}: {told.get(name, 'none')} in the summary, "
         f"{found.get(name, 'none')} in the lines"
@@ -278,16 +260,6 @@ def check_lines(result: Result, rows: Iterable[Row], path: Path, lines: Path) ->
 
 
 _MOST_NAMED = 3
-
-
-def _rates(cells: Iterable[Cell]) -> dict[tuple[str, str], str]:
-    """Return successes of episodes in words, by kind and task."""
-    won: Counter[tuple[str, str]] = Counter()
-    played: Counter[tuple[str, str]] = Counter()
-    for cell in cells:
-        won[cell.kind, cell.task] += cell.successes
-        played[cell.kind, cell.task] += cell.episodes
-    return {name: f"{won[name]} of {played[name]}" for name in played}
 
 
 def summarise(
@@ -420,81 +392,3 @@ def _precisions(rows: Iterable[Row]) -> Iterable[Precision]:
         found = errors[name]
         missed = sum(error > POSE_TOLERANCE_MM for error in found)
         yield Precision(*name, len(found), round(median(found), 1), missed)
-
-
-@cache
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Return the 95 % Wilson score interval of a success rate.
-
-    Args:
-        successes: Number of successes among the trials.
-        trials: At least one.
-
-    Raises:
-        ValueError: No trials, or more successes than trials.
-    """
-    # 0.65 s that a command without statistics does not spend.
-    from scipy.stats import binomtest  # noqa: PLC0415
-
-    found = binomtest(successes, trials).proportion_ci(method="wilson")
-    return float(found.low), float(found.high)
-
-
-@dataclass(frozen=True, slots=True)
-class Rate:
-    """Success in some episodes."""
-
-    episodes: int
-    successes: int
-    progress: float
-    """Mean fraction of the goal that holds at the end."""
-
-    @property
-    def success_rate(self) -> float:
-        """Successes per episode."""
-        return self.successes / self.episodes
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % Wilson interval of the success rate."""
-        return wilson_interval(self.successes, self.episodes)
-
-
-def rate_of(cells: Iterable[Cell]) -> Rate:
-    """Return the success in all episodes of some cells; at least one."""
-    listed = list(cells)
-    episodes = sum(cell.episodes for cell in listed)
-    return Rate(
-        episodes,
-        sum(cell.successes for cell in listed),
-        math.fsum(cell.progress for cell in listed) / episodes,
-    )
-
-
-def rates_by(cells: Iterable[Cell], *columns: str) -> dict[tuple[str, ...], Rate]:
-    """Return the success for every combination of values, in order of appearance.
-
-    Args:
-        cells: Counted episodes.
-        columns: Fields to group by, such as ``"kind", "task"``.
-    """
-    groups: dict[tuple[str, ...], list[Cell]] = {}
-    for cell in cells:
-        name = tuple(str(getattr(cell, column)) for column in columns)
-        groups.setdefault(name, []).append(cell)
-    return {name: rate_of(listed) for name, listed in groups.items()}
-
-
-def leniently(cells: Iterable[Cell]) -> list[Cell]:
-    """Return cells whose successes are the lenient ones; none where one has none."""
-    found = []
-    for cell in cells:
-        if cell.lenient_successes is None:
-            return []
-        found.append(replace(cell, successes=cell.lenient_successes))
-    return found
-
-
-def mean_over_tasks(cells: Iterable[Cell]) -> float:
-    """Return the mean of the tasks' success rates, each counting the same."""
-    return fmean(rate.success_rate for rate in rates_by(cells, "task").values())

@@ -9,15 +9,8 @@ from pathlib import Path
 from statistics import fmean, stdev
 
 from lemma.core.errors import DatasetError
-from lemma.evaluation.analysis.result import (
-    Cell,
-    Result,
-    check_lines,
-    leniently,
-    mean_over_tasks,
-    rate_of,
-    read_result,
-)
+from lemma.evaluation.analysis.rates import Cell, leniently, mean_over_tasks, rate_of
+from lemma.evaluation.analysis.result import Result, check_lines, read_result
 from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS, Experiment
 from lemma.evaluation.lines import is_lines, lines_beside, read_lines, result_beside
 from lemma.evaluation.protocol.language_controls import FULL

@@ -10,14 +10,14 @@ from typing import Any
 
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.failure_causes import Cause
-from lemma.evaluation.analysis.result import (
+from lemma.evaluation.analysis.rates import (
     Cell,
     Rate,
-    Result,
     leniently,
     mean_over_tasks,
     rates_by,
 )
+from lemma.evaluation.analysis.result import Result
 from lemma.evaluation.experiments.catalog import (
     ABLATIONS,
     CONTROL_LEVEL,

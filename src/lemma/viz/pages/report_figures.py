@@ -6,7 +6,7 @@ from statistics import fmean, stdev
 
 from lemma.core.files import write_text
 from lemma.evaluation.analysis.failure_causes import Cause
-from lemma.evaluation.analysis.result import Cell, mean_over_tasks, rate_of
+from lemma.evaluation.analysis.rates import Cell, mean_over_tasks, rate_of
 from lemma.evaluation.experiments.catalog import ABLATIONS, CONTROL_LEVEL, Measured
 from lemma.evaluation.report.policy_results import PolicyResults, tasks_of
 from lemma.evaluation.report.tables import values_of, words
