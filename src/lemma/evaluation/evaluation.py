@@ -105,7 +105,6 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         LemmaError: There is no such policy, task, split or kind, or it is none.
     """
     tasks, kinds = _names(tasks), _names(kinds)
-    workers = whole("workers", workers, 1)
     spec, engine = _policy(policy, level, planning, gta=gta, workers=workers)
     _check_folder(out, spec)
     with temporary_folder() as nowhere:
@@ -154,6 +153,7 @@ def _policy(
     policy: Any, level: str, planning: str, *, gta: bool, workers: int
 ) -> tuple[PolicySpec, Engine]:
     """Return what to play, and where."""
+    workers = whole("workers", workers, 1)
     if level:
         known("level", level, LEVELS)
     if isinstance(policy, str):
