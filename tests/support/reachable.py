@@ -49,7 +49,7 @@ _PLAIN = (
 _CONTAINERS = (list, tuple, dict, set, frozenset, types.MappingProxyType, deque)
 _HOMES = {"lemma", __name__, "builtins", "functools", "itertools", "mujoco"}
 """Packages whose objects are asked for all that they have."""
-_MOST = 200_000
+_MOST = 1_000_000
 """Objects that are looked at before the search is called endless."""
 _LOADED_BY = ("__loader__", "__spec__")
 """Loaders of modules; the loader of the tests knows all tests."""
