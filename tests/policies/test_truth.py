@@ -65,6 +65,7 @@ def episode() -> Episode:
 def play(policy: Policy, rig: CameraRig | None = None) -> Rollout:
     rollout = Rollout(load_instance("pass", "val", 0), horizon_s=20.0)
     [played] = roll_out([rollout], Player(policy, rig))
+    assert played.fault is None, played.fault
     return played
 
 

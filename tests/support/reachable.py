@@ -117,11 +117,18 @@ def _behind(one: object) -> Iterator[tuple[object, object]]:
         if isinstance(one, Dispatcher):
             yield from ((f".{name}", value) for name, value in vars(one).items())
         return
-    if isinstance(one, Mapping):
-        yield from (((key,), one[key]) for key in list(one))
-        yield from (("<key>", key) for key in one)
+    if isinstance(one, dict):
+        # As it is stored: a class of others may look its values up elsewhere.
+        for key, value in list(dict.items(one)):
+            yield (key,), value
+            yield "<key>", key
+    elif isinstance(one, Mapping):
+        with suppress(Exception):
+            yield from (((key,), one[key]) for key in list(one))
+            yield from (("<key>", key) for key in one)
     elif isinstance(one, Sequence | set | frozenset):
-        yield from (((i,), item) for i, item in enumerate(one))
+        with suppress(Exception):
+            yield from (((i,), item) for i, item in enumerate(one))
     if type(one) in _CONTAINERS:
         return
     if isinstance(one, weakref.ref):
