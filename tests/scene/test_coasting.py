@@ -5,12 +5,18 @@ import pytest
 from small_tables import cube, facing, pad
 
 from lemma.core.poses import Pose
+from lemma.env.config import EnvConfig
+from lemma.env.control.modes import CONTROLS
+from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
 from lemma.env.simulation import TICK_S, Simulation
 from lemma.expert.expert import Expert, solve
 from lemma.scene.coasting import COAST_M, FLIGHT_S
-from lemma.scene.objects.cube import CUBE_EDGE_M
+from lemma.scene.objects.cube import CUBE, CUBE_EDGE_M
+from lemma.scene.objects.kind import ObjectKind
+from lemma.scene.objects.pad import PAD
 from lemma.tasks.suite import SUITE, load_instance
+from lemma.tasks.zones import REMOTE_M
 
 LYING_M = CUBE_EDGE_M / 2
 
@@ -96,6 +102,23 @@ def test_the_expert_lets_things_move_less_than_a_third_of_what_is_allowed(
     assert max(flights) < 0.3 * FLIGHT_S
 
 
+@pytest.mark.parametrize("mode", CONTROLS)
+def test_a_throw_is_seen_in_every_control_mode(mode: str) -> None:
+    env = ControlEnv(EnvConfig(task="pass", control=mode, split="test"))
+    env.set_table(options={"index": 0})
+    (top, _), *_ = env.instance.goal.pairs
+    dof = int(env.episode.simulation.scene.model.joint(top).dofadr[0])
+    env.action_space.seed(0)
+    action = env.action_space.sample()
+    assert env.advance(action)[1:] == (False, False)
+    env.episode.simulation.scene.data.qvel[dof + 2] = 2.0
+    # Control steps last 50 ms, so the fourth sees more than the time that is allowed.
+    ended = next(end for _ in range(4) if any(end := env.advance(action)[1:]))
+    assert ended == (True, False)
+    assert env.episode.thrown == (top,)
+    assert env.episode.failure == "thrown"
+
+
 def test_a_throw_ends_the_episode() -> None:
     episode = Episode(load_instance("pass", "free", 0))
     scene = episode.simulation.scene
@@ -111,3 +134,11 @@ def test_a_throw_ends_the_episode() -> None:
     episode.restore(kept)
     assert not episode.is_over
     assert episode.info()["thrown"] == []
+
+
+@pytest.mark.parametrize("bottom", [CUBE, PAD], ids=lambda kind: kind.name)
+def test_zones_leave_room_for_a_cube_that_coasts(bottom: ObjectKind) -> None:
+    """From where a fingertip touches its corner, it gets on nothing of another's."""
+    corner_m = 0.5 * 3.0**0.5 * CUBE_EDGE_M
+    counts_from_m = bottom.disc_m + REMOTE_M - (bottom.support_m or 0.0)
+    assert corner_m + COAST_M + 0.015 < counts_from_m
