@@ -70,7 +70,7 @@ def test_own_team_is_in_data_statistics_and_tables(capsys, tmp_path: Path) -> No
     with loaded(UR16E):
         run("generate", *asked, "--out", data)
         run("evaluate", "--policy", "oracle", *asked, "--out", result)
-    found = json.loads(run("inspect", data, "--json"))
+        found = json.loads(run("inspect", data, "--json"))
     assert list(found["teams"]) == ["ur5+ur16e"]
     run("report", result, "--out", report)
     assert "ur5+ur16e" in (report / "results.md").read_text()
