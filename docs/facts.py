@@ -198,13 +198,15 @@ class Attacks(Generated):
 
     def lines(self) -> Iterator[str]:
         """Return the table."""
-        yield "| attack | level | attempts | cheap | what it does |"
-        yield "|---|---|---|---|---|"
+        header = "attack | level | attempts | candidates | simulated | cheap"
+        yield f"| {header} | what it does |"
+        yield "|---|---|---|---|---|---|---|"
         for level in TRIALS:
             for attack in map(ATTACKS.__getitem__, names_at(level)):
                 cheap = "yes" if attack.cheap else ""
                 yield (
-                    f"| `{attack.name}` | {level} | {attack.attempts} | {cheap} "
+                    f"| `{attack.name}` | {level} | {attack.attempts} "
+                    f"| {attack.candidates} | {attack.simulated_s:g} s | {cheap} "
                     f"| {attack.summary} |"
                 )
 

@@ -1,6 +1,7 @@
 """Attacks succeed on tables that one robot can solve, and on no frozen instance."""
 
 from collections.abc import Iterator
+from itertools import count
 
 import pytest
 from own_plugins import loaded
@@ -17,6 +18,7 @@ from soft_tables import (
 from tiers import slow_but
 
 from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.control_trial import ControlTrial
 from lemma.audit.run import Found, audit_instance, cheap_attacks_succeed, names_at
 from lemma.audit.skill_trial import SkillTrial
 from lemma.core.errors import InvalidConfigError, UnknownNameError
@@ -126,5 +128,30 @@ def test_an_attack_is_checked_when_it_is_made() -> None:
         Attack(silent, "motor")
     with pytest.raises(InvalidConfigError, match="attempts=0"):
         Attack(silent, "skill", attempts=0)
+    with pytest.raises(InvalidConfigError, match="simulated_s=0"):
+        Attack(silent, "skill", simulated_s=0.0)
+
+
+def test_an_attempt_ends_when_its_simulated_time_is_spent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def undo(trial: ControlTrial) -> None:
+        """Waits and undoes it, for ever."""
+        trial.try_each(count(), lambda number: trial.wait(1.0))
+
+    attack = Attack(undo, "control", attempts=2, simulated_s=5.0)
+    monkeypatch.setitem(ATTACKS._records, "undo", attack)
+    found = played("undo", load_instance("pass", "test", 0))
+    assert (found.acted, found.succeeded) == (True, False)
+    assert found.simulated_s == pytest.approx(2 * 2 * 5.0, abs=0.1)
+
+
+def test_greedy_ends_where_there_is_nothing_to_try() -> None:
+    """The second robot of this instance can do nothing at first."""
+    assert not played("greedy_skills", load_instance("pass", "test", 0)).succeeded
+
+
+def test_the_name_of_an_attack_is_its_function() -> None:
+    silent.__doc__ = "Gives up."
     with pytest.raises(InvalidConfigError, match="Use one name"):
         ATTACKS.add("loud", Attack(silent, "skill"))

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 from lemma.audit.control_trial import ControlTrial
 from lemma.audit.skill_trial import SkillTrial
-from lemma.core.arguments import known, whole
+from lemma.core.arguments import known, real, whole
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry
+from lemma.env.simulation import HORIZON_S
 
 TRIALS: dict[str, type[SkillTrial] | type[ControlTrial]] = {
     "skill": SkillTrial,
@@ -36,7 +37,12 @@ class Attack:
     level: str
     """``"skill"`` or ``"control"``."""
     attempts: int = 1
-    """How many are made at most, each from the start."""
+    """How many are made at most, each from the start, with each robot."""
+    candidates: int = 1
+    """How many ways to go on an attempt tries out at most, each from one moment."""
+    simulated_s: float = HORIZON_S
+    """Simulated time after which an attempt ends [s]; what is undone counts as well. An
+    episode is not longer than the default."""
     cheap: bool = False
     """Whether it mostly ends by geometry alone, within milliseconds: such attacks are
     run on every instance that is sampled for a list."""
@@ -49,10 +55,13 @@ class Attack:
 
         Raises:
             UnknownNameError: No such level.
-            InvalidConfigError: Less than one attempt, or a function without docstring.
+            InvalidConfigError: Less than one attempt or candidate, no time, or a
+                function without docstring.
         """
         known("level of an attack", self.level, TRIALS)
         whole("attempts", self.attempts, 1)
+        whole("candidates", self.candidates, 1)
+        real("simulated_s", self.simulated_s, 1.0)
         if not self.summary:
             raise InvalidConfigError(
                 f"The attack {self.name} has no docstring. Write one sentence about "
@@ -68,6 +77,15 @@ class Attack:
     def summary(self) -> str:
         """One line for people."""
         return " ".join((inspect.getdoc(self.play) or "").split("\n\n")[0].split())
+
+    @property
+    def budget(self) -> dict[str, float]:
+        """The most that it takes of one robot of an instance, ready for JSON."""
+        return {
+            "attempts": self.attempts,
+            "candidates": self.candidates,
+            "simulated_s": self.simulated_s,
+        }
 
 
 ATTACKS: Registry[Attack] = Registry("attack", Attack)

@@ -195,6 +195,7 @@ class ControlTrial(Trial):
         self._commands.append(action)
         self._reward, terminated, truncated = self._env.advance(action)
         self._over = terminated or truncated
+        self.simulated_s += STEP_S
         self.look(self._over)
 
     def wait(self, seconds: float, opening_m: float = FINGER_OPENING_M) -> None:
@@ -354,6 +355,7 @@ class ControlTrial(Trial):
         """Wait for the environment to end the episode; return whether it succeeded."""
         with suppress(AttemptOver):
             if not self._over and self.best_progress > 0.0:
+                self.limit_s = math.inf
                 self.wait(_PATIENCE_S)
         return self._over and self._reward > 0.0
 

@@ -1,7 +1,8 @@
 """The audit: attacks on instances, their outcomes, and the sums of those."""
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
@@ -24,6 +25,7 @@ for _name in (
     *(
         "control.hand",
         "control.flight",
+        "control.lob",
         "control.search",
         "control.row",
         "control.stick",
@@ -56,6 +58,10 @@ class Found:
     """The successful commands, at control level, (steps, robots, numbers)."""
     unstable: int = 0
     """Attempts that ended because the physics became unstable."""
+    simulated_s: float = 0.0
+    """Simulated time of all attempts with all robots, undone or not [s]."""
+    seconds: float = 0.0
+    """Time that the processor took [s]; nothing else of this record depends on it."""
 
 
 def names_at(level: str) -> tuple[str, ...]:
@@ -84,7 +90,17 @@ def audit_instance(instance: Instance, names: Iterable[str]) -> Iterator[Found]:
         if level not in begun:
             world = TRIALS[level].begin(instance)
             begun[level] = world, world.snapshot()
-        yield _play(ATTACKS[name], instance, *begun[level])
+        start_s = time.process_time()
+        found = _play(ATTACKS[name], instance, *begun[level])
+        yield replace(found, seconds=time.process_time() - start_s)
+
+
+def budgets(names: Iterable[str]) -> dict[str, dict[str, float]]:
+    """Return the most that attacks take of an instance, ready for JSON.
+
+    See :attr:`~lemma.audit.attack.Attack.budget`.
+    """
+    return {name: ATTACKS[name].budget for name in names}
 
 
 def cheap_attacks_succeed(instance: Instance) -> str | None:
@@ -130,26 +146,29 @@ def _audit_key(
 def _play(attack: Attack, instance: Instance, world: Any, start: Any) -> Found:
     """Make all attempts of an attack, until one succeeds."""
     key = (attack.name, attack.level, instance.task, instance.split, instance.index)
-    acted, progress, unstable = False, 0.0, 0
+    acted, progress, unstable, simulated_s = False, 0.0, 0, 0.0
     robots = instance.scene.robot_names
     for robot in robots[:1] if attack.team else robots:
         for attempt in range(attack.attempts):
             rng = stream("audit", attack.name, instance.key, robot, attempt)
             world.restore(start)
             trial: Trial = TRIALS[attack.level](world, robot, rng, attempt)
+            trial.limit_s = attack.simulated_s
             try:
                 won = _attempt(attack.play, trial)
             except PhysicsError:
                 # Nothing is won by a simulation that has become meaningless.
                 won, unstable = False, unstable + 1
+            simulated_s += trial.simulated_s
             if won is None:
                 break
             acted = acted or trial.acted
             progress = max(progress, trial.best_progress)
             if won:
-                done = trial.record()
+                done = trial.record() | {"simulated_s": simulated_s}
                 return Found(*key, True, True, 1.0, robot, attempt, **done)
-    return Found(*key, acted, False, progress, unstable=unstable)
+    sums = {"unstable": unstable, "simulated_s": simulated_s}
+    return Found(*key, acted, False, progress, **sums)
 
 
 def _attempt(play: Any, trial: Trial) -> bool | None:
@@ -168,7 +187,8 @@ def tally(found: Iterable[Found]) -> dict[str, dict[str, dict[str, Any]]]:
     """Return sums by attack and task, ready for JSON, in the order of the outcomes.
 
     Instances are tried with every robot; where geometry gave all attempts up, nothing
-    was executed. Progress is the most of a goal that ever held, in [0, 1].
+    was executed. Progress is the most of a goal that ever held, in [0, 1]. The times
+    are sums as well, simulated and of the processor [s].
     """
     tallies: dict[str, dict[str, dict[str, Any]]] = {}
     for one in found:
@@ -177,10 +197,13 @@ def tally(found: Iterable[Found]) -> dict[str, dict[str, dict[str, Any]]]:
             {
                 **{"level": one.level, "tried": 0, "executed": 0},
                 **{"succeeded": 0, "best_progress": 0.0},
+                **{"simulated_s": 0.0, "seconds": 0.0},
             },
         )
         sums["tried"] += 1
         sums["executed"] += one.acted
         sums["succeeded"] += one.succeeded
         sums["best_progress"] = max(sums["best_progress"], one.progress)
+        sums["simulated_s"] = round(sums["simulated_s"] + one.simulated_s, 3)
+        sums["seconds"] = round(sums["seconds"] + one.seconds, 3)
     return tallies

@@ -60,6 +60,7 @@ class SkillTrial(Trial):
         start_s = self.episode.elapsed_s
         result = self.episode.execute(subtask)
         self.episode.linger(start_s)
+        self.simulated_s += self.episode.elapsed_s - start_s
         if self.episode.goal_progress == 1.0 and not self.episode.is_over:
             before = self.episode.snapshot()
             if self.finish():

@@ -56,6 +56,10 @@ class Trial(ABC):
         """Whether anything was executed, undone or not."""
         self.best_progress = 0.0
         """Most of the goal that ever held, in [0, 1]."""
+        self.simulated_s = 0.0
+        """Simulated time of all that was executed, undone or not [s]."""
+        self.limit_s = math.inf
+        """The attempt is over after so much of it [s]."""
 
     @abstractmethod
     def snapshot(self) -> Any:
@@ -137,13 +141,16 @@ class Trial(ABC):
         """Note how much of the goal holds.
 
         Raises:
-            AttemptOver: The episode is over.
+            AttemptOver: The episode is over, or the simulated time is spent.
             Lost: The goal cannot be reached any more, or something was thrown.
         """
-        self.best_progress = max(self.best_progress, self.episode.goal_progress)
         if self.episode.is_thrown:
+            # The goal may hold where a thrown object comes down, which is of no use.
             raise Lost
+        self.best_progress = max(self.best_progress, self.episode.goal_progress)
         if is_over:
+            raise AttemptOver
+        if self.simulated_s >= self.limit_s:
             raise AttemptOver
         if not set(self.episode.fallen).isdisjoint(self.goal.entities):
             raise Lost

@@ -36,7 +36,8 @@ def audit(
 ) -> int:
     """Attack instances with one robot alone, in physics.
 
-    Exits with 1 if an attack succeeds.
+    Prints what each attack found and took, and the most that it may take. Exits with 1
+    if an attack succeeds.
 
     Args:
         tasks: Names of tasks, separated by commas.
@@ -52,7 +53,7 @@ def audit(
     """
     # Imported here so that help does not wait for it.
     from lemma.audit.run import audit as run
-    from lemma.audit.run import tally
+    from lemma.audit.run import budgets, tally
 
     names = _attacks(attacks, level)
     keys = _keys(tasks, split, start, episodes)
@@ -63,9 +64,10 @@ def audit(
         found = run(keys, names, working.make_engine(), advance)
     won = [one for one in found if one.succeeded]
     if as_json:
-        print_json({"attacks": tally(found)})
+        print_json({"attacks": tally(found), "budgets": budgets(names)})
     else:
         _print(tally(found))
+        _print_budgets(budgets(names))
     for one in won:
         messages().print(
             f"{one.task}/{one.split}/{one.index}: {one.attack} by {one.robot}, "
@@ -144,9 +146,23 @@ def _print(tallies: dict[str, dict[str, dict[str, Any]]]) -> None:
         for attack in tallies
     ]
     header = tuple(name.replace("_", " ") for name in sums[0]) if sums else ("task",)
-    rows = [(*list(of.values())[:-1], f"{of['best_progress']:.0%}") for of in sums]
+    forms = {"best_progress": "{:.0%}", "simulated_s": "{:.0f}", "seconds": "{:.1f}"}
+    rows = [
+        tuple(forms.get(name, "{}").format(value) for name, value in of.items())
+        for of in sums
+    ]
     won = [number for number, of in enumerate(sums) if of["succeeded"]]
     print_table(header, rows, labels=min(3, len(header)), bold=won)
+
+
+def _print_budgets(of_attacks: dict[str, dict[str, float]]) -> None:
+    """Print the most that each attack takes of an instance."""
+    header = ("attack", "attempts", "candidates", "simulated s")
+    rows = [
+        (name, *map("{:g}".format, of_attacks[name].values())) for name in of_attacks
+    ]
+    title = "At most: attempts with each robot, and in each of them candidates and time"
+    print_table(header, rows, title=title)
 
 
 def write_videos(

@@ -213,7 +213,10 @@ def _farthest(
 
 
 ATTACKS.add("hand_push", Attack(hand_push, "control", attempts=2, cheap=True))
-ATTACKS.add("cube_chain", Attack(cube_chain, "control", attempts=len(_WAYS)))
+ATTACKS.add(
+    "cube_chain",
+    Attack(cube_chain, "control", attempts=len(_WAYS), candidates=len(_SPEEDS_M_S)),
+)
 
 
 # How far left of the base the line passes [m], how far the upper cube of a tower
@@ -431,4 +434,13 @@ def _worth(way: tuple[Any, ...]) -> float:
     return float(way[0] - _LEAN_COST_M * way[1])
 
 
-ATTACKS.add("stick_relay", Attack(stick_relay, "control", attempts=len(_RELAYS)))
+ATTACKS.add(
+    "stick_relay",
+    Attack(
+        stick_relay,
+        "control",
+        attempts=len(_RELAYS),
+        candidates=len(_RUNS_M_S2),
+        simulated_s=150.0,
+    ),
+)

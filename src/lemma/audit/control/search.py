@@ -120,4 +120,13 @@ def _stretched(trial: ControlTrial, height_m: float) -> FloatArray | None:
     return None
 
 
-ATTACKS.add("search", Attack(search, "control", attempts=len(_HEIGHTS_M) + 1))
+ATTACKS.add(
+    "search",
+    Attack(
+        search,
+        "control",
+        attempts=len(_HEIGHTS_M) + 1,
+        candidates=_ROUNDS * _DRAWS,
+        simulated_s=150.0,
+    ),
+)

@@ -291,9 +291,23 @@ def _push_over(
     trial.try_each(product(raises_m, _OVERS_M), again)
 
 
-ATTACKS.add("tower_push", Attack(tower_push, "control", attempts=len(_TOWER_HANDS_M)))
-ATTACKS.add("topple", Attack(topple, "control", attempts=len(_TOPPLE_HANDS_M)))
-ATTACKS.add("strike", Attack(strike, "control", attempts=len(_SHOTS)))
+_tower = Attack(
+    tower_push, "control", attempts=len(_TOWER_HANDS_M), candidates=len(_OVERS_M)
+)
+ATTACKS.add("tower_push", _tower)
+_TOPPLES = len(_TOPPLE_RAISES_M) * len(_OVERS_M)
+_topple = Attack(
+    topple,
+    "control",
+    attempts=len(_TOPPLE_HANDS_M),
+    candidates=_TOPPLES,
+    simulated_s=200.0,
+)
+ATTACKS.add("topple", _topple)
+_BLOWS = len(_STROKE_RAISES_M) * len(_SPEEDS_M_S)
+ATTACKS.add(
+    "strike", Attack(strike, "control", attempts=len(_SHOTS), candidates=_BLOWS)
+)
 
 
 # Where on the stick the cube lies.
@@ -475,4 +489,11 @@ def _dipping(
     return pose
 
 
-ATTACKS.add("tip_off_stick", Attack(tip_off_stick, "control", attempts=len(_HANDS_M)))
+_tip = Attack(
+    tip_off_stick,
+    "control",
+    attempts=len(_HANDS_M),
+    candidates=len(_AIMS_M) * (len(_PITCHES_RAD) + 1),
+    simulated_s=200.0,
+)
+ATTACKS.add("tip_off_stick", _tip)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import product
+from itertools import islice, product
 
 from lemma.audit.attack import ATTACKS, Attack
 from lemma.audit.pushes import CONTACTS, GRASPS, push
@@ -38,8 +38,9 @@ def greedy_skills(trial: SkillTrial) -> None:
         choices = list(_expert_proposals(trial))
         order = trial.rng.permutation(len(choices)).tolist()
         tries = [choices[i] for i in order[: _WIDTH - 1]]
-        tries += list(_random_proposals(trial))[: _WIDTH - len(tries)]
-        left -= len(tries)
+        tries += islice(_random_proposals(trial), _WIDTH - len(tries))
+        # Where there is nothing to try, that counts as well: else it would never end.
+        left -= max(1, len(tries))
         start = trial.snapshot()
         best, least = start, _distance_left(trial)
 
@@ -103,7 +104,10 @@ def _random_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
 
 
 ATTACKS.add("random_skills", Attack(random_skills, "skill", attempts=3))
-ATTACKS.add("greedy_skills", Attack(greedy_skills, "skill"))
+ATTACKS.add(
+    "greedy_skills",
+    Attack(greedy_skills, "skill", candidates=_ROLLOUTS, simulated_s=300.0),
+)
 
 
 # No plan of the suite has more sub-tasks.
