@@ -30,7 +30,7 @@ def test_prints_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(found) == ["attacks", "budgets"]
     assert list(found["budgets"]) == list(found["attacks"])
     budget = {"attempts": 6, "candidates": 1, "simulated_s": 100.0}
-    assert found["budgets"]["tilted_move"] == budget
+    assert found["budgets"]["tilted_move"] == {"level": "control", **budget}
     assert list(found["attacks"]) == ["drag_home", "tilted_move"]
     for of_tasks in found["attacks"].values():
         assert list(of_tasks) == ["pass", "hook"]
@@ -49,12 +49,11 @@ def test_the_table_tells_what_was_executed_from_what_geometry_gave_up(
     monkeypatch.setattr("lemma.audit.run.audit", lambda *args: [given_up, acted])
     run("audit", "--tasks", "pass", "--attacks", "drag_home, search", *EPISODES)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
-    cells = [row[:-1] for row in rows if len(row) == 9]
-    assert ["pass", "drag_home", "skill", "1", "0", "0", "0%", "0"] in cells
-    took = f"{acted.simulated_s:.0f}"
-    assert ["poke_stack", "drag_home", "skill", "1", "1", "1", "100%", took] in cells
+    cells = [row[:-1] for row in rows if len(row) == 7]
+    assert ["pass", "drag_home", "1", "0", "0", "0%"] in cells
+    assert ["poke_stack", "drag_home", "1", "1", "1", "100%"] in cells
     # The most that each may take.
-    assert ["search", "3", "50", "150"] in rows
+    assert ["search", "control", "3", "50", "150.0"] in rows
 
 
 def test_leaves_with_1_if_an_attack_succeeded(

@@ -79,9 +79,10 @@ class Attack:
         return " ".join((inspect.getdoc(self.play) or "").split("\n\n")[0].split())
 
     @property
-    def budget(self) -> dict[str, float]:
-        """The most that it takes of one robot of an instance, ready for JSON."""
+    def budget(self) -> dict[str, str | float]:
+        """Its level, and the most that it takes of one robot, ready for JSON."""
         return {
+            "level": self.level,
             "attempts": self.attempts,
             "candidates": self.candidates,
             "simulated_s": self.simulated_s,

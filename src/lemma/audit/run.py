@@ -95,7 +95,7 @@ def audit_instance(instance: Instance, names: Iterable[str]) -> Iterator[Found]:
         yield replace(found, seconds=time.process_time() - start_s)
 
 
-def budgets(names: Iterable[str]) -> dict[str, dict[str, float]]:
+def budgets(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Return the most that attacks take of an instance, ready for JSON.
 
     See :attr:`~lemma.audit.attack.Attack.budget`.

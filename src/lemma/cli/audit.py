@@ -145,24 +145,23 @@ def _print(tallies: dict[str, dict[str, dict[str, Any]]]) -> None:
         for task in tasks
         for attack in tallies
     ]
-    header = tuple(name.replace("_", " ") for name in sums[0]) if sums else ("task",)
-    forms = {"best_progress": "{:.0%}", "simulated_s": "{:.0f}", "seconds": "{:.1f}"}
-    rows = [
-        tuple(forms.get(name, "{}").format(value) for name, value in of.items())
-        for of in sums
-    ]
+    # As many columns as a terminal of 80 characters shows.
+    forms = {
+        **{"task": "{}", "attack": "{}", "tried": "{}", "executed": "{}"},
+        **{"succeeded": "{}", "best_progress": "{:.0%}", "seconds": "{:.1f}"},
+    }
+    header = ("task", "attack", "tried", "executed", "succeeded", "progress", "seconds")
+    rows = [tuple(form.format(of[name]) for name, form in forms.items()) for of in sums]
     won = [number for number, of in enumerate(sums) if of["succeeded"]]
-    print_table(header, rows, labels=min(3, len(header)), bold=won)
+    print_table(header, rows, labels=2, bold=won)
 
 
-def _print_budgets(of_attacks: dict[str, dict[str, float]]) -> None:
+def _print_budgets(of_attacks: dict[str, dict[str, Any]]) -> None:
     """Print the most that each attack takes of an instance."""
-    header = ("attack", "attempts", "candidates", "simulated s")
-    rows = [
-        (name, *map("{:g}".format, of_attacks[name].values())) for name in of_attacks
-    ]
+    header = ("attack", "level", "attempts", "candidates", "simulated s")
+    rows = [(name, *budget.values()) for name, budget in of_attacks.items()]
     title = "At most: attempts with each robot, and in each of them candidates and time"
-    print_table(header, rows, title=title)
+    print_table(header, rows, title=title, labels=2)
 
 
 def write_videos(
