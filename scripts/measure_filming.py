@@ -102,7 +102,11 @@ def measure_filming(
     for renderer in dict.fromkeys(("opengl", choose_renderer("auto"))):
         for width, height in sizes:
             how = Style(
-                width_px=width, height_px=height, depth=False, renderer=renderer
+                width_px=width,
+                height_px=height,
+                depth=False,
+                cameras=robots_of(records[0]),
+                renderer=renderer,
             )
             jobs = [(records[n % len(records) :], how, least_s) for n in range(workers)]
             times = list(ProcessPool(workers).run(time_filming, jobs))

@@ -231,7 +231,7 @@ def main(words: Sequence[str] | None = None) -> None:
     filming.add_argument("--size", default="160x120")
     filming.add_argument("--fps", type=int, default=5)
     filming.add_argument(
-        "--cameras", default="", help="robot_0,robot_0_wrist,...; robots' own if none"
+        "--cameras", default="robot_0,robot_1", help="robot_0_reach,table,..."
     )
     filming.add_argument(
         "--environment-state", choices=(SENTENCE, PRIVILEGED), default=SENTENCE
@@ -259,13 +259,14 @@ def main(words: Sequence[str] | None = None) -> None:
     asked = parser.parse_args(words)
     if asked.verb == "film":
         width, height = map(int, asked.size.split("x"))
+        images = asked.environment_state == SENTENCE
         style = Style(
             fps=asked.fps,
             width_px=width,
             height_px=height,
-            cameras=tuple(filter(None, asked.cameras.split(","))),
+            cameras=tuple(asked.cameras.split(",")) if images else (),
             depth=False,
-            images=asked.environment_state == SENTENCE,
+            images=images,
             environment_state=asked.environment_state,
             control=WAYPOINT,
         )

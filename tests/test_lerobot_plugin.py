@@ -15,6 +15,7 @@ from packaging.requirements import Requirement
 
 from lemma.core.errors import UnknownNameError
 from lemma.dataset.lerobot.frames import Style, features
+from lemma.env.camera_rig import close_cameras
 from lemma.env.config import EnvConfig
 from lemma.env.learning.motor_state import MOTOR_CONTROLS
 from lemma.env.observation import truth_names
@@ -119,11 +120,11 @@ def test_what_is_observed_and_commanded_is_what_data_sets_hold(plugin: Any) -> N
 
 
 def test_options_are_those_of_an_environment_and_have_its_defaults(plugin: Any) -> None:
-    defaults = {field.name: field.default for field in fields(EnvConfig)}
+    usual = EnvConfig(task="pass", observation="rgb").at_control_level()
     options = plugin.LemmaEnvConfig().gym_kwargs
-    assert set(options) <= set(defaults)
-    same = ("instruction", "width", "height", "horizon_s")
-    assert [options[name] for name in same] == [defaults[name] for name in same]
+    assert set(options) <= {field.name for field in fields(EnvConfig)}
+    for name in ("instruction", "width", "height", "horizon_s", "cameras"):
+        assert options[name] == getattr(usual, name)
 
 
 @pytest.mark.render
@@ -180,7 +181,7 @@ def test_vectors_are_made_of_each_task(plugin: Any) -> None:
     assert info["instance"][0] == "v3/hook/test/2"
     assert observation["agent_pos"].shape == env.action_space.shape == (1, 14)
     shapes = {name: image.shape for name, image in observation["pixels"].items()}
-    assert shapes == dict.fromkeys(TEAM, (1, 32, 48, 3))
+    assert shapes == dict.fromkeys(close_cameras(TEAM), (1, 32, 48, 3))
     # Every network overshoots: what is out of bounds is clipped.
     assert np.isfinite(env.step(np.full((1, 14), 99.0, np.float32))[1])
     view = env.envs[0].env

@@ -19,6 +19,7 @@ import lemma
 from lemma.core.arguments import known
 from lemma.core.robot_names import robot_names
 from lemma.dataset.lerobot.frames import ENVIRONMENT_STATES, NONE, PRIVILEGED, SENTENCE
+from lemma.env.camera_rig import close_cameras
 from lemma.env.learning.flat_view import FlatView
 from lemma.env.learning.harness_episodes import HarnessEpisodes
 from lemma.env.learning.motor_state import (
@@ -29,7 +30,7 @@ from lemma.env.learning.motor_state import (
 )
 from lemma.env.observation import truth_names
 from lemma.env.simulation import HORIZON_S
-from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.cameras import CLOSE_PX
 from lemma.tasks.language.vector import NUMBERS as SENTENCE_NUMBERS
 from lemma.tasks.language.vector import sentence_vector
 from lemma.tasks.names import SUITE
@@ -161,11 +162,11 @@ class LemmaEnvConfig(EnvConfig):
     """Where instances come from, one after the other: seed 1000 is the first."""
     instruction: str = "high_level"
     """Kind of sentence: high_level, human, unseen or blind."""
-    cameras: str = "robot_0,robot_1"
-    """Names of cameras, separated by commas: also overview, robot_0_wrist."""
-    width: int = CAMERA_WIDTH_PX
+    cameras: str = ",".join(close_cameras(TEAM))
+    """Names of cameras, separated by commas: also robot_0, overview."""
+    width: int = CLOSE_PX
     """Width of camera images [px]: that of the training data."""
-    height: int = CAMERA_HEIGHT_PX
+    height: int = CLOSE_PX
     """Height of camera images [px]."""
     environment_state: str = NONE
     """As in the training data: none, sentence, or, instead of pictures, privileged."""

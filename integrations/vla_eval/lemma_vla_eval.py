@@ -61,7 +61,7 @@ class LemmaBenchmark(StepBenchmark):
             split: Frozen list of instances.
             control: Meaning of an action, see ``lemma.env.control.modes.CONTROLS``.
             control_hz: Actions per simulated second [Hz].
-            cameras: Names of the cameras; each robot's own if None.
+            cameras: Names of the cameras; the usual ones of the control level if None.
             width: Of images [px].
             height: Of images [px].
             state: Parts of the state, see

@@ -199,11 +199,12 @@ def test_vector_of_processes_renders() -> None:
     for i in range(2):
         first, info = single.reset(seed=i)
         assert (
-            observations["pixels"]["robot_0"][i] == first["pixels"]["robot_0"]
+            observations["pixels"]["robot_0_wrist"][i]
+            == first["pixels"]["robot_0_wrist"]
         ).all()
         assert (observations["instruction"][i] == first["instruction"]).all()
         assert infos["instruction"][i] == info["instruction"]
-    assert observations["pixels"]["robot_1"].shape == (2, 48, 64, 3)
+    assert observations["pixels"]["table"].shape == (2, 48, 64, 3)
     envs.close()
 
 

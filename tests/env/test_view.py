@@ -71,7 +71,7 @@ def test_images_of_an_environment_are_those_of_a_view() -> None:
         assert np.array_equal(found["depth"][name], image.depth_m)
         assert np.array_equal(decode_depth(rendered["depth"][number]), image.depth_m)
         assert image.camera == env.cameras()[name]
-    depth_m = found["depth"]["robot_0"]
+    depth_m = found["depth"]["robot_0_wrist"]
     assert np.array_equal(decode_depth(encode_depth(depth_m)), depth_m)
 
 

@@ -41,7 +41,7 @@ from lemma.tasks.subtask import Primitive, SubTask
 os.environ["HF_HUB_OFFLINE"] = "1"
 
 FPS = 10
-STYLE = Style(fps=FPS, width_px=320, height_px=240)
+STYLE = Style(fps=FPS, width_px=320, height_px=240, cameras=("robot_0", "robot_1"))
 EVERY = 17
 """Frames from one picture that is compared to the next."""
 ROBOTS = ("robot_0", "robot_1")
@@ -254,7 +254,7 @@ def test_what_was_led_by_hand_becomes_a_data_set(tmp_path: Path) -> None:
     assert (found.num_episodes, found.num_frames) == (2, 62)
     item = found[45]
     assert item["task"] == "Watch me."
-    assert item["observation.images.robot_0"].shape == (3, 48, 64)
+    assert item["observation.images.robot_0_reach"].shape == (3, 48, 64)
     steps = list(iterate_steps(read_record(path), FPS))
     assert np.allclose(item["action"].numpy(), steps[14].action.ravel(), atol=1e-6)
     assert (out / "extras" / "first.json").is_file()

@@ -36,6 +36,7 @@ def style(told: str) -> Style:
     return Style(
         fps=5,
         depth=False,
+        cameras=("robot_0", "robot_1") if told == SENTENCE else (),
         images=told == SENTENCE,
         environment_state=told,
         control=WAYPOINT,

@@ -31,6 +31,7 @@ ROOT = Path(__file__).parents[2]
 KINDS = ("high_level", "human")
 EVALUATED = ("pass", "stack", "poke", "hook")
 STEPS, CHUNK = 4, 10
+CAMERAS = "robot_0,robot_1"
 EPISODES = 2
 """Of each task, evaluated."""
 EXPECTED = (
@@ -76,7 +77,8 @@ def work() -> Path:
 def export() -> Path:
     """Return a data set for training: small pictures, each episode in two kinds."""
     return exported(
-        f"--size {WIDTH}x{HEIGHT} --instructions high-level,human "
+        f"--size {WIDTH}x{HEIGHT} --cameras {CAMERAS} "
+        "--instructions high-level,human "
         "--environment-state sentence",
         work() / "set",
     )
@@ -170,6 +172,7 @@ def test_lerobot_eval_evaluates_what_was_trained() -> None:
         "--policy.device=cpu",
         "--env.type=lemma",
         f"--env.task={','.join(EVALUATED)}",
+        f"--env.cameras={CAMERAS}",
         f"--env.width={WIDTH}",
         f"--env.height={HEIGHT}",
         "--env.environment_state=sentence",
@@ -197,7 +200,7 @@ def test_lerobot_eval_evaluates_what_was_trained() -> None:
 def test_recorded_actions_solve_the_task_in_lerobots_environment(task: str) -> None:
     """States, pictures, actions and success mean the same on both sides."""
     config = plugin().LemmaEnvConfig(
-        task=task, split="train", width=WIDTH, height=HEIGHT
+        task=task, split="train", cameras=CAMERAS, width=WIDTH, height=HEIGHT
     )
     env = config.create_envs(n_envs=1)[task][0]
     observed, info = env.reset(

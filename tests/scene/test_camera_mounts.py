@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 
 from lemma.core.poses import Pose2
 from lemma.robots.could import could_of
+from lemma.robots.reach import reach_of
 from lemma.scene.camera_mounts import (
     CAMERA_FOVY_RAD,
     CAMERA_HEIGHT_PX,
     CAMERA_WIDTH_PX,
     CameraFootprint,
     camera_mount,
+    reach_mount,
 )
 from lemma.scene.cameras import Camera, CameraIntrinsics
 from lemma.scene.objects.cube import CUBE_EDGE_M
@@ -101,6 +103,31 @@ def test_a_camera_sees_all_that_its_robot_could_touch_ahead(
     away = share * could_of(arm).touch_m
     at = base @ Pose2(away * math.cos(bearing), away * math.sin(bearing))
     assert sees(RobotPlacement(arm, "red", base), at.x, at.y)
+
+
+@pytest.mark.parametrize("size", [(224, 224), (320, 240), (96, 128)])
+@pytest.mark.parametrize(("arm", "least_px"), [("ur5", 6.5), ("ur10", 4.3)])
+def test_a_close_camera_sees_all_that_its_robot_reaches_and_cubes_are_wider(
+    arm: str, least_px: float, size: tuple[int, int]
+) -> None:
+    robot = RobotPlacement(arm, "red", Pose2(0.4, -0.05, 2.0))
+    mount, fov = reach_mount(robot)
+    camera = Camera("close", mount, CameraIntrinsics.from_shorter_side(fov, *size))
+    grid = np.mgrid[-1.7:1.7:0.02, -1.7:1.7:0.02].reshape(2, -1)
+    x, y = grid + np.array(robot.base.xy)[:, None]
+    reach, away = reach_of(arm), np.hypot(*grid)
+    # Objects lie nowhere that the robot's other camera does not see.
+    inside = (away > reach.inner_m) & (away < reach.travel_m)
+    inside &= CameraFootprint(robot).sees(x, y)
+    assert inside.sum() > 2000
+    edge = 0.5 * CUBE_EDGE_M
+    for dx, dy in ((-edge, 0.0), (edge, 0.0), (0.0, -edge), (0.0, edge)):
+        top = np.stack([x + dx, y + dy, np.full(len(x), CUBE_EDGE_M)], 1)[inside]
+        u, v = camera.project(top)[0].T
+        assert -0.5 < u.min() < u.max() < size[0] - 0.5
+        assert -0.5 < v.min() < v.max() < size[1] - 0.5
+    width = camera.intrinsics.fx * CUBE_EDGE_M / mount.position[2]
+    assert width > least_px * min(size) / 224
 
 
 @pytest.mark.parametrize(("arm", "least_px"), [("ur5", 11.5), ("ur10", 8.5)])

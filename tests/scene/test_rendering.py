@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose
-from lemma.scene.cameras import FreeCamera
+from lemma.scene.cameras import Camera, CameraIntrinsics, FreeCamera
 from lemma.scene.rendering import gl_context as canvas
 from lemma.scene.rendering.model_cameras import add_camera, camera_from_model
 from lemma.scene.rendering.renderer import Renderer, depth_from_buffer
@@ -69,14 +69,18 @@ def signed_distances(hull: ConvexHull, points: np.ndarray) -> np.ndarray:
     return (points @ planes[:, :2].T + planes[:, 2]).max(axis=1)
 
 
-@pytest.mark.parametrize("size", [(640, 480), (321, 203)])
-@pytest.mark.parametrize("view", ["eye", OBLIQUE])
+@pytest.mark.parametrize("size", [(640, 480), (321, 203), (203, 321)])
+@pytest.mark.parametrize("view", ["eye", OBLIQUE, "calibrated"])
 def test_cube_is_drawn_exactly_where_it_projects(
-    size: tuple[int, int], view: str | FreeCamera
+    size: tuple[int, int], view: str | FreeCamera | Camera
 ) -> None:
     model, data = compiled(table_scene())
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    if isinstance(view, str):
+    if view == "calibrated":
+        lens = CameraIntrinsics.from_shorter_side(0.6, *size)
+        pose = OBLIQUE.camera(*size).world_from_camera
+        camera = view = Camera("close", pose, lens)
+    elif isinstance(view, str):
         camera = camera_from_model(model, data, view, *size)
     else:
         camera = view.camera(*size)

@@ -14,6 +14,7 @@ import numpy as np
 from lemma.core.engine import mujoco
 from lemma.core.errors import PhysicsError
 from lemma.core.poses import FloatArray
+from lemma.core.robot_names import robot_names
 from lemma.core.workers.pool import ProcessPool
 from lemma.core.workers.resources import peak_memory_mb
 from lemma.env.config import EnvConfig
@@ -159,6 +160,7 @@ def _time_steps(
         observation=observation,
         width=width,
         height=height,
+        cameras=robot_names(len(instance.scene.robots)),
     )
     env = ControlEnv(config)
     env.reset(options={"instance": instance})

@@ -38,6 +38,7 @@ _AT_INTERRUPT = (
 FormName = Literal["keyframes", "lerobot"]
 Make = Callable[[Engine, Callable[[int], None]], RenderSummary]
 """Writes what is missing; the arguments are an engine and a listener for progress."""
+_SIZES = {"keyframes": "640x480", "lerobot": "224x224"}
 _ROWS = {"keyframes": "keyframes", "lerobot": "frames"}
 
 
@@ -49,15 +50,15 @@ class RenderOptions:
     """Names of tasks, separated by commas."""
     splits: Annotated[Listed, tyro.conf.arg(aliases=["--split"])] = ALL
     """Names of splits, separated by commas."""
-    size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "640x480"
-    """Size of camera images [px]."""
+    size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = ""
+    """Size of camera images [px]: 640x480, for LeRobotDatasets 224x224, by default."""
     fps: int = 10
     """LeRobotDataset: frames per simulated second, such as 10 or 20."""
     no_depth: Flag = False
     """LeRobotDataset: leave depth out."""
     cameras: Annotated[str, tyro.conf.arg(metavar="CAMERA,...")] = ""
-    """LeRobotDataset: cameras, such as robot_0,robot_1,robot_0_wrist or overview; each
-    robot's own by default."""
+    """LeRobotDataset: cameras, such as robot_0,robot_1,robot_0_wrist or overview; by
+    default those that environments observe at control level."""
     instructions: Listed = "high-level"
     """LeRobotDataset: kinds of instructions, high-level, human, unseen, or all; for
     each of them there is an episode of which it is the task."""
@@ -128,7 +129,7 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
         RenderingError: The renderer that was asked for is not installed.
         UnknownNameError: No such kind of instructions.
     """
-    width, height = parse_size(look.size)
+    width, height = parse_size(look.size or _SIZES[name])
     if name == "keyframes" and files_in(order.recipe):
         raise InvalidConfigError(
             "What was led by hand has no keyframes, which lie between sub-tasks. Film "

@@ -79,7 +79,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         self._observer = Observer(
             config.observation,
             tuple(range(config.team_size)),
-            (config.width, config.height),
+            config.image_size,
             config.cameras,
         )
         self.observation_space = self._observer.space
@@ -206,7 +206,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
     def cameras(self) -> dict[str, Camera]:
         """Return the calibrated cameras that are observed, where they are now.
 
-        Each robot's, unless ``cameras`` chose others.
+        See :class:`~lemma.env.config.EnvConfig` for which these are.
         """
         scene, rig = self.episode.simulation.scene, self._observer.rig
         scene.refresh()

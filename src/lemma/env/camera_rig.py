@@ -1,8 +1,10 @@
 """The cameras of a scene, which make its views.
 
 Each robot has a camera that hangs above it, called as the robot is; these are what maps
-are fused from. Beside them there are the overview, which does not move, and a camera on
-the wrist of each robot, ``robot_0_wrist``, which looks at what is between its fingers.
+are fused from. Beside them there are a camera on the wrist of each robot,
+``robot_0_wrist``, which looks at what is between its fingers; the picture of its camera
+cropped to where it reaches, ``robot_0_reach``; and two that stand still: the overview,
+from the side, and ``table``, from above.
 """
 
 import math
@@ -20,7 +22,12 @@ from lemma.core.poses import FloatArray, Pose
 from lemma.env.view import View
 from lemma.robots.gripper import TCP_OFFSET_M
 from lemma.robots.ur.kinematics import frames
-from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.camera_mounts import (
+    CAMERA_HEIGHT_PX,
+    CAMERA_WIDTH_PX,
+    REACH_EDGE_M,
+    reach_mount,
+)
 from lemma.scene.cameras import (
     Camera,
     CameraImage,
@@ -32,6 +39,7 @@ from lemma.scene.raster import LARGEST, RASTER, UNIT_M, MapImage
 from lemma.scene.rendering.batch import BATCH_RENDERERS, Pictures
 from lemma.scene.rendering.model_cameras import camera_from_model
 from lemma.scene.scene import Scene
+from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.scene.topdown_map import fuse
 
 OVERVIEW = FreeCamera(
@@ -39,6 +47,24 @@ OVERVIEW = FreeCamera(
 )
 """Sees the whole table, from the side."""
 OVERVIEW_NAME = "overview"
+TABLE_NAME = "table"
+_ABOVE_M = 3.0
+"""Height of the camera above the table's middle; data sets hold depths up to 4 m."""
+TABLE_FOV_RAD = 2.0 * math.atan(
+    (max(TABLE_HALF_X_M, TABLE_HALF_Y_M) + REACH_EDGE_M) / _ABOVE_M
+)
+"""Field of view of the shorter side of its pictures."""
+TABLE_MOUNT = Pose.from_matrix(
+    np.array(
+        [
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, -1.0, 0.0, 0.0],
+            [0.0, 0.0, -1.0, _ABOVE_M],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+)
+"""World from that camera: up in the picture is +y, as in maps."""
 WRIST_FOVY_RAD = math.radians(75.0)
 WRIST_EYE_M = (0.09, 0.0, 0.05)
 """Where a wrist's camera sits, in the frame of the flange: beside the palm."""
@@ -52,9 +78,24 @@ def wrist_name(robot: str) -> str:
     return f"{robot}_wrist"
 
 
+def reach_name(robot: str) -> str:
+    """Return the name of a robot's camera when it is cropped to where it reaches."""
+    return f"{robot}_reach"
+
+
 def camera_names(robots: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of all cameras of a team: each robot's, overview, wrists."""
-    return (*robots, OVERVIEW_NAME, *map(wrist_name, robots))
+    """Return the names of all cameras of a team."""
+    wrists, reaches = map(wrist_name, robots), map(reach_name, robots)
+    return (*robots, OVERVIEW_NAME, *wrists, *reaches, TABLE_NAME)
+
+
+def close_cameras(robots: Sequence[str]) -> tuple[str, ...]:
+    """Return the cameras that are observed at control level unless others are chosen.
+
+    Cubes are wide in the first ones. The last one sees what no robot reaches without
+    the stick, which the first ones do not.
+    """
+    return (*map(reach_name, robots), *map(wrist_name, robots), TABLE_NAME)
 
 
 def wrist_mount() -> Pose:
@@ -207,6 +248,16 @@ class CameraRig:
             return camera_from_model(scene.model, data, f"{name}/camera", *self._size)
         if name == OVERVIEW_NAME:
             return replace(OVERVIEW.camera(*self._size), name=name)
+        if name == TABLE_NAME:
+            lens = CameraIntrinsics.from_shorter_side(TABLE_FOV_RAD, *self._size)
+            return Camera(name, TABLE_MOUNT, lens)
+        for robot_name, placement in zip(
+            scene.spec.robot_names, scene.spec.robots, strict=True
+        ):
+            if name == reach_name(robot_name):
+                mount, fov = reach_mount(placement)
+                lens = CameraIntrinsics.from_shorter_side(fov, *self._size)
+                return Camera(name, mount, lens)
         robot = next(r for r in scene.robots if wrist_name(r.name) == name)
         placed = np.empty((7, 4, 4))
         frames(robot.arm.dh, robot.world_from_base, data.qpos[robot.qpos], placed)

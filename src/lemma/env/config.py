@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import lru_cache
 from typing import Any, Self
@@ -12,11 +12,12 @@ import numpy as np
 from lemma.core.arguments import flag, known, real, whole
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.core.robot_names import robot_names
-from lemma.env.camera_rig import camera_names
-from lemma.env.observation import MAX_INSTRUCTION_LENGTH
+from lemma.env.camera_rig import camera_names, close_cameras
+from lemma.env.observation import MAX_INSTRUCTION_LENGTH, OBSERVATIONS
 from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.robots.ur.build import ARMS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.cameras import CLOSE_PX
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.blind import check_blind, instruction
 from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
@@ -67,13 +68,16 @@ class EnvConfig:
     [rad]."""
     observation: str = "state"
     """Content of observations; a name in :data:`lemma.env.observation.OBSERVATIONS`."""
-    width: int = CAMERA_WIDTH_PX
-    """Width of camera images [px]."""
-    height: int = CAMERA_HEIGHT_PX
-    """Height of camera images [px]."""
+    width: int | None = None
+    """Width of camera images [px]; if None 224 where the control level observes them,
+    else 640."""
+    height: int | None = None
+    """Height of camera images [px]; if None 224 where the control level observes them,
+    else 480."""
     cameras: tuple[str, ...] | None = None
-    """Which cameras are observed: ``"robot_0"``, ``"overview"``, ``"robot_0_wrist"``;
-    each robot's own if None."""
+    """Which cameras are observed, see :func:`lemma.env.camera_rig.camera_names`. If
+    None, each robot's own; but where the control level observes images, those of
+    :func:`lemma.env.camera_rig.close_cameras`."""
     render_width: int = 960
     """Width of the pictures of ``render()`` [px]."""
     render_height: int = 540
@@ -113,8 +117,6 @@ class EnvConfig:
         if self.instruction == BLIND:
             check_blind(self.task, self.split)
         checked: dict[str, object] = {
-            "width": whole("width", self.width, 1),
-            "height": whole("height", self.height, 1),
             "render_width": whole("render_width", self.render_width, 1, 4096),
             "render_height": whole("render_height", self.render_height, 1, 4096),
             "control_hz": real("control_hz", self.control_hz, LEAST_HZ, 1.0 / TICK_S),
@@ -127,6 +129,9 @@ class EnvConfig:
                 for name in ("delta_position_m", "delta_rotation_rad")
             },
         }
+        for name, side in (("width", self.width), ("height", self.height)):
+            if side is not None:
+                checked[name] = whole(name, side, 1)
         if self.index is not None:
             last = SPLITS[self.split] - 1 if self.split in SPLITS else None
             checked["index"] = whole("index", self.index, 0, last)
@@ -171,7 +176,7 @@ class EnvConfig:
         if not isinstance(cameras, list | tuple) or not cameras:
             raise InvalidConfigError(
                 f"cameras={shown(cameras)} is no choice of cameras. It is a tuple of "
-                f"some of {', '.join(names)}, or None for each robot's own."
+                f"some of {', '.join(names)}, or None for the usual ones."
             )
         chosen = tuple(known("camera", name, names) for name in cameras)
         if len(set(chosen)) < len(chosen):
@@ -179,6 +184,30 @@ class EnvConfig:
                 f"cameras={shown(chosen)} names a camera twice. Name each once."
             )
         return chosen
+
+    def at_control_level(self) -> Self:
+        """Return the options with the control level's cameras and size of images.
+
+        What was chosen stays. Without images all does, for the map is fused from each
+        robot's own camera at its usual size.
+
+        Raises:
+            UnknownNameError: No such observation.
+        """
+        contents = OBSERVATIONS[self.observation]
+        if not (contents.rgb or contents.depth):
+            return self
+        return replace(
+            self,
+            width=self.width or CLOSE_PX,
+            height=self.height or CLOSE_PX,
+            cameras=self.cameras or close_cameras(robot_names(self.team_size)),
+        )
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of camera images [px]."""
+        return self.width or CAMERA_WIDTH_PX, self.height or CAMERA_HEIGHT_PX
 
     @classmethod
     def from_options(cls, options: dict[str, Any]) -> Self:

@@ -40,7 +40,7 @@ class ControlEnv(LemmaEnv):
         Raises:
             UnknownNameError: No such control mode or render mode.
         """
-        super().__init__(config, render_mode)
+        super().__init__(config.at_control_level(), render_mode)
         self.mode = CONTROLS[config.control]
         self.actuation = self.mode.actuation
         # Writers of videos want a whole number.

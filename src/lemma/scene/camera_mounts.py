@@ -7,11 +7,19 @@ from numpy.typing import NDArray
 
 from lemma.core.poses import FloatArray, Pose, Pose2, matrix_from_quaternion
 from lemma.robots.could import could_of
+from lemma.robots.reach import reach_of
 from lemma.scene.spec import RobotPlacement
 
 CAMERA_FOVY_RAD = math.radians(56.0)
 CAMERA_WIDTH_PX = 640
 CAMERA_HEIGHT_PX = 480
+REACH_EDGE_M = 0.05
+"""How much more of the table than its reach a robot's close camera sees [m]."""
+_NEAREST = 0.49
+"""How far behind its base a robot's camera sees, as a share of what the robot could
+touch. Objects lie nowhere else."""
+_HEIGHT = 1.72
+"""Height of a robot's cameras, as a share of what the robot could touch."""
 _IMAGE_MARGIN = 0.94
 """Fraction of the half image in which an object's centre counts as seen."""
 
@@ -27,7 +35,7 @@ def camera_mount(robot: RobotPlacement) -> tuple[Pose, float]:
         [rad].
     """
     reach = could_of(robot.arm).touch_m
-    height = 1.72 * reach
+    height = _HEIGHT * reach
     eye = robot.base @ Pose2(0.18 * reach, 0.0, 0.0)
     target = robot.base @ Pose2(0.34 * reach, 0.0, 0.0)
     forward = np.array([target.x - eye.x, target.y - eye.y, -height])
@@ -40,6 +48,32 @@ def camera_mount(robot: RobotPlacement) -> tuple[Pose, float]:
     matrix[:3, 2] = forward
     matrix[:3, 3] = [eye.x, eye.y, height]
     return Pose.from_matrix(matrix), CAMERA_FOVY_RAD
+
+
+def reach_mount(robot: RobotPlacement) -> tuple[Pose, float]:
+    """Return where a robot's close camera hangs: as high as its other one.
+
+    It looks straight down and is cropped to the smallest square on the table that holds
+    all that the robot reaches where objects lie, with a margin for their height.
+
+    Returns:
+        World from camera (x right, y down, z forward) and the field of view of the
+        shorter side of the picture [rad].
+    """
+    touch = could_of(robot.arm).touch_m
+    half = reach_of(robot.arm).travel_m + REACH_EDGE_M
+    eye = robot.base @ Pose2(half - REACH_EDGE_M - _NEAREST * touch, 0.0)
+    height = _HEIGHT * touch
+    cos, sin = math.cos(robot.base.yaw), math.sin(robot.base.yaw)
+    matrix = np.array(
+        [
+            [sin, -cos, 0.0, eye.x],
+            [-cos, -sin, 0.0, eye.y],
+            [0.0, 0.0, -1.0, height],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+    return Pose.from_matrix(matrix), 2.0 * math.atan(half / height)
 
 
 class CameraFootprint:

@@ -23,6 +23,9 @@ from lemma.core.poses import FloatArray, Pose
 RgbImage = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
 
+CLOSE_PX = 224
+"""Width and height of images at control level, unless others are asked for [px]."""
+
 
 @dataclass(frozen=True, slots=True)
 class CameraIntrinsics:
@@ -60,6 +63,21 @@ class CameraIntrinsics:
             )
         focal = 0.5 * height / math.tan(0.5 * fovy_rad)
         return cls(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
+
+    @classmethod
+    def from_shorter_side(
+        cls, fov_rad: float, width: int, height: int
+    ) -> "CameraIntrinsics":
+        """Return square pixels, centred, with the shorter side's field of view [rad].
+
+        A square in the middle of the view is seen whole in pictures of any shape.
+
+        Raises:
+            InvalidConfigError: No such camera can be.
+        """
+        longer = max(1.0, height / max(1, width))
+        fovy_rad = 2.0 * math.atan(math.tan(0.5 * fov_rad) * longer)
+        return cls.from_fovy(fovy_rad, width, height)
 
     @property
     def fovy_rad(self) -> float:

@@ -12,6 +12,7 @@ from lemma.core.version import VERSION as __version__
 from lemma.env.view import View
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.interfaces import PastStep, PolicyInput, is_oracle, keeps_state
+from lemma.scene.cameras import CLOSE_PX
 from lemma.serve import messages, vla_eval
 from lemma.serve.faults import (
     UNAVAILABLE,
@@ -30,7 +31,7 @@ _STATE = ("agent_pos", "agent_vel", "tcp_pose")
 _PER_ROBOT = 7
 _SEES = ("rgb", "state")
 _DEFAULTS = {"control": "joint_position", "control_hz": 20.0, "observation": "rgb"}
-_SIZE = {"width": 640, "height": 480}
+_SIZE = {"width": CLOSE_PX, "height": CLOSE_PX}
 
 
 class Session:

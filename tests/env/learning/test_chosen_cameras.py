@@ -11,6 +11,9 @@ import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.env.camera_rig import CameraRig, camera_names
 from lemma.env.control_env import ControlEnv
+from lemma.scene.cameras import CLOSE_PX
+from lemma.scene.rendering.renderer import Renderer
+from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 
 NAMES = ("robot_0", "overview", "robot_1_wrist")
 
@@ -25,6 +28,30 @@ def test_a_team_has_a_camera_for_each_robot_the_overview_and_the_wrists() -> Non
     assert camera_names(("robot_0", "robot_1")) == (
         *("robot_0", "robot_1", "overview"),
         *("robot_0_wrist", "robot_1_wrist"),
+        *("robot_0_reach", "robot_1_reach", "table"),
+    )
+
+
+def test_images_at_control_level_are_close_ones_unless_others_are_chosen() -> None:
+    close = ("robot_0_reach", "robot_1_reach", "robot_0_wrist", "robot_1_wrist")
+    for observation, kinds in (("rgb", ("pixels",)), ("rgbd", ("pixels", "depth"))):
+        env = lemma.make("pass", observation=observation)
+        for kind in kinds:
+            space = env.observation_space[kind]
+            assert set(space.spaces) == {*close, "table"}
+            assert {image.shape[:2] for image in space.values()} == {(224, 224)}
+        agents = lemma.parallel_env("pass", observation=observation)
+        for n, agent in enumerate(agents.possible_agents):
+            seen = agents.observation_space(agent)["pixels"]
+            assert set(seen) == {f"robot_{n}_reach", f"robot_{n}_wrist", "table"}
+    chosen = seeing(cameras=("robot_1",), height=120).observation_space["depth"]
+    assert {name: box.shape for name, box in chosen.items()} == {"robot_1": (120, 96)}
+    # Maps are fused from each robot's own camera at its usual size.
+    for options in ({"observation": "map"}, {"observation": "state"}):
+        assert lemma.make("pass", **options).config.image_size == (640, 480)
+    skills = lemma.make("pass", level="skill", observation="rgb").observation_space
+    assert {name: box.shape for name, box in skills["pixels"].items()} == dict.fromkeys(
+        ("robot_0", "robot_1"), (480, 640, 3)
     )
 
 
@@ -45,8 +72,9 @@ def test_chosen_cameras_are_observed_as_the_view_has_them() -> None:
         assert np.array_equal(found["pixels"][name], view.cameras[name].rgb)
         assert np.array_equal(found["depth"][name], view.cameras[name].depth_m)
         assert view.cameras[name].camera == env.cameras()[name]
-    own, _ = seeing().reset()
-    assert np.array_equal(found["pixels"]["robot_0"], own["pixels"]["robot_0"])
+    close, _ = seeing().reset()
+    wrist = "robot_1_wrist"
+    assert np.array_equal(found["pixels"][wrist], close["pixels"][wrist])
 
 
 @pytest.mark.render
@@ -86,6 +114,33 @@ def test_what_cameras_see_is_where_they_say() -> None:
     (pixel,), (depth,) = image.camera.project([cube])
     assert abs(pixel[0] - 79.5) < 25.0
     assert 0.05 < depth < 0.4
+
+
+@pytest.mark.render
+def test_close_cameras_draw_cubes_where_they_project_and_one_sees_all_the_table() -> (
+    None
+):
+    env = seeing(width=None, height=None)
+    env.reset()
+    scene, cameras = env.episode.simulation.scene, env.cameras()
+    x, y = TABLE_HALF_X_M, TABLE_HALF_Y_M
+    rim = [(a, b, 0.05) for a in (-x, x) for b in (-y, y)]
+    pixels, _ = cameras["table"].project(rim)
+    assert (pixels > 0).all()
+    assert (pixels < CLOSE_PX - 1).all()
+    renderer, drawn_in = Renderer(CLOSE_PX, CLOSE_PX), []
+    cubes = [name for name in scene.object_names if name.endswith("cube")]
+    for name in ("robot_0_reach", "robot_1_reach", "table"):
+        geoms = renderer.segmentation(scene.model, scene.data, cameras[name])
+        for cube in cubes:
+            rows, columns = np.nonzero(
+                scene.model.geom_bodyid[geoms] == scene.model.body(cube).id
+            )
+            if len(rows) >= 8:
+                drawn_in.append(name)
+                (pixel,), _ = cameras[name].project([scene.position(cube)])
+                assert (columns.mean(), rows.mean()) == pytest.approx(pixel, abs=1.0)
+    assert set(drawn_in) == {"robot_0_reach", "robot_1_reach", "table"}
 
 
 @pytest.mark.render

@@ -76,12 +76,12 @@ def test_agents_together_are_the_central_environment() -> None:
 
 
 @pytest.mark.render
-def test_each_agent_sees_through_its_own_camera() -> None:
+def test_each_agent_sees_through_its_own_cameras_and_nobodys() -> None:
     env = parallel("pass", observation="rgb", width=64, height=48)
     observations, _ = env.reset()
     assert {a: set(o["pixels"]) for a, o in observations.items()} == {
-        "robot_0": {"robot_0"},
-        "robot_1": {"robot_1"},
+        "robot_0": {"robot_0_reach", "robot_0_wrist", "table"},
+        "robot_1": {"robot_1_reach", "robot_1_wrist", "table"},
     }
     env.close()
 

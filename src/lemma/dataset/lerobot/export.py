@@ -62,7 +62,8 @@ _WHOLE = ".whole"
 _PARTS = ("data", "videos", "meta")
 """Folders of a LeRobotDataset; the last one is the one that makes it whole."""
 DEPTH_LARGEST_M = 4.095
-"""Depths are stored in levels of 1 mm up to this; the cameras see 3.5 m at most [m]."""
+"""Depths are stored in levels of 1 mm up to this; cameras above the table see 3.8 m at
+most [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,7 @@ from lemma.dataset.rendered.steps import (
     iterate_steps,
     ticks_per_step,
 )
-from lemma.env.camera_rig import CameraRig, camera_names
+from lemma.env.camera_rig import CameraRig, camera_names, close_cameras
 from lemma.env.episode import Episode
 from lemma.env.learning.motor_state import (
     JOINT_POSITION,
@@ -33,7 +33,7 @@ from lemma.env.learning.motor_state import (
     tool_rows,
 )
 from lemma.env.observation import Observer, truth_names, truth_vector
-from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
+from lemma.scene.cameras import CLOSE_PX
 from lemma.scene.rendering.batch import states_at_once
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS
@@ -56,14 +56,15 @@ class Style:
 
     fps: int = 10
     """Frames per simulated second: a divisor of 100."""
-    width_px: int = CAMERA_WIDTH_PX
+    width_px: int = CLOSE_PX
     """Width of the pictures [px]; even."""
-    height_px: int = CAMERA_HEIGHT_PX
+    height_px: int = CLOSE_PX
     """Height of the pictures [px]; even."""
     depth: bool = True
     """Whether depth is filmed too."""
     cameras: tuple[str, ...] = ()
-    """Names of the cameras, as an environment knows them; each robot's own if none."""
+    """Names of the cameras, as an environment knows them; if none, those that the
+    control level observes, :func:`lemma.env.camera_rig.close_cameras`."""
     instructions: tuple[str, ...] = ("high_level",)
     """Which of the three instructions is the ``task`` of a frame: for each of these
     kinds there is an episode."""
@@ -105,7 +106,7 @@ class Style:
         Raises:
             UnknownNameError: The team has no such camera.
         """
-        valid, chosen = camera_names(robots), self.cameras or robots
+        valid, chosen = camera_names(robots), self.cameras or close_cameras(robots)
         return tuple(known("camera", n, valid) for n in chosen) if self.images else ()
 
     def rig(self) -> CameraRig:

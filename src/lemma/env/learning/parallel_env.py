@@ -6,7 +6,12 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from lemma.env.action_spaces import Action, check_keys
-from lemma.env.camera_rig import OVERVIEW_NAME, wrist_name
+from lemma.env.camera_rig import (
+    OVERVIEW_NAME,
+    TABLE_NAME,
+    reach_name,
+    wrist_name,
+)
 from lemma.env.control_env import ControlEnv
 from lemma.env.observation import Observation, Observer
 from lemma.scene.cameras import RgbImage
@@ -21,7 +26,7 @@ ParallelStep = tuple[
 
 
 class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
-    """Each agent is one robot: its joints, its camera, its motors; one shared reward.
+    """Each agent is one robot: its joints, its cameras, its motors; one shared reward.
 
     Everything else is as in :class:`~lemma.env.control_env.ControlEnv`, which does the
     work.
@@ -39,9 +44,10 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
         self.possible_agents = list(inner.robot_names)
         self.agents: list[str] = []
         config = inner.config
-        size = (config.width, config.height)
         self._observers = {
-            name: Observer(config.observation, (i,), size, self._cameras_of(name))
+            name: Observer(
+                config.observation, (i,), config.image_size, self._cameras_of(name)
+            )
             for i, name in enumerate(self.possible_agents)
         }
         self._action_spaces = {
@@ -52,7 +58,7 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
         """Return which of the chosen cameras an agent sees: its own, and nobody's."""
         if self.inner.config.cameras is None:
             return None
-        own = (agent, wrist_name(agent), OVERVIEW_NAME)
+        own = {agent, wrist_name(agent), reach_name(agent), OVERVIEW_NAME, TABLE_NAME}
         return tuple(name for name in self.inner.config.cameras if name in own)
 
     def observation_space(self, agent: str) -> spaces.Dict:

@@ -61,7 +61,7 @@ def environment_of(policy: object, task: str) -> EnvConfig:
         split=FREE_SPLIT,
         horizon_s=Rollout.horizon_s,
         **{**_DEFAULTS, **asked},
-    )
+    ).at_control_level()
     if OBSERVATIONS[config.observation].truth and not is_oracle(policy):
         fair = (name for name in OBSERVATIONS if not OBSERVATIONS[name].truth)
         raise InvalidConfigError(
@@ -197,7 +197,7 @@ class ControlPlayer(Player):
             self._observers[robots] = Observer(
                 config.observation,
                 tuple(range(robots)),
-                (config.width, config.height),
+                config.image_size,
                 config.cameras,
             )
         return rollout.look(self._observers[robots], oracle=is_oracle(self.policy))

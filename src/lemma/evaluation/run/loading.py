@@ -21,6 +21,7 @@ from lemma.policies.interfaces import Composite, is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
 from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part, parts_of
 from lemma.policies.weights import find_weights, published_weights
+from lemma.scene.cameras import CLOSE_PX
 from lemma.serve.conversation import ProtocolMode, Remote
 from lemma.serve.isolation import isolate
 from lemma.serve.model_server import ModelServer
@@ -104,8 +105,8 @@ MODEL_SERVER_DEFAULTS: dict[str, Any] = {
     "control_hz": 20.0,
     "observation": "rgb",
     "clip_actions": True,
-    "width": 224,
-    "height": 224,
+    "width": CLOSE_PX,
+    "height": CLOSE_PX,
 }
 """As in the benchmark for vla-eval's own harness."""
 _STATE = "state"

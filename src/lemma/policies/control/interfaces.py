@@ -76,8 +76,8 @@ class ControlPolicy(Protocol):
     """Decides on motor commands.
 
     An attribute ``control_options``, a dictionary, says in which environment it acts,
-    see :data:`CONTROL_OPTIONS`. Without it: joint positions at 20 Hz, RGB of each
-    robot's camera.
+    see :data:`CONTROL_OPTIONS`. Without it: joint positions at 20 Hz, RGB of the
+    cameras that environments of this level observe.
     """
 
     def act(

@@ -162,7 +162,10 @@ class Renderer:
         return _upright(pixels)
 
     def segmentation(
-        self, model: mujoco.MjModel, data: mujoco.MjData, view: str | FreeCamera
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        view: str | Camera | FreeCamera,
     ) -> NDArray[np.int32]:
         """Render which geom each pixel sees, shape (height, width); -1: none.
 
@@ -171,12 +174,16 @@ class Renderer:
         Args:
             model: The scene.
             data: Its state, with derived poses up to date (``mj_forward``).
-            view: A camera's name in the scene, or a free camera.
+            view: A camera's name in the scene, a calibrated camera of this size, or a
+                free camera.
 
         Raises:
             UnknownNameError: The scene has no such camera.
+            InvalidConfigError: The camera makes images of another size.
             RenderingError: OpenGL does not work here.
         """
+        if isinstance(view, Camera):
+            self._check_size(view)
         factor = self.quality.oversampling
         pixels = np.empty((self.height * factor, self.width * factor, 3), np.uint8)
         scene = self._draw(model, data, view, pixels, None, segment=True)
