@@ -72,20 +72,21 @@ def signed_distances(hull: ConvexHull, points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("size", [(640, 480), (321, 203), (203, 321)])
 @pytest.mark.parametrize("view", ["eye", OBLIQUE, "calibrated"])
 def test_cube_is_drawn_exactly_where_it_projects(
-    size: tuple[int, int], view: str | FreeCamera | Camera
+    size: tuple[int, int], view: str | FreeCamera
 ) -> None:
     model, data = compiled(table_scene())
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    drawn_by: str | FreeCamera | Camera = view
     if view == "calibrated":
         lens = CameraIntrinsics.from_shorter_side(0.6, *size)
         pose = OBLIQUE.camera(*size).world_from_camera
-        camera = view = Camera("close", pose, lens)
+        camera = drawn_by = Camera("close", pose, lens)
     elif isinstance(view, str):
         camera = camera_from_model(model, data, view, *size)
     else:
         camera = view.camera(*size)
     corners, _ = camera.project(CUBE_CENTRE + CUBE_HALF * signs)
-    geoms = Renderer(*size).segmentation(model, data, view)
+    geoms = Renderer(*size).segmentation(model, data, drawn_by)
     v, u = np.mgrid[: size[1], : size[0]]
     centres = np.stack([u, v], -1).reshape(-1, 2)
     distance = signed_distances(ConvexHull(corners), centres).reshape(v.shape)

@@ -17,6 +17,8 @@ from vla_eval.model_servers.predict import PredictModelServer
 from vla_eval.specs import IMAGE_RGB, LANGUAGE, RAW
 
 import lemma
+from lemma.core.robot_names import robot_names
+from lemma.env.camera_rig import close_cameras
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.serve.conversation import ProtocolMode
 from lemma.serve.faults import PolicyFailedError
@@ -93,7 +95,7 @@ def test_vla_eval_run_plays_and_the_experts_motion_succeeds(tmp_path: Path) -> N
     for (task, index), seen in server.seen.items():
         instance = load_instance(task, "test", index)
         assert seen["task_description"] == instance.instructions["high_level"]
-        assert set(seen["images"]) == {"robot_0", "robot_1"}
+        assert set(seen["images"]) == set(close_cameras(robot_names(2)))
         for image in seen["images"].values():
             assert (image.shape, image.dtype) == ((48, 64, 3), np.uint8)
             assert image.std() > 5.0
