@@ -31,7 +31,7 @@ from lemma.viz.replay import replay_attack
 
 QUICK = (
     *("drag_home", "push_tower", "greedy_skills", "out_of_order"),
-    *("tilted_move", "cube_chain", "topple", "lob", "search"),
+    *("tilted_move", "cube_chain", "topple", "lob", "search", "knock_off"),
 )
 """One attack of each family; the others are slow tests."""
 TEAM = tuple(name for name in ATTACKS if ATTACKS[name].team)

@@ -195,6 +195,8 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "cube_chain": lambda: pad_out_of_reach(0.20, "mat"),
     "stick_relay": lambda: pad_out_of_reach(0.95, "mat"),
     "tower_push": lambda: pad_out_of_reach(0.25),
+    "knock_off": lambda: pad_out_of_reach(0.24),
+    "squeeze_out": lambda: pad_out_of_reach(0.20),
 }
 """Attacks, and an instance that each of them solves."""
 

@@ -26,6 +26,7 @@ for _name in (
         "control.hand",
         "control.flight",
         "control.lob",
+        "control.edge",
         "control.search",
         "control.row",
         "control.stick",
@@ -167,8 +168,9 @@ def _play(attack: Attack, instance: Instance, world: Any, start: Any) -> Found:
             if won:
                 done = trial.record() | {"simulated_s": simulated_s}
                 return Found(*key, True, True, 1.0, robot, attempt, **done)
-    sums = {"unstable": unstable, "simulated_s": simulated_s}
-    return Found(*key, acted, False, progress, **sums)
+    return Found(
+        *key, acted, False, progress, unstable=unstable, simulated_s=simulated_s
+    )
 
 
 def _attempt(play: Any, trial: Trial) -> bool | None:
