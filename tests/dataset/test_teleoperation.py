@@ -104,7 +104,7 @@ def test_frames_are_those_of_a_lerobot_data_set(file: Path) -> None:
     found = list(frames(read_record(file), style))
     assert {frame["task"] for frame in found} == {"put it there"}
     assert [frame["subtask"] for frame in found][20:35] == ["Led by hand."] * 15
-    assert found[0]["observation.images.robot_0"].shape == (48, 64, 3)
+    assert found[0]["observation.images.robot_0_reach"].shape == (48, 64, 3)
 
 
 def test_files_of_a_folder_are_found(file: Path, tmp_path: Path) -> None:
