@@ -54,7 +54,7 @@ def play_again(
         watch(rollout.episode, number)
         given = rollout.given(None)
         # No evaluation wrote what is no decision: the policy would have failed there.
-        rollout.carry_out(given, check(_decision(step), given))
+        rollout.carry_out(given, check(decision_of(step), given))
     fault = (lenient or row)["policy_error"]
     if not rollout.is_over(strict=lenient is None):
         if fault is None:
@@ -65,7 +65,8 @@ def play_again(
     return line_of(rollout, moved=row["perturb_start"], lenient=lenient is not None)
 
 
-def _decision(step: dict[str, Any]) -> Decision:
+def decision_of(step: Mapping[str, Any]) -> Decision:
+    """Return the decision of a sub-task of a line."""
     subtask = SubTask.from_dict(step)
     poses = step["grounded"]
     found = None if poses is None else GroundedSubTask.from_dict(poses)
