@@ -52,7 +52,10 @@ def test_import_registers(name: str) -> None:
     "code",
     [
         "import lemma, gymnasium; gymnasium.make('lemma/Hook-v0')",
-        "import gymnasium, lemma; gymnasium.make('lemma/Hook-v0')",
+        pytest.param(
+            "import gymnasium, lemma; gymnasium.make('lemma/Hook-v0')",
+            marks=pytest.mark.slow,
+        ),
         "import gymnasium; gymnasium.make('lemma:lemma/Hook-v0')",
     ],
 )

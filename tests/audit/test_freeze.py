@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tiers import slow_but
 
 import freeze_instances as freezer
 from freeze_instances import MANIFEST, accept, freeze, write_list
@@ -17,7 +18,7 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE, load_instance
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", slow_but(SUITE, "pass2"))
 def test_the_expert_accepts_what_is_frozen(task: str) -> None:
     frozen = load_instance(task, "test", 5)
     accepted = accept(task, "test", 5)

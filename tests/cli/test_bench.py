@@ -98,12 +98,12 @@ def test_trials_are_the_same_in_several_processes() -> None:
 @pytest.mark.render
 def test_figures_of_a_policy(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
-        main(["bench", "pass", "--episodes", "2", "--policy", "oracle", "--json"])
+        main(["bench", "pass", "--episodes", "1", "--policy", "oracle", "--json"])
     assert end.value.code == 0
     report = json.loads(capsys.readouterr().out)
     assert set(report) == {"machine", "policy"}
     found = report["policy"]
-    assert found["decisions"] >= 4
+    assert found["decisions"] >= 2
     assert 0 < found["decision_ms"] <= found["slowest_ms"]
     assert found["look_ms"] == 0.0
     assert found["success_rate"] == 1.0

@@ -7,10 +7,11 @@ from typing import Any
 
 import gymnasium
 import pytest
+from command import run as command
 from own_plugins import EXAMPLES, loaded
 
 import lemma
-from lemma.cli.main import main, split_plugins
+from lemma.cli.main import split_plugins
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.dataset.instructions import draw_instruction
 from lemma.dataset.recipe.generate import GenerateConfig
@@ -25,11 +26,12 @@ FREE = f"{BENCHMARK_VERSION}/tower/free/"
 TOWER = EXAMPLES / "10_write_a_task.py"
 
 
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as ended:
-        main([str(word) for word in words])
+def run(
+    capsys: pytest.CaptureFixture[str], *words: object, processes: bool = False
+) -> tuple[int, str, str]:
+    code = command(*words, processes=processes)
     out, err = capsys.readouterr()
-    return int(ended.value.code or 0), out, err
+    return int(code or 0), out, err
 
 
 @pytest.mark.parametrize(
@@ -107,6 +109,7 @@ def test_own_task_is_generated_and_read_without_it(capsys, tmp_path: Path) -> No
             capsys,
             *("generate", "--tasks", "tower", "--episodes", 2, "--workers", 1),
             *("--out", data),
+            processes=True,
         )
     assert code == 0, err
     assert "equals the published" not in out

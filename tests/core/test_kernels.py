@@ -90,10 +90,10 @@ def test_code_is_kept_until_a_file_changes_that_goes_into_it(copied: Path) -> No
     next(said).unlink()
     assert _end(_start(copied)) == {"value": 13.5, "compiled": 1, "said": 1}
     (copied / "robots" / "numbers.py").write_text("OFFSET = 0.25\n")
-    assert _end(_start(copied))["value"] == 13.25
     # A kernel that has moved within its file leaves nothing behind.
     (copied / "robots" / "outer.py").write_text(f"# A comment.\n{_OUTER}")
-    assert _end(_start(copied))["compiled"] == 1
+    found = _end(_start(copied))
+    assert (found["value"], found["compiled"]) == (13.25, 1)
     assert sorted(path.name for path in copied.rglob("*.nb?")) == kept
 
 
@@ -125,7 +125,7 @@ def test_without_a_folder_for_temporary_files_nothing_is_left_anywhere(
 def test_processes_that_start_together_compile_once_and_one_says_so(
     copied: Path,
 ) -> None:
-    started = [_start(copied) for _ in range(3)]
+    started = [_start(copied) for _ in range(2)]
     found = [_end(process) for process in started]
     assert {each["value"] for each in found} == {7.5}
     assert sum(each["compiled"] for each in found) == 1

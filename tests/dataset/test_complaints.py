@@ -8,6 +8,7 @@ import pytest
 from command import run as lemma
 from recipes import (
     bytes_of,
+    remembered,
     remount,
     small_disk,
     small_order,
@@ -18,6 +19,7 @@ from recipes import (
 from lemma.core.files import read_json, sha256_of, write_json
 from lemma.core.workers.pool import Serial
 from lemma.dataset.files import MANIFEST
+from lemma.dataset.recipe import generate as generating
 from lemma.dataset.recipe.files import load, open_table, read_table, write_table
 from lemma.dataset.recipe.generate import generate
 from lemma.tasks.instance import BENCHMARK_VERSION
@@ -27,6 +29,13 @@ GENERATE = (
     *("generate", "--tasks", "pass,stack", "--split", "val,test"),
     *("--episodes", "3", "--workers", "2"),
 )
+
+
+@pytest.fixture(autouse=True)
+def _quick_expert(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no episode be played that was played for the small recipe."""
+    small_recipe()
+    monkeypatch.setattr(generating, "record_episode", remembered)
 
 
 def words_of(verb: str) -> tuple[str, ...]:

@@ -65,7 +65,7 @@ def test_gymnasium_finds_no_fault(task: str, level: str) -> None:
     check_env(env.unwrapped, skip_render_check=True)
 
 
-@pytest.mark.parametrize("observation", ["state", "privileged"])
+@pytest.mark.parametrize("observation", slow_but(["state", "privileged"], "state"))
 @pytest.mark.parametrize("control", CONTROLS)
 def test_gymnasium_finds_no_fault_in_any_mode(control: str, observation: str) -> None:
     env = make("hook_stack", control=control, observation=observation)
@@ -182,6 +182,7 @@ def test_vector_of_four_is_four_singles() -> None:
     envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_vector_of_processes_renders() -> None:
     envs = gymnasium.make_vec(

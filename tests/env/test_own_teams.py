@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command import run as command
 from own_plugins import EXAMPLES, loaded
 from small_tables import cube, pad
 
 import lemma
-from lemma.cli.main import main
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.dataset.recipe.record import record_episode
@@ -59,14 +59,13 @@ def test_an_arm_that_is_unknown_is_named(robots: Any) -> None:
 
 def test_own_team_is_in_data_statistics_and_tables(capsys, tmp_path: Path) -> None:
     def run(*words: object) -> str:
-        with pytest.raises(SystemExit) as ended:
-            main([str(word) for word in words])
+        code = command(*words)
         out, err = capsys.readouterr()
-        assert ended.value.code == 0, err
+        assert not code, err
         return str(out)
 
     data, result, report = (tmp_path / name for name in ("data", "result", "report"))
-    asked = ("--tasks", "stack_ur16e", "--episodes", 1, "--workers", 1)
+    asked = ("--tasks", "stack_ur16e", "--episodes", 1)
     with loaded(UR16E):
         run("generate", *asked, "--out", data)
         run("evaluate", "--policy", "oracle", *asked, "--out", result)

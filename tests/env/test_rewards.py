@@ -7,6 +7,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from hypothesis import given
 from hypothesis import strategies as st
+from tiers import slow_but
 
 import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
@@ -80,7 +81,7 @@ def test_rewards_of_an_environment_telescope(level: str) -> None:
     assert total == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", slow_but(SUITE, "stack", "hook"))
 def test_potential_rises_along_the_experts_episode(task: str) -> None:
     env = make(task, level="plan")
     expert = lemma.ExpertPolicy(env)

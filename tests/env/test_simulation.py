@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from recorded_episodes import first_instance, run_expert
 from small_tables import cube, facing, pad, stick
+from tiers import slow_but
 
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import Pose, Pose2
@@ -188,7 +189,7 @@ def run_alone(simulation: Simulation, subtask: GroundedSubTask) -> None:
         simulation.tick((subtask.robot,))
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", slow_but(SUITE, "stack", "hook"))
 def test_begin_and_advance_give_the_states_of_a_plain_loop(task: str) -> None:
     """Also where time passes in pieces, and another robot's turn comes at once."""
     instance = first_instance(task, "ur5+ur10")

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 from expert_commands import expert_commands
+from tiers import slow_but
 
 from lemma.core.poses import Pose, Pose2
 from lemma.env.config import EnvConfig
@@ -26,7 +27,7 @@ def play(episode: Episode) -> Iterator[GroundedSubTask]:
         yield step.grounded
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", slow_but(SUITE, "stack2", "poke"))
 def test_the_expert_climbs_stage_by_stage(task: str) -> None:
     episode = begin(task)
     reached: list[tuple[float, int | None, str]] = []

@@ -16,7 +16,7 @@ from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import Serial
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.experiments.catalog import CONTROL_LEVEL, EXPERIMENTS
-from lemma.evaluation.lines import read_lines, write_packed, write_rows
+from lemma.evaluation.lines import MOST_UNPACKED, read_lines, write_packed, write_rows
 from lemma.evaluation.records import ABOUT, PACKED, SUMMARY, read_about
 from lemma.evaluation.records import EPISODES as LINES
 from lemma.evaluation.run.evaluate import start_of
@@ -292,7 +292,7 @@ def test_what_is_sent_is_read_within_limits(honest: Path, tmp_path: Path) -> Non
     packed.write_bytes(lzma.compress(text.encode(), preset=0))
     with pytest.raises(DatasetError, match="twice"):
         read_lines(packed)
-    packed.write_bytes(lzma.compress(b"\n" * 200_000_000, preset=0))
+    packed.write_bytes(lzma.compress(b"\n" * (MOST_UNPACKED + 1), preset=0))
     with pytest.raises(DatasetError, match="cannot be read"):
         read_lines(packed)
     packed.write_bytes(lzma.compress(b" " * 3_000_000, preset=0))

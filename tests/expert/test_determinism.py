@@ -6,6 +6,7 @@ from multiprocessing import get_context
 
 import pytest
 from recorded_episodes import first_instance, recorded, run_expert
+from tiers import slow_but
 
 from lemma.env.episode import Episode
 from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
@@ -29,7 +30,7 @@ def elsewhere() -> Iterator[ProcessPoolExecutor]:
         yield pool
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", slow_but(SUITE, "stack", "poke"))
 def test_run_again_after_others(task: str) -> None:
     first = recorded(task, TEAM)
     # Something else in between, in the same process.

@@ -6,6 +6,7 @@ from itertools import product
 import pytest
 from recorded_episodes import EPISODES, recorded
 from small_tables import ARM_NAMES, cube, facing, pad, stick
+from tiers import slow_but
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose, Pose2, wrap
@@ -193,7 +194,7 @@ def test_the_margin_to_the_edge_of_reach_is_quality() -> None:
     assert qualities == pytest.approx([0.2, 0.5, 0.9, 1.0], abs=1e-6)
 
 
-@pytest.mark.parametrize(("task", "team"), EPISODES[1::3])
+@pytest.mark.parametrize(("task", "team"), slow_but(EPISODES[1::3], *EPISODES[7:14:6]))
 def test_what_is_predicted_happens(task: str, team: str) -> None:
     """Places to 3 cm, what lies on what, and times to a third of a step."""
     episode = recorded(task, team)

@@ -6,7 +6,13 @@ from itertools import chain
 import mujoco
 import numpy as np
 import pytest
-from recorded_episodes import EPISODES, first_instance, recorded, run_expert
+from recorded_episodes import (
+    EPISODES,
+    TEAMS,
+    first_instance,
+    recorded,
+    run_expert,
+)
 from small_tables import facing
 from tiers import slow_but
 
@@ -105,7 +111,7 @@ def test_a_tower_of_two_cubes_stands_for_a_minute(offset_m: float) -> None:
     assert end[1][2, 3] == pytest.approx(1.5 * CUBE_EDGE_M, abs=1e-3)
 
 
-@pytest.mark.parametrize("team", ["ur5+ur5", "ur5+ur10", "ur10+ur10"])
+@pytest.mark.parametrize("team", slow_but(TEAMS, "ur5+ur10"))
 def test_a_tower_that_the_expert_built_stands_for_a_minute(team: str) -> None:
     episode = run_expert(first_instance("stack", team))[0]
     scene = episode.simulation.scene

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,11 @@ from kept import kept_folder
 from lemma.core.files import sha256_of, write_json
 from lemma.core.workers.pool import Serial
 from lemma.dataset.files import MANIFEST, content_digest, shorten
-from lemma.dataset.recipe.files import versions, write_table
+from lemma.dataset.recipe.files import load, versions, write_table
 from lemma.dataset.recipe.generate import GenerateConfig, generate, recipe_file
+from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord, to_table
-from lemma.tasks.instance import BENCHMARK_VERSION
+from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.suite import load_instance
 
 TASKS = ("pass", "stack")
@@ -34,6 +36,16 @@ def small_order(out: Path) -> GenerateConfig:
 def small_recipe() -> Path:
     """Return a recipe of that order, made once; do not write there."""
     return kept_folder("recipe", lambda out: generate(small_order(out), Serial()))
+
+
+def remembered(instance: Instance) -> EpisodeRecord:
+    """Return the expert's record, from the small recipe if that has it."""
+    return _remembered().get(instance.key) or record_episode(instance)
+
+
+@cache
+def _remembered() -> dict[str, EpisodeRecord]:
+    return {record.key: record for record in load(small_recipe())}
 
 
 def bytes_of(folder: Path) -> dict[str, str]:

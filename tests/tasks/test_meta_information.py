@@ -1,6 +1,7 @@
 """Nothing but cameras tells who must act first."""
 
 import pytest
+from tiers import slow_but
 
 from lemma.tasks.suite import SUITE
 from measure_meta_information import (
@@ -11,13 +12,9 @@ from measure_meta_information import (
 )
 
 CHANCE, DEVIATION = 0.5, 0.5 / 800**0.5
-QUICK = ("pass", "poke")
 
 
-@pytest.mark.parametrize(
-    "task",
-    [pytest.param(t, marks=[] if t in QUICK else pytest.mark.slow) for t in SUITE],
-)
+@pytest.mark.parametrize("task", slow_but(SUITE, "poke"))
 def test_arms_bases_and_counts_do_not_tell_who_begins(task: str) -> None:
     found = instances(task)
     assert len(found) == 800

@@ -4,6 +4,7 @@ Reachable sets are computed here from the bound alone, without the code that sam
 """
 
 import math
+from functools import cache
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -55,6 +56,7 @@ def boxes(placed: ObjectPlacement) -> list[Box]:
     ]
 
 
+@cache
 def outline(placed: ObjectPlacement) -> list[tuple[float, float]]:
     """Points on an object's rim, a few millimetres apart."""
     if placed.kind == "pad":

@@ -7,7 +7,7 @@ from pathlib import Path
 from shutil import copytree
 
 import pytest
-from recipes import bytes_of, made_up, small_order, small_recipe
+from recipes import bytes_of, made_up, remembered, small_order, small_recipe
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.files import only_writer, read_json, sha256_of, write_json
@@ -21,13 +21,19 @@ from lemma.dataset.recipe.generate import (
     generate_part,
     recipe_file,
 )
-from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.replay import differing
 from lemma.dataset.recipe.schema import EpisodeRecord, to_table
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.suite import SUITE
 
 ABOUT = versions(BENCHMARK_VERSION)
+
+
+@pytest.fixture(autouse=True)
+def _quick_expert(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no episode be played that was played for the small recipe."""
+    small_recipe()
+    monkeypatch.setattr(generating, "record_episode", remembered)
 
 
 def test_has_every_episode_of_the_order() -> None:
@@ -138,7 +144,7 @@ def test_a_failing_expert_is_told_and_the_rest_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail_once(instance: Instance) -> EpisodeRecord:
-        record = record_episode(instance)
+        record = remembered(instance)
         if instance.key == f"{BENCHMARK_VERSION}/pass/val/1":
             return replace(record, success=False, failure="dropped")
         return record

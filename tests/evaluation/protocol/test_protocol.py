@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command import run
 from made_up import result
 
 from expert_times import is_alike, time_expert
-from lemma.cli.evaluate import EvaluateOptions, evaluate
 from lemma.cli.reproduce import reproduce
 from lemma.cli.workers import Workers
 from lemma.core.errors import DatasetError, InvalidConfigError
@@ -237,8 +237,8 @@ def test_who_departs_is_told(
 ) -> None:
     told = {**frozen(), "name": "mine"}
     monkeypatch.setattr(protocol, "in_force", lambda: told)
-    ask = EvaluateOptions(tasks="stack", episodes=1)
-    assert evaluate("oracle", tmp_path, ask, Workers(workers=1)) == 0
+    words = ("--policy", "oracle", "--tasks", "stack", "--episodes", 1)
+    assert run("evaluate", *words, "--out", tmp_path) == 0
     assert "name mine instead of lemma-v3" in capsys.readouterr().err
     about = json.loads((tmp_path / "about.json").read_text())
     assert about["protocol"] == sha256_of_protocol(told)

@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command import run
 from made_up import timeless
 
-from lemma.cli.evaluate import EvaluateOptions
-from lemma.cli.evaluate import evaluate as verb
-from lemma.cli.workers import Workers
 from lemma.core import plugins
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.workers.pool import Job, Listener, ProcessPool, Serial, ignore
@@ -30,7 +28,7 @@ TASKS = ("stack", "pass")
 
 
 def order(out: Path, policy: str = "oracle", **changes: Any) -> EvaluationConfig:
-    wanted = {"tasks": TASKS, "episodes": 12, "kinds": ("high_level",), **changes}
+    wanted = {"tasks": TASKS, "episodes": 4, "kinds": ("high_level",), **changes}
     return EvaluationConfig(out=out, policy=PolicySpec(policy), **wanted)
 
 
@@ -64,12 +62,12 @@ class Breaks(Serial):
 
 
 def test_the_expert_succeeds_in_every_line(whole: list[Row]) -> None:
-    assert len(whole) == 24
+    assert len(whole) == 8
     assert all(row["success"] and row["progress"] == 1.0 for row in whole)
     assert {row["failure"] for row in whole} == {None}
     # In the order of the suite, not in that of the request.
-    assert [row["task"] for row in whole] == ["pass"] * 12 + ["stack"] * 12
-    assert [row["index"] for row in whole] == [*range(12)] * 2
+    assert [row["task"] for row in whole] == ["pass"] * 4 + ["stack"] * 4
+    assert [row["index"] for row in whole] == [*range(4)] * 2
 
 
 def test_interrupted_and_resumed_gives_the_same(
@@ -77,19 +75,19 @@ def test_interrupted_and_resumed_gives_the_same(
 ) -> None:
     counts: list[int] = []
     with pytest.raises(KeyboardInterrupt):
-        evaluate(order(tmp_path), Breaks(episodes=13), counts.append)
+        evaluate(order(tmp_path), Breaks(episodes=5), counts.append)
     # A whole group and three episodes of the next are kept.
-    assert counts == [0] + [1] * 13
+    assert counts == [0] + [1] * 5
     kept = read_rows(tmp_path)
-    assert len(kept) == 13
+    assert len(kept) == 5
     equal = {(row["task"], row["index"]): row for row in timeless(whole)}
     for row in timeless(kept):
         assert row == equal[row["task"], row["index"]]
     counts.clear()
     rows = evaluate(order(tmp_path), Serial(), counts.append)
     assert timeless(rows) == timeless(whole)
-    assert sum(counts) == 24
-    assert counts[0] == 12
+    assert sum(counts) == 8
+    assert counts[0] == 4
     lines = (tmp_path / EPISODES).read_text().splitlines()
     assert [json.loads(line) for line in lines] == rows
 
@@ -203,8 +201,9 @@ def test_wilson_interval(successes: int, trials: int, low: float, high: float) -
 def test_the_verb_prints_a_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ask = EvaluateOptions(tasks="stack", instructions="high-level, unseen", episodes=1)
-    assert verb("oracle", tmp_path, ask, Workers(workers=1)) == 0
+    words = ("--tasks", "stack", "--instructions", "high-level, unseen")
+    more = ("--episodes", 1, "--workers", 2, "--out", tmp_path)
+    assert run("evaluate", "--policy", "oracle", *words, *more, processes=True) == 0
     shown = capsys.readouterr().out
     assert "stack" in shown
     assert "unseen" in shown

@@ -80,7 +80,7 @@ def test_replay_gives_the_same_bytes_without_a_server(
     cassette = recorded / "c.jsonl"
     before = cassette.read_bytes()
     config = order(tmp_path, ChatOptions(cassette=cassette, cassette_mode=mode))
-    evaluate(config, ProcessPool(workers))
+    evaluate(config, ProcessPool(workers) if workers > 1 else Serial())
     assert lines(tmp_path) == lines(recorded)
     assert (tmp_path / ABOUT).read_bytes() == (recorded / ABOUT).read_bytes()
     assert cassette.read_bytes() == before

@@ -56,8 +56,17 @@ def trained(model: ReachNet, steps: int, frames: int = 3) -> float:
 
 @pytest.fixture(scope="module")
 def expert() -> ReachNet:
+    """Who knows an episode by heart: 16 s."""
     model = tiny()
     trained(model, 200)
+    return model
+
+
+@pytest.fixture(scope="module")
+def novice() -> ReachNet:
+    """Who was trained for a moment."""
+    model = tiny()
+    trained(model, 10)
     return model
 
 
@@ -69,6 +78,7 @@ def test_it_is_a_policy_a_planner_and_a_grounder() -> None:
     assert MODELS["reachnet"] == (ReachNet, ReachNetConfig)
 
 
+@pytest.mark.slow
 def test_it_overfits_one_episode(expert: ReachNet) -> None:
     batch = drawn_batch(3)
     scores = expert.score(batch)
@@ -90,12 +100,12 @@ def test_it_overfits_one_episode(expert: ReachNet) -> None:
             assert math.dist(pose.xy, wanted[:2].tolist()) < 0.02
 
 
-def test_it_says_why_it_decides(expert: ReachNet) -> None:
+def test_it_says_why_it_decides(novice: ReachNet) -> None:
     inputs = inputs_of(drawn_batch(3))
-    read = [pairs for pairs, _ in expert.understand(inputs)]
-    decided = [decision.subtask for decision in expert.act(inputs)]
+    read = [pairs for pairs, _ in novice.understand(inputs)]
+    decided = [decision.subtask for decision in novice.act(inputs)]
     for insight, subtask, pairs in zip(
-        expert.explain(inputs), decided, read, strict=True
+        novice.explain(inputs), decided, read, strict=True
     ):
         assert insight.options[0][0] == subtask
         shares = [share for _, share in insight.options]
@@ -124,18 +134,18 @@ def test_losses_are_finite_and_reach_what_they_shall(reach: Reach) -> None:
     assert [name for name in still if not name.startswith(blind)] == []
 
 
-def test_a_decision_does_not_depend_on_the_rest_of_the_batch(expert: ReachNet) -> None:
+def test_a_decision_does_not_depend_on_the_rest_of_the_batch(novice: ReachNet) -> None:
     batch = drawn_batch(5, seed=1)
-    together = expert.score(batch)
+    together = novice.score(batch)
     inputs = inputs_of(batch)
-    all_at_once = expert.act(inputs)
+    all_at_once = novice.act(inputs)
     for i in range(5):
-        alone = expert.score(part_of(batch, [i]))
+        alone = novice.score(part_of(batch, [i]))
         for name, values in together.items():
             torch.testing.assert_close(
                 values[i : i + 1], alone[name], equal_nan=True, atol=1e-4, rtol=1e-4
             )
-        assert expert.act([inputs[i]])[0].subtask == all_at_once[i].subtask
+        assert novice.act([inputs[i]])[0].subtask == all_at_once[i].subtask
 
 
 @pytest.mark.slow
@@ -154,6 +164,7 @@ def test_demonstrations_need_no_arm_types() -> None:
     assert total(model.loss(replace(batch, labels=labels))).isfinite()
 
 
+@pytest.mark.slow
 def test_it_grounds_what_another_planner_wants(expert: ReachNet) -> None:
     batch = drawn_batch(3)
     labels = labels_of(batch)
@@ -189,16 +200,16 @@ def test_what_cannot_be_grounded_is_explained() -> None:
     assert "not seen" in decision.explanation
 
 
-def test_what_keeps_failing_is_tried_less(expert: ReachNet) -> None:
+def test_what_keeps_failing_is_tried_less(novice: ReachNet) -> None:
     given = inputs_of(drawn_batch(3))[0]
-    [wanted] = expert.plan([given])
+    [wanted] = novice.plan([given])
     failed = PastStep(given.view, wanted, "unreachable")
-    [other] = expert.plan([given.with_past((failed,) * 40)])
+    [other] = novice.plan([given.with_past((failed,) * 40)])
     assert other != wanted
     # Failures before the last success do not count.
     done = PastStep(given.view, wanted)
-    [again] = expert.plan([given.with_past((*(failed,) * 40, *(done,) * 12))])
-    assert [again] == expert.plan([given.with_past((done,) * 12)])
+    [again] = novice.plan([given.with_past((*(failed,) * 40, *(done,) * 12))])
+    assert [again] == novice.plan([given.with_past((done,) * 12)])
 
 
 def test_stop_frames_score_only_what_counts() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from chat_server import RuleServer, chat_server, question_of
 from PIL import Image
+from tiers import slow_but
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose
@@ -314,7 +315,7 @@ def test_a_noisy_oracle_errs_as_often_as_it_is_told() -> None:
     assert abs(shares[0.3] - 0.3) < 0.11
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", slow_but(SUITE, "pass", "hook"))
 def test_greedy_does_what_can_be_done_and_ends(task: str) -> None:
     player = Player(PolicySpec("greedy-reach").load())
     [play] = roll_out([rollout(task)], player, lenient=False)

@@ -65,7 +65,7 @@ def play_again(
     return line_of(rollout, moved=row["perturb_start"], lenient=lenient is not None)
 
 
-def decision_of(step: Mapping[str, Any]) -> Decision:
+def decision_of(step: dict[str, Any]) -> Decision:
     """Return the decision of a sub-task of a line."""
     subtask = SubTask.from_dict(step)
     poses = step["grounded"]
