@@ -1,6 +1,8 @@
 """Stages: what an episode has reached, in order and not undone."""
 
+import gc
 from collections.abc import Iterator
+from weakref import ref
 
 import pytest
 from expert_commands import expert_commands
@@ -153,3 +155,13 @@ def test_a_goal_that_holds_at_first_is_reached() -> None:
     again.simulation.scene.set_pose(top, Pose((x, y, z), (1.0, 0.0, 0.0, 0.0)))
     again.simulation.rest(0.5)
     assert again.progress == again.goal_progress == 1.0
+
+
+def test_an_episode_is_in_no_circle() -> None:
+    """Its megabytes would wait for the garbage collector."""
+    gc.disable()
+    try:
+        simulation = ref(Episode(load_instance("pass", "test", 0)).simulation)
+        assert simulation() is None
+    finally:
+        gc.enable()

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
+from weakref import proxy
 
 import numpy as np
 
@@ -119,7 +120,10 @@ class StageWatch:
 
     def __init__(self, simulation: Simulation, goal: Goal) -> None:
         """Begin in the first state of an episode, and watch from then on."""
-        self._simulation, self._goal = simulation, goal
+        # The simulation holds this watch: in a circle, both would wait for the garbage
+        # collector, with the engine's memory.
+        self._simulation: Simulation = proxy(simulation)
+        self._goal = goal
         self._scene = simulation.scene
         self._start = SymbolicState.observe(self._scene)
         self._grounder = GeometricGrounder(self._scene.spec)

@@ -53,7 +53,6 @@ def test_processes_write_the_same_bytes(tmp_path: Path) -> None:
     assert summary.size_mb == pytest.approx(size / 1e6)
 
 
-@pytest.mark.slow
 def test_the_order_of_tasks_and_splits_does_not_matter(tmp_path: Path) -> None:
     for split in ("test", "val"):
         for task in ("stack", "pass"):
