@@ -1,8 +1,10 @@
 """Write the frozen instance lists anew: sampled, solved by the expert, and attacked.
 
-    python scripts/freeze_instances.py src/lemma/tasks/frozen train,val,test 8
+    python scripts/freeze_instances.py src/lemma/tasks/frozen lemma train,val,test 8
 
-The third word is the number of processes. The same version writes the same bytes.
+The second word is a suite or names of tasks, separated by commas; the last one the
+number of processes. The same version writes the same bytes. Lists of tasks that are not
+named stay as they are.
 
 An instance enters a list only if the expert solves it, by a plan of the length that its
 task promises, and if no cheap attack does. Refusals are counted: they measure the
@@ -25,7 +27,7 @@ from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, solve
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import SUITE, TASKS
+from lemma.tasks.suite import SUITE, SUITES, TASKS
 
 _ATTEMPTS = 20
 MANIFEST = "manifest.json"
@@ -103,11 +105,14 @@ def write_list(instances: list[Instance], path: Path) -> str:
     return hashlib.sha256(text).hexdigest()
 
 
-def freeze(folder: Path, splits: tuple[str, ...], workers: int) -> Iterator[str]:
-    """Write the lists of all tasks of some splits, and their manifest.
+def freeze(
+    folder: Path, tasks: tuple[str, ...], splits: tuple[str, ...], workers: int
+) -> Iterator[str]:
+    """Write the lists of some tasks and splits, and their manifest.
 
     Args:
         folder: Where the lists go, ``src/lemma/tasks/frozen``.
+        tasks: Names of tasks.
         splits: Names of splits.
         workers: Processes.
 
@@ -118,7 +123,7 @@ def freeze(folder: Path, splits: tuple[str, ...], workers: int) -> Iterator[str]
     manifest_path = folder / MANIFEST
     manifest = json.loads(manifest_path.read_text()) if manifest_path.exists() else {}
     for split in splits:
-        for task in SUITE:
+        for task in tasks:
             found = list(accept_all(task, split, workers))
             name = f"{task}-{split}"
             digest = write_list(
@@ -145,7 +150,10 @@ def freeze(folder: Path, splits: tuple[str, ...], workers: int) -> Iterator[str]
 
 
 if __name__ == "__main__":
-    folder, names, workers = sys.argv[1:]
+    folder, listed, names, workers = sys.argv[1:]
+    tasks = SUITES.get(listed) or tuple(listed.split(","))
+    if listed == "ladder":
+        tasks = tuple(task for task in tasks if task not in SUITE)
     splits = tuple(name.strip() for name in names.split(","))
-    for line in freeze(Path(folder), splits, int(workers)):
+    for line in freeze(Path(folder), tasks, splits, int(workers)):
         print(line, flush=True)

@@ -6,7 +6,7 @@ Importing this module is cheap: what simulates is imported when an environment i
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from lemma.tasks.names import SUITE, gym_id
+from lemma.tasks.names import LISTED, gym_id
 
 if TYPE_CHECKING:
     from lemma.env.base_env import LemmaEnv
@@ -24,12 +24,12 @@ LEVELS = {
 
 
 def register_environments() -> None:
-    """Make the suite known to Gymnasium: ``import lemma`` does it.
+    """Make the suites known to Gymnasium: ``import lemma`` does it.
 
     Tasks of users are made known when they are added to :data:`lemma.TASKS`.
     """
     registration = import_module("gymnasium.envs.registration")
-    for task in SUITE:
+    for task in LISTED:
         if gym_id(task) not in registration.registry:
             registration.register(
                 id=gym_id(task),

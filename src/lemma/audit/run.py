@@ -15,9 +15,13 @@ from lemma.core.arguments import known
 from lemma.core.errors import PhysicsError
 from lemma.core.seeding import stream
 from lemma.core.workers.pool import Engine, run_in_order
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import SymbolicState
+from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask
-from lemma.tasks.suite import load_instance
+from lemma.tasks.suite import TASKS, load_instance
 
 # A module registers its attacks when it is imported.
 for _name in (
@@ -86,13 +90,14 @@ def audit_instance(instance: Instance, names: Iterable[str]) -> Iterator[Found]:
         The outcome of each attack, which ends with the first success of a robot.
     """
     begun: dict[str, tuple[Any, Any]] = {}
-    for name in names:
+    robots = attackers(instance)
+    for name in names if robots else ():
         level = ATTACKS[name].level
         if level not in begun:
             world = TRIALS[level].begin(instance)
             begun[level] = world, world.snapshot()
         start_s = time.process_time()
-        found = _play(ATTACKS[name], instance, *begun[level])
+        found = _play(ATTACKS[name], instance, robots, *begun[level])
         yield replace(found, seconds=time.process_time() - start_s)
 
 
@@ -102,6 +107,23 @@ def budgets(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     See :attr:`~lemma.audit.attack.Attack.budget`.
     """
     return {name: ATTACKS[name].budget for name in names}
+
+
+def attackers(instance: Instance) -> tuple[str, ...]:
+    """Return the robots that must not reach the goal alone.
+
+    Returns:
+        All of them; in a task that one robot can do alone, the others; none where the
+        goal says where a hand shall be.
+    """
+    robots, goal = instance.scene.robot_names, instance.goal
+    if len(goal.placements) < len(goal.conjuncts):
+        return ()
+    if not TASKS[instance.task].alone:
+        return robots
+    now = SymbolicState.observe(Scene(instance.scene))
+    grounder = GeometricGrounder(instance.scene)
+    return tuple(r for r in robots if not find_plan(now, goal, grounder, team=(r,)))
 
 
 def cheap_attacks_succeed(instance: Instance) -> str | None:
@@ -144,11 +166,12 @@ def _audit_key(
     return list(audit_instance(load_instance(task, split, index), names))
 
 
-def _play(attack: Attack, instance: Instance, world: Any, start: Any) -> Found:
+def _play(
+    attack: Attack, instance: Instance, robots: Sequence[str], world: Any, start: Any
+) -> Found:
     """Make all attempts of an attack, until one succeeds."""
     key = (attack.name, attack.level, instance.task, instance.split, instance.index)
     acted, progress, unstable, simulated_s = False, 0.0, 0, 0.0
-    robots = instance.scene.robot_names
     for robot in robots[:1] if attack.team else robots:
         for attempt in range(attack.attempts):
             rng = stream("audit", attack.name, instance.key, robot, attempt)

@@ -47,7 +47,8 @@ class Episode:
     """An executed instance, whoever decides what to do.
 
     When it ends, by ``stop`` or at the horizon, its robots stand still for
-    :data:`STILL_S`; then it succeeds if the whole goal holds and nothing is held. That
+    :data:`STILL_S`; then it succeeds if the whole goal holds and nothing is held but
+    what the goal says. That
     time is the judge's: ``elapsed_s`` does not count it. Before the end the same
     question is answered for the present moment. An episode in which an object was
     thrown (:mod:`lemma.scene.coasting`) ends then and has failed.
@@ -135,7 +136,8 @@ class Episode:
             return self._verdict
         if self.is_thrown:
             return False
-        return goal_progress == 1.0 and not self.simulation.held()
+        held = set(self.simulation.held().values())
+        return goal_progress == 1.0 and held <= self.instance.goal.held
 
     @property
     def failure(self) -> str | None:

@@ -20,7 +20,7 @@ from lemma.core.seeding import ordered_sum
 from lemma.env.episode import Episode
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene
-from lemma.tasks.goal import On
+from lemma.tasks.goal import HOVER_M, LIFT_M, Lifted, Predicate, Reached
 
 Potential = Callable[[Episode], float]
 """How far an episode has come, in [0, 1]: a function of the state of its scene."""
@@ -35,14 +35,17 @@ _REACH, _GRASP, _LIFT, _PLACE = 0.2, 0.15, 0.15, 0.4
 def goal_potential(episode: Episode) -> float:
     """Return the mean over the goal's conjuncts of how far each has come.
 
-    A conjunct ``On(top, bottom)`` that holds has 1. Else it is the sum of
+    A conjunct that holds has 1. Else ``On(top, bottom)`` is the sum of
 
     - 0.2 x how near the nearest hand is to the top,
     - 0.15 if a gripper holds the top,
     - 0.15 x its height above the table while it is held, up to 10 cm,
     - 0.4 x how near it is to its place on the bottom,
 
-    and the first three count in full once it is in its place. How near something is
+    and the first three count in full once it is in its place. ``Lifted(top)`` is 0.4 x
+    how near the nearest hand is, 0.2 if a gripper holds it, and 0.3 x its height while
+    it is held, up to that which the goal asks for. ``Reached(bottom)`` is 0.9 x how
+    near the nearest hand is to 5 cm above it. How near something is
     falls with its distance, see :func:`nearness`.
     """
     simulation = episode.simulation
@@ -57,8 +60,21 @@ def goal_potential(episode: Episode) -> float:
     return ordered_sum(parts) / len(parts)
 
 
-def _advance(scene: Scene, on: On, hands: list[list[float]], held: set[str]) -> float:
+def _advance(
+    scene: Scene, on: Predicate, hands: list[list[float]], held: set[str]
+) -> float:
     """Return how far a conjunct has come that does not hold, in [0, 0.9]."""
+    if isinstance(on, Reached):
+        x, y, z = scene.position(on.bottom)
+        over = (x, y, z + kind_of(on.bottom).top_m + 0.5 * HOVER_M)
+        return 0.9 * nearness(min(math.dist(over, tcp) for tcp in hands))
+    if isinstance(on, Lifted):
+        at = scene.position(on.top)
+        share = 0.4 * nearness(min(math.dist(at, tcp) for tcp in hands))
+        if on.top in held:
+            height_m = min(max(at[2] - kind_of(on.top).origin_m, 0.0), LIFT_M)
+            share += 0.2 + 0.3 * height_m / LIFT_M
+        return share
     top, bottom = scene.pose(on.top).position, scene.pose(on.bottom).position
     upper, lower = kind_of(on.top), kind_of(on.bottom)
     place = (bottom[0], bottom[1], bottom[2] + lower.top_m + upper.origin_m)

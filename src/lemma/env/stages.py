@@ -9,6 +9,9 @@ The expert's plan for the instance is a ladder: each of its sub-tasks has five s
    the cube elsewhere,
 5. *placed*: what was moved rests where the sub-task puts it, and no robot leads it.
 
+``reach`` has two, approached and placed: the hand is over the object. ``lift`` has four,
+approached, touched, grasped and lifted.
+
 ``progress`` is the share of the stages of all sub-tasks that are reached *in order and
 not undone*: the stages of a sub-task count once the earlier sub-tasks about the same
 objects are done, and what is dropped, knocked away or taken back counts no more. A goal
@@ -18,7 +21,7 @@ A robot is *able* if it reaches what the sub-task picks and, where that is an ob
 what it is put on.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -37,11 +40,10 @@ from lemma.scene.objects.contacts import (
     RIGHT,
     find_touches,
     is_near_or_moved,
-    parts_of_robots,
 )
 from lemma.scene.objects.entity import STICK
 from lemma.tasks.drags import grasp_on_stick
-from lemma.tasks.goal import Goal, On, is_at_rest
+from lemma.tasks.goal import Goal, Lifted, On, Predicate, Reached, is_at_rest
 from lemma.tasks.subtask import Primitive, SubTask
 
 LOOK_TICKS = 5
@@ -55,6 +57,10 @@ MOVED_M = 0.03
 
 _PREPARES = {Primitive.PREHOOK: Primitive.HOOK, Primitive.PREPOKE: Primitive.POKE}
 _DRAGS = tuple(_PREPARES.values())
+_HANDS: dict[Primitive, Callable[[str], Predicate]] = {
+    Primitive.REACH: Reached,
+    Primitive.LIFT: Lifted,
+}
 
 
 class Stage(StrEnum):
@@ -69,8 +75,17 @@ class Stage(StrEnum):
     PLACED = "placed"
 
 
-PER_SUBTASK = 5
-"""Stages of a sub-task."""
+_LADDER = (Stage.APPROACHED, Stage.TOUCHED, Stage.GRASPED, Stage.LIFTED, Stage.PLACED)
+_DRAGGED = tuple(Stage.DRAGGED if s is Stage.LIFTED else s for s in _LADDER)
+
+
+def stages_of(primitive: Primitive) -> tuple[Stage, ...]:
+    """Return the stages of a sub-task in order; the last one is that it is done."""
+    if primitive is Primitive.REACH:
+        return (Stage.APPROACHED, Stage.PLACED)
+    if primitive is Primitive.LIFT:
+        return _LADDER[:4]
+    return _DRAGGED if primitive in _DRAGS else _LADDER
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,10 +149,9 @@ class StageWatch:
         self._seen = np.array([self._scene.data.qpos[at : at + 3] for at in self._at])
         self._seen = self._seen.reshape(-1, 3)
         self._first_seen = self._seen.copy()
-        model, robots = self._scene.model, self._scene.robots
-        self._sites = np.array([model.site(f"{r.name}/tcp").id for r in robots])
-        self._parts = parts_of_robots(self._scene.model, [r.name for r in robots])
-        self._touch = np.zeros((len(robots), len(self._names)), np.int64)
+        robots = len(self._scene.robots)
+        self._sites, self._parts = self._scene.tcp_sites, self._scene.parts
+        self._touch = np.zeros((robots, len(self._names)), np.int64)
         self._led = np.zeros(len(self._names), np.bool_)
         self._ticks, self._near = 0, False
         self._stood: list[bool] | None = None
@@ -234,15 +248,16 @@ class StageWatch:
         for i, step in enumerate(plan):
             if not all(stood[k] for k in self._before(plan, i)):
                 continue
-            level = PER_SUBTASK if stood[i] else levels[i]
+            steps = stages_of(step.primitive)
+            level = len(steps) if stood[i] else min(levels[i], len(steps) - 1)
             reached += level
             if level:
-                last, stage = i, _stage(step, level)
+                last, stage = i, steps[level - 1]
         if self._holds():
-            return 1.0, len(plan) - 1, Stage.PLACED
+            return 1.0, len(plan) - 1, stages_of(plan[-1].primitive)[-1]
         # A goal that does not hold yet is not reached, whatever the plan said.
-        share = min(reached, PER_SUBTASK * len(plan) - 1) / (PER_SUBTASK * len(plan))
-        return share, last, stage
+        total = sum(len(stages_of(step.primitive)) for step in plan)
+        return min(reached, total - 1) / total, last, stage
 
     def _before(self, plan: tuple[SubTask, ...], i: int) -> Iterator[int]:
         """Yield the earlier sub-tasks about the same objects; pads bind nothing."""
@@ -316,6 +331,8 @@ class StageWatch:
                 and now.is_prepared(_PREPARES[step.primitive], step.place)
                 and self._rests(STICK)
             )
+        if step.primitive in _HANDS:
+            return _HANDS[step.primitive](step.pick).holds(self._scene)
         subject = _subject(step)
         if subject not in self._number:
             return False
@@ -348,14 +365,17 @@ class StageWatch:
                         able = any(step.robot == robot for step in mine)
                         self.first = FirstMove(name, robot, allocated=able)
                     return
-        elif self.first.understood is None and self._rests(self.first.entity):
+        elif self.first.understood is None:
             name = self.first.entity
+            if not self._rests(name) and name not in self._goal.held:
+                return
             done = any(
                 _subject(step) == name and self._is_placed(self.plan, i)
                 for i, step in enumerate(self.plan)
             )
-            right = done or self._belongs(name)
-            self.first = replace(self.first, understood=right, executed=done)
+            if done or self._rests(name):
+                right = done or self._belongs(name)
+                self.first = replace(self.first, understood=right, executed=done)
 
     def _leader(self, name: str) -> str | None:
         """Return the robot that touches an object, or the stick if none does."""
@@ -394,10 +414,3 @@ def _next_robots(plan: tuple[SubTask, ...], i: int) -> tuple[str, ...]:
     subject = _subject(plan[i])
     later = (step for step in plan[i + 1 :] if subject in _entities(step))
     return tuple(step.robot for step in later)[:1]
-
-
-def _stage(step: SubTask, level: int) -> Stage:
-    if level == 4 and step.primitive in _DRAGS:
-        return Stage.DRAGGED
-    order = (Stage.APPROACHED, Stage.TOUCHED, Stage.GRASPED, Stage.LIFTED, Stage.PLACED)
-    return order[level - 1]

@@ -14,6 +14,7 @@ import numpy as np
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.primitives import PRIMITIVES
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.objects.entity import STICK
 from lemma.scene.spec import SceneSpec
@@ -148,7 +149,7 @@ class Perturber:
                 yield SubTask(robot, Primitive.MOVE, STICK, region)
             for cube in now.supports:
                 for primitive in Primitive:
-                    if primitive not in (Primitive.MOVE, Primitive.STOP):
+                    if PRIMITIVES[primitive].tool:
                         yield SubTask(robot, primitive, STICK, cube)
 
 

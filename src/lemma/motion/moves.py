@@ -231,11 +231,15 @@ class Moves:
                 Outcome.COLLISION, f"{self._name} was stopped by something."
             )
 
+    def is_full(self) -> bool:
+        """Whether the fingers are neither closed nor open, so that they may hold."""
+        return _GRASP_LEAST_M <= self.scene.opening_m(self.arm.robot) < _OPEN_M
+
     def give_up(self) -> Motion:
         """Put down what is held where the arm is, and rise, so that parking is safe."""
         self.arm.sync()
         self.arm.hold()
-        holds = _GRASP_LEAST_M <= self.scene.opening_m(self.arm.robot) < _OPEN_M
+        holds = self.is_full()
         if holds:
             yield from self._straight(GRASP_HEIGHT_M, _TOUCHDOWN_M_S)
         self.arm.opening_m = FINGER_OPENING_M

@@ -1,8 +1,9 @@
 """Primitives as motions: waypoints for RMPflow, the gripper, and what can go wrong.
 
 A skill is a generator: it sets goals and looks at the world, and hands control back
-once a servo tick, so that the one step loop (in ``env``) stays the one step loop. It
-ends with the robot parked and nothing held, whatever happened.
+once a servo tick, so that the one step loop (in ``env``) stays the one step loop. All
+but ``reach`` and ``lift`` end with the robot parked and nothing held, whatever
+happened.
 """
 
 import math
@@ -18,6 +19,7 @@ from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand
 from lemma.motion.obstacles import around
 from lemma.motion.outcome import Outcome, SkillFailure, SkillResult, has_fallen
+from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import top_down
 from lemma.scene.objects.entity import STICK, kind_of
@@ -37,6 +39,8 @@ _MEETING_M = 0.05
 _MEETING_M_S = 0.1
 """The stick meets the cube slowly: a knock would send it ahead."""
 _ASIDE_M = 0.03
+_HOVER_M = 0.05
+_LIFT_M = 0.15
 _PRESS_M = 0.0005
 """A held object is lowered until it surely touches: nothing is dropped."""
 
@@ -56,7 +60,9 @@ class SkillRunner:
     def run(self, subtask: GroundedSubTask) -> Skill:
         """Execute a sub-task; yields once per servo tick, returns how it went.
 
-        Afterwards the arm is parked and its gripper open, also after a failure.
+        Afterwards the arm is parked and its gripper open, also after a failure; but
+        after ``reach`` and ``lift`` it stays where it is. It first puts down anything
+        that it still holds.
 
         Raises:
             UnknownNameError: No robot can do such a thing.
@@ -65,13 +71,16 @@ class SkillRunner:
         start = self.scene.time_s
         arm = self.arms[subtask.robot]
         result = SkillResult(Outcome.SUCCESS, "Done.", 0.0)
+        if Moves(arm).is_full():
+            yield from Moves(arm).give_up()
         try:
             yield from skill(self, arm, subtask)
         except SkillFailure as failure:
             result = SkillResult(failure.outcome, failure.explanation, 0.0)
             yield from Moves(arm).give_up()
-        arm.set_obstacles(around(self.arms, arm, None, None))
-        yield from Moves(arm).park()
+        if subtask.primitive not in _STAYS or not result.ok:
+            arm.set_obstacles(around(self.arms, arm, None, None))
+            yield from Moves(arm).park()
         return SkillResult(
             result.outcome, result.explanation, self.scene.time_s - start
         )
@@ -80,6 +89,36 @@ class SkillRunner:
         """Pick up what lies at the pick pose, and put it down at the place pose."""
         held, grip_m = self.what_to_pick(subtask.pick)
         yield from self._carry(arm, subtask, held, grip_m)
+
+    def reach(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
+        """Hold the open hand over what lies at the pick pose."""
+        moves = Moves(arm)
+        found, grip_m = self.what_to_pick(subtask.pick)
+        subtask = _as_it_turns(subtask, arm)
+        over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
+        top_m = grip_m - _grasp_of(found).height_m + kind_of(found).height_m
+        low = stand_at(subtask.pick, top_m + _HOVER_M)
+        for pose in (low, over):
+            moves.check_reach(pose, "pick")
+        arm.set_obstacles(around(self.arms, arm, subtask.pick, found))
+        arm.opening_m = FINGER_OPENING_M
+        yield from moves.to(over, fly_by=True)
+        yield from moves.lower(low)
+
+    def lift(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
+        """Pick up what lies at the pick pose, and hold it there."""
+        moves = Moves(arm)
+        held, grip_m = self.what_to_pick(subtask.pick)
+        subtask = _as_it_turns(subtask, arm)
+        low = stand_at(subtask.pick, grip_m)
+        over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
+        for pose in (low, over):
+            moves.check_reach(pose, "pick")
+        arm.set_obstacles(around(self.arms, arm, subtask.pick, held))
+        yield from moves.grasp(over, low)
+        yield from moves.rise(low, grip_m + _LIFT_M)
+        yield from moves.to(stand_at(subtask.pick, grip_m + _LIFT_M))
+        moves.check_held()
 
     def prepare(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
         """Move the stick to where it is used."""
@@ -219,6 +258,10 @@ SKILLS.add(Primitive.PREHOOK, SkillRunner.prepare)
 SKILLS.add(Primitive.HOOK, SkillRunner.drag)
 SKILLS.add(Primitive.PREPOKE, SkillRunner.prepare)
 SKILLS.add(Primitive.POKE, SkillRunner.drag)
+SKILLS.add(Primitive.REACH, SkillRunner.reach)
+SKILLS.add(Primitive.LIFT, SkillRunner.lift)
+_STAYS = (Primitive.REACH, Primitive.LIFT)
+"""The arm stays where it is afterwards, with what it holds."""
 
 
 def stand_at(pose: Pose2, z: float) -> Stand:

@@ -15,8 +15,8 @@ from lemma.core.seeding import ordered_sum
 from lemma.planning.grounding import GeometricGrounder, GroundedOption
 from lemma.planning.primitives import PRIMITIVES, Wish
 from lemma.planning.symbolic_state import SymbolicState
-from lemma.scene.objects.entity import STICK, kind_of
-from lemma.tasks.goal import Goal, On
+from lemma.scene.objects.entity import HAND, STICK, kind_of
+from lemma.tasks.goal import Goal, Predicate
 from lemma.tasks.subtask import Primitive, SubTask
 
 _EFFORT = 1.0
@@ -72,7 +72,7 @@ def _was_handled(name: str, now: SymbolicState) -> bool:
 def conjunct_of(name: str, now: SymbolicState, goal: Goal) -> int | None:
     """Return the first open conjunct that speaks of an object."""
     for i, on in enumerate(goal.conjuncts):
-        if name in (on.top, on.bottom) and not _holds(on, now):
+        if name in (on.top, on.bottom) and not now.has(on.top, on.bottom):
             return i
     return None
 
@@ -111,7 +111,7 @@ def find_plan(
         if not queue:
             break
         _, _, cost, state, steps = heapq.heappop(queue)
-        if all(_holds(on, state) for on in goal.conjuncts):
+        if not _open(goal.conjuncts, state):
             return Plan(steps, -cost)
         if state.key in done:
             continue
@@ -130,13 +130,9 @@ def find_plan(
     return None
 
 
-def _holds(on: On, now: SymbolicState) -> bool:
-    return now.supports[on.top] == on.bottom
-
-
-def _open(conjuncts: tuple[On, ...], now: SymbolicState) -> int:
+def _open(conjuncts: tuple[Predicate, ...], now: SymbolicState) -> int:
     """Return how many conjuncts do not hold."""
-    return len([on for on in conjuncts if not _holds(on, now)])
+    return len([on for on in conjuncts if not now.has(on.top, on.bottom)])
 
 
 def _bound(now: SymbolicState, goal: Goal) -> float:
@@ -170,14 +166,17 @@ def _wanted(now: SymbolicState, goal: Goal) -> dict[str, list[str]]:
     """Return the cubes worth moving, each with the places worth moving it to."""
     wanted: dict[str, list[str]] = {}
     for on in goal.conjuncts:
-        if _holds(on, now):
+        if now.has(on.top, on.bottom):
             continue
-        wanted.setdefault(on.top, []).append(on.bottom)
-        for blocked in (on.top, on.bottom):
+        items = [name for name in (on.top, on.bottom) if name != HAND]
+        wanted.setdefault(items[0], []).append(
+            on.bottom if len(items) == 2 else HAND
+        )
+        for blocked in items:
             blocker = now.on_top_of(blocked)
-            if blocker is not None and blocker != on.top:
-                wanted.setdefault(blocker, [])
-        if kind_of(on.bottom).cargo:
+            if blocker not in (None, HAND, on.top):
+                wanted.setdefault(str(blocker), [])
+        if len(items) == 2 and kind_of(on.bottom).cargo:
             wanted.setdefault(on.bottom, [])
     for cube, places in wanted.items():
         places += _other_regions(cube, now)
@@ -186,4 +185,6 @@ def _wanted(now: SymbolicState, goal: Goal) -> dict[str, list[str]]:
 
 def _other_regions(name: str, now: SymbolicState) -> list[str]:
     """Return the regions in which an object does not lie."""
+    if name not in now.labels:
+        return []
     return [region for region in now.spec.regions if region != now.labels[name]]

@@ -1,7 +1,7 @@
 """Primitives: one record each, with its meaning to every layer.
 
-The benchmark's six come first, in the order in which action spaces and trained weights
-number them; those of users are numbered after them.
+The paper's six come first, in the order in which action spaces and trained weights
+number them, then ``reach`` and ``lift`` of the ladder, then those of users.
 """
 
 import math
@@ -15,7 +15,7 @@ from lemma.motion.skills import SKILLS, SkillMotion
 from lemma.planning.geometry import GroundedOption, SceneGeometry
 from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.scene.objects.cube import CUBE
-from lemma.scene.objects.entity import STICK, kind_of
+from lemma.scene.objects.entity import HAND, STICK, kind_of
 from lemma.tasks.drags import (
     grasp_on_stick,
     stick_discs,
@@ -164,6 +164,26 @@ def _ground_pass_stick(
     return _option(geometry, subtask, (pick, place), after, pick, place)
 
 
+def ground_hand(
+    geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
+) -> GroundedOption | None:
+    """Ground ``reach`` or ``lift``: both poses are the grasp."""
+    item, lifts = subtask.pick, subtask.primitive is Primitive.LIFT
+    if now.on_top_of(item) is not None or geometry.margin(
+        subtask.robot, now.poses[item]
+    ) <= (0.0):
+        return None
+    pick = geometry.grasp(subtask.robot, item, now)
+    if pick is None:
+        return None
+    pair = {item: HAND} if lifts else {HAND: item}
+    label = {item: HAND} if lifts else {HAND: f"over {item}"}
+    after = replace(
+        now, supports={**now.supports, **pair}, labels={**now.labels, **label}
+    )
+    return _option(geometry, subtask, (pick, pick), after, pick)
+
+
 def ground_prepare(
     geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
 ) -> GroundedOption | None:
@@ -211,6 +231,16 @@ def _propose_move(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTas
             yield SubTask(robot, Primitive.MOVE, wish.item, place)
 
 
+def _propose_hand(primitive: Primitive) -> Candidates:
+    """Propose to reach for or to lift what a hand is wanted at."""
+
+    def propose(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
+        if HAND in wish.places and robot in wish.able:
+            yield SubTask(robot, primitive, wish.item, wish.item)
+
+    return propose
+
+
 def _propose_tool(primitive: Primitive, use: Primitive) -> Candidates:
     """Propose to use the stick where it lies ready, or to lay it ready.
 
@@ -239,6 +269,16 @@ def _why_not_move(subtask: SubTask, now: SymbolicState) -> str | None:
         if above is not None and above != pick:
             return f"The {above} lies on the {name}."
     return f"The {pick} lies there already." if now.supports[pick] == place else None
+
+
+def _why_not_hand(subtask: SubTask, now: SymbolicState) -> str | None:
+    pick, primitive = subtask.pick, subtask.primitive
+    if subtask.place != pick:
+        return f"{primitive} has no place: it must be the {pick} again."
+    if primitive is Primitive.LIFT and kind_of(pick).fixed:
+        return f"The {pick} is fixed to the table."
+    above = now.on_top_of(pick)
+    return None if above is None else f"The {above} lies on the {pick}."
 
 
 def _unless_prepared(prepare: Primitive) -> WhyNot:
@@ -291,3 +331,18 @@ for _prepare, _where, _use in (
         ),
     )
 PRIMITIVES.add(Primitive.STOP, PrimitiveSpec(name=Primitive.STOP, phrase="done"))
+for _hand, _phrase in (
+    (Primitive.REACH, "hold the hand over the {pick}"),
+    (Primitive.LIFT, "lift the {pick}"),
+):
+    PRIMITIVES.add(
+        _hand,
+        PrimitiveSpec(
+            name=_hand,
+            phrase=f"{{robot}}: {_phrase}",
+            skill=SKILLS[_hand],
+            ground=ground_hand,
+            candidates=_propose_hand(_hand),
+            why_not=_why_not_hand,
+        ),
+    )

@@ -26,7 +26,8 @@ class SymbolicState:
     poses: dict[str, Pose2]
     """Every object that is on the table."""
     supports: dict[str, str]
-    """Support of each movable object but the tool: an entity or the table."""
+    """Support of each movable object but the tool: an entity or the table. After
+    ``lift`` it is the hand, and after ``reach`` the hand has an object below it."""
     labels: dict[str, str]
     """How each movable object got where it is: two ways to one place are one state."""
     fallen: tuple[str, ...] = ()
@@ -53,6 +54,10 @@ class SymbolicState:
     def key(self) -> tuple[tuple[str, str], ...]:
         """Key by which the planner compares situations."""
         return tuple(sorted(self.labels.items()))
+
+    def has(self, top: str, bottom: str) -> bool:
+        """Whether a pair of a goal holds; a hand may be either of it."""
+        return self.supports.get(top) == bottom
 
     def on_top_of(self, name: str) -> str | None:
         """Return what lies on an object, if anything does."""

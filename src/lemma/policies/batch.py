@@ -21,9 +21,9 @@ from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import UNIT_M, Raster
 from lemma.tasks.language.bank import robot_phrases_in_order, sub_instruction
 from lemma.tasks.language.template import GoalPairs
-from lemma.tasks.subtask import Primitive
+from lemma.tasks.subtask import PAPER_PRIMITIVES
 
-PRIMITIVES = tuple(str(primitive) for primitive in Primitive)
+PRIMITIVES = tuple(map(str, PAPER_PRIMITIVES))
 STOP = PRIMITIVES.index("stop")
 NOBODY = -1
 """Number of a robot or entity that is not there: that of ``stop``, or padding."""

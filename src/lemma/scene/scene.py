@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lemma.core.engine import mujoco
 from lemma.core.errors import UnknownNameError
@@ -14,6 +15,7 @@ from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec
 from lemma.scene.build import compile_model
 from lemma.scene.coasting import Coasting
+from lemma.scene.objects.contacts import parts_of_robots
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -269,6 +271,16 @@ class Scene:
         self._posed.qpos[:] = qpos
         _derive(self.model, self._posed)
         return self._posed
+
+    @cached_property
+    def parts(self) -> NDArray[np.int64]:
+        """Robot and part of each geom; see :func:`.contacts.parts_of_robots`."""
+        return parts_of_robots(self.model, [robot.name for robot in self.robots])
+
+    @cached_property
+    def tcp_sites(self) -> NDArray[np.int64]:
+        """Site of the tool centre point of each robot, (robots,)."""
+        return np.array([self.model.site(f"{r.name}/tcp").id for r in self.robots])
 
     @cached_property
     def _posed(self) -> mujoco.MjData:

@@ -1,4 +1,9 @@
-"""Goals: conjunctions of ``On(top, bottom)``, and whether they hold in a scene.
+"""Goals: conjunctions of predicates, and whether they hold in a scene.
+
+``On(top, bottom)`` says where a cube shall lie. ``Lifted(item)`` and ``Reached(item)``
+say where a hand shall be; only the ladder's first rungs ask for them. Each has a top
+and a bottom, which may be :data:`~lemma.scene.objects.entity.HAND`, so a goal is told
+as pairs of names.
 
 Everything here is a function of where things are and how fast they move, not of what
 the engine computed last: it is the same after a step, after a snapshot was restored,
@@ -16,7 +21,8 @@ from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose
 from lemma.core.seeding import ordered_sum
-from lemma.scene.objects.entity import kind_of
+from lemma.scene.objects.contacts import LEFT, RIGHT, find_touches
+from lemma.scene.objects.entity import HAND, kind_of
 from lemma.scene.objects.kind import Point
 from lemma.scene.scene import Scene
 
@@ -27,6 +33,12 @@ REST_RAD_S = 0.1
 """And it turns slower than this [rad/s]."""
 TILT_RAD = math.radians(3.0)
 """An object stands on a face that is within this of level [rad]."""
+LIFT_M = 0.05
+"""A cube is lifted if it is so much higher than where it lies on the table [m]."""
+OVER_M = 0.03
+"""A hand is over an object if it is within this of its middle, from above [m]."""
+HOVER_M = 0.10
+"""And no higher above its top than this [m]."""
 _STEEP = math.cos(math.radians(30.0))
 """A contact carries if its normal is nearer to the vertical than this."""
 
@@ -85,10 +97,77 @@ class On:
 
 
 @dataclass(frozen=True, slots=True)
-class Goal:
-    """Several ``On`` that shall hold at once."""
+class Lifted:
+    """A hand holds an object above the table."""
 
-    conjuncts: tuple[On, ...]
+    top: str
+    bottom: str = HAND
+
+    def __post_init__(self) -> None:
+        """Check that a gripper can hold it.
+
+        Raises:
+            UnknownNameError: No such entity.
+            InvalidConfigError: No gripper can hold it.
+        """
+        if kind_of(self.top).grasp is None:
+            raise InvalidConfigError(f"No gripper can hold the {self.top}.")
+
+    def holds(self, scene: Scene) -> bool:
+        """Whether it is true now.
+
+        Both fingers of one hand touch it, nothing else but that robot does, and it is
+        :data:`LIFT_M` higher than where it would lie upright on the table.
+        """
+        height_m = scene.position(self.top)[2] - kind_of(self.top).origin_m
+        return height_m >= LIFT_M and _hangs_in_a_hand(scene, self.top)
+
+
+@dataclass(frozen=True, slots=True)
+class Reached:
+    """A hand is over an object that it does not touch."""
+
+    bottom: str
+    top: str = HAND
+
+    def __post_init__(self) -> None:
+        """Check that there can be such an object.
+
+        Raises:
+            UnknownNameError: No such entity.
+        """
+        kind_of(self.bottom)
+
+    def holds(self, scene: Scene) -> bool:
+        """Whether it is true now.
+
+        Seen from above, a tool centre point is within :data:`OVER_M` of the object's
+        middle; it is above the object's top, by :data:`HOVER_M` at most. The object is
+        at rest, not below the table, and no robot touches it.
+        """
+        if self.bottom in scene.fallen or not is_at_rest(scene, self.bottom):
+            return False
+        data = scene.posed(scene.data.qpos)
+        off = data.site_xpos[scene.tcp_sites] - scene.position(self.bottom)
+        above_m = off[:, 2] - kind_of(self.bottom).top_m
+        near = off[:, 0] ** 2 + off[:, 1] ** 2 <= OVER_M**2
+        if not (near & (above_m >= 0.0) & (above_m <= HOVER_M)).any():
+            return False
+        body = int(scene.model.body(self.bottom).id)
+        return all(
+            scene.entity_of_body(other) is not None or other == 0
+            for _, other, _ in _touching(scene, (body,))
+        )
+
+
+Predicate = On | Lifted | Reached
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """Several predicates that shall hold at once."""
+
+    conjuncts: tuple[Predicate, ...]
 
     def __post_init__(self) -> None:
         """Check that it asks for something.
@@ -103,8 +182,14 @@ class Goal:
 
     @classmethod
     def from_pairs(cls, pairs: tuple[tuple[str, str], ...]) -> Self:
-        """Make a goal from (top, bottom) pairs."""
-        return cls(tuple(On(top, bottom) for top, bottom in pairs))
+        """Make a goal from (top, bottom) pairs; a hand may be either."""
+
+        def predicate(top: str, bottom: str) -> Predicate:
+            if top == HAND:
+                return Reached(bottom)
+            return Lifted(top) if bottom == HAND else On(top, bottom)
+
+        return cls(tuple(predicate(top, bottom) for top, bottom in pairs))
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -114,7 +199,18 @@ class Goal:
     @property
     def entities(self) -> tuple[str, ...]:
         """Every object that the goal speaks of, each once."""
-        return tuple(dict.fromkeys(name for pair in self.pairs for name in pair))
+        names = (name for pair in self.pairs for name in pair if name != HAND)
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def placements(self) -> tuple[On, ...]:
+        """The conjuncts that say where something shall lie."""
+        return tuple(on for on in self.conjuncts if isinstance(on, On))
+
+    @property
+    def held(self) -> frozenset[str]:
+        """What hands shall hold."""
+        return frozenset(on.top for on in self.conjuncts if on.bottom == HAND)
 
     def progress(self, scene: Scene) -> float:
         """Return the fraction of conjuncts that hold, in [0, 1]."""
@@ -160,6 +256,21 @@ def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
         elif entity is None or rise < _STEEP:
             return False
     return carried
+
+
+def _hangs_in_a_hand(scene: Scene, name: str) -> bool:
+    """Whether the fingers of one hand hold an object that touches nothing else."""
+    body = int(scene.model.body(name).id)
+    robots = set()
+    for _, other, _ in _touching(scene, (body,)):
+        if other == 0 or scene.entity_of_body(other) is not None:
+            return False
+        robots.add(other)
+    touch = np.zeros((len(scene.robots), len(scene.coasting.names)), np.int64)
+    contacts = scene.posed(scene.data.qpos).contact.geom
+    find_touches(contacts, scene.coasting.owner, scene.parts, touch)
+    pads = touch[:, scene.coasting.names.index(name)] & (LEFT | RIGHT)
+    return len(robots) == 1 and LEFT | RIGHT in pads
 
 
 def _touching(

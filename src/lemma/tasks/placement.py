@@ -278,7 +278,8 @@ class ObjectPlacer:
     def _could_push_towers(self, robot: int, goal: Goal) -> bool:
         """Whether a robot alone may reach a goal by pushing towers; see `keeps_off`."""
         named = {placed.name: placed for placed in self.objects}
-        barred = [on for on in goal.conjuncts if robot in self._zones[on.bottom].barred]
+        placements = goal.placements
+        barred = [on for on in placements if robot in self._zones[on.bottom].barred]
         tool = any(self._zones[on.bottom].tool for on in barred)
         # Nothing is dragged home across a gap.
         fetches = tool and self.gap_m is None
@@ -288,7 +289,7 @@ class ObjectPlacer:
             x, y = np.array([at.x]), np.array([at.y])
             return not self.territory.cannot(robot, kind, x, y, tool=fetches)[0]
 
-        if not barred or not all(could_get(named[on.top]) for on in goal.conjuncts):
+        if not barred or not all(could_get(named[on.top]) for on in placements):
             return False
         for on in barred:
             spare = [

@@ -22,6 +22,9 @@ from lemma.tasks.zones import FROM_EDGE_M, OUTSIDE_M
 
 SHARED_WIDTH_M = (0.16, 0.30)
 """Width of the region where both robots work, along the line between them."""
+_FIXED_WIDTH_M = 0.18
+"""The same where robots always stand in the same places. In a wider region of two UR5
+no place is left for what only a hook gets."""
 APART_M = (-0.02, 0.05)
 """How much farther apart robots stand than a cube between them needs that neither could
 touch; the stick bridges little more."""
@@ -118,11 +121,15 @@ def _place_team(
     Returns:
         The robots, and where the table is missing between them.
     """
+    def drawn(low: float, high: float, fixed: float) -> float:
+        return fixed if task.fixed else rng.uniform(low, high)
+
     first, second = (reach_of(arm) for arm in team)
     if task.apart:
-        distance = apart_m(team, order) + rng.uniform(*APART_M)
+        distance = apart_m(team, order) + drawn(*APART_M, 0.0)
     else:
-        distance = first.travel_m + second.travel_m - rng.uniform(*SHARED_WIDTH_M)
+        shared = drawn(*SHARED_WIDTH_M, _FIXED_WIDTH_M)
+        distance = first.travel_m + second.travel_m - shared
     # The middle of the region between them is the middle of the table.
     left = 0.5 * (distance + first.travel_m - second.travel_m)
     x = (-left, distance - left)
@@ -131,10 +138,10 @@ def _place_team(
         facing = 0.0 if i == 0 else math.pi
         base = Pose2(
             x[i],
-            rng.uniform(-LATERAL_M, LATERAL_M),
-            facing + rng.uniform(-YAW_RAD, YAW_RAD),
+            drawn(-LATERAL_M, LATERAL_M, 0.0),
+            facing + drawn(-YAW_RAD, YAW_RAD, 0.0),
         ).rounded()
-        color = ROBOT_COLORS[int(rng.integers(len(ROBOT_COLORS)))]
+        color = ROBOT_COLORS[i if task.fixed else int(rng.integers(len(ROBOT_COLORS)))]
         robots.append(RobotPlacement(team[i], color, base))
     return tuple(robots), gap_beyond(tuple(robots), order[0]) if task.apart else None
 

@@ -10,11 +10,11 @@ from lemma.core.poses import Pose2
 
 
 class Primitive(StrEnum):
-    """A primitive (paper, section IV).
+    """A primitive.
 
-    The members are the benchmark's six, which action spaces and trained weights number
-    in this order. ``Primitive("push")`` also finds what users have added to
-    :data:`lemma.planning.primitives.PRIMITIVES`.
+    The members are the paper's six (section IV) and two of the ladder, which action
+    spaces and trained weights number in this order. ``Primitive("push")`` also finds
+    what users have added to :data:`lemma.planning.primitives.PRIMITIVES`.
     """
 
     MOVE = "move"
@@ -29,6 +29,10 @@ class Primitive(StrEnum):
     """Push the cube with the stick."""
     STOP = "stop"
     """Say that the goal is reached."""
+    REACH = "reach"
+    """Hold an open hand over something, and stay there."""
+    LIFT = "lift"
+    """Pick something up, and stay there with it."""
 
     @classmethod
     def _missing_(cls, value: object) -> "Primitive":
@@ -43,7 +47,7 @@ class Primitive(StrEnum):
 
 
 _added: dict[str, tuple[Primitive, str]] = {}
-"""Primitives that are not the benchmark's, and how sub-instructions say them."""
+"""Primitives that users added, and how sub-instructions say them."""
 
 
 def add_primitive(name: str, phrase: str) -> None:
@@ -79,7 +83,7 @@ def add_primitive(name: str, phrase: str) -> None:
 
 
 def primitive_names() -> tuple[str, ...]:
-    """Return every primitive in the order of their numbers: the six, then users'."""
+    """Return every primitive in the order of their numbers: ours, then users'."""
     return (*(str(primitive) for primitive in Primitive), *_added)
 
 
@@ -98,7 +102,8 @@ class SubTask:
     pick: str = ""
     """Entity to grasp; the stick for all primitives but ``move``."""
     place: str = ""
-    """Entity to put it on, ``"shared"``, or the cube that the stick acts on."""
+    """Entity to put it on, ``"shared"``, or the cube that the stick acts on; the pick
+    itself for ``reach`` and ``lift``."""
 
     def __post_init__(self) -> None:
         """Take the primitive's name as well, and refuse one that nobody knows."""
@@ -128,6 +133,8 @@ class SubTask:
 
 
 STOP = SubTask("", Primitive.STOP)
+PAPER_PRIMITIVES = tuple(Primitive)[:6]
+"""The six of the paper; heads of trained models have one number for each."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,21 +1,24 @@
-"""The eight tasks of the paper, and instances of any task, frozen or sampled."""
+"""The tasks of the suites, and instances of any task, frozen or sampled."""
 
 import gzip
 import json
 from functools import lru_cache
 from importlib.resources import files
 
+import lemma.tasks.ladder  # noqa: F401 - adds the ladder's tasks
 import lemma.tasks.library  # noqa: F401 - adds the eight tasks
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
 from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance
-from lemma.tasks.names import SUITE
+from lemma.tasks.names import LADDER, LISTED, SUITE, SUITES
 from lemma.tasks.sampling import sample
 from lemma.tasks.task import TASKS
 
 __all__ = [
     "FREE_SPLIT",
+    "LADDER",
     "SUITE",
+    "SUITES",
     "TASKS",
     "check_split",
     "default_split",
@@ -28,8 +31,8 @@ FREE_SPLIT = "free"
 
 
 def has_frozen_lists(task: str) -> bool:
-    """Return whether a task has frozen lists of instances: the suite's eight have."""
-    return task in SUITE
+    """Return whether a task has frozen lists of instances: those of suites have."""
+    return task in LISTED
 
 
 def default_split(task: str, split: str = "train") -> str:
@@ -53,7 +56,7 @@ def check_split(task: str, split: str) -> None:
     known("split", split, (*SPLITS, FREE_SPLIT))
     if split != FREE_SPLIT and not has_frozen_lists(task):
         raise InvalidConfigError(
-            f"Task {task!r} has no frozen list {split!r}; only the benchmark's eight "
+            f"Task {task!r} has no frozen list {split!r}; only those of suites "
             f"have lists. Use split {FREE_SPLIT!r}, whose index is the seed."
         )
 

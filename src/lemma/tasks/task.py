@@ -43,6 +43,12 @@ class Task:
     teams: tuple[tuple[str, ...], ...] = TEAMS
     """Arm types of the teams that instances are drawn from, each as likely, in either
     order."""
+    fixed: bool = False
+    """Whether the robots of all its instances stand in the same places, of the same
+    arms and colors: those of the first team."""
+    alone: bool = False
+    """Whether the robot that can do it needs no other one. The audit attacks with those
+    that cannot."""
     apart: bool = False
     """Whether the robots share no region, but stand so far apart that only the stick
     bridges the gap."""

@@ -202,7 +202,7 @@ def _worth(option: GroundedOption, goal: Goal) -> tuple[int, float]:
 
 
 def _held(goal: Goal, state: SymbolicState) -> int:
-    return sum(state.supports[on.top] == on.bottom for on in goal.conjuncts)
+    return sum(state.has(top, bottom) for top, bottom in goal.pairs)
 
 
 def _add_rule(

@@ -58,6 +58,8 @@ STICK = STICK_KIND.name
 """Name of the one L-shaped stick."""
 SHARED = "shared"
 """Name of the region that every robot of a team reaches: a place like an entity."""
+HAND = "hand"
+"""Name of any robot's hand, in goals: a cube that is in one, or one over a cube."""
 ENTITIES = (
     *(Entity(color, CUBE).name for color in BENCHMARK_COLORS),
     *(Entity(color, PAD).name for color in BENCHMARK_COLORS),

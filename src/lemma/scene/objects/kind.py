@@ -29,7 +29,7 @@ SHAPES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1}
 """Shapes of parts, and how many sizes each has."""
 
 _NAME = re.compile(r"[a-z][a-z0-9]*")
-_RESERVED = ("shared", "table", "start")
+_RESERVED = ("shared", "table", "start", "hand")
 """Other things that an object may lie on or be put to."""
 _FINGERS_BETWEEN_M = 0.055
 """Between the discs of two objects that lie beside each other: fingers fit between."""

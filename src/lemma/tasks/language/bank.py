@@ -18,7 +18,13 @@ import numpy as np
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.core.registry import Registry
-from lemma.scene.objects.entity import ENTITIES, SHARED, entity_named, kind_of
+from lemma.scene.objects.entity import (
+    ENTITIES,
+    HAND,
+    SHARED,
+    entity_named,
+    kind_of,
+)
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.language.template import (
     GoalPairs,
@@ -30,6 +36,11 @@ from lemma.tasks.subtask import added_phrase, primitive_names
 
 _WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 _FAMILIES = ("cube_on_pad", "cubes_on_pads", "cube_on_cube", "cubes_on_cubes")
+_LADDER = ("hand_over_cube", "cube_in_hand", "cube_on_pad_alone")
+"""Families of the ladder's own rungs; no published model has been trained on them."""
+_PAPER_LINES = (
+    *("move", "move_to_shared", "prehook", "hook", "prepoke", "poke", "stop"),
+)
 _BESIDE_M = 0.1
 """Robots that are counted from the left are at least so far apart along x."""
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
@@ -51,7 +62,7 @@ def bank_for(task: str) -> LanguageBank:
     """
     if task in _added:
         return _added[task]
-    banks = _banks()
+    banks = _banks((*_FAMILIES, *_LADDER))
     if task not in banks:
         raise UnknownNameError("task", task, dict.fromkeys([*banks, *_added]))
     return banks[task]
@@ -82,7 +93,7 @@ def parse(sentence: str) -> frozenset[tuple[str, str]] | None:
     Returns:
         The (top, bottom) pairs; None if no template says the sentence.
     """
-    banks = _banks()
+    banks = _banks((*_FAMILIES, *_LADDER))
     return only_goal([t for name in banks for t in banks[name]], sentence)
 
 
@@ -93,6 +104,15 @@ def phrase(entity: str) -> str:
         UnknownNameError: No entity, and not ``"shared"``.
     """
     return "shared space" if entity == SHARED else entity_named(entity).phrase
+
+
+def say_pair(top: str, bottom: str) -> str:
+    """Return a predicate of a goal in words: ``"the red cube on the white pad"``."""
+    if top == HAND:
+        return f"a hand over the {phrase(bottom)}"
+    if bottom == HAND:
+        return f"the {phrase(top)} in a hand, lifted"
+    return f"the {phrase(top)} on the {phrase(bottom)}"
 
 
 def robot_phrases(robots: Sequence[RobotPlacement]) -> tuple[str, ...]:
@@ -157,8 +177,8 @@ def sub_instruction(
 
     Args:
         robot: The robot's phrase, from :func:`robot_phrases`.
-        primitive: ``move``, ``prehook``, ``hook``, ``prepoke``, ``poke``, ``stop``, or
-            one that was added.
+        primitive: One of :class:`~lemma.tasks.subtask.Primitive`, or one that was
+            added.
         pick: Entity that is picked; for hook and poke the stick or the cube.
         place: Entity where it goes; for hook and poke pick and place together name
             exactly one cube.
@@ -181,6 +201,10 @@ def sub_instruction(
             )
         line = added or lines["move_to_shared" if place == SHARED else "move"]
         return line.format(robot=robot, pick=phrase(pick), place=phrase(place))
+    if primitive in ("reach", "lift"):
+        if pick is None:
+            raise InvalidConfigError(f"{primitive!r} needs pick, such as 'red_cube'.")
+        return lines[primitive].format(robot=robot, pick=phrase(pick))
     cubes = {e for e in (pick, place) if e and e != SHARED and kind_of(e).cargo}
     if len(cubes) != 1:
         raise InvalidConfigError(
@@ -198,12 +222,13 @@ def words(sentence: str) -> tuple[str, ...]:
 def vocabulary() -> tuple[str, ...]:
     """Return every word that training sees, sorted.
 
-    High-level and human instructions and sub-instructions of the built-in tasks;
+    High-level and human instructions and sub-instructions of the paper's tasks;
     words that occur only in unseen templates are left out.
     """
-    lines = [*_sub_instructions().values(), *map(phrase, ENTITIES), phrase(SHARED)]
+    said = (_sub_instructions()[name] for name in _PAPER_LINES)
+    lines = [*said, *map(phrase, ENTITIES), phrase(SHARED)]
     lines += [*_ORDINALS, "left right robot"]
-    banks = _banks()
+    banks = _banks(_FAMILIES)
     for bank in (banks[name] for name in banks):
         lines += [t.text for t in (*bank.high_level, *bank.human)]
     bare = (re.sub(r"\{[^{}]*\}", " ", line) for line in lines)
@@ -221,9 +246,9 @@ def _sub_instructions() -> dict[str, str]:
 
 
 @cache
-def _banks() -> Registry[LanguageBank]:
+def _banks(families: tuple[str, ...]) -> Registry[LanguageBank]:
     banks: Registry[LanguageBank] = Registry("task", LanguageBank)
-    for family in _FAMILIES:
+    for family in families:
         data = _read(family)
         for task, table in data.items():
             if isinstance(table, dict):

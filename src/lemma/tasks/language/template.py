@@ -13,15 +13,17 @@ from typing import Self
 import numpy as np
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.scene.objects.entity import Entity, entity_named
+from lemma.scene.objects.entity import HAND, Entity, entity_named
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.palette import BENCHMARK_COLORS, OBJECT_COLORS
 
 GoalPairs = tuple[tuple[str, str], ...]
-"""One ``(top, bottom)`` pair of entity names for each ``On`` of a goal."""
+"""One ``(top, bottom)`` pair of entity names for each predicate of a goal; one of them
+may be the hand, see :mod:`lemma.tasks.goal`."""
 
 KindPairs = tuple[tuple[str, str], ...]
-"""The entity kinds of ``(top, bottom)``, for each ``On`` of a goal."""
+"""The entity kinds of ``(top, bottom)``, for each predicate of a goal. Templates have no
+slot for the hand."""
 
 KINDS = ("high_level", "human", "unseen")
 """Kinds of instructions that every instance carries and every recipe records;
@@ -119,6 +121,13 @@ class Template:
         entities: dict[str, Entity] = {}
         for roles, pair in zip(self.roles, goal_pairs, strict=True):
             for role, entity in zip(roles, pair, strict=True):
+                if HAND in (entity, self._kind(role)):
+                    if entity != self._kind(role):
+                        raise self._error(
+                            f"its {role!r} is a {self._kind(role)}, but the goal has "
+                            f"{entity!r} there. Use a template of the goal's own task"
+                        )
+                    continue
                 found = entities[role] = entity_named(entity)
                 if self._kind(role) not in (None, found.kind.name):
                     raise self._error(
@@ -178,6 +187,8 @@ class Template:
         self, role: str, said: dict[str, str], nouns: dict[str, ObjectKind]
     ) -> str:
         kind = self._kind(role)
+        if kind == HAND:
+            return HAND
         record = nouns[said[f"{role}_kind"]] if kind is None else OBJECT_KINDS[kind]
         return Entity(said[f"{role}_color"], record).name
 
@@ -194,7 +205,8 @@ class Template:
         said: dict[str, set[str | None]] = {}
         for slot in SLOT.finditer(self.text):
             said.setdefault(slot["role"], set()).add(slot["part"])
-        expected = {role for pair in self.roles for role in pair}
+        roles = [role for pair in self.roles for role in pair]
+        expected = {role for role in roles if self._kind(role) != HAND}
         if set(said) != expected:
             raise self._error(
                 f"it has slots for {sorted(said)}, but needs {sorted(expected)}. "
@@ -213,7 +225,8 @@ class Template:
 
     def _check_kinds(self, entity_kinds: KindPairs) -> None:
         for kind in (kind for pair in entity_kinds for kind in pair):
-            OBJECT_KINDS[kind]
+            if kind != HAND:
+                OBJECT_KINDS[kind]
         if len(entity_kinds) != len(self.roles):
             raise self._error(
                 f"it says {len(self.roles)} On(top, bottom), but entity_kinds has "
