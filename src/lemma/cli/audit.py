@@ -1,5 +1,6 @@
 """`lemma audit`: one robot alone attacks instances, in physics."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -9,11 +10,13 @@ from lemma.cli.options import (
     JsonFlag,
     Listed,
     Number,
+    SuiteName,
     messages,
     print_json,
     print_table,
     words,
 )
+from lemma.cli.selection import task_names
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 
 if TYPE_CHECKING:
@@ -25,6 +28,7 @@ _AT_INTERRUPT = "{done} of {total} instances were done; nothing is kept."
 
 def audit(
     tasks: Listed = ALL,
+    suite: SuiteName = "lemma",
     split: str = "test",
     episodes: Number = None,
     start: int = 0,
@@ -41,6 +45,7 @@ def audit(
 
     Args:
         tasks: Names of tasks, separated by commas.
+        suite: Suite of which all tasks are attacked where none are named.
         split: Frozen list of instances; or free, which samples them and needs
             --episodes.
         episodes: Number of instances of every task; the whole list by default.
@@ -56,7 +61,7 @@ def audit(
     from lemma.audit.run import budgets, tally
 
     names = _attacks(attacks, level)
-    keys = _keys(tasks, split, start, episodes)
+    keys = _keys(task_names(tasks, suite), split, start, episodes)
     if videos is not None:
         # A folder that cannot be made is better refused before the work than after.
         videos.mkdir(parents=True, exist_ok=True)
@@ -107,7 +112,7 @@ def _attacks(listed: str, level: str) -> tuple[str, ...]:
 
 
 def _keys(
-    listed: str, split: str, first: int, count: int | None
+    tasks: Sequence[str], split: str, first: int, count: int | None
 ) -> list[tuple[str, str, int]]:
     """Return task, split and index of the wanted instances.
 
@@ -117,9 +122,8 @@ def _keys(
     """
     from lemma.core.errors import InvalidConfigError
     from lemma.tasks.instance import SPLITS
-    from lemma.tasks.suite import SUITE, check_split
+    from lemma.tasks.suite import check_split
 
-    tasks = words(listed, every=SUITE)
     for task in tasks:
         check_split(task, split)
     size = SPLITS.get(split)

@@ -15,6 +15,7 @@ from lemma.cli.options import (
     JsonFlag,
     Listed,
     Number,
+    SuiteName,
     Word,
     arguments,
     complain,
@@ -22,6 +23,7 @@ from lemma.cli.options import (
     print_json,
     words,
 )
+from lemma.cli.selection import task_names
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.policies.interfaces import TIMEOUT_S
 from lemma.policies.planners.chat import ChatOptions
@@ -49,6 +51,8 @@ class EvaluateOptions:
     of the tasks."""
     tasks: Listed = ALL
     """Names of tasks, separated by commas."""
+    suite: SuiteName = "lemma"
+    """Suite of which all tasks are played where none are named."""
     split: Word = None
     """Frozen list of instances, test by default; or free, which samples instances and
     needs --episodes. Tasks of your own are free by default."""
@@ -154,10 +158,9 @@ def _config(
     from lemma.policies.spec import PolicySpec
     from lemma.tasks.instance import OWN_SPLIT, Instance
     from lemma.tasks.language.blind import kinds_of
-    from lemma.tasks.suite import SUITE
 
     own = Instance.load(ask.instance) if ask.instance else None
-    tasks = words(ask.tasks, every=SUITE)
+    tasks = task_names(ask.tasks, ask.suite)
     if own is not None and ask.tasks == ALL:
         tasks, split = (own.task,), OWN_SPLIT
     else:

@@ -12,11 +12,13 @@ from lemma.cli.options import (
     JsonFlag,
     Listed,
     Number,
+    SuiteName,
     output,
     print_figures,
     print_json,
     words,
 )
+from lemma.cli.selection import task_names
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.files import load
@@ -48,6 +50,7 @@ _IF_NOTHING_WAS_MADE = ("episodes", "made", "size_mb")
 
 def generate(
     tasks: Listed = ALL,
+    suite: SuiteName = "lemma",
     split: Annotated[
         str | None, tyro.conf.arg(metavar="SPLIT,...", help_behavior_hint="")
     ] = None,
@@ -67,6 +70,7 @@ def generate(
 
     Args:
         tasks: Names of tasks, separated by commas.
+        suite: Suite of which all tasks are solved where none are named.
         split: Names of splits, separated by commas; all frozen ones by default, train
             with --perturb, free for tasks of your own. Split free needs --episodes.
         episodes: Only the first so many of every task and split; all by default.
@@ -81,7 +85,9 @@ def generate(
         resume: Complete an existing folder; otherwise it must be empty.
         as_json: Print one JSON object instead of a table.
     """
-    order = order_of(tasks, split, episodes, perturb, perturb_seed, out)
+    order = order_of(
+        task_names(tasks, suite), split, episodes, perturb, perturb_seed, out
+    )
     out = order.out
     if not resume and out.is_dir() and any(out.iterdir()):
         raise InvalidConfigError(
@@ -106,7 +112,7 @@ def generate(
 
 
 def order_of(
-    tasks: str = ALL,
+    names: tuple[str, ...] = SUITE,
     split: str | None = None,
     episodes: int | None = None,
     perturb: float | None = None,
@@ -124,7 +130,6 @@ def order_of(
             "--perturb-seed draws mistakes, but none are made. Add --perturb 0.3."
         )
     mistakes = None if perturb is None else Perturbation(perturb, perturb_seed)
-    names = words(tasks, every=SUITE)
     splits = ("train",) if mistakes else tuple(SPLITS)
     if split:
         splits = words(split)

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -49,6 +49,8 @@ Word = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint=""
 ALL = "all"
 Listed = Annotated[str, tyro.conf.arg(metavar="NAME,...")]
 """Names separated by commas, or ``all``; see :func:`words`."""
+SuiteName = Literal["lemma", "ladder"]
+"""A suite: a key of :data:`lemma.tasks.names.SUITES`."""
 Arguments = Annotated[
     str, tyro.conf.arg(metavar="NAME=VALUE,...", help_behavior_hint="")
 ]

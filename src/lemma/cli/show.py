@@ -4,6 +4,7 @@ from pathlib import Path
 
 from lemma.cli.options import File, MaybeTask, messages, print_named
 from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
+from lemma.tasks.language.bank import say_pair
 from lemma.tasks.rules import problems
 from lemma.viz.sheets import check_picture_path, instance_sheet, save_picture
 
@@ -30,7 +31,7 @@ def show(
     save_picture(picture, path)
     print_named(*instance.instructions.items(), ("team", instance.team))
     print_named(*(("problem", each) for each in problems(instance)), style="yellow")
-    goal = " and ".join(f"{top} on {bottom}" for top, bottom in instance.goal.pairs)
+    goal = " and ".join(say_pair(top, bottom) for top, bottom in instance.goal.pairs)
     print_named(("goal", goal))
     print_named(("picture", path), style="bold")
     return 0

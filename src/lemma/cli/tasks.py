@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from lemma.cli.options import JsonFlag, print_json, print_table
+from lemma.cli.options import JsonFlag, SuiteName, print_json, print_table
 from lemma.scene.objects.entity import STICK
-from lemma.tasks.suite import TASKS, default_split, load_instance
+from lemma.tasks.suite import LISTED, SUITES, TASKS, default_split, load_instance
 
 _HEADER = (
     *("task", "what happens, and how it is asked for"),
@@ -12,13 +12,15 @@ _HEADER = (
 )
 
 
-def tasks(as_json: JsonFlag = False) -> int:
-    """List the eight tasks of the suite, and those of plugins.
+def tasks(suite: SuiteName = "lemma", as_json: JsonFlag = False) -> int:
+    """List the tasks of a suite, and those of plugins.
 
     Args:
+        suite: lemma has the eight of the paper; ladder has easier ones below them.
         as_json: Print a JSON list instead of a table.
     """
-    records = [describe(name) for name in TASKS]
+    names = (*SUITES[suite], *(name for name in TASKS if name not in LISTED))
+    records = [describe(name) for name in names]
     if as_json:
         print_json(records)
         return 0

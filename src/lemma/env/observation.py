@@ -18,7 +18,7 @@ from lemma.env.view import View
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.build import ARMS
-from lemma.scene.objects.entity import known_entities
+from lemma.scene.objects.entity import HAND, known_entities
 from lemma.scene.proprioception import Proprioception
 from lemma.scene.raster import CEILING_M, RASTER
 from lemma.scene.scene import Scene
@@ -255,6 +255,11 @@ class Observer:
             present[number[name]] = 1
         asked = np.zeros((GOAL_PAIRS, 2, 7))
         for pair, (top, bottom) in enumerate(goal.pairs):
+            # Where a hand is the other one, it is the object itself.
+            top, bottom = (
+                (bottom if top == HAND else top),
+                (top if bottom == HAND else bottom),
+            )
             wanted[number[top], number[bottom]] = 1
             if pair < GOAL_PAIRS:
                 asked[pair] = poses[top], poses[bottom]

@@ -20,7 +20,7 @@ from lemma.core.seeding import ordered_sum
 from lemma.env.episode import Episode
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene
-from lemma.tasks.goal import HOVER_M, LIFT_M, Lifted, Predicate, Reached
+from lemma.tasks.goal import HOVER_M, LIFTED_M, Lifted, Predicate, Reached
 
 Potential = Callable[[Episode], float]
 """How far an episode has come, in [0, 1]: a function of the state of its scene."""
@@ -72,8 +72,8 @@ def _advance(
         at = scene.position(on.top)
         share = 0.4 * nearness(min(math.dist(at, tcp) for tcp in hands))
         if on.top in held:
-            height_m = min(max(at[2] - kind_of(on.top).origin_m, 0.0), LIFT_M)
-            share += 0.2 + 0.3 * height_m / LIFT_M
+            height_m = min(max(at[2] - kind_of(on.top).origin_m, 0.0), LIFTED_M)
+            share += 0.2 + 0.3 * height_m / LIFTED_M
         return share
     top, bottom = scene.pose(on.top).position, scene.pose(on.bottom).position
     upper, lower = kind_of(on.top), kind_of(on.bottom)

@@ -9,8 +9,8 @@ The expert's plan for the instance is a ladder: each of its sub-tasks has five s
    the cube elsewhere,
 5. *placed*: what was moved rests where the sub-task puts it, and no robot leads it.
 
-``reach`` has two, approached and placed: the hand is over the object. ``lift`` has four,
-approached, touched, grasped and lifted.
+``reach`` has two, approached and placed: the hand is over the object. ``lift`` has
+four: approached, touched, grasped and lifted.
 
 ``progress`` is the share of the stages of all sub-tasks that are reached *in order and
 not undone*: the stages of a sub-task count once the earlier sub-tasks about the same

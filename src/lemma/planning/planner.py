@@ -169,9 +169,7 @@ def _wanted(now: SymbolicState, goal: Goal) -> dict[str, list[str]]:
         if now.has(on.top, on.bottom):
             continue
         items = [name for name in (on.top, on.bottom) if name != HAND]
-        wanted.setdefault(items[0], []).append(
-            on.bottom if len(items) == 2 else HAND
-        )
+        wanted.setdefault(items[0], []).append(on.bottom if len(items) == 2 else HAND)
         for blocked in items:
             blocker = now.on_top_of(blocked)
             if blocker not in (None, HAND, on.top):

@@ -33,7 +33,7 @@ REST_RAD_S = 0.1
 """And it turns slower than this [rad/s]."""
 TILT_RAD = math.radians(3.0)
 """An object stands on a face that is within this of level [rad]."""
-LIFT_M = 0.05
+LIFTED_M = 0.05
 """A cube is lifted if it is so much higher than where it lies on the table [m]."""
 OVER_M = 0.03
 """A hand is over an object if it is within this of its middle, from above [m]."""
@@ -117,10 +117,10 @@ class Lifted:
         """Whether it is true now.
 
         Both fingers of one hand touch it, nothing else but that robot does, and it is
-        :data:`LIFT_M` higher than where it would lie upright on the table.
+        :data:`LIFTED_M` higher than where it would lie upright on the table.
         """
         height_m = scene.position(self.top)[2] - kind_of(self.top).origin_m
-        return height_m >= LIFT_M and _hangs_in_a_hand(scene, self.top)
+        return height_m >= LIFTED_M and _hangs_in_a_hand(scene, self.top)
 
 
 @dataclass(frozen=True, slots=True)

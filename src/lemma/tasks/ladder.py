@@ -21,6 +21,10 @@ from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.task import TASKS, Task
 
 _TEAM = (("ur5", "ur5"),)
+_WITHOUT = {
+    "varied": "without distractors",
+    "fixed": "without distractors, with robots that stand where they always do",
+}
 
 
 def arrange_reach(placer: ObjectPlacer) -> Goal:
@@ -85,8 +89,7 @@ for _rung in RUNGS:
             replace(
                 _full,
                 name=_name,
-                summary=f"{_full.summary[:-1]}; "
-                + ("the robots stand where they always do." if _fixed else "no others."),
+                summary=f"{_full.summary[:-1]}; {_WITHOUT[_degree]}.",
                 distractors=(0, 0),
                 fixed=_fixed,
                 teams=_TEAM if _fixed else _full.teams,

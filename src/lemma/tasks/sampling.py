@@ -121,6 +121,7 @@ def _place_team(
     Returns:
         The robots, and where the table is missing between them.
     """
+
     def drawn(low: float, high: float, fixed: float) -> float:
         return fixed if task.fixed else rng.uniform(low, high)
 

@@ -5,7 +5,7 @@ import json
 from functools import lru_cache
 from importlib.resources import files
 
-import lemma.tasks.ladder  # noqa: F401 - adds the ladder's tasks
+import lemma.tasks.ladder
 import lemma.tasks.library  # noqa: F401 - adds the eight tasks
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError

@@ -10,7 +10,7 @@ from lemma.core.poses import Pose2
 from lemma.robots.could import could_of
 from lemma.robots.reach import reach_map, reach_of
 from lemma.scene.cameras import CameraImage
-from lemma.scene.objects.entity import STICK, entity_named
+from lemma.scene.objects.entity import HAND, STICK, entity_named
 from lemma.scene.objects.stick import HANDLE_LENGTH_M
 from lemma.scene.raster import RASTER, MapImage
 from lemma.scene.rendering.renderer import Renderer
@@ -115,6 +115,10 @@ def _name_entities(
         places[name] = pixel_of(pose.x, pose.y, width)
     taken = []
     for top, bottom in instance.goal.pairs:
+        if HAND in (top, bottom):
+            at = places[bottom if top == HAND else top]
+            canvas.ring(at, 1.1 * size, _GOAL_INK, 0.28 * size)
+            continue
         start, end = _shorten(places[top], places[bottom], 1.1 * size)
         canvas.arrow(start, end, _GOAL_INK, 0.28 * size)
         taken += [_around(start, size), _around(end, size)]

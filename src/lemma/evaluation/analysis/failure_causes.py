@@ -59,7 +59,8 @@ class Cause(StrEnum):
     THROWN = "thrown"
     """An object flew, or moved on without a robot."""
     UNTOUCHED = "untouched"
-    """Control level: no hand and no tool touched a cube that the goal moves."""
+    """Control level: no hand and no tool touched a cube that the goal moves;
+    on *reach*, none was held over it."""
     UNGRASPED = "ungrasped"
     """Control level: such a cube was touched, and none was ever between two fingers."""
     MISPLACED = "misplaced"

@@ -32,9 +32,10 @@ def expert_s(
         perturbed_start: With its objects elsewhere.
 
     Returns:
-        The time until it says ``stop``; None for splits that are not in the table.
+        The time until it says ``stop``; None for splits and tasks that are not in the
+        table.
     """
-    if split not in TIMED_SPLITS:
+    if split not in TIMED_SPLITS or task not in _table()[split]:
         return None
     times = _table()[split][task]
     found: float = times["perturbed_s" if perturbed_start else "elapsed_s"][index]
@@ -45,11 +46,16 @@ def perturbed_start(instance: Instance) -> Instance:
     """Return a frozen instance with its objects a little elsewhere.
 
     Raises:
-        InvalidConfigError: Its split has no perturbed starts.
+        InvalidConfigError: Its split or task has no perturbed starts.
     """
     if instance.split not in TIMED_SPLITS:
         raise InvalidConfigError(
             f"Split {instance.split!r} has no perturbed starts; {TIMED_SPLITS} have."
+        )
+    if instance.task not in _table()[instance.split]:
+        raise InvalidConfigError(
+            f"Task {instance.task!r} has no perturbed starts; "
+            f"{', '.join(_table()[instance.split])} have."
         )
     draw = _table()[instance.split][instance.task]["draw"][instance.index]
     return perturbed(instance, draw)

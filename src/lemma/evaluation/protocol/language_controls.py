@@ -9,7 +9,7 @@ from lemma.core.seeding import stream
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
 from lemma.planning.symbolic_state import TABLE, SymbolicState
-from lemma.scene.objects.entity import entity_named, kind_of, known_entities
+from lemma.scene.objects.entity import HAND, entity_named, kind_of, known_entities
 from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.goal import Goal
@@ -123,6 +123,7 @@ def _goals(pairs: GoalPairs, names: tuple[str, ...] | list[str]) -> Iterator[Goa
         ways.append([dict(zip(needed, found, strict=True)) for found in drawn])
     for choice in product(*ways):
         other = {old: new for part in choice for old, new in part.items()}
+        other[HAND] = HAND
         goal = tuple((other[top], other[bottom]) for top, bottom in pairs)
         if set(goal) != set(pairs):
             yield goal

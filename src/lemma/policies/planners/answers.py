@@ -189,6 +189,9 @@ class AnswerFormat:
             if place not in self.cargo:
                 return f"{primitive} acts on one of {', '.join(self.cargo)}: place."
             return ""
+        if primitive in (Primitive.REACH, Primitive.LIFT):
+            same = pick == place and kind_of(pick).cargo
+            return "" if same else f"{primitive} acts on one cube: pick and place."
         if primitive is not Primitive.MOVE:
             return ""
         if pick == STICK:

@@ -15,12 +15,13 @@ from lemma.policies.planners.perception import ObjectText, SceneText
 from lemma.scene.objects.entity import SHARED
 from lemma.tasks.subtask import Primitive
 
-PROMPTS = 1
+PROMPTS = 2
 """Version of these words: part of every result."""
 
 _TASK = """\
-Robot arms stand around a table. One sentence says what shall lie on what at the end. \
-You decide on the next sub-task; you will be asked again after it, until you say stop.
+Robot arms stand around a table. One sentence says what shall lie on what at the end, \
+or what a hand shall hold or be over. You decide on the next sub-task; you will be \
+asked again after it, until you say stop.
 
 Rules
 - x and y are in metres. Each robot has its place and never leaves it. It grasps \
@@ -45,7 +46,9 @@ _ANSWER = """\
 Answer with one JSON object and nothing else:
 {{"reason": one short sentence{message}, "robot": {robot}, "primitive": {primitive}, \
 "pick": {pick}, "place": {place}}}
-"move" picks a cube or the stick up (pick) and puts it down (place). For stop{wait}, \
+"move" picks a cube or the stick up (pick) and puts it down (place). "lift" picks a \
+cube up and holds it, "reach" holds the open hand over it: pick and place are both \
+that cube. For stop{wait}, \
 robot, pick and place are "{none}".
 """
 _EACH = """

@@ -22,8 +22,8 @@ GoalPairs = tuple[tuple[str, str], ...]
 may be the hand, see :mod:`lemma.tasks.goal`."""
 
 KindPairs = tuple[tuple[str, str], ...]
-"""The entity kinds of ``(top, bottom)``, for each predicate of a goal. Templates have no
-slot for the hand."""
+"""The entity kinds of ``(top, bottom)``, for each predicate of a goal. Templates have
+no slot for the hand."""
 
 KINDS = ("high_level", "human", "unseen")
 """Kinds of instructions that every instance carries and every recipe records;

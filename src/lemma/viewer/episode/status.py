@@ -8,7 +8,7 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.spec import ORACLE
 from lemma.tasks.instance import SPLITS, Instance
-from lemma.tasks.language.bank import phrase
+from lemma.tasks.language.bank import say_pair
 from lemma.tasks.language.template import KINDS, GoalPairs
 from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
 from lemma.viz.recording import Line
@@ -108,9 +108,7 @@ class Status:
 
 def say_goal(pairs: GoalPairs) -> str:
     """Return a goal in words: ``"the red cube on the white pad"``."""
-    return " and ".join(
-        f"the {phrase(top)} on the {phrase(bottom)}" for top, bottom in pairs
-    )
+    return " and ".join(say_pair(top, bottom) for top, bottom in pairs)
 
 
 class StatusBoard:
