@@ -91,8 +91,8 @@ def test_a_folder_of_lists_has_a_manifest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(freezer, "SPLITS", {"val": 2})
-    monkeypatch.setattr(freezer, "SUITE", ("pass", "stack"))
-    lines = list(freeze(tmp_path / "frozen", ("val",), workers=1))
+    tasks = ("pass", "stack")
+    lines = list(freeze(tmp_path / "frozen", tasks, ("val",), workers=1))
     assert [line.split(":")[0] for line in lines] == ["pass-val", "stack-val"]
     assert (
         "2 instances, 1 tables rejected, 0 not solved by the expert, none broken"
@@ -109,6 +109,6 @@ def test_a_folder_of_lists_has_a_manifest(
             assert json.loads(line) == frozen.to_dict()
     # A second run, of another split, adds to the manifest.
     monkeypatch.setattr(freezer, "SPLITS", {"test": 1})
-    list(freeze(tmp_path / "frozen", ("test",), workers=1))
+    list(freeze(tmp_path / "frozen", tasks, ("test",), workers=1))
     manifest = json.loads((tmp_path / "frozen" / MANIFEST).read_text())
     assert set(manifest) == {"pass-val", "stack-val", "pass-test", "stack-test"}

@@ -12,7 +12,7 @@ from lemma.core.poses import Pose, Pose2
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
-from lemma.env.stages import PER_SUBTASK, Stage
+from lemma.env.stages import Stage, stages_of
 from lemma.expert.expert import Expert, solve
 from lemma.motion.outcome import Outcome
 from lemma.tasks.subtask import GroundedSubTask, Primitive
@@ -66,7 +66,7 @@ def stop_at(episode: Episode, seconds: float) -> None:
 def test_a_cube_that_is_carried_halfway_counts(task: str) -> None:
     episode = begin(task)
     assert episode.progress == 0.0
-    share = 1.0 / (PER_SUBTASK * len(episode.stages.plan))
+    share = 1.0 / sum(len(stages_of(s.primitive)) for s in episode.stages.plan)
     seen = set()
     for hundredths in range(50, 800, 25):
         fresh = begin(task)

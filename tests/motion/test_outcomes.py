@@ -20,6 +20,7 @@ from lemma.core.poses import Pose, Pose2
 from lemma.env.simulation import Simulation
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.motion.skills import SkillRunner
+from lemma.planning.primitives import PRIMITIVES
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down
@@ -109,9 +110,7 @@ def test_there_is_nothing_to_pick(
     assert f"({at[0]:.3f}, {at[1]:.3f})" in result.explanation
 
 
-@pytest.mark.parametrize(
-    "primitive", [p for p in Primitive if p not in (Primitive.MOVE, Primitive.STOP)]
-)
+@pytest.mark.parametrize("primitive", [p for p in Primitive if PRIMITIVES[p].tool])
 def test_a_cube_is_no_tool(simulation: Simulation, primitive: Primitive) -> None:
     wrong = replace(move(START, Pose2(-0.1, 0.0)), primitive=primitive)
     result = try_and_look(simulation, wrong, Outcome.INVALID)

@@ -1,4 +1,4 @@
-"""One record per primitive: the benchmark's six, and a push of one's own."""
+"""Primitives: the six of the paper, two of the ladder, and a push of one's own."""
 
 import pickle
 from collections.abc import Iterator
@@ -23,20 +23,21 @@ from lemma.tasks.language.bank import phrase, sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask, primitive_names
 
 SIX = ("move", "prehook", "hook", "prepoke", "poke", "stop")
+SHIPPED = (*SIX, "reach", "lift")
 PUSHED = 39
 """Number of an instance in which pushing is the best that the first robot can do."""
 PUSH = EXAMPLES / "12_write_a_primitive.py"
 
 
 def test_the_six_come_first_in_their_order() -> None:
-    assert tuple(PRIMITIVES) == tuple(Primitive) == primitive_names() == SIX
-    assert tuple(SKILLS) == SIX[:-1]
+    assert tuple(PRIMITIVES) == tuple(Primitive) == primitive_names() == SHIPPED
+    assert tuple(SKILLS) == (*SIX[:-1], "reach", "lift")
     for space in (skill_space(2), plan_space(2)):
-        assert space["primitive"] == Discrete(6)
+        assert space["primitive"] == Discrete(8)
 
 
-@pytest.mark.parametrize("name", SIX)
-def test_records_say_the_six_as_the_templates_do(name: str) -> None:
+@pytest.mark.parametrize("name", SHIPPED)
+def test_records_say_them_as_the_templates_do(name: str) -> None:
     pick = "stick" if PRIMITIVES[name].tool else "red_cube"
     said = sub_instruction("red robot", name, pick, "blue_cube")
     filled = PRIMITIVES[name].phrase.format(
@@ -71,7 +72,7 @@ def test_a_record_that_is_none_is_refused(wrong: dict[str, Any], message: str) -
     with loaded():
         with pytest.raises(InvalidConfigError, match=message):
             PRIMITIVES.add(wanted.name, wanted)
-        assert primitive_names() == SIX
+        assert primitive_names() == SHIPPED
 
 
 @pytest.fixture
@@ -82,14 +83,16 @@ def push() -> Iterator[Primitive]:
         Primitive("push")
 
 
-def test_a_primitive_of_ones_own_is_numbered_after_the_six(push: Primitive) -> None:
-    assert primitive_names() == (*SIX, "push")
-    assert tuple(Primitive) == SIX
-    assert skill_space(2)["primitive"] == Discrete(7)
+def test_a_primitive_of_ones_own_is_numbered_last(
+    push: Primitive,
+) -> None:
+    assert primitive_names() == (*SHIPPED, "push")
+    assert tuple(Primitive) == SHIPPED
+    assert skill_space(2)["primitive"] == Discrete(9)
     env = lemma.make("pass", level="skill", split="test", index=PUSHED)
     grounded = GroundedSubTask("robot_1", push, Pose2(0, 0, 1), Pose2(0.1, 0, 1))
     action = env.encode(grounded)
-    assert action["primitive"] == 6
+    assert action["primitive"] == 8
     assert env.decode(action) == grounded
     assert env.encode(None)["primitive"] == 5
 

@@ -19,11 +19,14 @@ from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.language.bank import parse, words
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import FREE_SPLIT, SUITE, TASKS, load_instance
+from lemma.tasks.suite import FREE_SPLIT, LADDER, LISTED, SUITE, TASKS, load_instance
 from lemma.tasks.task import TEAMS
 
 FROZEN = files("lemma.tasks") / "frozen"
-LISTS = [(task, split) for task in SUITE for split in SPLITS]
+LISTS = [
+    *((task, split) for task in SUITE for split in SPLITS),
+    *((task, "test") for task in LADDER if task not in SUITE),
+]
 TEAM_TYPES = {"ur5+ur5", "ur5+ur10", "ur10+ur10"}
 TOOL_TASKS = ("poke", "poke_stack", "hook", "hook_stack")
 # Objects of the goal and the tool, and the most objects that the paper names.
@@ -101,7 +104,7 @@ def test_an_index_out_of_range_is_answered(index: int) -> None:
 
 def test_splits_are_those_of_the_paper() -> None:
     assert SPLITS == {"train": 700, "val": 40, "test": 60}
-    assert set(manifest()) == {f"{task}-{split}" for task, split in LISTS}
+    assert set(manifest()) == {f"{t}-{split}" for t in LISTED for split in SPLITS}
 
 
 @pytest.mark.parametrize(("task", "split"), LISTS)

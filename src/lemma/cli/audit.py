@@ -14,9 +14,9 @@ from lemma.cli.options import (
     messages,
     print_json,
     print_table,
+    task_names,
     words,
 )
-from lemma.cli.selection import task_names
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ from lemma.cli.options import (
     complain,
     output,
     print_json,
+    task_names,
     words,
 )
-from lemma.cli.selection import task_names
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.policies.interfaces import TIMEOUT_S
 from lemma.policies.planners.chat import ChatOptions

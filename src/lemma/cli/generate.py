@@ -16,9 +16,9 @@ from lemma.cli.options import (
     output,
     print_figures,
     print_json,
+    task_names,
     words,
 )
-from lemma.cli.selection import task_names
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.files import load

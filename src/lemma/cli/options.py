@@ -12,8 +12,10 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
+from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError
 from lemma.core.tables import Table
+from lemma.tasks.names import SUITES
 
 # The hint would repeat "(default: None)" where the help says what happens.
 Flag = Annotated[
@@ -167,6 +169,16 @@ def words(listed: str, every: tuple[str, ...] | None = None) -> tuple[str, ...]:
             f"{listed!r} names nothing. Separate names by commas: train,val."
         )
     return found
+
+
+def task_names(listed: str, suite: str) -> tuple[str, ...]:
+    """Return the tasks that options name: those listed, or all of a suite.
+
+    Raises:
+        UnknownNameError: No such suite.
+        InvalidConfigError: Nothing is listed.
+    """
+    return words(listed, every=SUITES[known("suite", suite, SUITES)])
 
 
 def arguments(text: str) -> tuple[tuple[str, Any], ...]:

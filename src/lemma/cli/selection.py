@@ -6,13 +6,13 @@ from typing import Annotated
 
 import tyro
 
-from lemma.cli.options import File, Number, Team, Word, words
-from lemma.core.arguments import known, whole
+from lemma.cli.options import File, Number, Team, Word
+from lemma.core.arguments import whole
 from lemma.core.errors import InvalidConfigError
 from lemma.robots.ur.build import ARMS
 from lemma.tasks.instance import LARGEST_INDEX, Instance
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import FREE_SPLIT, SUITES, TASKS, default_split, load_instance
+from lemma.tasks.suite import FREE_SPLIT, TASKS, default_split, load_instance
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +38,6 @@ DEFAULT = Selection()
 
 SelectionOptions = Annotated[Selection, tyro.conf.arg(name="")]
 """The fields of a selection as options of a verb."""
-
-
-def task_names(listed: str, suite: str) -> tuple[str, ...]:
-    """Return the tasks that options name: those listed, or all of a suite.
-
-    Raises:
-        UnknownNameError: No such suite.
-        InvalidConfigError: Nothing is listed.
-    """
-    return words(listed, every=SUITES[known("suite", suite, SUITES)])
 
 
 def select_instance(task: str | None, wish: Selection) -> Instance:

@@ -111,7 +111,10 @@ def test_what_is_no_answer_has_a_kind_and_a_reason(what: str) -> None:
 
 
 def test_without_a_stick_there_is_nothing_to_hook_with() -> None:
-    assert AnswerFormat(TEAM, ("red_cube", "blue_pad")).primitives == ("move", "stop")
+    assert AnswerFormat(TEAM, ("red_cube", "blue_pad")).primitives == (
+        *("move", "stop"),
+        *("reach", "lift"),
+    )
 
 
 def test_every_subtask_is_sayable_and_within_the_schema() -> None:

@@ -11,7 +11,7 @@ from lemma.core.poses import Pose2
 from lemma.planning.grounding import GroundedOption
 from lemma.planning.planner import find_plan
 from lemma.scene.objects.entity import STICK, kind_of
-from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+from lemma.tasks.subtask import PAPER_PRIMITIVES, GroundedSubTask, Primitive, SubTask
 
 _STEPS = 12
 _DRAWS = 30
@@ -67,7 +67,8 @@ def _distance_left(trial: SkillTrial) -> float:
 def _expert_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
     """Yield every sub-task that the expert's grounder finds poses for."""
     now = trial.state()
-    for primitive, pick in product(Primitive, now.poses):
+    # Reaching and lifting bring nothing anywhere.
+    for primitive, pick in product(PAPER_PRIMITIVES, now.poses):
         for place in (*now.poses, *now.spec.regions):
             subtask = SubTask(trial.robot, primitive, pick, place)
             option = trial.grounder.ground(subtask, now)

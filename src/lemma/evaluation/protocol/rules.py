@@ -64,7 +64,11 @@ def in_force() -> dict[str, Any]:
         "benchmark": BENCHMARK_VERSION,
         "tasks": list(SUITE),
         "episodes_per_task": dict(SPLITS),
-        "lists_sha256": {name: lists[name]["sha256"] for name in sorted(lists)},
+        "lists_sha256": {
+            name: lists[name]["sha256"]
+            for name in sorted(lists)
+            if name.rpartition("-")[0] in SUITE
+        },
         "instructions": {
             "kinds": list(EVALUATION_KINDS),
             "source": "the frozen lists: one sentence of each kind per instance; blind "
