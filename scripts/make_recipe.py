@@ -35,7 +35,7 @@ STEPS = ("generate", "replay", "digests")
 
 
 def export(folder: Path, out: Path) -> dict[str, Any]:
-    """Write the digests of a recipe as files to be committed.
+    """Write the digests of a recipe as files to be committed, beside those of others.
 
     Args:
         folder: The recipe.
@@ -60,17 +60,21 @@ def export(folder: Path, out: Path) -> dict[str, Any]:
     for split, tasks in lists.items():
         for task, digests in tasks.items():
             write_text(out / f"{task}-{split}.txt", "\n".join(digests) + "\n")
+    splits = {}
+    for split in sorted(lists):
+        # Those of other tasks stay, and are counted.
+        every = [
+            digest
+            for task in sorted(
+                path.name.removesuffix(f"-{split}.txt")
+                for path in out.glob(f"*-{split}.txt")
+            )
+            for digest in (out / f"{task}-{split}.txt").read_text("ascii").split()
+        ]
+        splits[split] = {"episodes": len(every), "sha256": content_digest(every)}
     manifest = {
         "versions": {name: versions[name] for name in VERSIONS},
-        "splits": {
-            split: {
-                "episodes": sum(len(digests) for digests in tasks.values()),
-                "sha256": content_digest(
-                    [d for task in sorted(tasks) for d in tasks[task]]
-                ),
-            }
-            for split, tasks in lists.items()
-        },
+        "splits": splits,
     }
     write_json(out / MANIFEST, manifest)
     return manifest

@@ -17,6 +17,7 @@ from lemma.tasks.task import TASKS
 __all__ = [
     "FREE_SPLIT",
     "LADDER",
+    "LISTED",
     "SUITE",
     "SUITES",
     "TASKS",
