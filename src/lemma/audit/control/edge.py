@@ -95,8 +95,8 @@ def squeeze_out(trial: ControlTrial) -> None:
 
 def _goal_and_step(trial: ControlTrial) -> tuple[On, str]:
     """Return the only conjunct and a spare cube; give up out of range or without."""
-    on = trial.goal.conjuncts[0]
-    trial.require(len(trial.goal.conjuncts) == 1 and trial.is_home(on.top))
+    on = trial.goal.placements[0]
+    trial.require(len(trial.goal.placements) == 1 and trial.is_home(on.top))
     beyond_m = _CORNER_M + COAST_M + trial.support_m(on.bottom) + _DOUBT_M
     trial.require_near(on.bottom, trial.could.touch_m + beyond_m)
     spare = [name for name in trial.spare() if trial.is_home(name)]

@@ -110,8 +110,8 @@ def _require_pad(trial: ControlTrial, range_m: float) -> On:
 
     Nobody builds a tower by throwing, and of two pads one is the partner's.
     """
-    on = trial.goal.conjuncts[0]
-    trial.require(len(trial.goal.conjuncts) == 1 and kind_of(on.bottom).fixed)
+    on = trial.goal.placements[0]
+    trial.require(len(trial.goal.placements) == 1 and kind_of(on.bottom).fixed)
     trial.require_near(on.bottom, trial.could.touch_m + range_m)
     return on
 

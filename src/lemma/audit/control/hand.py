@@ -46,9 +46,9 @@ _STICK_TRIES = 3
 
 def tilted_move(trial: ControlTrial) -> None:
     """Picks and places with a hand that leans outwards, or drops."""
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         trial.require_near(on.bottom, _place_m(trial, on) + _DOUBT_M)
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         if not _put_on(trial, on, trial.attempt):
             return
 
@@ -56,7 +56,7 @@ def tilted_move(trial: ControlTrial) -> None:
 def tilted_stick(trial: ControlTrial) -> None:
     """Hooks with a leaning hand that holds the stick, then builds alone."""
     require_stick(trial)
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         for name in (on.top, on.bottom):
             stick_m = HANDLE_LENGTH_M + HOOK_LENGTH_M if kind_of(name).cargo else 0.0
             trial.require_near(name, _place_m(trial, on) + stick_m)
@@ -68,7 +68,7 @@ def tilted_stick(trial: ControlTrial) -> None:
     for name in trial.goal.entities:
         if kind_of(name).cargo:
             fetch(trial, name, lean)
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         _put_on(trial, on)
 
 
@@ -83,7 +83,7 @@ def rake(trial: ControlTrial) -> None:
         for _ in range(_STROKES):
             if trial.is_home(name, _SURE_M) or not _stroke(trial, name):
                 break
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         _put_on(trial, on)
 
 

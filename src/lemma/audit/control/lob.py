@@ -62,8 +62,8 @@ def lob(trial: ControlTrial) -> None:
     Where the cube comes down, or would, corrects the next shot: 4 releases with 7
     corrections each at most, and in a second attempt with random errors besides.
     """
-    on = trial.goal.conjuncts[0]
-    trial.require(len(trial.goal.conjuncts) == 1)
+    on = trial.goal.placements[0]
+    trial.require(len(trial.goal.placements) == 1)
     trial.require_near(on.bottom, trial.could.touch_m + _LOB_M)
     if not trial.is_home(on.top):
         require_stick(trial)

@@ -135,7 +135,7 @@ def cube_chain(trial: ControlTrial) -> None:
     the lower one is stopped. The fingers of a leaning hand push the row.
     """
     number, out_m = _WAYS[trial.attempt]
-    on = trial.goal.conjuncts[0]
+    on = trial.goal.placements[0]
     spare = [name for name in trial.spare() if trial.is_home(name)]
     trial.require(number is None or len(spare) > number)
     spare = spare[:number]
@@ -164,10 +164,10 @@ def cube_chain(trial: ControlTrial) -> None:
 def hand_push(trial: ControlTrial) -> None:
     """Pushes a cube to its pad with the hand, or with a cube in it."""
     held_m = CUBE_EDGE_M if trial.attempt else 0.0
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         beyond_m = CUBE_EDGE_M / 2 + held_m + trial.support_m(on.bottom)
         trial.require_near(on.bottom, trial.could.touch_m + beyond_m)
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         _push_on(trial, on)
 
 
@@ -259,7 +259,7 @@ def stick_relay(trial: ControlTrial) -> None:
     onto the pad where the lower cube is stopped.
     """
     require_stick(trial)
-    on, others = trial.goal.conjuncts[0], trial.spare()
+    on, others = trial.goal.placements[0], trial.spare()
     trial.require(others and kind_of(on.bottom).fixed)
     beyond_m = HANDLE_LENGTH_M + row_m(len(others) + 1) + kind_of(on.bottom).disc_m
     trial.require_near(on.bottom, trial.could.touch_m + beyond_m)

@@ -39,8 +39,8 @@ def search(trial: ControlTrial) -> None:
     angles each over 0.8 s, and when to open the fingers. Each is played for 1.3 s. A
     throw counts as 30 cm farther from the goal.
     """
-    on = trial.goal.conjuncts[0]
-    trial.require(len(trial.goal.conjuncts) == 1)
+    on = trial.goal.placements[0]
+    trial.require(len(trial.goal.placements) == 1)
     trial.require_near(on.bottom, trial.could.touch_m + _BEYOND_M)
     hold = next(trial.holds(on.top), None)
     strikes = trial.attempt == len(_HEIGHTS_M)
@@ -87,7 +87,7 @@ def search(trial: ControlTrial) -> None:
 
 def _lay_before(trial: ControlTrial) -> bool:
     """Set the cube down far out, the closed hand behind it; False if that fails."""
-    on = trial.goal.conjuncts[0]
+    on = trial.goal.placements[0]
     bearing = trial.outward(trial.pose(on.bottom))
     far = trial.at(trial.reach.grasp_m - 0.01, bearing)
     if not trial.set_down(on.top, far):
@@ -102,14 +102,14 @@ def _lay_before(trial: ControlTrial) -> bool:
 
 def _distance_m(trial: ControlTrial) -> float:
     """Return how far the top of the goal is from where it shall rest [m]."""
-    on = trial.goal.conjuncts[0]
+    on = trial.goal.placements[0]
     away_m = trial.pose(on.top).distance(trial.pose(on.bottom))
     return math.hypot(away_m, trial.height(on.top) - trial.resting_height(on))
 
 
 def _stretched(trial: ControlTrial, height_m: float) -> FloatArray | None:
     """Return the hand that reaches farthest towards the goal at a height."""
-    target = trial.pose(trial.goal.conjuncts[0].bottom)
+    target = trial.pose(trial.goal.placements[0].bottom)
     bearing, farthest_m = trial.outward(target), trial.could.touch_m
     nearest_m = 0.5 * trial.reach.travel_m
     for r in np.arange(min(farthest_m, trial.radius(target)), nearest_m, -0.02):

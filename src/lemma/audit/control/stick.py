@@ -204,16 +204,16 @@ _ROLL_S = 1.2
 
 def topple(trial: ControlTrial) -> None:
     """Pushes a cube against its pad with the stick, and topples it onto it."""
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         _require_pad(trial, on)
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         hand_m = _TOPPLE_HANDS_M[trial.attempt]
         _push_over(trial, on, on.top, hand_m, _TOPPLE_RAISES_M)
 
 
 def tower_push(trial: ControlTrial) -> None:
     """Pushes a tower against a pad, and its upper cube over onto the pad."""
-    on = trial.goal.conjuncts[0]
+    on = trial.goal.placements[0]
     _require_pad(trial, on)
     near = [name for name in trial.spare() if trial.is_home(name)]
     trial.require(near)
@@ -229,9 +229,9 @@ def tower_push(trial: ControlTrial) -> None:
 
 def strike(trial: ControlTrial) -> None:
     """Strikes a cube with the stick, so that it jumps onto its pad."""
-    on = trial.goal.conjuncts[0]
+    on = trial.goal.placements[0]
     _require_pad(trial, on)
-    trial.require(len(trial.goal.conjuncts) == 1)
+    trial.require(len(trial.goal.placements) == 1)
     hand_m, short_m = _SHOTS[trial.attempt]
     way = push_against(trial, on, on.top, hand_m, short_m)
     if way is None:
@@ -330,11 +330,11 @@ _Ending = tuple[list[FloatArray], float]
 def tip_off_stick(trial: ControlTrial) -> None:
     """Carries a cube on the stick over its pad, and tips or jerks it off."""
     require_stick(trial)
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         beyond_m = LONGEST_M + CUBE_EDGE_M + trial.support_m(on.bottom)
         trial.require_near(on.bottom, trial.could.touch_m + beyond_m)
     # With the stick over one pad nothing is done about another.
-    on = trial.goal.conjuncts[0]
+    on = trial.goal.placements[0]
     if _load(trial, on):
         _carry(trial, on)
 

@@ -58,7 +58,7 @@ def greedy_skills(trial: SkillTrial) -> None:
 def _distance_left(trial: SkillTrial) -> float:
     """Return how far the goal's tops are from their bottoms [m], summed up."""
     left_m = 0.0
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         if not on.holds(trial.scene):
             left_m += trial.pose(on.top).distance(trial.pose(on.bottom))
     return left_m

@@ -40,7 +40,7 @@ _SHOVES = 7
 def push_onto_pad(trial: SkillTrial) -> None:
     """Hooks a cube home, sets it down in line, pushes it onto its pad."""
     _require_pads(trial)
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         _push_on(trial, on)
 
 
@@ -49,7 +49,7 @@ def push_tower(trial: SkillTrial) -> None:
     _require_pads(trial)
     spare = [name for name in trial.spare() if trial.margin(trial.pose(name)) > 0.0]
     trial.require(spare)
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         _push_tower(trial, on, spare[0])
 
 
@@ -57,10 +57,10 @@ def shove(trial: SkillTrial) -> None:
     """Sets a cube down at the edge of reach; opening fingers shove it on."""
     # Opening fingers move nothing beyond themselves and all cubes in a row.
     row_m = _FINGER_M + CUBE_EDGE_M * len(trial.cargo())
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         beyond_m = row_m + trial.support_m(on.bottom)
         trial.require_near(on.bottom, trial.reach.travel_m + beyond_m)
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         _shove_on(trial, on)
 
 

@@ -189,7 +189,7 @@ def bring_within(trial: SkillTrial, thing: str, inside_m: float) -> None:
 
 def fixed_bottoms(trial: SkillTrial) -> list[str]:
     """Return the bottoms of the goal that nobody can move."""
-    return [on.bottom for on in trial.goal.conjuncts if kind_of(on.bottom).fixed]
+    return [on.bottom for on in trial.goal.placements if kind_of(on.bottom).fixed]
 
 
 _STEPS = 16
@@ -276,9 +276,9 @@ def carry_on_stick(trial: SkillTrial) -> None:
     """Lays a cube on the stick, and carries it farther than the hand."""
     require_stick(trial, (END_GRASP,))
     limit_m = trial.reach.travel_m + LONGEST_M + 0.1
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         trial.require_near(on.bottom, limit_m)
-    for on in trial.goal.conjuncts:
+    for on in trial.goal.placements:
         _carry(trial, on)
 
 
