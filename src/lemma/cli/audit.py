@@ -46,8 +46,7 @@ def audit(
     Args:
         tasks: Names of tasks, separated by commas.
         suite: Suite of which all tasks are attacked where none are named.
-        split: Frozen list of instances; or free, which samples them and needs
-            --episodes.
+        split: Frozen list; or free, which samples instances and needs --episodes.
         episodes: Number of instances of every task; the whole list by default.
         start: Index of the first instance.
         level: Attacks with grounded sub-tasks, with motor commands, or both.

@@ -77,8 +77,7 @@ def generate(
         perturb: Make recovery states instead of demonstrations: each sub-task goes
             wrong with this probability, such as 0.3, and the expert's decision is
             recorded too.
-        perturb_seed: With --perturb: another seed makes other mistakes in the same
-            instances.
+        perturb_seed: With --perturb: another seed makes other mistakes.
         out: Folder of the recipe; data/lemma-v3 by default, and
             data/lemma-v3-recovery with --perturb.
         working: Options of the workers.

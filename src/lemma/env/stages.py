@@ -256,7 +256,7 @@ class StageWatch:
         if self._holds():
             return 1.0, len(plan) - 1, stages_of(plan[-1].primitive)[-1]
         # A goal that does not hold yet is not reached, whatever the plan said.
-        total = sum(len(stages_of(step.primitive)) for step in plan)
+        total = len([s for step in plan for s in stages_of(step.primitive)])
         return min(reached, total - 1) / total, last, stage
 
     def _before(self, plan: tuple[SubTask, ...], i: int) -> Iterator[int]:

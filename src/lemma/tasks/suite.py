@@ -5,8 +5,7 @@ import json
 from functools import lru_cache
 from importlib.resources import files
 
-import lemma.tasks.ladder
-import lemma.tasks.library  # noqa: F401 - adds the eight tasks
+import lemma.tasks.library  # noqa: F401 - adds all tasks
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
 from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance
