@@ -3,8 +3,8 @@
 Rungs of the ladder are *reach*: hold a hand over the named cube; *lift*: pick it up;
 *place*: put it on a pad that the same robot reaches; *hand_over*: the paper's *pass*,
 with one team and one sentence of each kind; then *pass*, *stack*, *poke* and *hook* as
-they are. On the first two, robot 0 alone can do it; from *place* on, it is open which of
-two robots can.
+they are. On the first two, robot 0 alone can do it; from *place* on, it is open which
+of two robots can.
 
 ``lift_fixed`` has the same robots in the same places in every instance, ``lift_varied``
 has them drawn as for the paper's tasks, and ``lift`` has objects besides that the goal
