@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lemma.scene.objects.palette import OBJECT_COLORS
     from lemma.tasks.instance import Instance
     from lemma.tasks.language.template import LanguageBank
-    from lemma.tasks.suite import SUITE, load_instance
+    from lemma.tasks.suite import SUITE, SUITES, load_instance
     from lemma.tasks.task import TASKS, Task
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "OBJECT_KINDS",
     "PRIMITIVES",
     "SUITE",
+    "SUITES",
     "TASKS",
     "ArmSpec",
     "Episode",
@@ -68,6 +69,7 @@ _HOMES = {
     "PRIMITIVES": "lemma.planning.primitives",
     "PrimitiveSpec": "lemma.planning.primitives",
     "SUITE": "lemma.tasks.suite",
+    "SUITES": "lemma.tasks.suite",
     "TASKS": "lemma.tasks.suite",
     "Task": "lemma.tasks.task",
     "evaluate": "lemma.evaluation.evaluation",
