@@ -14,6 +14,7 @@ from lemma.core.registry import Registry
 from lemma.core.robot_names import robot_name
 from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
+from lemma.env.goal_state import goal_state, goal_state_names
 from lemma.env.view import View
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
@@ -49,6 +50,9 @@ class Contents:
     """``map``: all cameras fused, from above; see :mod:`lemma.scene.raster`."""
     truth: bool = False
     """Poses of objects and robots, and the goal: not for a fair comparison."""
+    goal: bool = False
+    """``goal_state``: what each hand has to do with the goal, from the same truth; see
+    :mod:`lemma.env.goal_state`."""
 
     @property
     def renders(self) -> bool:
@@ -63,6 +67,7 @@ OBSERVATIONS.add("rgb", Contents(rgb=True))
 OBSERVATIONS.add("rgbd", Contents(rgb=True, depth=True))
 OBSERVATIONS.add("map", Contents(topdown=True))
 OBSERVATIONS.add("privileged", Contents(truth=True))
+OBSERVATIONS.add("goal_state", Contents(goal=True))
 
 
 TRUTH = ("objects", "present", "robots", "goal", "goal_poses")
@@ -118,6 +123,9 @@ class Observer:
         if self.contents.truth:
             for name, space in self._truth().items():
                 self.space[name] = space
+        if self.contents.goal:
+            most = np.full(len(goal_state_names(self._names)), _ROOM_M)
+            self.space["goal_state"] = _box(-most, most)
 
     def _joints(self) -> dict[str, spaces.Space[Any]]:
         count = len(self._robots)
@@ -204,6 +212,10 @@ class Observer:
         if self.contents.truth:
             objects = object_poses(scene)
             found.update(self.truth(objects, scene.spec, episode.instance.goal))
+        if self.contents.goal:
+            found["goal_state"] = self._fit(
+                "goal_state", goal_state(episode, self._names)
+            )
         return found
 
     def _locate_bases(self, scene: Scene) -> NDArray[np.float32]:

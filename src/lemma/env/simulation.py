@@ -20,6 +20,7 @@ from lemma.motion.skills import Skill, SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.coasting import CoastingState
+from lemma.scene.objects.contacts import LEFT, RIGHT
 from lemma.scene.overlaps import check_layout
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
@@ -371,15 +372,18 @@ class Simulation:
 
         An object is held when both finger pads of a gripper touch it.
         """
-        model, data = self.scene.model, self.scene.data
-        touching: dict[tuple[str, str], set[str]] = {}
-        for contact in data.contact[: data.ncon]:
-            for pad, other in (contact.geom, contact.geom[::-1]):
-                name = model.geom(pad).name
-                robot, _, part = name.partition("/")
-                if not part.startswith("pad_"):
-                    continue
-                entity = self.scene.entity_of_body(int(model.geom_bodyid[other]))
-                if entity is not None:
-                    touching.setdefault((robot, entity), set()).add(part)
-        return {r: entity for (r, entity), pads in touching.items() if len(pads) == 2}
+        scene = self.scene
+        contacts, parts = scene.data.contact.geom, scene.parts
+        touching: dict[tuple[int, str], int] = {}
+        # Asked at every step, and few contacts are those of pads.
+        for contact, side in np.argwhere(parts[contacts, 1] >= LEFT).tolist():
+            robot, pad = parts[contacts[contact, side]].tolist()
+            body = scene.model.geom_bodyid[contacts[contact, 1 - side]]
+            entity = scene.entity_of_body(int(body))
+            if entity is not None:
+                touching[robot, entity] = touching.get((robot, entity), 0) | pad
+        names = scene.spec.robot_names
+        both = LEFT | RIGHT
+        return {
+            names[r]: thing for (r, thing), pads in touching.items() if pads == both
+        }

@@ -36,7 +36,8 @@ class FlatView(
     - ``observation.images.NAME``, (height, width, 3) uint8: each camera's image.
     - ``observation.depth.NAME``, (height, width) float32 [m]: each camera's depth.
     - ``observation.environment_state``, (m,) float32: the truth, one part after the
-      other, if the environment was asked for it (``observation="privileged"``).
+      other, or the goal state, if the environment was asked for it
+      (``observation="privileged"`` or ``"goal_state"``).
 
     The instruction is left to ``info["instruction"]`` and ``task_description``, and the
     top-down map to the environment itself. The action is one vector, row after row of
@@ -105,6 +106,8 @@ class FlatView(
             found["observation.environment_state"] = _joined(
                 [space[name] for name in TRUTH]
             )
+        if "goal_state" in space.spaces:
+            found["observation.environment_state"] = space["goal_state"]
         return spaces.Dict(found)
 
     def flatten(self, observation: Observation) -> dict[str, NDArray[Any]]:
@@ -119,6 +122,8 @@ class FlatView(
             elif kind == "state":
                 rows = [np.ravel(observation[part]) for part in self._state]
                 found[key] = np.concatenate(rows).astype(np.float32)
+            elif "goal_state" in observation:
+                found[key] = observation["goal_state"]
             else:
                 found[key] = truth_vector(observation)
         return found

@@ -1,0 +1,132 @@
+"""A small state for learners: what each hand has to do with the goal, in numbers.
+
+It tells of the goal's first part that does not hold yet, or of the last if all do:
+where its object is from each hand, and where that belongs. Each robot has numbers of
+its own, in the frame of its hand: *forward* is horizontally away from the axis of the
+robot's base, *left* is to the left of that, *up* is up. In this frame the same motion
+has the same numbers all round a base.
+
+It is computed from the true state. Of a stick it says nothing, so *poke* and *hook*
+cannot be learned from it alone.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.poses import FloatArray
+from lemma.env.episode import Episode
+from lemma.scene.objects.entity import kind_of
+from lemma.scene.scene import Scene
+from lemma.tasks.goal import LIFTED_M, Goal, Lifted, On, Predicate, Reached
+
+NUMBERS = (
+    "reach",
+    "height",
+    "tilt_forward",
+    "tilt_left",
+    "opening",
+    "holds",
+    "object_forward",
+    "object_left",
+    "object_up",
+    "object_turn",
+    "place_forward",
+    "place_left",
+    "place_up",
+)
+"""The numbers of one robot.
+
+``reach``: distance of the tool centre point from the axis of the base [m].
+``height``: its height above the table [m].
+``tilt_forward``, ``tilt_left``: horizontal part of the unit vector along which the
+gripper points; zeros when it points down.
+``opening``: distance between the fingers [m].
+``holds``: 1 if both of them touch the object, else 0.
+``object_forward``, ``object_left``, ``object_up``: from the tool centre point to where
+the object is grasped [m].
+``object_turn``: by how much the gripper is to be turned about the vertical, counter-
+clockwise seen from above, for its fingers to close along the object [rad].
+``place_forward``, ``place_left``, ``place_up``: from the object to where it belongs
+[m]: on the goal's bottom, or above it, by what is missing, if it is to be lifted; zeros
+if a hand is to be held over it.
+"""
+
+
+def goal_state_names(robots: Sequence[str]) -> tuple[str, ...]:
+    """Return what each number of a goal state is: ``"robot_0.reach"``, ..."""
+    return tuple(f"{robot}.{number}" for robot in robots for number in NUMBERS)
+
+
+def goal_state(episode: Episode, robots: Sequence[str]) -> NDArray[np.float32]:
+    """Return the goal state of some robots, (13 n,).
+
+    Args:
+        episode: The episode.
+        robots: Names of the robots.
+
+    Returns:
+        The numbers of :func:`goal_state_names`.
+    """
+    simulation = episode.simulation
+    scene, goal = simulation.scene, episode.instance.goal
+    predicate = _present(goal, scene)
+    name = predicate.bottom if isinstance(predicate, Reached) else predicate.top
+    grasp, held = kind_of(name).grasp, simulation.held()
+    here = scene.position(name)
+    target, turn_rad = scene.pose2(name), 0.0
+    at = [*here]
+    if grasp is not None:
+        target, turn_rad = target @ grasp.at, grasp.turn_rad
+        at = [target.x, target.y, here[2] + grasp.height_m - kind_of(name).origin_m]
+    way = np.subtract(place_of(predicate, scene), here)
+    rows = []
+    for robot in robots:
+        arm = simulation.arms[robot]
+        tcp, base = arm.tcp_pose(), arm.robot.world_from_base
+        x, y = (tcp[:2, 3] - base[:2, 3]).tolist()
+        reach = math.hypot(x, y)
+        forward = (x / reach, y / reach) if reach else base[:2, 0].tolist()
+        turn = target.yaw - math.atan2(tcp[1, 0], tcp[0, 0])
+        rows += [
+            *(reach, tcp[2, 3], *_seen(tcp[:, 2], forward)[:2]),
+            *(scene.opening_m(arm.robot), float(held.get(robot) == name)),
+            *_seen(np.subtract(at, tcp[:3, 3]), forward),
+            math.remainder(turn, turn_rad) if turn_rad else 0.0,
+            *_seen(way, forward),
+        ]
+    return np.array(rows, np.float32)
+
+
+def place_of(predicate: Predicate, scene: Scene) -> tuple[float, float, float]:
+    """Return where a part of a goal wants its object's frame [m].
+
+    On its bottom; above where it is, as high as it is to be lifted; or where it is, if
+    a hand is to be held over it.
+    """
+    if isinstance(predicate, On):
+        x, y, z = scene.position(predicate.bottom)
+        upper, lower = kind_of(predicate.top), kind_of(predicate.bottom)
+        return (x, y, z + lower.top_m + upper.origin_m)
+    if isinstance(predicate, Lifted):
+        x, y, _ = scene.position(predicate.top)
+        return (x, y, kind_of(predicate.top).origin_m + LIFTED_M)
+    x, y, z = scene.position(predicate.bottom)
+    return (x, y, z)
+
+
+def _present(goal: Goal, scene: Scene) -> Predicate:
+    """Return the first part of a goal that does not hold, or the last."""
+    for predicate in goal.conjuncts[:-1]:
+        if not predicate.holds(scene):
+            return predicate
+    return goal.conjuncts[-1]
+
+
+def _seen(vector: FloatArray, forward: Sequence[float]) -> tuple[float, float, float]:
+    """Return a vector of the world as forward, left and up."""
+    x, y, z = vector[:3].tolist()
+    a, b = forward
+    return (a * x + b * y, a * y - b * x, z)
