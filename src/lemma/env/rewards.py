@@ -18,6 +18,7 @@ from collections.abc import Callable
 from lemma.core.registry import Registry
 from lemma.core.seeding import ordered_sum
 from lemma.env.episode import Episode
+from lemma.env.goal_state import place_of
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import HOVER_M, LIFTED_M, Lifted, Predicate, Reached
@@ -75,10 +76,9 @@ def _advance(
             height_m = min(max(at[2] - kind_of(on.top).origin_m, 0.0), LIFTED_M)
             share += 0.2 + 0.3 * height_m / LIFTED_M
         return share
-    top, bottom = scene.pose(on.top).position, scene.pose(on.bottom).position
-    upper, lower = kind_of(on.top), kind_of(on.bottom)
-    place = (bottom[0], bottom[1], bottom[2] + lower.top_m + upper.origin_m)
-    if _is_placed(top, place, lower.support_m or 0.0):
+    top, place = scene.pose(on.top).position, place_of(on, scene)
+    upper = kind_of(on.top)
+    if _is_placed(top, place, kind_of(on.bottom).support_m or 0.0):
         hand = _REACH + _GRASP + _LIFT
     else:
         hand = _REACH * nearness(min(math.dist(top, tcp) for tcp in hands))

@@ -1,0 +1,157 @@
+"""PPO learns to reach for a cube, or to lift it, on two cores; then it is tested.
+
+python examples/09_learn_to_lift.py [TASK] [STEPS] [EPISODES] [CURVE.png]
+
+TASK is a rung of the ladder on which robot 0 acts: reach_fixed, lift, ... Prints the
+learning curve, and for each degree of variation the success in the first EPISODES
+instances of the split test, judged as ``lemma evaluate`` judges. Needs
+Stable-Baselines3: pip install "lemma-bench[rl]".
+"""
+
+import sys
+import time
+from functools import partial
+from typing import Any
+
+import gymnasium
+import matplotlib as mpl
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+
+import lemma
+from lemma.env.goal_state import NUMBERS
+from lemma.tasks.names import DEGREES, rung_task
+
+UNITS = (1.0, 1.0, 1.0, 1.0, 0.1, 1.0, *[0.3] * 3, 0.5, *[0.3] * 3)
+"""What the numbers of a goal state are divided by."""
+NEAR_M = 0.05
+"""Ways as long as this are told apart well [m]."""
+REACH_STEPS = 40_960
+"""How long reaching is learned before lifting."""
+
+
+class Hand(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Robot 0 moves its hand forward, left, up, turns it, and closes its fingers."""
+
+    def __init__(self, task: str, split: str = "train", horizon_s: float = 8.0) -> None:
+        """Define the spaces: five numbers in [-1, 1], and the state of the hand."""
+        self.lemma = lemma.make(
+            task, split=split, observation="goal_state", control="delta_ee_pose",
+            control_hz=5, delta_position_m=0.08, delta_rotation_rad=0.5,
+            clip_actions=True, reward="dense", reward_discount=1.0,
+            horizon_s=horizon_s,
+        )  # fmt: skip
+        super().__init__(self.lemma)
+        self.action_space = Box(-1.0, 1.0, (5,))
+        self.observation_space = Box(-np.inf, np.inf, (len(NUMBERS) + 6,))
+
+    def look(self, observation: dict[str, Any]) -> NDArray[np.float32]:
+        """Return the state of the hand, and its ways once more, magnified nearby."""
+        x, y = observation["tcp_pose"][:2] - observation["base_pose"][:2]
+        self.forward = np.array([x, y]) / np.hypot(x, y)
+        state = observation["goal_state"][: len(NUMBERS)]
+        ways = [NUMBERS.index("object_forward"), NUMBERS.index("place_forward")]
+        near = [np.tanh(state[way : way + 3] / NEAR_M) for way in ways]
+        return np.concatenate([state / np.array(UNITS, np.float32), *near])
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        """Set the table."""
+        observation, info = self.env.reset(**options)
+        return self.look(observation), info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Move one hand; the other robots stay where they are."""
+        forward, left, up, turn, grip = np.clip(action, -1.0, 1.0)
+        rows = np.zeros(self.lemma.action_layout.shape)
+        ahead, aside = self.forward, np.array([-self.forward[1], self.forward[0]])
+        rows[0, :2] = forward * ahead + left * aside
+        rows[0, 2], rows[0, 5:] = up, (turn, grip)
+        observation, reward, terminated, truncated, info = self.lemma.step(rows)
+        # The end of its time counts, so it is no truncation: the return is then how far
+        # the hand has come, and a policy that stays where it is earns nothing.
+        over = terminated or truncated
+        return self.look(observation), 4.0 * reward, over, False, info
+
+
+class Curve(BaseCallback):
+    """Prints and keeps how many of the last 100 episodes succeeded."""
+
+    def __init__(self, every: int) -> None:
+        """Keep how many steps lie between two points."""
+        super().__init__()
+        self.every, self.began_s = every, time.process_time()
+        self.points: list[tuple[int, float]] = []
+
+    def _on_step(self) -> bool:
+        found = self.model.ep_success_buffer
+        if self.num_timesteps // self.every > len(self.points) and found:
+            rate, seconds = float(np.mean(found)), time.process_time() - self.began_s
+            self.points.append((self.num_timesteps, rate))
+            spent = f"{self.num_timesteps} steps, {seconds:.0f} s of processor time"
+            print(f"{spent}: {rate:.0%}", flush=True)
+        return True
+
+    def draw(self, path: str, title: str) -> None:
+        """Write a picture of the curve."""
+        mpl.use("Agg")
+        from matplotlib import pyplot as plt  # noqa: PLC0415
+
+        figure, axes = plt.subplots(figsize=(5.0, 3.0))
+        axes.plot(*zip(*self.points, strict=True))
+        axes.set(xlabel="environment steps", ylabel="success", ylim=(0.0, 1.0))
+        axes.set_title(title)
+        figure.savefig(path, dpi=100, bbox_inches="tight")
+
+
+def test(model: PPO, task: str, episodes: int) -> float:
+    """Return the share of test instances that a policy solves in 100 s each."""
+    env, solved = Hand(task, "test", 100.0), 0
+    for index in range(episodes):
+        observation, info = env.reset(options={"index": index})
+        done = False
+        while not done:
+            action, _ = model.predict(observation, deterministic=True)
+            observation, _, done, _, info = env.step(action)
+        solved += bool(info["is_success"])
+    return solved / episodes
+
+
+if __name__ == "__main__":
+    defaults = ("lift_fixed", "110000", "60", "")
+    given = sys.argv[1:]
+    task, steps, episodes, curve = (*given, *defaults[len(given) :])
+    torch.set_num_threads(1)
+    model = PPO(
+        "MlpPolicy",
+        make_vec_env(partial(Hand, task), n_envs=4, seed=0),
+        n_steps=128,
+        batch_size=128,
+        learning_rate=1e-3,
+        gamma=0.97,
+        policy_kwargs={"log_std_init": -0.5},
+        seed=0,
+        device="cpu",
+    )
+    points = Curve(every=min(int(steps), 4096))
+    if task.startswith("lift"):
+        # The hand learns the way first, then what to do there.
+        lifting = model.get_env()
+        first = task.replace("lift", "reach")
+        model.set_env(make_vec_env(partial(Hand, first), n_envs=4, seed=0))
+        model.learn(min(REACH_STEPS, int(steps) // 2), callback=points)
+        print(f"now {task}")
+        model.set_env(lifting)
+    left = int(steps) - model.num_timesteps
+    model.learn(left, callback=points, reset_num_timesteps=False)
+    print(f"{time.process_time():.0f} s of processor time")
+    for degree in DEGREES:
+        name = rung_task(task.split("_")[0], degree)
+        share = test(model, name, int(episodes))
+        print(f"{name}, test: {share:.1%} of {episodes}", flush=True)
+    if curve:
+        points.draw(curve, task)
