@@ -89,7 +89,7 @@ def test_it_tells_of_the_first_part_of_a_goal_that_does_not_hold() -> None:
 
 def test_each_agent_has_its_own_numbers() -> None:
     env = lemma.parallel_env("lift", observation="goal_state", split="test", index=0)
-    both, _ = env.reset()
+    both: dict[str, Any] = env.reset()[0]
     for agent in env.agents:
         assert both[agent] in env.observation_space(agent)
         assert both[agent]["goal_state"].shape == (len(NUMBERS),)
@@ -98,7 +98,7 @@ def test_each_agent_has_its_own_numbers() -> None:
 def test_a_hand_that_follows_the_numbers_lifts_the_cube() -> None:
     env = make("lift_fixed", control="delta_ee_pose", control_hz=5, clip_actions=True)
     observation, info = env.reset()
-    done, held = False, []
+    done, held = False, list[float]()
     while not done and len(held) < 60:
         state = named(env, observation)
         x, y, z = world(env, 0, state, "object")
