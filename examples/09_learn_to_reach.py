@@ -24,7 +24,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
 import lemma
-from lemma.env.goal_state import NUMBERS
+from lemma.env.signals.goal_state import NUMBERS
 from lemma.tasks.names import DEGREES, rung_task
 
 UNITS = (1.0, 1.0, 1.0, 1.0, 0.1, 1.0, *[0.3] * 3, 0.5, *[0.3] * 3)

@@ -2,7 +2,7 @@
 
 An environment is one face of an :class:`~lemma.env.episode.Episode`. Rewards are
 sparse, 1 when the episode ends in success, else 0, or
-:mod:`dense <lemma.env.rewards>`; ``info["progress"]`` says how far the
+:mod:`dense <lemma.env.signals.rewards>`; ``info["progress"]`` says how far the
 episode has come.
 """
 
@@ -24,7 +24,7 @@ from lemma.env.observation import (
     Observer,
     object_poses,
 )
-from lemma.env.rewards import RewardMeter
+from lemma.env.signals.rewards import RewardMeter
 from lemma.env.view import View
 from lemma.scene.cameras import Camera, RgbImage
 from lemma.scene.rendering.renderer import Renderer

@@ -97,7 +97,7 @@ class EnvConfig:
     evaluation and not of split ``"train"``, ``"blind"``."""
     reward: str = "sparse"
     """How steps are rewarded; a name in
-    :data:`lemma.env.rewards.REWARDS`."""
+    :data:`lemma.env.signals.rewards.REWARDS`."""
     reward_discount: float = 0.99
     """The learner's discount gamma, which dense rewards are shaped for."""
     numeric_info: bool = False

@@ -14,7 +14,7 @@ from lemma.core.registry import Registry
 from lemma.core.robot_names import robot_name
 from lemma.env.camera_rig import CameraRig
 from lemma.env.episode import Episode
-from lemma.env.goal_state import goal_state, goal_state_names
+from lemma.env.signals.goal_state import goal_state, goal_state_names
 from lemma.env.view import View
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
@@ -52,7 +52,7 @@ class Contents:
     """Poses of objects and robots, and the goal: not for a fair comparison."""
     goal: bool = False
     """``goal_state``: what each hand has to do with the goal, from the same truth; see
-    :mod:`lemma.env.goal_state`."""
+    :mod:`lemma.env.signals.goal_state`."""
 
     @property
     def renders(self) -> bool:

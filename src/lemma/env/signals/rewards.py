@@ -18,7 +18,7 @@ from collections.abc import Callable
 from lemma.core.registry import Registry
 from lemma.core.seeding import ordered_sum
 from lemma.env.episode import Episode
-from lemma.env.goal_state import place_of
+from lemma.env.signals.goal_state import place_of
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import HOVER_M, LIFTED_M, Lifted, Predicate, Reached

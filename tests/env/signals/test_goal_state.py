@@ -8,8 +8,8 @@ from gymnasium.utils.env_checker import check_env
 
 import lemma
 from lemma.core.poses import Pose
-from lemma.env.goal_state import NUMBERS, goal_state_names
 from lemma.env.learning.flat_view import FlatView
+from lemma.env.signals.goal_state import NUMBERS, goal_state_names
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.pad import PAD_THICKNESS_M
 from lemma.tasks.goal import LIFTED_M

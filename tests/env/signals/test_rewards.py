@@ -14,7 +14,7 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose
 from lemma.env.base_env import LemmaEnv
 from lemma.env.episode import Episode
-from lemma.env.rewards import REWARDS, RewardMeter, goal_potential
+from lemma.env.signals.rewards import REWARDS, RewardMeter, goal_potential
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.tasks.suite import SUITE
 
