@@ -95,7 +95,7 @@ def test_a_folder_of_lists_has_a_manifest(
     lines = list(freeze(tmp_path / "frozen", tasks, ("val",), workers=1))
     assert [line.split(":")[0] for line in lines] == ["pass-val", "stack-val"]
     assert (
-        "2 instances, 1 tables rejected, 0 not solved by the expert, none broken"
+        "2 instances, 0 tables rejected, 0 not solved by the expert, none broken"
         in lines[0]
     )
     manifest = json.loads((tmp_path / "frozen" / MANIFEST).read_text())
