@@ -99,7 +99,11 @@ def test_images_are_only_where_asked_for() -> None:
         if not contents.renders
     }
     joints = {"agent_pos", "agent_vel", "tcp_pose", "base_pose", "instruction"}
-    assert keys == {"state": joints, "privileged": joints | {*TRUTH}}
+    assert keys == {
+        "state": joints,
+        "privileged": joints | {*TRUTH},
+        "goal_state": joints | {"goal_state"},
+    }
 
 
 def test_every_number_of_the_truth_has_a_name_of_its_own() -> None:
