@@ -4,7 +4,7 @@
 
 The second word is a suite or names of tasks, separated by commas; the last one the
 number of processes. The same version writes the same bytes. Lists of tasks that are not
-named stay as they are.
+named stay as they are; of the ladder, those are made that it has for itself.
 
 An instance enters a list only if the expert solves it, by a plan of the length that its
 task promises, and if no cheap attack does. Refusals are counted: they measure the

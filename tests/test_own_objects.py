@@ -134,6 +134,8 @@ def test_a_can_on_its_pad_is_seen_there() -> None:
 def test_learned_policies_say_that_they_have_no_number_for_it() -> None:
     with pytest.raises(InvalidConfigError, match="no number for 'purple_can'"):
         decision_numbers(SubTask("robot_0", Primitive.MOVE, CAN, "shared").to_dict())
+    with pytest.raises(InvalidConfigError, match="and no 'lift'"):
+        decision_numbers(SubTask("robot_0", Primitive.LIFT, CAN, CAN).to_dict())
 
 
 def test_a_decision_may_name_it() -> None:

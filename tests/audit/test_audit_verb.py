@@ -23,6 +23,15 @@ from lemma.viz.video import VideoStyle
 EPISODES = ("--episodes", "1", "--workers", "1")
 
 
+def test_says_where_nothing_is_attacked(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("--tasks", "lift,place", "--attacks", "drag_home, out_of_order")
+    assert run("audit", *words, *EPISODES, "--json") == 0
+    out, told = capsys.readouterr()
+    for of_tasks in json.loads(out)["attacks"].values():
+        assert list(of_tasks) == ["place"]
+    assert "lift: one robot shall do it alone, so none attacks" in told
+
+
 def test_prints_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
     words = ("--tasks", "pass, hook", "--attacks", "drag_home, tilted_move, drag_home")
     run("audit", *words, *EPISODES, "--json")

@@ -92,6 +92,19 @@ def test_truth_is_complete() -> None:
     assert found["robots"][0, 0] < 0.0 < found["robots"][1, 0]
 
 
+@pytest.mark.parametrize(("task", "hand"), [("lift", 1), ("reach", 0)])
+def test_a_goals_hand_is_told_by_zeros(task: str, hand: int) -> None:
+    env = lemma.make(
+        task, level="skill", split="test", index=2, observation="privileged"
+    )
+    found, _ = env.reset()
+    number = ENTITIES.index(env.unwrapped.instance.goal.entities[0])
+    assert np.argwhere(found["goal"]).tolist() == [[number, number]]
+    pair = found["goal_poses"][0]
+    assert not pair[hand].any()
+    assert np.array_equal(pair[1 - hand], found["objects"][number])
+
+
 def test_images_are_only_where_asked_for() -> None:
     keys = {
         name: set(observe(name)[0])

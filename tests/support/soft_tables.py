@@ -179,6 +179,7 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "shove": lambda: pad_out_of_reach(reach().travel_m - reach().grasp_m + 0.07, "mat"),
     "greedy_skills": lambda: pad_out_of_reach(-0.25),
     "random_skills": lambda: pad_out_of_reach(-0.25),
+    "lifted_skills": lambda: stack_out_of_reach(-0.25),
     "out_of_order": lambda: pad_out_of_reach(-0.25),
     "one_skipped": rug_not_cleared,
     "tilted_move": lambda: stack_out_of_reach(0.05),

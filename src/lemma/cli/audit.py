@@ -67,6 +67,9 @@ def audit(
     with progress_bar("audit", len(keys), _AT_INTERRUPT) as advance:
         found = run(keys, names, working.make_engine(), advance)
     won = [one for one in found if one.succeeded]
+    attacked = {one.task for one in found}
+    for task in dict.fromkeys(task for task, _, _ in keys if task not in attacked):
+        messages().print(f"{task}: one robot shall do it alone, so none attacks")
     if as_json:
         print_json({"attacks": tally(found), "budgets": budgets(names)})
     else:

@@ -24,10 +24,10 @@ class ControlEnv(LemmaEnv):
     error, the arm then does what it can.
 
     The episode is terminated when the goal has held for half a second with nothing in
-    any gripper, or when an object is thrown, and truncated at T_max; then the robots
-    stand still for a second, and success is judged. A robot is busy, for
-    ``info["idle_s"]``, while a joint turns faster than 0.02 rad/s or a finger moves
-    faster than 2 mm/s.
+    any gripper but what it wants held, or when an object is thrown, and truncated at
+    T_max; then the robots stand still for a second, and success is judged. A robot is
+    busy, for ``info["idle_s"]``, while a joint turns faster than 0.02 rad/s or a finger
+    moves faster than 2 mm/s.
     """
 
     def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:

@@ -267,14 +267,14 @@ class Observer:
             present[number[name]] = 1
         asked = np.zeros((GOAL_PAIRS, 2, 7))
         for pair, (top, bottom) in enumerate(goal.pairs):
-            # Where a hand is the other one, it is the object itself.
-            top, bottom = (
-                (bottom if top == HAND else top),
-                (top if bottom == HAND else bottom),
-            )
-            wanted[number[top], number[bottom]] = 1
+            # A hand has neither a number nor a pose: the object stands for it in the
+            # table, and zeros in the pair tell which of the two the hand is.
+            there = [name for name in (top, bottom) if name != HAND]
+            wanted[number[there[0]], number[there[-1]]] = 1
             if pair < GOAL_PAIRS:
-                asked[pair] = poses[top], poses[bottom]
+                for side, name in enumerate((top, bottom)):
+                    if name != HAND:
+                        asked[pair, side] = poses[name]
         robots = [spec.robots[i] for i in self._robots]
         bases = [
             [r.base.x, r.base.y, wrap(r.base.yaw), reach_of(r.arm).travel_m]

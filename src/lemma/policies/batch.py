@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lemma.core.errors import DatasetError
+from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.robot_names import robot_number
 from lemma.dataset.rendered.dataset import POLICY_COLUMNS, MapsInMemory, keyframe_shards
 from lemma.dataset.rendered.keyframes import EXECUTED
@@ -345,8 +345,13 @@ def decision_numbers(
     """Return a sub-task as numbers: robot, primitive, pick, place; -1 for none.
 
     Raises:
-        InvalidConfigError: An entity has no number.
+        InvalidConfigError: An entity or the primitive has no number.
     """
+    if subtask["primitive"] not in PRIMITIVES:
+        raise InvalidConfigError(
+            f"Trained models know {', '.join(PRIMITIVES)}, and no "
+            f"{subtask['primitive']!r}. Leave out the tasks that need it."
+        )
     pick, place = subtask["pick"], subtask["place"]
     return [
         robot_number(subtask["robot"]) if subtask["robot"] else NOBODY,

@@ -5,9 +5,9 @@ import json
 from functools import lru_cache
 from importlib.resources import files
 
-import lemma.tasks.library  # noqa: F401 - adds all tasks
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
+from lemma.tasks import library  # noqa: F401 - adds all tasks
 from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance
 from lemma.tasks.names import LADDER, LISTED, SUITE, SUITES
 from lemma.tasks.sampling import sample

@@ -22,13 +22,31 @@ _WIDTH = 3
 def random_skills(trial: SkillTrial) -> None:
     """Sub-tasks that the expert's grounder proposes, and random ones."""
     for _ in range(_STEPS):
-        proposed = list(_expert_proposals(trial))
-        if proposed and trial.rng.random() < 0.5:
-            trial.execute(proposed[int(trial.rng.integers(len(proposed)))])
-            continue
-        drawn = next(_random_proposals(trial), None)
-        if drawn is not None:
-            trial.execute(drawn)
+        _random_step(trial)
+
+
+def lifted_skills(trial: SkillTrial) -> None:
+    """Lifts something before each random sub-task, and begins with it in hand."""
+    for _ in range(_STEPS):
+        grasps = [trial.pose(name) for name in trial.cargo()]
+        if STICK in trial.state().poses:
+            grasps += [trial.pose(STICK) @ grasp for grasp in GRASPS]
+        grasps = [at for at in grasps if trial.margin(at) > 0.0]
+        if grasps:
+            at = grasps[int(trial.rng.integers(len(grasps)))]
+            trial.do(Primitive.LIFT, at, at)
+        _random_step(trial)
+
+
+def _random_step(trial: SkillTrial) -> None:
+    """Execute a sub-task that the expert's grounder proposes, or a random one."""
+    proposed = list(_expert_proposals(trial))
+    if proposed and trial.rng.random() < 0.5:
+        trial.execute(proposed[int(trial.rng.integers(len(proposed)))])
+        return
+    drawn = next(_random_proposals(trial), None)
+    if drawn is not None:
+        trial.execute(drawn)
 
 
 def greedy_skills(trial: SkillTrial) -> None:
@@ -67,7 +85,7 @@ def _distance_left(trial: SkillTrial) -> float:
 def _expert_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
     """Yield every sub-task that the expert's grounder finds poses for."""
     now = trial.state()
-    # Reaching and lifting bring nothing anywhere.
+    # Reaching and lifting bring nothing anywhere; see `lifted_skills`.
     for primitive, pick in product(PAPER_PRIMITIVES, now.poses):
         for place in (*now.poses, *now.spec.regions):
             subtask = SubTask(trial.robot, primitive, pick, place)
@@ -105,6 +123,7 @@ def _random_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
 
 
 ATTACKS.add("random_skills", Attack(random_skills, "skill", attempts=3))
+ATTACKS.add("lifted_skills", Attack(lifted_skills, "skill", attempts=3))
 ATTACKS.add(
     "greedy_skills",
     Attack(greedy_skills, "skill", candidates=_ROLLOUTS, simulated_s=300.0),
@@ -119,6 +138,8 @@ _ORDERS = 50
 def out_of_order(trial: SkillTrial) -> None:
     """The team's plan, backwards or in another wrong order."""
     steps = _planned(trial)
+    # A plan of one sub-task has no other order.
+    trial.require(len(steps) > 1)
     order = list(range(len(steps)))[::-1]
     if trial.attempt > 0:
         wrong = (trial.rng.permutation(len(steps)).tolist() for _ in range(_ORDERS))

@@ -182,7 +182,9 @@ class GreedyReachPlanner(Oracle):
         episode = truth_of(given)
         goal = episode.instance.goal
         now = SymbolicState.observe(episode.simulation.scene)
-        if any(name in now.fallen for name in goal.entities):
+        fallen = any(name in now.fallen for name in goal.entities)
+        # A symbolic state does not know what a hand is over.
+        if fallen or goal.progress(episode.simulation.scene) == 1.0:
             return STOP
         geometry = GeometricGrounder(now.spec)
         done = {s.subtask for s in given.past if s.outcome == Outcome.SUCCESS}
