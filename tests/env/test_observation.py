@@ -98,7 +98,8 @@ def test_a_goals_hand_is_told_by_zeros(task: str, hand: int) -> None:
         task, level="skill", split="test", index=2, observation="privileged"
     )
     found, _ = env.reset()
-    number = ENTITIES.index(env.unwrapped.instance.goal.entities[0])
+    [cube] = lemma.load_instance(task, "test", 2).goal.entities
+    number = ENTITIES.index(cube)
     assert np.argwhere(found["goal"]).tolist() == [[number, number]]
     pair = found["goal_poses"][0]
     assert not pair[hand].any()

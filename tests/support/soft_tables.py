@@ -180,7 +180,7 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "greedy_skills": lambda: pad_out_of_reach(-0.25),
     "random_skills": lambda: pad_out_of_reach(-0.25),
     "lifted_skills": lambda: stack_out_of_reach(-0.25),
-    "out_of_order": lambda: pad_out_of_reach(-0.25),
+    "out_of_order": rug_not_cleared,
     "one_skipped": rug_not_cleared,
     "tilted_move": lambda: stack_out_of_reach(0.05),
     "rake": lambda: stack_out_of_reach(0.05),

@@ -9,7 +9,9 @@ from lemma.env.episode import Episode
 from lemma.env.stages import stages_of
 from lemma.evaluation.protocol.expert_times import expert_s, perturbed_start
 from lemma.evaluation.protocol.language_controls import control_of
+from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.expert.expert import Expert, solve
+from lemma.policies.spec import PolicySpec
 from lemma.scene.objects.entity import HAND, kind_of
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal, Lifted, On, Reached
@@ -105,6 +107,16 @@ def test_the_expert_broken_off_later_has_never_less_progress(task: str) -> None:
     stages = stages_of(Expert(Scene(instance.scene), instance.goal).act()[0].primitive)
     assert set(each) - {""} <= set(map(str, stages))
     assert len(set(each)) >= min(3, len(stages))
+
+
+@pytest.mark.parametrize("task", ["reach", "lift", "place"])
+def test_going_by_reach_solves_it_and_stops(task: str) -> None:
+    play = Rollout(load_instance(task, "test", 0))
+    for _ in roll_out([play], Player(PolicySpec("greedy-reach").load())):
+        pass
+    assert play.verdict().success
+    wanted = "move" if task == "place" else task
+    assert [str(step.subtask.primitive) for step in play.steps] == [wanted]
 
 
 def moment(task: str, index: int = 0) -> Episode:

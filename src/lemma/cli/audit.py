@@ -67,15 +67,20 @@ def audit(
     with progress_bar("audit", len(keys), _AT_INTERRUPT) as advance:
         found = run(keys, names, working.make_engine(), advance)
     won = [one for one in found if one.succeeded]
-    attacked = {one.task for one in found}
-    for task in dict.fromkeys(task for task, _, _ in keys if task not in attacked):
-        messages().print(f"{task}: one robot shall do it alone, so none attacks")
     if as_json:
         print_json({"attacks": tally(found), "budgets": budgets(names)})
     else:
         _print(tally(found))
         _print_budgets(budgets(names))
-    for one in won:
+    _tell(keys, found)
+    if videos is not None:
+        write_videos(won, videos)
+    return 1 if won else 0
+
+
+def _tell(keys: Sequence[tuple[str, str, int]], found: Sequence["Found"]) -> None:
+    """Say what succeeded, what became unstable, and where nothing was attacked."""
+    for one in (one for one in found if one.succeeded):
         messages().print(
             f"{one.task}/{one.split}/{one.index}: {one.attack} by {one.robot}, "
             f"attempt {one.attempt + 1}"
@@ -86,9 +91,9 @@ def audit(
                 f"{one.task}/{one.split}/{one.index}: {one.attack} made the physics "
                 f"unstable in {one.unstable} attempts, which count as failed"
             )
-    if videos is not None:
-        write_videos(won, videos)
-    return 1 if won else 0
+    attacked = {one.task for one in found}
+    for task in dict.fromkeys(task for task, _, _ in keys if task not in attacked):
+        messages().print(f"{task}: one robot shall do it alone, so none attacks")
 
 
 def _attacks(listed: str, level: str) -> tuple[str, ...]:

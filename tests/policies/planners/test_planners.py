@@ -332,13 +332,6 @@ def test_greedy_stops_where_something_is_lost_or_done() -> None:
     assert GreedyReachPlanner().plan([play.given(None, oracle)]) == [STOP]
 
 
-@pytest.mark.parametrize("task", ["reach", "lift"])
-def test_greedy_stops_where_a_hand_is_where_it_shall_be(task: str) -> None:
-    [play] = roll_out([rollout(task)], Player(PolicySpec("greedy-reach").load()))
-    assert play.verdict().success
-    assert [str(step.subtask.primitive) for step in play.steps] == [task]
-
-
 @pytest.mark.parametrize(
     "name",
     [
