@@ -1,8 +1,8 @@
 """Rendered keyframes as tensors on one device, and batches of them for every model."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,8 @@ class Batch:
     """Entities that have a number in decisions and labels; E of them."""
     labels: "Labels | None" = None
     """Decisions of the expert, and the truth; None when a policy is used."""
+    told: Mapping[str, Tensor] = field(default_factory=dict)
+    """Texts and names as tensors, as the model's ``told`` made them; empty if not."""
 
     def __len__(self) -> int:
         """Return the number of frames."""

@@ -6,6 +6,8 @@ make a decision depend on what else is decided at the same time.
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -34,6 +36,27 @@ class GroupNorm(nn.GroupNorm):
 def norm(channels: int) -> nn.GroupNorm:
     """Return the normalisation of a feature map."""
     return GroupNorm(max(1, channels // GROUP_CHANNELS), channels)
+
+
+def constant(values: tuple[Any, ...], device: torch.device) -> Tensor:
+    """Return fixed numbers as a tensor, made once for each device.
+
+    A GPU waits for numbers that come from the CPU, and they cannot be part of a
+    captured step (:class:`lemma.policies.training.captured.CapturedStep`).
+
+    Args:
+        values: Numbers, nested as the shape is.
+        device: Where they shall be.
+    """
+    # Whole numbers equal fractions as keys, and not as tensors.
+    return _constant(values, repr(values), device)
+
+
+@lru_cache(maxsize=256)
+def _constant(values: tuple[Any, ...], _: str, device: torch.device) -> Tensor:
+    # Cached, so they must not be inference tensors.
+    with torch.inference_mode(False):
+        return torch.tensor(values, device=device)
 
 
 class Network(nn.Module):

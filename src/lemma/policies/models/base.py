@@ -36,6 +36,10 @@ class Model(nn.Module, ABC):
     reads_outcomes: ClassVar[bool] = False
     """Whether it looks at how its sub-tasks ended; otherwise another robot tries a
     sub-task that one was refused (:class:`lemma.policies.compose.RetryingPlanner`)."""
+    of_fixed_shape: ClassVar[bool] = False
+    """Whether :meth:`loss` only computes with tensors whose shapes follow from the
+    number of frames: a GPU can then do a whole step at once
+    (:class:`lemma.policies.training.captured.CapturedStep`)."""
     former_names: ClassVar[Mapping[str, str]] = {}
     """Patterns of names of weights in files of earlier releases, and what takes the
     place of each."""
@@ -47,12 +51,22 @@ class Model(nn.Module, ABC):
         """Entities with a number in its batches: all that are known, or its choice."""
         return EntitySet.of(getattr(self.config, "entities", ()))
 
+    def told(self, batch: Batch) -> dict[str, Tensor]:
+        """Return what the loss needs of texts and names, as tensors.
+
+        It is made while the model works on the batch before, for ``batch.told``.
+
+        Args:
+            batch: With labels.
+        """
+        return {}
+
     @abstractmethod
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Return the terms of the loss, weighted: training minimises their sum.
 
         Args:
-            batch: With labels.
+            batch: With labels, with or without what :meth:`told` returned.
         """
 
     @abstractmethod

@@ -49,6 +49,10 @@ class Sentences(NamedTuple):
         return self.numbers != PADDING
 
 
+Texts = Sequence[str] | Sentences
+"""Texts, or what a reader has made of them before."""
+
+
 def groups_of(entities: EntitySet) -> tuple[list[int], dict[str, int]]:
     """Return the group of each entity but the stick, and each group's words.
 
@@ -86,8 +90,10 @@ class SentenceReader:
         """Return how many numbers there are."""
         return len(self.vocabulary) if self.groups is None else self.name + 1
 
-    def read(self, texts: Sequence[str], device: torch.device) -> Sentences:
+    def read(self, texts: Texts, device: torch.device) -> Sentences:
         """Return texts as numbers; with names, one without words is padding alone."""
+        if isinstance(texts, Sentences):
+            return texts
         told = torch.tensor([self._read(text) for text in texts])
         if device.type == "cpu":
             # Elsewhere one shape for all is faster than a small one.
@@ -237,7 +243,7 @@ class TextEncoder(WordEmbedding):
         )
         self.norm = nn.LayerNorm(config.width)
 
-    def encode(self, texts: Sequence[str]) -> tuple[Tensor, Tensor]:
+    def encode(self, texts: Texts) -> tuple[Tensor, Tensor]:
         """Return tokens (B, L, width), and which of them are words, (B, L) bool.
 
         There is at least one: a text without words is one unknown word.
@@ -255,7 +261,7 @@ class TextEncoder(WordEmbedding):
             tokens = layer(tokens, mask.unsqueeze(1))
         return self.norm(tokens), mask
 
-    def pooled(self, texts: Sequence[str]) -> Tensor:
+    def pooled(self, texts: Texts) -> Tensor:
         """Return one vector per text, (B, width): the mean of its tokens."""
         tokens, mask = self.encode(texts)
         weights = mask.unsqueeze(2).to(tokens.dtype)

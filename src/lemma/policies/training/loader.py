@@ -7,7 +7,7 @@ those of a control.
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -89,6 +89,10 @@ class FrameSource:
         return math.floor(steps * self.order.batch_size * self.share + 1e-6)
 
 
+def _nothing(_: Batch) -> dict[str, Tensor]:
+    return {}
+
+
 class BatchLoader:
     """Makes the batch of any step."""
 
@@ -100,6 +104,7 @@ class BatchLoader:
         config: TrainingConfig,
         device: torch.device,
         recovery: FrameSource | None = None,
+        told: Callable[[Batch], dict[str, Tensor]] = _nothing,
     ) -> None:
         """Prepare nothing yet.
 
@@ -110,10 +115,11 @@ class BatchLoader:
             config: Options of the training run.
             device: Where batches shall be.
             recovery: Recovery states to mix in, if any.
+            told: Returns what the model needs of texts and names, as tensors.
         """
         self._recovery, self._episodes = recovery, len(frames.episodes)
         self._frames, self._units, self._order = frames, units, order
-        self._config, self._device = config, device
+        self._config, self._device, self._told = config, device, told
 
     def make(self, step: int) -> Batch:
         """Return the batch of a step."""
@@ -125,7 +131,8 @@ class BatchLoader:
         batch = with_instructions(
             batch, config.seed, draw, config.kinds, config.augmentation.paraphrases
         )
-        return with_language(batch, config.language, rng)
+        batch = with_language(batch, config.language, rng)
+        return replace(batch, told=self._told(batch))
 
     def _drawn(self, step: int) -> Batch:
         """Return the frames of a step as they are stored."""
@@ -183,8 +190,8 @@ class BatchLoader:
             if ready is not None:
                 now = torch.cuda.current_stream(self._device)
                 now.wait_event(ready)
-                for part in (batch, batch.labels):
-                    for tensor in vars(part).values():
+                for part in (vars(batch), vars(batch.labels), batch.told):
+                    for tensor in part.values():
                         if isinstance(tensor, Tensor):
                             # Else its memory would be reused while it is in use here.
                             tensor.record_stream(now)

@@ -147,7 +147,7 @@ class _Run:
     def go(self) -> TrainingReport:
         """Train to the end, or until somebody stops it."""
         config, trainer, source = self.config, self.trainer, self.data.train
-        how = self.order, config, self.team.device, self._mixed_in()
+        how = self.order, config, self.team.device, self._mixed_in(), trainer.model.told
         feed = BatchLoader(source, self.units, *how)
         first = trainer.step
         begun = self.so_far.elapsed_s

@@ -17,6 +17,7 @@ from lemma.core.seeding import stream
 from lemma.policies.batch import Batch, Frames
 from lemma.policies.layers import Network
 from lemma.policies.models.base import Model
+from lemma.policies.training.captured import CapturedStep
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup
 from lemma.policies.training.loader import with_instructions, with_language
@@ -65,12 +66,19 @@ class Trainer:
         self._averages = [old for old, _ in floats]
         self._values = [value for _, value in floats]
         self._counts = [pair for pair in pairs if not pair[0].is_floating_point()]
-        if config.compile:
+        if config.compile and team.device.type == "cuda":
             compile_parts(self.model)
         losses: Any = _Losses(self.model)
         if team.count > 1:
             losses = DistributedDataParallel(losses)
         self._losses = losses
+        self._captured: CapturedStep | None = None
+        self._captures = (
+            config.capture
+            and self.model.of_fixed_shape
+            and team.device.type == "cuda"
+            and team.count == 1
+        )
 
     def train(self, batch: Batch, progress: float) -> dict[str, Tensor]:
         """Do one step.
@@ -89,17 +97,35 @@ class Trainer:
         torch.manual_seed(seed_of(config.seed, self.step, self.team.rank))
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(config, self.step, progress)
-        with autocast(config, self.team.device):
-            terms: dict[str, Tensor] = self._losses(batch)
-        loss = torch.stack([term.float() for term in terms.values()]).sum()
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
+        told = self._captured_gradients(batch) if self._captures else None
+        if told is None:
+            self.optimizer.zero_grad(set_to_none=True)
+            told = self._gradients(batch)
         norm = nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         self.optimizer.step()
         self.step += 1
         self._average()
+        return {**told, "gradient": norm.detach()}
+
+    def _gradients(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the losses of a batch, and leave the gradients at the weights."""
+        with autocast(self.config, self.team.device):
+            terms: dict[str, Tensor] = self._losses(batch)
+        loss = torch.stack([term.float() for term in terms.values()]).sum()
+        loss.backward()  # type: ignore[no-untyped-call]
         told = {name: term.detach() for name, term in terms.items()}
-        return {**told, "loss": loss.detach(), "gradient": norm.detach()}
+        return {**told, "loss": loss.detach()}
+
+    def _captured_gradients(self, batch: Batch) -> dict[str, Tensor] | None:
+        """Return the same by a captured step; None where the batch does not fit."""
+        if self._captured is None:
+
+            def compute(static: Batch) -> dict[str, Tensor]:
+                self.optimizer.zero_grad(set_to_none=True)
+                return self._gradients(static)
+
+            self._captured = CapturedStep(compute, batch)
+        return self._captured(batch) if self._captured.fits(batch) else None
 
     @torch.no_grad()
     def _average(self) -> None:

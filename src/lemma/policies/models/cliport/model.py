@@ -41,7 +41,7 @@ from lemma.policies.models.cliport.networks import (
     place_cells,
 )
 from lemma.policies.models.grid import nearest_bins, read_at, wrapped, yaw_of
-from lemma.policies.text.encoder import TextConfig, TextEncoder
+from lemma.policies.text.encoder import Sentences, TextConfig, TextEncoder
 from lemma.scene.raster import Raster
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
@@ -72,6 +72,7 @@ class PickAndPlace(MapModel):
 
     # Spectra need memory.
     at_once = 16
+    of_fixed_shape = True
     former_names: ClassVar[Mapping[str, str]] = {r"_text\.reader\.": "_text."}
 
     def __init__(self, config: CLIPortConfig, extra: int = 0) -> None:
@@ -99,9 +100,16 @@ class PickAndPlace(MapModel):
         """Return the sentences that the model reads."""
         raise NotImplementedError
 
+    def told(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the words of the sentences as numbers."""
+        # Both encoders read alike.
+        words = self.pick_text.sentences.read(self.sentences(batch), self.device)
+        return {"words": torch.stack(words)}
+
     def look(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Return the picture, and the sentence as read for the pick and the place."""
-        texts = self.sentences(batch)
+        told = batch.told or self.told(batch)
+        texts = Sentences(*told["words"])
         # Means of many words are small; normalised, they have an effect sooner.
         to_pick, to_place = (
             F.layer_norm(encoder.pooled(texts), (self.config.text_width,))

@@ -26,7 +26,13 @@ from torch.nn import functional as F
 from lemma.core.arguments import Count, Depth, Extent, Share, Width, Widths
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import Batch
-from lemma.policies.layers import Network, ResidualBlock, norm, upsample_to
+from lemma.policies.layers import (
+    Network,
+    ResidualBlock,
+    constant,
+    norm,
+    upsample_to,
+)
 from lemma.policies.models.base import MapConfig
 from lemma.policies.models.grid import (
     Cells,
@@ -45,7 +51,8 @@ STRIDE = 4
 _FINER = 2
 """The pick has so many cells along a side of a cell of features."""
 IMAGE_CHANNELS = 8
-_SEMANTIC = (0, 1, 2, 6, 7)
+_SEMANTIC = (slice(0, 3), slice(6, 8))
+_SEMANTIC_CHANNELS = 5
 _HEIGHT_SCALES_M = (0.3, 0.05)
 _HEIGHT_LIMIT = 2.0
 _LOUDNESS = 3.0
@@ -210,7 +217,7 @@ class TwoStreams(Network):
         """
         super().__init__()
         self.spatial = Encoder(IMAGE_CHANNELS, widths)
-        self.semantic = Encoder(len(_SEMANTIC), widths)
+        self.semantic = Encoder(_SEMANTIC_CHANNELS, widths)
         self.enter = nn.Conv2d(widths[-1], widths[-1], 1)
         self.spatial_ups = nn.ModuleList()
         self.semantic_ups = nn.ModuleList()
@@ -238,7 +245,7 @@ class TwoStreams(Network):
         """
         image = image.contiguous(memory_format=torch.channels_last)
         spatial = self.spatial(image)
-        seen = self.semantic(image[:, _SEMANTIC])
+        seen = self.semantic(torch.cat([image[:, part] for part in _SEMANTIC], 1))
         where = spatial[-1]
         what = self.films[0](self.enter(seen[-1]), sentence)
         what = self.laterals[0](what, where)
@@ -484,8 +491,8 @@ class Zoom(nn.Module):
         """Return how wrong the corrections of places near the expert's are, (B,)."""
         tried = place
         if self.training:
-            noise = torch.rand_like(place) * 2.0 - 1.0
-            tried = place + noise * place.new_tensor([_NOISE_M, _NOISE_M, _NOISE_RAD])
+            most = constant((_NOISE_M, _NOISE_M, _NOISE_RAD), place.device)
+            tried = place + (torch.rand_like(place) * 2.0 - 1.0) * most
         found = self(seen, pick, tried, raster)
         yaw = wrapped(place[:, 2] - tried[:, 2]) / _UNIT_RAD
         wanted = torch.cat([_seen_from(tried, place[:, :2]) / _UNIT_M, yaw[:, None]], 1)

@@ -23,6 +23,7 @@ from lemma.policies.text.encoder import (
     NO_NAME,
     SentenceReader,
     Sentences,
+    Texts,
     WordEmbedding,
     groups_of,
 )
@@ -110,12 +111,12 @@ class GoalReader(WordEmbedding):
         self.register_buffer("group", group, persistent=False)
         self.register_buffer("kinds", kinds, persistent=False)
 
-    def forward(self, texts: Sequence[str]) -> Tensor:
+    def forward(self, texts: Texts) -> Tensor:
         """Return the log-probability of every goal, (B, goals)."""
         told = self.sentences.read(texts, self.alike.device)
         return self._scores(told)[0].log_softmax(-1)
 
-    def loss(self, texts: Sequence[str], goals: Tensor) -> Tensor:
+    def loss(self, texts: Texts, goals: Tensor) -> Tensor:
         """Return how unlikely the goals are held; a mean over sentences.
 
         Args:

@@ -13,6 +13,7 @@ from torch.nn import functional as F
 
 from lemma.policies.batch import NOBODY, PRIMITIVES, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, traits_of
+from lemma.policies.layers import constant
 from lemma.policies.models.reachnet.scene_table import (
     HALF_M,
     SceneTable,
@@ -140,7 +141,7 @@ class ReachNetGrounder(nn.Module):
         turn = _nearest_turn(table, at, (robot, primitive), yaw)
         bearing = utility.flatten(1).log_softmax(-1).view_as(utility).logsumexp(-1)
         travel = (place[:, :2] - pick[:, :2]).norm(dim=-1)
-        lengths = torch.tensor(TRAVELS_M, device=travel.device)
+        lengths = constant(TRAVELS_M, travel.device)
         length = (travel[:, None] - lengths).abs().argmin(-1)
         given = utility[rows, turn].log_softmax(-1)[rows, length]
         offset = at - place[:, :2]
@@ -179,8 +180,8 @@ class ReachNetGrounder(nn.Module):
         rows = torch.arange(len(table), device=robot.device)
         cube = place.clamp(max=table.cargo - 1)
         utility, bearings, poses = self._choices(table, robot, primitive, cube)
-        signs = torch.tensor(SIGNS, device=start.device)[_side(primitive)]
-        lengths = torch.tensor(TRAVELS_M, device=start.device)
+        signs = constant(SIGNS, start.device)[_side(primitive)]
+        lengths = constant(TRAVELS_M, start.device)
         steps = signs[:, None] * lengths
         ahead = torch.stack([bearings.cos(), bearings.sin()], -1)
         ends = poses[:, :, None] + steps[:, None, :, None] * ahead[:, :, None]
@@ -292,7 +293,7 @@ def _nearest_turn(
     robot, primitive = decision
     rows = torch.arange(len(table), device=robot.device)
     turn = yaw - straight(table, cube[:, None])[rows, robot, _side(primitive), 0]
-    turns = torch.tensor(TURNS_RAD, device=yaw.device)
+    turns = constant(TURNS_RAD, yaw.device)
     return (1 - torch.cos(turn[:, None] - turns)).argmin(-1)
 
 

@@ -21,6 +21,7 @@ from lemma.core.poses import Pose2
 from lemma.policies.batch import STOP, Batch, Labels
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, Insight, PolicyInput
+from lemma.policies.layers import constant
 from lemma.policies.models.base import MODELS, MapConfig, MapModel, subtask_of
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
@@ -55,6 +56,7 @@ from lemma.policies.models.reachnet.scene_table import (
     turned,
     turned_numbers,
 )
+from lemma.policies.text.encoder import Sentences
 from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
@@ -104,10 +106,12 @@ class ReachNet(MapModel):
 
     selection = "decision"
     former_names: ClassVar[Mapping[str, str]] = {
+        r"^eye\.(stem|down|lift|up)\.": r"eye.trunk.\1.",
         r"^(planner\.layers\.\d+\.hidden)\.0\.": r"\1_in.",
         r"^(planner\.layers\.\d+\.hidden)\.2\.": r"\1_out.",
     }
     reads_outcomes = True
+    of_fixed_shape = True
 
     def __init__(self, config: ReachNetConfig | None = None) -> None:
         """Make the weights.
@@ -125,18 +129,28 @@ class ReachNet(MapModel):
         self.planner = ReachNetPlanner(config.planner, config.robots, known)
         self.grounding = ReachNetGrounder(known)
 
+    def told(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the goals and the words of the instructions as numbers."""
+        assert batch.labels is not None
+        words = self.reader.sentences.read(batch.instructions, self.device)
+        return {
+            "goal": goal_numbers(batch.labels.goals, self.device, batch.entities),
+            "words": torch.stack(words),
+        }
+
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Return the terms of the loss."""
         labels = batch.labels
         assert labels is not None
         marks, coarse = self.eye(batch)
-        goal = goal_numbers(labels.goals, self.device, batch.entities)
-        reading = self.reader.loss(batch.instructions, goal)
+        told = batch.told or self.told(batch)
+        goal = told["goal"]
+        reading = self.reader.loss(Sentences(*told["words"]), goal)
         with torch.autocast(self.device.type, enabled=False):
             rings = self.eye.reach(coarse, batch, labels.bases[..., :2])
             known = self._true_rings(labels)
-            told = rings if known is None else known
-            truth = true_table(labels, told, batch.raster, batch.entities)
+            radii = rings if known is None else known
+            truth = true_table(labels, radii, batch.raster, batch.entities)
             seen = true_table(labels, rings, batch.raster, batch.entities)
             terms = self.eye.losses(marks, truth, batch)
             terms["reading"] = reading
@@ -157,8 +171,8 @@ class ReachNet(MapModel):
         from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
 
         found = [reach_of(name) for name in ARMS]
-        radii = torch.tensor([[r.inner_m, r.travel_m, r.grasp_m] for r in found])
-        return radii.to(self.device)[labels.arms]
+        radii = tuple((r.inner_m, r.travel_m, r.grasp_m) for r in found)
+        return constant(radii, self.device)[labels.arms]
 
     def _reach_loss(
         self, seen: SceneTable, known: Tensor | None, labels: Labels, batch: Batch
@@ -169,9 +183,8 @@ class ReachNet(MapModel):
             return 0.0 * (seen.rings.sum() + sum(unused))
         if known is None:
             return demonstrated_reach(seen, labels)
-        half = torch.tensor(
-            [batch.raster.columns, batch.raster.rows], device=self.device
-        ) * (batch.raster.cell_m / 2)
+        sides = constant((batch.raster.columns, batch.raster.rows), self.device)
+        half = sides * (batch.raster.cell_m / 2)
         share = torch.rand(len(batch), _REACH_POINTS, 2, device=self.device) * 2 - 1
         return reach_loss(seen, known, seen.bases, share * half)
 

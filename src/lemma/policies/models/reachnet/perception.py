@@ -15,7 +15,13 @@ from torch.nn import functional as F
 from lemma.core.arguments import Depth, Share, Width, Widths
 from lemma.policies.batch import Batch
 from lemma.policies.entities import BENCHMARK, EntitySet
-from lemma.policies.layers import ResidualBlock, norm, upsample_to
+from lemma.policies.layers import (
+    Network,
+    ResidualBlock,
+    constant,
+    norm,
+    upsample_to,
+)
 from lemma.policies.models.grid import Cells
 from lemma.policies.models.reachnet.scene_table import (
     COLUMNS,
@@ -73,6 +79,40 @@ class Marks:
     """H and W."""
 
 
+class _Trunk(Network):
+    """The U-Net: a picture to features of its cells, and the coarsest features."""
+
+    def __init__(self, config: PerceptionConfig) -> None:
+        super().__init__()
+        first = config.widths[0]
+        self.stem = nn.Sequential(
+            nn.Conv2d(_INPUTS, first, 3, padding=1, bias=False), norm(first), nn.SiLU()
+        )
+        self.down, wide = nn.ModuleList(), first
+        for level, width in enumerate(config.widths):
+            blocks = [ResidualBlock(wide, width, stride=1 if level == 0 else 2)]
+            blocks += [ResidualBlock(width, width) for _ in range(config.blocks - 1)]
+            self.down.append(nn.Sequential(*blocks))
+            wide = width
+        self.lift, self.up = nn.ModuleList(), nn.ModuleList()
+        for width in reversed(config.widths[:-1]):
+            self.lift.append(nn.Conv2d(wide, width, 1, bias=False))
+            self.up.append(ResidualBlock(width, width))
+            wide = width
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        x = self.stem(image)
+        kept = []
+        for down in self.down:
+            x = down(x)
+            kept.append(x)
+        coarse = kept.pop()
+        for lift, up in zip(self.lift, self.up, strict=True):
+            skip = kept.pop()
+            x = up(upsample_to(lift(x), skip) + skip)
+        return x, coarse
+
+
 class Perception(nn.Module):
     """Sees."""
 
@@ -93,20 +133,7 @@ class Perception(nn.Module):
         self.config, self.robots, self.entities = config, robots, entities
         self.folds = tuple(sorted(set(_folds(entities)) - {0})) or (1,)
         first = config.widths[0]
-        self.stem = nn.Sequential(
-            nn.Conv2d(_INPUTS, first, 3, padding=1, bias=False), norm(first), nn.SiLU()
-        )
-        self.down, wide = nn.ModuleList(), first
-        for level, width in enumerate(config.widths):
-            blocks = [ResidualBlock(wide, width, stride=1 if level == 0 else 2)]
-            blocks += [ResidualBlock(width, width) for _ in range(config.blocks - 1)]
-            self.down.append(nn.Sequential(*blocks))
-            wide = width
-        self.lift, self.up = nn.ModuleList(), nn.ModuleList()
-        for width in reversed(config.widths[:-1]):
-            self.lift.append(nn.Conv2d(wide, width, 1, bias=False))
-            self.up.append(ResidualBlock(width, width))
-            wide = width
+        self.trunk = _Trunk(config)
         marked = len(entities) + 1 + robots
         self.mark = nn.Conv2d(first, marked, 1)
         # As likely as all cells of a usual map together.
@@ -131,15 +158,7 @@ class Perception(nn.Module):
         Args:
             batch: Maps whose sides are multiples of ``STRIDE``.
         """
-        x = self.stem(_image(batch))
-        kept = []
-        for down in self.down:
-            x = down(x)
-            kept.append(x)
-        coarse = kept.pop()
-        for lift, up in zip(self.lift, self.up, strict=True):
-            skip = kept.pop()
-            x = up(upsample_to(lift(x), skip) + skip)
+        x, coarse = self.trunk(_image(batch))
         with torch.autocast(x.device.type, enabled=False):
             return self._marks(x.float()), coarse.float()
 
@@ -165,7 +184,7 @@ class Perception(nn.Module):
             bases: Where the robots are, (B, R, 2) [m].
         """
         raster = batch.raster
-        half = torch.tensor([raster.columns, -raster.rows], device=bases.device) * (
+        half = constant((raster.columns, -raster.rows), bases.device) * (
             raster.cell_m / 2
         )
         grid = (bases / half).clamp(-1.0, 1.0).unsqueeze(2)
@@ -176,8 +195,7 @@ class Perception(nn.Module):
             told = (torch.rand_like(told) >= self.config.joint_dropout).float()
         parts = [seen.transpose(1, 2), joints * told, told]
         share = self.ring(torch.cat(parts, -1)).sigmoid()
-        low = torch.tensor([low for low, _ in _RING_M], device=share.device)
-        high = torch.tensor([high for _, high in _RING_M], device=share.device)
+        low, high = constant(_RING_M, share.device).unbind(-1)
         inner, outer, more = (low + (high - low) * share).unbind(-1)
         return torch.stack([inner, outer, outer + more], -1)
 
@@ -202,7 +220,7 @@ class Perception(nn.Module):
         present, bases = present[:, :count], points[:, count + 1 :]
         xy = points[:, :count]
         cos, sin = self._turns(marks, _cells(batch).holding(xy)).unbind(2)
-        fold = torch.tensor(_folds(self.entities), device=xy.device)
+        fold = constant(_folds(self.entities), xy.device)
         along = points[:, count] - xy[:, self.entities.stick]
         yaw = torch.atan2(sin, cos) / fold.clamp(min=1)
         yaw = torch.where(fold > 0, yaw, 0.0)
@@ -228,8 +246,8 @@ class Perception(nn.Module):
             cell: Number of the cell of each, (B, E).
         """
         folds = _folds(self.entities)
-        which = [self.folds.index(fold) if fold else 0 for fold in folds]
-        chosen = marks.yaw[:, which]
+        which = tuple(self.folds.index(fold) if fold else 0 for fold in folds)
+        chosen = marks.yaw[:, constant(which, cell.device)]
         index = cell[:, :, None, None].expand(-1, -1, 2, 1)
         return chosen.gather(3, index).squeeze(3)
 
@@ -258,11 +276,11 @@ class Perception(nn.Module):
         )
         cells = _cells(batch)
         cell, place = cells.holding(xy), cells.continuous(xy)
-        limit = torch.tensor([cells.columns, cells.rows], device=xy.device)
+        limit = constant((cells.columns, cells.rows), xy.device)
         there = there & ((place >= 0) & (place < limit)).all(-1)
         target = torch.where(there, cell, marks.points.shape[2] - 1)
         found = -marks.points.gather(2, target[..., None])
-        fold = torch.tensor(_folds(self.entities), device=xy.device)
+        fold = constant(_folds(self.entities), xy.device)
         turn = self._turns(marks, cell[:, : len(self.entities)])
         wanted = fold * table.yaw
         wanted = torch.stack([wanted.cos(), wanted.sin()], -1)
@@ -367,11 +385,11 @@ def _top(batch: Batch, xy: Tensor) -> Tensor:
     return total / known.clamp(min=1.0)
 
 
-def _folds(entities: EntitySet) -> list[int]:
+def _folds(entities: EntitySet) -> tuple[int, ...]:
     """Return in how many ways each thing that is moved looks the same; 0 for any."""
-    return [
+    return tuple(
         round(math.tau / kind.grasp.turn_rad)
         if kind.cargo and kind.grasp and kind.grasp.turn_rad
         else 0
         for kind in entities.kinds
-    ]
+    )

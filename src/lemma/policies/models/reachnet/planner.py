@@ -17,7 +17,7 @@ from torch.nn import functional as F
 from lemma.core.arguments import Depth, Share, Width
 from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, decision_numbers
 from lemma.policies.entities import BENCHMARK, EntitySet
-from lemma.policies.layers import TransformerLayer, drawn
+from lemma.policies.layers import TransformerLayer, constant, drawn
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS, SceneTable
 from lemma.policies.models.reachnet.utility import SIGNS, DragUtility
 from lemma.tasks.subtask import SubTask
@@ -429,7 +429,7 @@ def drag_features(values: Tensor, count: int) -> Tensor:
 
 def tool_features(values: Tensor, table: SceneTable, use_reach: bool) -> Tensor:
     """Return the same for every sub-task with the stick, (B, 4, C, R, 7)."""
-    per = values.permute(0, 2, 3, 1, 4)[:, _SIDE_OF, :]
+    per = values.permute(0, 2, 3, 1, 4)[:, constant(_SIDE_OF, values.device)]
     margins = table.detached().margins(table.grasp.detach()[:, None]).squeeze(-1)
     if not use_reach:
         margins = torch.zeros_like(margins)
@@ -444,7 +444,7 @@ def nearness(table: SceneTable) -> Tensor:
     both = table.present[:, :, None] & table.present[:, None]
     offset = places[:, :, None] - places[:, None]
     apart = offset.norm(dim=-1)
-    centres = torch.tensor(_DISTANCES_M, device=apart.device)
+    centres = constant(_DISTANCES_M, apart.device)
     widths = 0.5 * centres.clamp(min=0.03)
     bumps = torch.exp(-(((apart[..., None] - centres) / widths) ** 2))
     top = table.top.detach()

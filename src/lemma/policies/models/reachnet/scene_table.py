@@ -330,7 +330,7 @@ def needed_entities(decision: Tensor, goal: Tensor, count: int) -> Tensor:
     named = torch.where((named < 0) | (named >= count), count, named)
     hot = torch.zeros(len(decision), count + 1, device=decision.device)
     hot.scatter_(1, named, 1.0)
-    hot[:, count - 1] = 1.0
+    hot[:, count - 1].fill_(1.0)
     return hot[:, :count] > 0
 
 

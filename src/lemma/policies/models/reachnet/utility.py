@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.policies.layers import constant
 from lemma.policies.models.grid import wrapped
 from lemma.policies.models.reachnet.scene_table import (
     BAR_M,
@@ -138,7 +139,7 @@ class DragUtility(nn.Module):
             (S, ..., 2) [m].
         """
         learned = _READY_UNIT_M * self.ready_units()
-        signs = torch.tensor(SIGNS, device=drag_m.device)
+        signs = constant(SIGNS, drag_m.device)
         extra = (1,) * drag_m.dim()
         ahead, across = learned.view(len(SIGNS), *extra, 2).unbind(-1)
         ahead = ahead + signs.view(-1, *extra) * drag_m
@@ -155,17 +156,16 @@ class DragUtility(nn.Module):
             cubes = torch.arange(table.cargo, device=table.xy.device)
             cubes = cubes.expand(len(table), -1)
         cube = table.xy.gather(1, cubes[..., None].expand(-1, -1, 2))
-        bearings = straight(table, cube).unsqueeze(-1) + torch.tensor(
-            TURNS_RAD, device=cube.device
-        )
+        turns = constant(TURNS_RAD, cube.device)
+        bearings = straight(table, cube).unsqueeze(-1) + turns
         ahead = torch.stack([bearings.cos(), bearings.sin()], -1)
         left = torch.stack([-ahead[..., 1], ahead[..., 0]], -1)
         ready = self.ready(table.traits.drag_m[cubes]).detach()
         ready = ready.movedim(0, 1)[:, None, :, :, None]
         at = cube[:, None, None, :, None]
         prepared = at - ready[..., :1] * ahead - ready[..., 1:] * left
-        signs = torch.tensor(SIGNS, device=cube.device)[:, None, None, None, None]
-        travel = torch.tensor(TRAVELS_M, device=cube.device)[:, None]
+        signs = constant(SIGNS, cube.device)[:, None, None, None, None]
+        travel = constant(TRAVELS_M, cube.device)[:, None]
         moves = signs * ahead.unsqueeze(-2) * travel
         end = prepared.unsqueeze(-2) + moves
         moved = moves * (1 - PREPARE_GAP_M / travel)
@@ -206,7 +206,7 @@ class DragUtility(nn.Module):
     def _able(self, constraints: Tensor) -> Tensor:
         sharp = self.sharpness().exp()[:, None, None, None]
         threshold = self.threshold()[:, None, None, None]
-        scales = torch.tensor(_SCALES_M, device=constraints.device)
+        scales = constant(_SCALES_M, constraints.device)
         soft = F.logsigmoid(sharp * (constraints / scales - threshold))
         if not self.use_reach:
             soft = soft[..., _OF_REACH:]
@@ -218,8 +218,8 @@ class DragUtility(nn.Module):
         weights = self.weights().exp()[:, None, None, None]
         quality = torch.minimum(constraints[..., _RECEIVER] / _SCALE_M, enough)
         quality = quality * float(self.use_reach)
-        length = torch.tensor(TRAVELS_M, device=device) / _SCALE_M
-        turn = torch.tensor(TURNS_RAD, device=device).abs()[:, None]
+        length = constant(TRAVELS_M, device) / _SCALE_M
+        turn = constant(TURNS_RAD, device).abs()[:, None]
         worth: Tensor = (
             weights[..., 0] * quality
             - weights[..., 1] * length
@@ -250,8 +250,8 @@ def _room(
     offset = things[:, None, None, None, None] - prepared.unsqueeze(-2)
     u = (offset * ahead.unsqueeze(-2)).sum(-1)[..., None, :]
     v = (offset * left.unsqueeze(-2)).sum(-1)[..., None, :]
-    signs = torch.tensor(SIGNS, device=device)[:, None, None, None, None]
-    travel = torch.tensor(TRAVELS_M, device=device)[:, None] * signs
+    signs = constant(SIGNS, device)[:, None, None, None, None]
+    travel = constant(TRAVELS_M, device)[:, None] * signs
     back, forth = travel.clamp(max=0.0), travel.clamp(min=0.0)
     stick = swept_distance(u, v, back, forth) - radii
     moved = travel - signs * PREPARE_GAP_M
