@@ -1,5 +1,9 @@
 """`lemma bench`: the benchmark's own figures, measured here."""
 
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -64,6 +68,15 @@ _POLICY_TARGETS = {
     "success_rate": ("success in these episodes", "{:.0%}", ""),
     "peak_mb": ("memory of a process that plays", "{:.0f} MB", "< 1500 MB"),
 }
+_TRAINING_TARGETS = {
+    "samples_per_s": ("frames, or episodes, per second", "{:.0f}", ""),
+    "frames_per_s": ("frames per second", "{:.0f}", ""),
+    "gpu_busy": ("share of the time in which the GPU works", "{:.0%}", "≥ 80 %"),
+    "gpu_memory_gb": ("memory of the GPU", "{:.1f} GB", ""),
+    "start_s": ("until training is at full speed", "{:.0f} s", ""),
+    "eager_samples_per_s": ("without capture and compiler", "{:.0f}", ""),
+    "eager_gpu_busy": ("share of the time in which the GPU works", "{:.0%}", ""),
+}
 _GROUPS = {
     "speed": (f"Speed (first {{each}} of split {_SPLIT!r} per task)", _TARGETS),
     "loop": (
@@ -75,6 +88,7 @@ _GROUPS = {
         _CONTROL_TARGETS,
     ),
     "policy": ("Policy {policy}", _POLICY_TARGETS),
+    "training": ("Training of {training}", _TRAINING_TARGETS),
 }
 _EXPERT_FORMS = {
     "episodes": ("episodes", "{:.0f}"),
@@ -94,6 +108,12 @@ def bench(
     policy: Annotated[
         str | None, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")
     ] = None,
+    training: Annotated[
+        str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="")
+    ] = None,
+    data: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Measure speed, memory and, if asked to, the expert's success.
@@ -105,22 +125,19 @@ def bench(
         workers: Processes for the expert; one per core by default.
         policy: Measure instead how fast this policy decides, and how much memory it
             needs.
+        training: Measure instead how fast this model learns, and how busy the GPU is.
+        data: With --training: folder of keyframes that lemma render wrote.
         as_json: Print one JSON object on the output, and the progress elsewhere.
     """
     names = tuple(TASKS[name].name for name in dict.fromkeys(tasks)) or SUITE
-    if not 1 <= episodes <= SPLITS[_SPLIT] or (workers is not None and workers < 1):
-        raise InvalidConfigError(
-            f"--episodes goes from 1 to {SPLITS[_SPLIT]}, the length of the frozen "
-            f"list, and --workers from 1 up; not {episodes} and {workers}."
-        )
-    if policy is not None and expert:
-        raise InvalidConfigError(
-            "--policy and --expert measure different things. Name one of them."
-        )
+    _check_options(expert, episodes, workers, policy, training, data)
     each = min(episodes, _SPEED_EPISODES)
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
-    if policy is not None:
+    if training is not None and data is not None:
+        with messages().status(f"Training {training} for some steps ..."):
+            found = {"training": _measure_training(training, data)}
+    elif policy is not None:
         with messages().status(f"Playing {len(instances)} episodes ..."):
             found = {"policy": measure_policy(policy, instances)}
     else:
@@ -133,17 +150,62 @@ def bench(
     experts = _measure_expert(names, episodes, workers) if expert else {}
     if as_json:
         told: dict[str, object] = {n: _rounded(of) for n, of in found.items()}
-        if policy is None:
+        if policy is None and training is None:
             told["expert"] = {task: _rounded(of) for task, of in experts.items()}
         print_json({"machine": machine, **told})
         return 0
     output().print(", ".join(f"{key} {value}" for key, value in machine.items()))
+    told_of = {"policy": policy, "training": training, "each": each}
     for name, figures in found.items():
-        title, targets = _GROUPS[name]
-        print_figures(figures, targets, title.format(policy=policy, each=each))
+        _print_group(name, figures, told_of)
     if experts:
         _print_experts(experts)
     return 0
+
+
+def _print_group(name: str, figures: Figures, told: Mapping[str, object]) -> None:
+    title, targets = _GROUPS[name]
+    # Of training on a CPU there are fewer figures.
+    measured = {n: form for n, form in targets.items() if n in figures}
+    print_figures(figures, measured, title.format(**told))
+
+
+def _check_options(
+    expert: bool,
+    episodes: int,
+    workers: int | None,
+    policy: str | None,
+    training: str | None,
+    data: Path | None,
+) -> None:
+    if not 1 <= episodes <= SPLITS[_SPLIT] or (workers is not None and workers < 1):
+        raise InvalidConfigError(
+            f"--episodes goes from 1 to {SPLITS[_SPLIT]}, the length of the frozen "
+            f"list, and --workers from 1 up; not {episodes} and {workers}."
+        )
+    if (policy is not None) + (training is not None) + expert > 1:
+        raise InvalidConfigError(
+            "--policy, --training and --expert measure different things. Name one of "
+            "them."
+        )
+    if (training is None) != (data is None):
+        raise InvalidConfigError(
+            "--training MODEL and --data DIR belong together: name both of them."
+        )
+
+
+def _measure_training(model: str, data: Path) -> Figures:
+    # It imports torch, which is an extra.
+    from lemma.policies.training.config import TrainingConfig
+    from lemma.policies.training.speed import measure_training
+
+    config = TrainingConfig(model, data, data / "unused")
+    found = measure_training(config)
+    if math.isnan(found["gpu_busy"]):
+        return {name: found[name] for name in ("samples_per_s", "frames_per_s")}
+    plain = measure_training(replace(config, compile=False, capture=False))
+    names = ("samples_per_s", "gpu_busy")
+    return found | {f"eager_{name}": plain[name] for name in names}
 
 
 def _measure_expert(

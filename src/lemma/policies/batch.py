@@ -238,7 +238,7 @@ class Frames:
         coverage = height != 0
         height_m = height.float() * UNIT_M + (self.raster.floor_m - UNIT_M)
         tensors = {name: tensor[rows] for name, tensor in self._tensors.items()}
-        seen = {name: tensors.pop(name) for name in (*_SEEN, "past")}
+        seen: dict[str, Any] = {n: tensors.pop(n) for n in (*_SEEN, "past")}
         lists = {name: [v[i] for i in listed] for name, v in self._lists.items()}
         batch = with_sub_instructions(
             Batch(

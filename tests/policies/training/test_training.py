@@ -1,4 +1,5 @@
 import json
+import math
 import os
 import signal
 import subprocess
@@ -28,6 +29,7 @@ from lemma.policies.training.distributed import ProcessGroup
 from lemma.policies.training.loader import BatchLoader, Sampler
 from lemma.policies.training.loop import train
 from lemma.policies.training.run import training_units
+from lemma.policies.training.speed import measure_training
 from lemma.policies.training.step import Trainer, learning_rate
 from lemma.policies.weights_file import read_metadata
 
@@ -66,6 +68,15 @@ def test_a_batch_is_wholly_on_the_device_that_is_asked_for(
             elif name != "labels":
                 assert value == getattr(other, name)
     assert seen > 10
+
+
+def test_speed_is_measured_and_nothing_is_written(data: Path, tmp_path: Path) -> None:
+    found = measure_training(config(data, tmp_path / "none"))
+    assert found["samples_per_s"] > 0
+    assert found["frames_per_s"] >= found["samples_per_s"]
+    # There is no GPU to be busy.
+    assert math.isnan(found["gpu_busy"])
+    assert not list(tmp_path.iterdir())
 
 
 def weights(out: Path) -> dict[str, torch.Tensor]:

@@ -111,6 +111,13 @@ def wrapped(angle: Tensor) -> Tensor:
     return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
 
 
+def seen_from(pose: Tensor, xy_m: Tensor) -> Tensor:
+    """Return positions ahead and to the left of poses [m], (B, 2)."""
+    x, y = (xy_m - pose[:, :2]).unbind(1)
+    cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
+    return torch.stack([cos * x + sin * y, cos * y - sin * x], 1)
+
+
 def bin_yaws(bins: int, device: torch.device | None = None) -> Tensor:
     """Return the yaws in the middle of bins of a whole turn [rad], (bins,)."""
     return torch.arange(bins, device=device) * (2 * math.pi / bins)

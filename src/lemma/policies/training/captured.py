@@ -4,7 +4,7 @@ A step of a small network is thousands of short kernels, and starting each one f
 Python takes longer than it runs. A captured step is started at once.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from typing import Any, TypeVar
 
@@ -32,7 +32,7 @@ class CapturedStep:
                 weights. It looks at no text and no name, and waits for no result.
             batch: Any batch, with labels and ``told``.
         """
-        self.batch = _copied(batch)
+        self.batch = without_texts(batch, batch.told)
         device = batch.rgb.device
         beside = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
         beside.wait_stream(torch.cuda.current_stream(device))
@@ -58,11 +58,16 @@ class CapturedStep:
         return {name: term.clone() for name, term in self.terms.items()}
 
 
-def _copied(batch: Batch) -> Batch:
-    """Return a batch with tensors of its own, and without any text or name."""
+def without_texts(batch: Batch, told: Mapping[str, Tensor]) -> Batch:
+    """Return a batch with tensors of its own, and without any text or name.
+
+    Args:
+        batch: With labels.
+        told: What a model made of its texts and names.
+    """
     assert batch.labels is not None
-    told = {name: value.clone() for name, value in batch.told.items()}
-    return replace(_bare(batch), labels=_bare(batch.labels), told=told)
+    own = {name: value.clone() for name, value in told.items()}
+    return replace(_bare(batch), labels=_bare(batch.labels), told=own)
 
 
 def _bare(record: _Record) -> _Record:

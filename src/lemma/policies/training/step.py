@@ -67,7 +67,8 @@ class Trainer:
         self._values = [value for _, value in floats]
         self._counts = [pair for pair in pairs if not pair[0].is_floating_point()]
         if config.compile and team.device.type == "cuda":
-            compile_parts(self.model)
+            # Where shapes are fixed, kernels for other shapes take long and are slower.
+            compile_parts(self.model, False if self.model.of_fixed_shape else None)
         losses: Any = _Losses(self.model)
         if team.count > 1:
             losses = DistributedDataParallel(losses)
@@ -152,17 +153,22 @@ class Trainer:
         self.optimizer.load_state_dict(state["optimizer"])
 
 
-def compile_parts(module: nn.Module) -> None:
+def compile_parts(module: nn.Module, dynamic: bool | None = None) -> None:
     """Compile the parts of a model that are networks of tensors.
 
     Sentences and numbers of things are constants to the compiler: whole models would
     be compiled anew for every batch.
+
+    Args:
+        module: The model.
+        dynamic: Whether kernels shall be for all shapes; where they are compiled for a
+            second shape if None.
     """
     for part in module.children():
         if isinstance(part, Network):
-            part.compile()
+            part.compile(dynamic=dynamic)
         else:
-            compile_parts(part)
+            compile_parts(part, dynamic)
 
 
 def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:

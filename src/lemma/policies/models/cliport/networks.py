@@ -40,6 +40,7 @@ from lemma.policies.models.grid import (
     correlate,
     crop_about,
     read_at,
+    seen_from,
     turned,
     wrapped,
 )
@@ -51,8 +52,7 @@ STRIDE = 4
 _FINER = 2
 """The pick has so many cells along a side of a cell of features."""
 IMAGE_CHANNELS = 8
-_SEMANTIC = (slice(0, 3), slice(6, 8))
-_SEMANTIC_CHANNELS = 5
+_SEMANTIC = 5
 _HEIGHT_SCALES_M = (0.3, 0.05)
 _HEIGHT_LIMIT = 2.0
 _LOUDNESS = 3.0
@@ -62,7 +62,7 @@ _READ_WIDTH = 128
 _FIRST_SCALE = 1 / 16
 _FAR_M = 0.5
 _UNIT_M, _UNIT_RAD = 0.03, math.radians(15.0)
-_NOISE_M, _NOISE_RAD = 0.03, math.radians(10.0)
+_NOISE = (0.03, 0.03, math.radians(10.0))
 _GRASP = STICK_KIND.grasp
 assert _GRASP is not None
 _STICK_M = max(axis.end[0] for axis in STICK_KIND.shell.capsules) - _GRASP.at.x
@@ -217,7 +217,7 @@ class TwoStreams(Network):
         """
         super().__init__()
         self.spatial = Encoder(IMAGE_CHANNELS, widths)
-        self.semantic = Encoder(_SEMANTIC_CHANNELS, widths)
+        self.semantic = Encoder(_SEMANTIC, widths)
         self.enter = nn.Conv2d(widths[-1], widths[-1], 1)
         self.spatial_ups = nn.ModuleList()
         self.semantic_ups = nn.ModuleList()
@@ -245,7 +245,7 @@ class TwoStreams(Network):
         """
         image = image.contiguous(memory_format=torch.channels_last)
         spatial = self.spatial(image)
-        seen = self.semantic(torch.cat([image[:, part] for part in _SEMANTIC], 1))
+        seen = self.semantic(torch.cat([image[:, :3], image[:, 6:]], 1))
         where = spatial[-1]
         what = self.films[0](self.enter(seen[-1]), sentence)
         what = self.laterals[0](what, where)
@@ -467,7 +467,7 @@ class Zoom(nn.Module):
         there = read_at(fit.features, place_cells(raster).holding(place[:, None, :2]))[
             :, 0
         ]
-        known = [_seen_from(place, pick[:, :2]) / _FAR_M]
+        known = [seen_from(place, pick[:, :2]) / _FAR_M]
         for angle in (pick[:, 2] - place[:, 2], place[:, 2]):
             known.append(torch.stack([angle.cos(), angle.sin()], 1))
         parts = [middle, context, there, torch.cat(known, 1)]
@@ -491,16 +491,9 @@ class Zoom(nn.Module):
         """Return how wrong the corrections of places near the expert's are, (B,)."""
         tried = place
         if self.training:
-            most = constant((_NOISE_M, _NOISE_M, _NOISE_RAD), place.device)
-            tried = place + (torch.rand_like(place) * 2.0 - 1.0) * most
+            noise = torch.rand_like(place) * 2.0 - 1.0
+            tried = place + noise * constant(_NOISE, place.device)
         found = self(seen, pick, tried, raster)
         yaw = wrapped(place[:, 2] - tried[:, 2]) / _UNIT_RAD
-        wanted = torch.cat([_seen_from(tried, place[:, :2]) / _UNIT_M, yaw[:, None]], 1)
+        wanted = torch.cat([seen_from(tried, place[:, :2]) / _UNIT_M, yaw[:, None]], 1)
         return F.smooth_l1_loss(found, wanted, reduction="none", beta=0.3).mean(1)
-
-
-def _seen_from(pose: Tensor, xy_m: Tensor) -> Tensor:
-    """Return positions ahead and to the left of poses [m], (B, 2)."""
-    x, y = (xy_m - pose[:, :2]).unbind(1)
-    cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
-    return torch.stack([cos * x + sin * y, cos * y - sin * x], 1)

@@ -1,0 +1,112 @@
+"""How fast a model learns, and how busy its GPU is meanwhile."""
+
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import torch
+
+from lemma.policies.training.config import TrainingConfig
+from lemma.policies.training.distributed import processes
+from lemma.policies.training.loader import BatchLoader, Sampler
+from lemma.policies.training.logging import gpu_memory_gb
+from lemma.policies.training.run import first_model, read_frames, training_units
+from lemma.policies.training.step import Trainer
+
+WARM_UP, STEPS = 8, 60
+"""Steps that are not counted, in which kernels are compiled and captured; and others
+that are, on a GPU."""
+ON_CPU = 1, 3
+"""The same on a CPU, which has nothing to prepare and takes seconds for a frame."""
+_FEW = 2
+"""Frames, or episodes, in a batch on a CPU."""
+_EVERY_MS = 100
+
+
+def measure_training(config: TrainingConfig) -> dict[str, float]:
+    """Train for some steps that nobody keeps.
+
+    Args:
+        config: Options of the training run.
+
+    Returns:
+        ``samples_per_s``, ``frames_per_s``, ``gpu_busy``: share of the time in which
+        some kernel ran, NaN without a GPU; ``gpu_memory_gb``; and ``start_s``: until
+        the first step that is counted.
+    """
+    with processes(config.device) as team:
+        begun = time.perf_counter()
+        first, steps = ON_CPU
+        if team.device.type == "cuda":
+            first, steps = WARM_UP, STEPS
+            torch.backends.cudnn.benchmark = True
+            torch.set_float32_matmul_precision("high")
+        else:
+            config = replace(config, batch_size=_FEW)
+        config = config.resolved(1)
+        model = first_model(config)
+        data = read_frames(config, team, model.entities)
+        trainer = Trainer(model, config, team)
+        units = training_units(model, data.train, config)
+        order = Sampler(len(units), config.batch_size or 1, config.seed)
+        feed = BatchLoader(
+            data.train, units, order, config, team.device, told=trainer.model.told
+        )
+        frames = 0
+        with feed.ahead(0, first + steps) as batches:
+            for _ in range(first):
+                trainer.train(next(batches), 0.0)
+            _wait(team.device)
+            start = time.perf_counter()
+            with _busy(team.device) as busy:
+                for batch in batches:
+                    trainer.train(batch, 0.0)
+                    frames += len(batch)
+                _wait(team.device)
+            seconds = time.perf_counter() - start
+        return {
+            "samples_per_s": steps * (config.batch_size or 1) / seconds,
+            "frames_per_s": frames / seconds,
+            "gpu_busy": sum(busy) / len(busy) / 100.0 if busy else float("nan"),
+            "gpu_memory_gb": gpu_memory_gb(),
+            "start_s": start - begun,
+        }
+
+
+def _wait(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+@contextmanager
+def _busy(device: torch.device) -> Iterator[list[float]]:
+    """Yield a list that is filled with the share of time in which the GPU is busy."""
+    found: list[float] = []
+    if device.type != "cuda":
+        yield found
+        return
+    number = torch.cuda.get_device_properties(device).uuid
+    words = ["--query-gpu=utilization.gpu", "--format=csv,noheader,nounits"]
+    command = ["nvidia-smi", f"--id=GPU-{number}", *words, f"--loop-ms={_EVERY_MS}"]
+    try:
+        watcher = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    except OSError:
+        yield found
+        return
+
+    def read() -> None:
+        assert watcher.stdout is not None
+        for line in watcher.stdout:
+            if line.strip().isdigit():
+                found.append(float(line))
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    try:
+        yield found
+    finally:
+        watcher.terminate()
+        reader.join(5.0)
