@@ -1,7 +1,6 @@
 """`lemma bench`: the benchmark's own figures, measured here."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -155,15 +154,14 @@ def bench(
         print_json({"machine": machine, **told})
         return 0
     output().print(", ".join(f"{key} {value}" for key, value in machine.items()))
-    told_of = {"policy": policy, "training": training, "each": each}
     for name, figures in found.items():
-        _print_group(name, figures, told_of)
+        _print_group(name, figures, policy=policy, training=training, each=each)
     if experts:
         _print_experts(experts)
     return 0
 
 
-def _print_group(name: str, figures: Figures, told: Mapping[str, object]) -> None:
+def _print_group(name: str, figures: Figures, **told: object) -> None:
     title, targets = _GROUPS[name]
     # Of training on a CPU there are fewer figures.
     measured = {n: form for n, form in targets.items() if n in figures}

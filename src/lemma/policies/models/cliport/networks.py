@@ -133,7 +133,7 @@ def image_of(batch: Batch) -> Tensor:
     return torch.cat([rgb, torch.stack([*rest, *places], 1)], 1)
 
 
-class Encoder(nn.Module):
+class Encoder(Network):
     """Features at a quarter, an eighth, a 16th and a 32nd of the resolution."""
 
     def __init__(self, channels_in: int, widths: Sequence[int]) -> None:
