@@ -1,0 +1,371 @@
+"""Key poses: where a gripper shall be next, and the waypoints that lead there.
+
+A key pose is where a hand changes something: it closes, opens or pushes. All between
+two of them is the same every time: the hand comes from above, goes straight down,
+opens or closes, rises, and the arm returns to where it waits, so that cameras see the
+table. One arm moves at a time; the others stay where they are led.
+
+Waypoints are those of the control mode ``ee_waypoint``.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lemma.core.poses import FloatArray, matrix_from_quaternion, quaternion_from_matrix
+from lemma.core.poses import wrap
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.robots.reach import TRAVEL_HEIGHT_M
+from lemma.robots.ur.kinematics import top_down
+
+CONTROL = "ee_waypoint"
+"""The control mode of the waypoints."""
+CONTROL_HZ = 20.0
+"""Waypoints per second."""
+
+Rows = NDArray[np.float32]
+"""Actions, (steps, robots, 8): position [m] and quaternion wxyz in the frame of each
+robot's base, and opening of the gripper [m]."""
+Stand = tuple[float, float, float, float]
+"""Where a gripper that points down stands: x, y, z [m] and yaw [rad], in the world."""
+
+FULL_M = 0.012
+"""A hand that was closed and is at least so wide holds something [m]."""
+
+_FAST_M_S = 0.5
+_GENTLE_M_S = 0.12
+_MEETING_M_S = 0.1
+_DRAG_M_S = 0.2
+_GENTLE_M = 0.03
+_MEETING_M = 0.05
+_SETTLE_S = 0.35
+_FINGERS_S = 0.5
+_RETREAT_M = 0.13
+_LIFT_M = 0.15
+_WITHDRAWAL_M = 0.05
+_ASIDE_M = 0.03
+_LAY_M = 0.0195
+_NEAR_M, _NEAR_RAD = 0.012, 0.06
+"""A waypoint that is reached freely is reached so exactly."""
+_LONGEST_S = 6.0
+_PATIENCE_S = 0.2
+_TURN_RAD_S = 1.4
+"""How fast an arm swings round, about."""
+
+
+class Kind(StrEnum):
+    """What happens at a key pose."""
+
+    STOP = "stop"
+    """Nothing: the work is done."""
+    OVER = "over"
+    """The open hand stays there."""
+    PICK = "pick"
+    """The hand closes, rises, and the arm carries what it holds to where it waits."""
+    RAISE = "raise"
+    """The hand closes, rises and stays: what it holds is too long to be carried
+    about."""
+    TAKE = "take"
+    """The hand closes and stays."""
+    PUT = "put"
+    """The hand opens, rises, and the arm returns to where it waits."""
+    POKE = "poke"
+    """The hand pushes the stick there along a straight line, draws it back, lays it
+    down and returns."""
+    HOOK = "hook"
+    """The same, with a hook that is pulled and then pushed off to the side."""
+
+
+KINDS = tuple(Kind)
+
+
+@dataclass(frozen=True, slots=True)
+class KeyPose:
+    """Where a gripper that points down shall be next."""
+
+    robot: int
+    """Number of the robot that moves; -1 for none."""
+    kind: Kind
+    x: float
+    """World frame [m]."""
+    y: float
+    z: float
+    yaw: float
+    """Direction of the gripper's x axis, or of what it holds if that is long [rad]."""
+
+    @property
+    def stand(self) -> Stand:
+        """Where the gripper stands."""
+        return (self.x, self.y, self.z, self.yaw)
+
+
+NOWHERE = KeyPose(-1, Kind.STOP, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A part of a motion."""
+
+    stand: Stand
+    opening_m: float
+    speed_m_s: float = 0.0
+    """Along a straight line; 0 for any way, as fast as the arm can."""
+    wait_s: float = 0.0
+    """Time to wait at its end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """How far the motion to a key pose has come; plain data."""
+
+    rows: FloatArray
+    """Where each hand is led: stand and opening, (robots, 5)."""
+    homes: FloatArray
+    """Where the arms wait, (robots, 5)."""
+    robot: int = 0
+    legs: tuple[Leg, ...] = ()
+    """What is left to do."""
+    waited_s: float = -1.0
+    """Since the first leg was begun, -1 before."""
+    turned: bool = False
+    """Whether the hand is turned by half a turn from what its key pose said."""
+
+    @classmethod
+    def begin(cls, hands: Sequence[FloatArray], openings: FloatArray) -> "Progress":
+        """Return the beginning of an episode, in which all arms wait.
+
+        Args:
+            hands: Poses of the tool centre points in the world, (4, 4) each.
+            openings: Of the grippers [m].
+        """
+        rows = np.array(
+            [[*_stand_of(h), o] for h, o in zip(hands, openings, strict=True)]
+        )
+        homes = rows.copy()
+        homes[:, 4] = FINGER_OPENING_M
+        return cls(rows, homes)
+
+
+def set_out(progress: Progress, key: KeyPose, hand: FloatArray) -> Progress:
+    """Return the motion to a key pose.
+
+    Args:
+        progress: What was done before.
+        key: Where to go.
+        hand: Present pose of that robot's tool centre point, (4, 4).
+    """
+    if key.kind is Kind.STOP:
+        return replace(progress, legs=())
+    yaw, turned = key.yaw, progress.turned
+    if key.kind in (Kind.OVER, Kind.PICK, Kind.RAISE, Kind.TAKE):
+        # The fingers are alike, so that half a turn makes no difference to a grasp.
+        turned = abs(wrap(yaw - _stand_of(hand)[3])) > 0.5 * math.pi
+    if turned:
+        yaw += math.pi
+    home = progress.homes[key.robot]
+    at = (key.x, key.y, key.z, yaw)
+    legs = _LEGS[key.kind](at, _stand_of(hand), home, turned)
+    return replace(
+        progress, robot=key.robot, legs=tuple(legs), waited_s=-1.0, turned=turned
+    )
+
+
+def go_on(
+    progress: Progress, bases: Sequence[FloatArray], hands: Sequence[FloatArray]
+) -> tuple[Progress, Rows | None]:
+    """Return the next waypoints, until the arm must be looked at again.
+
+    Args:
+        progress: The motion.
+        bases: World from base of each robot, (4, 4).
+        hands: Present poses of the tool centre points in the world, (4, 4).
+
+    Returns:
+        The motion after them, and the waypoints; None if it is over.
+    """
+    rows, chunk = progress.rows.copy(), []
+    legs, waited_s, robot = list(progress.legs), progress.waited_s, progress.robot
+    while legs:
+        leg = legs[0]
+        goal = np.array([*leg.stand, leg.opening_m])
+        if leg.speed_m_s:
+            start = rows[robot].copy()
+            way = goal - start
+            way[3] = wrap(way[3])
+            seconds = math.dist(goal[:3], start[:3]) / leg.speed_m_s
+            count = max(1, math.ceil(seconds * CONTROL_HZ))
+            for i in range(1, count + 1):
+                rows[robot] = start + way * (i / count)
+                rows[robot, 4] = leg.opening_m
+                chunk.append(rows.copy())
+            chunk += [rows.copy()] * round(leg.wait_s * CONTROL_HZ)
+            legs.pop(0)
+            continue
+        if waited_s >= 0.0:
+            if _is_there(hands[robot], leg.stand) or waited_s > _LONGEST_S:
+                legs.pop(0)
+                waited_s = -1.0
+                continue
+            chunk += [rows.copy()] * round(_PATIENCE_S * CONTROL_HZ)
+            waited_s += _PATIENCE_S
+            break
+        if chunk:
+            break
+        rows[robot] = goal
+        waited_s = _estimate_s(hands[robot], leg.stand, bases[robot])
+        chunk = [rows.copy()] * math.ceil(waited_s * CONTROL_HZ)
+        break
+    done = replace(progress, rows=rows, legs=tuple(legs), waited_s=waited_s)
+    if not chunk:
+        return done, None
+    return done, commands(np.array(chunk), bases)
+
+
+def commands(stands: FloatArray, bases: Sequence[FloatArray]) -> Rows:
+    """Return stands and openings, (steps, robots, 5), as actions."""
+    found = np.empty((*stands.shape[:2], 8), np.float32)
+    for robot, base in enumerate(bases):
+        inverse = np.linalg.inv(base)
+        for step, (x, y, z, yaw, opening) in enumerate(stands[:, robot].tolist()):
+            pose = inverse @ top_down(x, y, z, yaw)
+            found[step, robot, :3] = pose[:3, 3]
+            found[step, robot, 3:7] = quaternion_from_matrix(pose[:3, :3])
+            found[step, robot, 7] = opening
+    return found
+
+
+def pose_matrices(rows: FloatArray) -> list[FloatArray]:
+    """Return positions and quaternions wxyz, (7 n,) or (n, 7), as transforms."""
+    found = []
+    for row in np.asarray(rows, float).reshape(-1, 7):
+        matrix = np.eye(4)
+        matrix[:3, :3] = matrix_from_quaternion(tuple(row[3:]))
+        matrix[:3, 3] = row[:3]
+        found.append(matrix)
+    return found
+
+
+def _stand_of(hand: FloatArray) -> Stand:
+    x, y, z = (float(hand[i, 3]) for i in range(3))
+    return (x, y, z, math.atan2(hand[1, 0], hand[0, 0]))
+
+
+def _is_there(hand: FloatArray, stand: Stand) -> bool:
+    x, y, z, yaw = _stand_of(hand)
+    near = math.dist((x, y, z), stand[:3]) < _NEAR_M
+    return near and abs(wrap(yaw - stand[3])) < _NEAR_RAD
+
+
+def _estimate_s(hand: FloatArray, stand: Stand, base: FloatArray) -> float:
+    """Return how long an arm needs to a stand, about [s]."""
+    here = _stand_of(hand)
+    at = base[:2, 3]
+    bearings = [math.atan2(p[1] - at[1], p[0] - at[0]) for p in (here, stand)]
+    swing = abs(wrap(bearings[1] - bearings[0])) / _TURN_RAD_S
+    turn = abs(wrap(stand[3] - here[3])) / (2.0 * _TURN_RAD_S)
+    straight = math.dist(here[:3], stand[:3]) / (2.0 * _FAST_M_S)
+    return 0.4 + max(swing, turn, straight)
+
+
+def _raised(stand: Stand, z: float) -> Stand:
+    return (stand[0], stand[1], max(stand[2], z), stand[3])
+
+
+def _home(home: FloatArray, opening_m: float) -> Leg:
+    return Leg(tuple(home[:4].tolist()), opening_m)
+
+
+def _down(at: Stand, opening_m: float) -> list[Leg]:
+    over = _raised(at, TRAVEL_HEIGHT_M)
+    return [
+        Leg(over, opening_m),
+        Leg(at, opening_m, _FAST_M_S, _SETTLE_S),
+    ]
+
+
+def _over(at: Stand, *_: object) -> list[Leg]:
+    return _down(at, FINGER_OPENING_M)
+
+
+def _take(at: Stand, *_: object) -> list[Leg]:
+    return [*_down(at, FINGER_OPENING_M), Leg(at, 0.0, _FAST_M_S, _FINGERS_S)]
+
+
+def _raise(at: Stand, *_: object) -> list[Leg]:
+    up = _raised(at, max(TRAVEL_HEIGHT_M, at[2] + _LIFT_M))
+    return [*_take(at), Leg(up, 0.0, _FAST_M_S, _SETTLE_S)]
+
+
+def _pick(at: Stand, hand: Stand, home: FloatArray, turned: bool) -> list[Leg]:
+    return [*_raise(at), _home(home, 0.0)]
+
+
+def _put(at: Stand, hand: Stand, home: FloatArray, turned: bool) -> list[Leg]:
+    over, near = _raised(at, TRAVEL_HEIGHT_M), (*at[:2], at[2] + _GENTLE_M, at[3])
+    return [
+        Leg(over, 0.0),
+        Leg(near, 0.0, _FAST_M_S),
+        Leg(at, 0.0, _GENTLE_M_S, _SETTLE_S),
+        *_leave(at, home),
+    ]
+
+
+def _leave(at: Stand, home: FloatArray) -> list[Leg]:
+    up = (*at[:2], at[2] + _RETREAT_M, at[3])
+    return [
+        Leg(at, FINGER_OPENING_M, _FAST_M_S, _FINGERS_S),
+        Leg(up, FINGER_OPENING_M, _FAST_M_S),
+        _home(home, FINGER_OPENING_M),
+    ]
+
+
+def _drag(
+    at: Stand, hand: Stand, home: FloatArray, turned: bool, *, poking: bool
+) -> list[Leg]:
+    start = (*hand[:2], at[2], hand[3])
+    length = max(1e-6, math.dist(start[:2], at[:2]))
+    t = min(1.0, _MEETING_M / length)
+    met = tuple(a + t * (b - a) for a, b in zip(start, at, strict=True))
+    assert len(met) == 4
+    # The stick points from the hand to its hook.
+    along = math.atan2(at[1] - start[1], at[0] - start[0]) + (0.0 if poking else math.pi)
+    sign = -1.0 if poking else 1.0
+    x = at[0] + sign * _WITHDRAWAL_M * math.cos(along)
+    y = at[1] + sign * _WITHDRAWAL_M * math.sin(along)
+    last: Stand = (x, y, at[2], at[3])
+    legs = [
+        Leg(start, 0.0, _GENTLE_M_S),
+        Leg(met, 0.0, _MEETING_M_S),
+        Leg(at, 0.0, _DRAG_M_S, _SETTLE_S),
+        Leg(last, 0.0, _DRAG_M_S, _SETTLE_S),
+    ]
+    if not poking:
+        right = along - 0.5 * math.pi
+        x, y = x + _ASIDE_M * math.cos(right), y + _ASIDE_M * math.sin(right)
+        last = (x, y, at[2], at[3])
+        legs.append(Leg(last, 0.0, _DRAG_M_S, _SETTLE_S))
+    laid: Stand = (*last[:2], _LAY_M, last[3])
+    return [*legs, Leg(laid, 0.0, _GENTLE_M_S, _SETTLE_S), *_leave(laid, home)]
+
+
+def _poke(at: Stand, hand: Stand, home: FloatArray, turned: bool) -> list[Leg]:
+    return _drag(at, hand, home, turned, poking=True)
+
+
+def _hook(at: Stand, hand: Stand, home: FloatArray, turned: bool) -> list[Leg]:
+    return _drag(at, hand, home, turned, poking=False)
+
+
+_LEGS = {
+    Kind.OVER: _over,
+    Kind.PICK: _pick,
+    Kind.RAISE: _raise,
+    Kind.TAKE: _take,
+    Kind.PUT: _put,
+    Kind.POKE: _poke,
+    Kind.HOOK: _hook,
+}
