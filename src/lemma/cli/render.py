@@ -24,6 +24,7 @@ from lemma.core.workers.pool import Engine
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
 from lemma.dataset.lerobot.frames import EnvironmentState, Style
 from lemma.dataset.rendered.capture import KeyframeForm
+from lemma.dataset.rendered.key_poses import KeyPoseForm
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.dataset.rendered.render import render as render_form
 from lemma.dataset.teleoperation import files_in
@@ -35,11 +36,11 @@ _AT_INTERRUPT = (
     "{done} of {total} episodes are made. The same command goes on from there."
 )
 
-FormName = Literal["keyframes", "lerobot"]
+FormName = Literal["keyframes", "key-poses", "lerobot"]
 Make = Callable[[Engine, Callable[[int], None]], RenderSummary]
 """Writes what is missing; the arguments are an engine and a listener for progress."""
-_SIZES = {"keyframes": "640x480", "lerobot": "224x224"}
-_ROWS = {"keyframes": "keyframes", "lerobot": "frames"}
+_SIZES = {"keyframes": "640x480", "key-poses": "640x480", "lerobot": "224x224"}
+_ROWS = {"keyframes": "keyframes", "key-poses": "keyframes", "lerobot": "frames"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +72,9 @@ class RenderOptions:
     control: MotorControl = "joint_position"
     """LeRobotDataset: control mode of actions and state: joint_position, or
     ee_waypoint_rot6d, the targets of the tool centre points."""
+    missed: float = 0.0
+    """Key poses: share of places that are missed by some centimetres, so that there
+    are frames that show how to go on."""
     renderer: str = "auto"
     """LeRobotDataset: opengl or warp; auto chooses warp where MuJoCo Warp is installed
     and finds a GPU."""
@@ -130,12 +134,16 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
         UnknownNameError: No such kind of instructions.
     """
     width, height = parse_size(look.size or _SIZES[name])
-    if name == "keyframes" and files_in(order.recipe):
+    if name != "lerobot" and files_in(order.recipe):
         raise InvalidConfigError(
             "What was led by hand has no keyframes, which lie between sub-tasks. Film "
             "all of it: --form lerobot."
         )
-    if name == "keyframes":
+    if look.missed and name != "key-poses":
+        raise InvalidConfigError(
+            "--missed is for --form key-poses alone. Leave it out."
+        )
+    if name != "lerobot":
         for field in _FILMED:
             if getattr(look, field) != getattr(EVERYTHING, field):
                 raise InvalidConfigError(
@@ -143,6 +151,9 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
                     "have no rate, are drawn by OpenGL, and always hold depth, each "
                     "robot's camera and every instruction. Leave it out."
                 )
+        if name == "key-poses":
+            form = KeyPoseForm(width, height, missed=look.missed)
+            return partial(render_form, order, form)
         return partial(render_form, order, KeyframeForm(width, height))
     style = Style(
         fps=look.fps,

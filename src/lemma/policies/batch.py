@@ -14,6 +14,7 @@ from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.robot_names import robot_number
 from lemma.dataset.rendered.dataset import POLICY_COLUMNS, MapsInMemory, keyframe_shards
 from lemma.dataset.rendered.keyframes import EXECUTED
+from lemma.env.control.key_poses import KINDS, Kind
 from lemma.policies.entities import BENCHMARK, EntitySet, poses_of
 from lemma.policies.interfaces import PolicyInput
 from lemma.robots.ur.arms import ARMS
@@ -99,6 +100,9 @@ class Labels:
     perturbed: Tensor
     """Whether the episode was perturbed, so that its frames do not follow from its
     first one and the decisions, (B,) bool."""
+    key: Tensor | None = None
+    """Of frames at key poses: number among :data:`~lemma.env.control.key_poses.KINDS`,
+    and height [m], (B, 2); ``pick_pose`` and ``place_pose`` are then the key pose."""
 
 
 class Frames:
@@ -143,6 +147,7 @@ class Frames:
             "robot_colors": [tuple(c for _, c, *_ in i["robots"]) for i in instances],
         }
         perturbed = f"{EXECUTED}robot" in columns
+        columns = _with_key_poses(columns)
         decisions = executed = _decisions(columns, entities)
         if perturbed:
             executed = _decisions(columns, entities, EXECUTED)
@@ -161,7 +166,8 @@ class Frames:
             "perturbed": self._tensor([perturbed] * len(decisions), torch.bool),
             **{
                 name: self._tensor(np.stack(list(columns[name])), torch.float32)
-                for name in (*_SEEN, "pick_pose", "place_pose", "bases")
+                for name in (*_SEEN, "pick_pose", "place_pose", "bases", "key")
+                if name in columns
             },
         }
 
@@ -197,6 +203,8 @@ class Frames:
         header = keyframe_shards(Path(folder), split, tasks)[0].header
         if header.perturbed:
             columns += tuple(f"{EXECUTED}{name}" for name in _DECISION)
+        if header.key_poses:
+            columns += ("kind", "key_pose")
         maps = MapsInMemory.load(folder, split, tasks, columns, shared=shared)
         if len({np.shape(j) for j in maps.columns["joints"]}) > 1:
             raise DatasetError(
@@ -257,6 +265,24 @@ class Frames:
 
     def _tensor(self, values: Any, dtype: torch.dtype) -> Tensor:
         return torch.as_tensor(np.asarray(values)).to(self.device, dtype)
+
+
+def _with_key_poses(columns: dict[str, Any]) -> dict[str, Any]:
+    """Return columns in which key poses, if there are any, are the poses."""
+    if "kind" not in columns:
+        return columns
+    poses = np.stack(list(columns["key_pose"]))
+    kinds = [KINDS.index(Kind(kind)) for kind in columns["kind"]]
+    flat = poses[:, [0, 1, 3]]
+    # Other primitives have no number; the kind tells them apart.
+    known = [name if name in PRIMITIVES else "move" for name in columns["primitive"]]
+    return {
+        **columns,
+        "primitive": np.array(known, object),
+        "pick_pose": flat,
+        "place_pose": flat,
+        "key": np.stack([kinds, poses[:, 2]], 1),
+    }
 
 
 def batch_of(

@@ -53,6 +53,17 @@ _EXECUTED_COLUMNS: Columns = {
 }
 """Columns that only files of perturbed executions have: what was done there, where the
 label is what the expert would do."""
+_KEY_POSE_COLUMNS: Columns = {
+    "kind": (pa.string(), "What happens at the next key pose, such as pick or put."),
+    "key_pose": (
+        pa.fixed_shape_tensor(pa.float64(), (4,)),
+        "Gripper at the next key pose: x, y, z [m], yaw [rad].",
+    ),
+}
+"""Columns that only files of key poses have; robot is who goes there, and the sub-task
+is the one that it belongs to."""
+KEY_POSES = "key_poses"
+"""Tells, among the versions, that files hold key poses."""
 _PER_FILE = ("part", "robots", "digests", "keyframes")
 _CODECS = {
     # Maps are read thousands of times a second, camera images are most of the bytes.
@@ -94,6 +105,11 @@ class Header:
     def perturbed(self) -> bool:
         """Whether executions were perturbed, so that labels are not what was done."""
         return bool(perturbed_as(self.versions))
+
+    @property
+    def key_poses(self) -> bool:
+        """Whether there is a keyframe for every key pose, without camera images."""
+        return KEY_POSES in self.versions
 
     @classmethod
     def from_json(cls, path: Path, text: bytes | None) -> "Header":
@@ -154,6 +170,7 @@ def map_columns(header: Header) -> Columns:
     text, real = pa.string(), pa.float64()
     return {
         **(_EXECUTED_COLUMNS if header.perturbed else {}),
+        **(_KEY_POSE_COLUMNS if header.key_poses else {}),
         "key": (text, "Unique name of the episode."),
         "task": (text, "Task."),
         "split": (text, "Split: train, val, test or free."),
@@ -196,9 +213,14 @@ def camera_columns(header: Header) -> Columns:
     """Return the columns of files of camera images."""
     robots, height, width = header.robots, header.height, header.width
     real = pa.float64()
-    return {
+    named: Columns = {
         "key": (pa.string(), "Unique name of the episode."),
         "keyframe": (pa.int16(), "Number of the keyframe, from 0."),
+    }
+    if header.key_poses:
+        return named
+    return {
+        **named,
         "intrinsics": (_tensor(real, robots, 3, 3), "Matrix K of each camera [px]."),
         "world_from_camera": (
             _tensor(real, robots, 4, 4),

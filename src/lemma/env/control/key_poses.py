@@ -44,9 +44,10 @@ _GENTLE_M = 0.03
 _MEETING_M = 0.05
 _SETTLE_S = 0.35
 _FINGERS_S = 0.5
+_STAY_S = 0.8
 _RETREAT_M = 0.13
 _LIFT_M = 0.15
-_WITHDRAWAL_M = 0.05
+_WITHDRAWAL_M = 0.03
 _ASIDE_M = 0.03
 _LAY_M = 0.0195
 _NEAR_M, _NEAR_RAD = 0.012, 0.06
@@ -288,7 +289,9 @@ def _down(at: Stand, opening_m: float) -> list[Leg]:
 
 
 def _over(at: Stand, *_: object) -> list[Leg]:
-    return _down(at, FINGER_OPENING_M)
+    *way, last = _down(at, FINGER_OPENING_M)
+    # A goal must hold for a while.
+    return [*way, replace(last, wait_s=_STAY_S)]
 
 
 def _take(at: Stand, *_: object) -> list[Leg]:

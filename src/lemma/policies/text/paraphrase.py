@@ -18,7 +18,7 @@ import numpy as np
 from lemma.policies.text.grammar import Grammar, grammar, speaks_of
 from lemma.policies.text.words import neighbours, word_vectors
 from lemma.scene.objects.cube import CUBE
-from lemma.scene.objects.entity import Entity, entity_named
+from lemma.scene.objects.entity import HAND, Entity, entity_named
 from lemma.scene.objects.pad import PAD
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import bank_for, words
@@ -108,10 +108,12 @@ def paraphrase(
             package if None.
     """
     used = tuple(taught) or None
-    if not used and rng.random() < chances["ruled"] and speaks_of(goal_pairs):
+    # A hand has no noun, and no rule speaks of it: such sentences are only made noisy.
+    held = any(HAND in pair for pair in goal_pairs)
+    if not (used or held) and rng.random() < chances["ruled"] and speaks_of(goal_pairs):
         text = _ruled(goal_pairs, rng, rules or grammar())
         return _noisy(text, rng, {**chances, "swapped": 0.4 * chances["swapped"]})
-    if rng.random() < chances["native"] or len(goal_pairs) > 2:
+    if held or rng.random() < chances["native"] or len(goal_pairs) > 2:
         text = _one(_own(task, used), rng).render(goal_pairs)
     elif len(goal_pairs) == 2 and rng.random() < 0.5:
         short = _sentences(1, used, _SHORT)

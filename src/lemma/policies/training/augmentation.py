@@ -18,6 +18,7 @@ from lemma.policies.entities import EntitySet, traits_of
 from lemma.policies.models.grid import wrapped
 from lemma.policies.models.reachnet.scene_table import turned_numbers
 from lemma.policies.training.config import Augmentation
+from lemma.scene.objects.entity import HAND
 from lemma.scene.objects.kind import Part
 from lemma.scene.objects.palette import OBJECT_COLORS, STICK, TABLE
 from lemma.tasks.language.template import GoalPairs
@@ -263,6 +264,8 @@ def _reordered(objects: Tensor, tables: Tensor) -> Tensor:
 @lru_cache(maxsize=65536)
 def _said_anew(goal: GoalPairs, entities: EntitySet, new: tuple[int, ...]) -> GoalPairs:
     def renamed(entity: str) -> str:
+        if entity == HAND:
+            return entity
         number = entities.number(entity)
         color = new[entities.color_numbers[number]]
         return entities.names[entities.colored_as[number][color]]

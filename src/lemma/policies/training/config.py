@@ -238,6 +238,7 @@ DEFAULTS: dict[str, Defaults] = {
     "episodic-transformer": Defaults(samples=168_000, batch_size=32),
     "cliport": Defaults(samples=300_000, learning_rate=1e-3),
     "m-cliport": Defaults(samples=300_000, learning_rate=1e-3),
+    "keypose": Defaults(samples=300_000, batch_size=64, learning_rate=1e-3),
     "reachnet": Defaults(samples=150_000, batch_size=128, learning_rate=1e-3),
 }
 """Defaults by name of the model."""

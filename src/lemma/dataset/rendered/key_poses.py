@@ -1,0 +1,171 @@
+"""Pictures and labels before every key pose of an episode.
+
+The expert's key poses are carried out anew, through the same executor as a policy's, so
+that a policy sees in use what it saw in training. Of a recipe only the instances are
+read.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lemma.core.seeding import stream
+from lemma.dataset.recipe.schema import EpisodeRecord
+from lemma.dataset.rendered.capture import (
+    KeyframeForm,
+    _episode_columns,
+    _rig,
+    entity_poses,
+)
+from lemma.dataset.rendered.keyframes import (
+    KEY_POSES,
+    PARTS,
+    Header,
+    Row,
+    write_keyframes,
+)
+from lemma.env.config import EnvConfig
+from lemma.env.control.key_poses import (
+    CONTROL,
+    CONTROL_HZ,
+    FULL_M,
+    KeyPose,
+    Kind,
+    Progress,
+    go_on,
+    set_out,
+)
+from lemma.env.control_env import ControlEnv
+from lemma.env.observation import object_poses
+from lemma.expert.key_poses import next_key_poses
+from lemma.scene.raster import RASTER
+from lemma.tasks.instance import Instance
+from lemma.tasks.language.bank import sub_instruction
+from lemma.tasks.subtask import STOP, SubTask
+from lemma.tasks.suite import FREE_SPLIT
+
+_MOST_KEY_POSES = 40
+
+
+@dataclass(frozen=True, slots=True)
+class KeyPoseForm(KeyframeForm):
+    """Maps before every key pose, for policies that move from one to the next."""
+
+    missed: float = 0.0
+    """Share of places that are missed by some centimetres, so that there are frames of
+    what to do then."""
+
+    def header(self, versions: dict[str, str]) -> Header:
+        """Return the record that every file has, with the settings and versions."""
+        told = {**versions, KEY_POSES: "1", "missed": f"{self.missed:g}"}
+        # Not super(): slots make another class of this one.
+        return KeyframeForm.header(self, told)
+
+    def write(
+        self,
+        paths: Sequence[Path],
+        records: Sequence[EpisodeRecord],
+        digests: tuple[str, ...],
+        header: Header,
+    ) -> None:
+        """Play and picture some episodes; those that fail have no rows.
+
+        The arguments and errors are those of :meth:`KeyframeForm.write`.
+        """
+        played = [list(self.rows(record)) for record in records]
+        mine = replace(
+            header,
+            robots=len(records[0].instance_data()["robots"]),
+            digests=digests,
+            keyframes=tuple(map(len, played)),
+        )
+        headers = [replace(mine, part=part) for part in PARTS]
+        files = list(zip(paths, headers, strict=True))
+        write_keyframes(files, (row for rows in played for row in rows))
+
+    def rows(self, record: EpisodeRecord) -> Iterator[Row]:
+        """Yield a row for each key pose of an episode; none if it fails.
+
+        Args:
+            record: The episode.
+        """
+        instance = Instance.from_dict(record.instance_data())
+        constant = _episode_columns(record, instance)
+        found = list(self._played(instance))
+        count = len(found)
+        for number, row in enumerate(found):
+            yield {**constant, **row, "keyframe": number, "keyframes": count}
+
+    def _played(self, instance: Instance) -> list[Row]:
+        env = ControlEnv(
+            EnvConfig(
+                task=instance.task,
+                split=FREE_SPLIT,
+                control=CONTROL,
+                control_hz=CONTROL_HZ,
+                clip_actions=True,
+            )
+        )
+        env.set_table(options={"instance": instance})
+        episode = env.episode
+        arms = list(episode.simulation.arms.values())
+        bases = [arm.robot.world_from_base for arm in arms]
+        scene = episode.simulation.scene
+        rng = stream("key poses", instance.key)
+        hands = [arm.tcp_pose() for arm in arms]
+        openings = np.array([scene.opening_m(arm.robot) for arm in arms])
+        progress = Progress.begin(hands, openings)
+        rows: list[Row] = []
+        subtask: SubTask = STOP
+        ahead: tuple[KeyPose, ...] = ()
+        while len(rows) < _MOST_KEY_POSES:
+            if not (ahead and scene.opening_m(arms[ahead[0].robot].robot) > FULL_M):
+                subtask, ahead = next_key_poses(episode)
+            key, ahead = ahead[0], ahead[1:]
+            if key.kind is Kind.STOP:
+                return []
+            rows.append(self._row(env, subtask, key))
+            done = self._missed(key, rng)
+            hand = arms[key.robot].tcp_pose()
+            progress = set_out(progress, done, hand)
+            while True:
+                hands = [arm.tcp_pose() for arm in arms]
+                progress, chunk = go_on(progress, bases, hands)
+                if chunk is None:
+                    break
+                for action in chunk:
+                    _, terminated, truncated = env.advance(action)
+                    if terminated or truncated:
+                        return rows if episode.is_success else []
+        return []
+
+    def _missed(self, key: KeyPose, rng: np.random.Generator) -> KeyPose:
+        """Return a key pose that is missed now and then."""
+        if key.kind is not Kind.PUT or rng.random() >= self.missed:
+            return key
+        away, way = rng.uniform(0.02, 0.10), rng.uniform(-math.pi, math.pi)
+        x, y = key.x + away * math.cos(way), key.y + away * math.sin(way)
+        return replace(key, x=x, y=y)
+
+    def _row(self, env: ControlEnv, subtask: SubTask, key: KeyPose) -> Row:
+        scene = env.episode.simulation.scene
+        view = _rig(self.width, self.height).look(scene)
+        names = subtask.to_dict()
+        return {
+            "time_s": env.episode.elapsed_s,
+            **names,
+            "sub_instruction": "",
+            "pick_pose": (math.nan,) * 3,
+            "place_pose": (math.nan,) * 3,
+            "outcome": "",
+            "kind": str(key.kind),
+            "key_pose": key.stand,
+            "objects": entity_poses(object_poses(scene)),
+            "joints": view.joints,
+            "opening_m": view.opening_m,
+            "map_rgb": view.rgb,
+            "map_height": RASTER.encode_height(view.height_m, view.coverage),
+        }

@@ -1,0 +1,395 @@
+"""KeyPose: the next key pose of a gripper from the map, joints and a sentence.
+
+After PerAct (Shridhar et al., 2022) and RVT (Goyal et al., 2023), written anew for a
+table that is seen from above: where a hand shall close, open or push next is a cell of
+the map and a position in it; features of that cell tell height, yaw, which robot goes
+there and what happens there. Waypoints of the control mode ``ee_waypoint`` lead there,
+see :mod:`lemma.env.control.key_poses`; then the policy looks again.
+
+One network sees color and height. What the sentence says, and where arms are and
+whether they hold something, scales and shifts its features at every level.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from lemma.core.arguments import Count, Depth, Share, Width, Widths
+from lemma.env.control.key_poses import (
+    CONTROL,
+    CONTROL_HZ,
+    KINDS,
+    KeyPose,
+    Progress,
+    commands,
+    go_on,
+    pose_matrices,
+    set_out,
+)
+from lemma.policies.batch import MAX_PAST, Batch
+from lemma.policies.control.interfaces import Actions, ControlInput
+from lemma.policies.layers import Network, ResidualBlock, upsample_to
+from lemma.policies.models.base import MODELS, MapConfig, MapModel
+from lemma.policies.models.cliport.networks import (
+    IMAGE_CHANNELS,
+    STRIDE,
+    Encoder,
+    image_of,
+    reader,
+)
+from lemma.policies.models.grid import Cells, nearest_bins, read_at, wrapped, yaw_of
+from lemma.policies.text.encoder import TextConfig, TextEncoder
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.scene.raster import Raster
+
+_FINER = 2
+"""The output has so many cells along a side of a cell of features."""
+_LOUDNESS = 2.0
+_ROBOT_NUMBERS = 8
+"""Numbers of each robot: joint angles, opening, and whether it holds something."""
+_HEIGHT_UNIT_M = 0.05
+_YAW_WEIGHT = 0.5
+_NEAR_M, _NEAR_HEIGHT_M, _NEAR_RAD = 0.02, 0.012, math.radians(12.0)
+_QUARTER = 0.5 * math.pi
+_WAIT_ROWS = 10
+
+
+@dataclass(frozen=True)
+class KeyPoseConfig(MapConfig):
+    """Options of :class:`KeyPoseModel`."""
+
+    widths: Widths = (64, 96, 160, 256)
+    """Channels at a quarter to a 32nd of the map's resolution."""
+    bins: Count = 24
+    """Number of bins of yaw; each is refined by a residual."""
+    state_width: Width = 64
+    """Numbers that tell how the arms are."""
+    text_width: Width = 192
+    """Width of a word."""
+    text_layers: Depth = 2
+    """Transformer layers over the words."""
+    word_dropout: Share = 0.05
+    """Share of words that are unknown in training."""
+    robots: Depth = 2
+    """Number of robots of every scene."""
+
+
+class _Tuned(nn.Module):
+    """Scales and shifts channels by a vector."""
+
+    def __init__(self, vector_width: int, width: int) -> None:
+        super().__init__()
+        self.linear = nn.Linear(vector_width, 2 * width)
+        with torch.no_grad():
+            self.linear.weight.mul_(_LOUDNESS)
+
+    def forward(self, x: Tensor, vector: Tensor) -> Tensor:
+        scale, shift = self.linear(vector)[:, :, None, None].chunk(2, 1)
+        found: Tensor = x * (1.0 + scale) + shift
+        return found
+
+
+class _Decoder(Network):
+    """Features at a quarter of the resolution, with a vector in mind."""
+
+    def __init__(self, widths: Sequence[int], vector_width: int) -> None:
+        super().__init__()
+        self.tuned = nn.ModuleList(_Tuned(vector_width, w) for w in widths)
+        self.deep = ResidualBlock(widths[-1], widths[-1])
+        self.coarse, self.skips = nn.ModuleList(), nn.ModuleList()
+        self.blocks = nn.ModuleList()
+        for fine, coarse in zip(widths, widths[1:], strict=False):
+            self.coarse.append(nn.Conv2d(coarse, fine, 1, bias=False))
+            self.skips.append(nn.Conv2d(fine, fine, 1))
+            self.blocks.append(ResidualBlock(fine, fine))
+
+    def forward(self, levels: list[Tensor], vector: Tensor) -> tuple[Tensor, Tensor]:
+        x = self.deep(self.tuned[-1](levels[-1], vector))
+        context = x.mean((2, 3))
+        for i in reversed(range(len(self.blocks))):
+            up = upsample_to(self.coarse[i](x), levels[i]) + self.skips[i](levels[i])
+            x = self.blocks[i](self.tuned[i](up, vector))
+        return x, context
+
+
+@dataclass(frozen=True)
+class _Seen:
+    logits: Tensor
+    """(B, cells), float32."""
+    features: Tensor
+    """(B, C, rows, columns)."""
+    vector: Tensor
+    """(B, D)."""
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What is said of some cells, (B, K, ...), float32."""
+
+    offsets: Tensor
+    height: Tensor
+    yaws: Tensor
+    residuals: Tensor
+    robots: Tensor
+    kinds: Tensor
+
+
+class KeyPoseModel(MapModel):
+    """Predicts the next key pose, and is a policy at control level."""
+
+    selection = "decided"
+    control_options: ClassVar[Mapping[str, object]] = {
+        "control": CONTROL,
+        "control_hz": CONTROL_HZ,
+        "observation": "map",
+        "clip_actions": True,
+    }
+
+    def __init__(self, config: KeyPoseConfig | None = None) -> None:
+        """Make the weights.
+
+        Args:
+            config: Options; the defaults if None.
+        """
+        super().__init__()
+        self.config: KeyPoseConfig = config or KeyPoseConfig()
+        config = self.config
+        self.text = TextEncoder(
+            TextConfig(
+                width=config.text_width,
+                layers=config.text_layers,
+                word_dropout=config.word_dropout,
+            )
+        )
+        self.state = nn.Sequential(
+            nn.Linear(config.robots * _ROBOT_NUMBERS, config.state_width),
+            nn.SiLU(),
+            nn.Linear(config.state_width, config.state_width),
+        )
+        vector = config.text_width + config.state_width
+        self.encoder = Encoder(IMAGE_CHANNELS, config.widths)
+        self.decoder = _Decoder(config.widths, vector)
+        width = config.widths[0]
+        self.heat = nn.Sequential(
+            nn.Conv2d(width, width, 3, padding=1),
+            nn.SiLU(),
+            nn.Conv2d(width, _FINER**2, 1),
+        )
+        self._outputs = [2, 1, config.bins, config.bins, config.robots, len(KINDS)]
+        inputs = width + _FINER**2 + config.widths[-1] + vector
+        self.read = reader(inputs, sum(self._outputs))
+
+    def look(self, batch: Batch) -> _Seen:
+        """Look at a table with a sentence in mind."""
+        sentence = F.layer_norm(
+            self.text.pooled(batch.instructions), (self.config.text_width,)
+        )
+        vector = torch.cat([sentence, self.state(_state_of(batch))], 1)
+        image = image_of(batch).contiguous(memory_format=torch.channels_last)
+        features, context = self.decoder(self.encoder(image), vector)
+        maps = F.pixel_shuffle(self.heat(features), _FINER)
+        known = torch.cat([context, vector.to(context.dtype)], 1)
+        return _Seen(maps.flatten(1).float(), features, known)
+
+    def at(self, seen: _Seen, numbers: Tensor, raster: Raster) -> _Told:
+        """Say more about some cells, (B, K)."""
+        columns = cells_of(raster).columns
+        row, column = numbers // columns, numbers % columns
+        coarse = (row // _FINER) * seen.features.shape[-1] + column // _FINER
+        part = (row % _FINER) * _FINER + column % _FINER
+        features = read_at(seen.features, coarse)
+        which = F.one_hot(part, _FINER**2).to(features.dtype)
+        vector = seen.vector[:, None].expand(-1, numbers.shape[1], -1)
+        parts = [features, which, vector.to(features.dtype)]
+        found = self.read(torch.cat(parts, -1)).float()
+        return _Told(*found.split(self._outputs, -1))
+
+    def loss(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the losses of the cell, and of what is said there."""
+        pose, kind, height_m, robot = _labels(batch)
+        seen = self.look(batch)
+        cells = cells_of(batch.raster)
+        numbers = cells.holding(pose[:, :2])
+        near = cells.around(numbers)
+        told = self.at(seen, near, batch.raster)
+        wanted = cells.offsets(pose[:, None, :2], near)
+        both, rests = nearest_bins(pose[:, 2], self.config.bins)
+        count = near.shape[1]
+        index = both[:, None].expand(-1, count, -1)
+        residuals = told.residuals.gather(2, index)
+        height = (height_m / _HEIGHT_UNIT_M)[:, None, None].expand_as(told.height)
+
+        def choice(logits: Tensor, right: Tensor) -> Tensor:
+            each = right[:, None].expand(-1, count)
+            return F.cross_entropy(logits.flatten(0, 1), each.flatten())
+
+        return {
+            "cell": F.cross_entropy(seen.logits, numbers),
+            "offset": F.smooth_l1_loss(told.offsets, wanted, beta=0.5),
+            "height": F.smooth_l1_loss(told.height, height, beta=0.1),
+            "yaw": _YAW_WEIGHT * choice(told.yaws, both[:, 0]),
+            "residual": F.smooth_l1_loss(
+                residuals, rests[:, None].expand_as(residuals)
+            ),
+            "robot": choice(told.robots, robot),
+            "kind": choice(told.kinds, kind),
+        }
+
+    def score(self, batch: Batch) -> dict[str, Tensor]:
+        """Return whether key poses are the expert's, (B,) each.
+
+        ``decided``: the robot and the kind are, and the gripper is within 2 cm and, in
+        height, 12 mm.
+        """
+        pose, kind, height_m, robot = _labels(batch)
+        with self.deciding():
+            found, what, z, who = self.decide(batch)
+        near_m = (found[:, :2] - pose[:, :2]).norm(dim=1)
+        high_m = (z - height_m).abs()
+        near, high = near_m < _NEAR_M, high_m < _NEAR_HEIGHT_M
+        # A quarter turn of a cube looks the same.
+        turn = wrapped((found[:, 2] - pose[:, 2]) * 4.0).abs() / 4.0
+        right_kind, right_robot = what == kind, who == robot
+        decided = near & high & right_kind & right_robot
+        scores: dict[str, Tensor] = {
+            "decided": decided,
+            "near": near,
+            "right_height": high,
+            "right_yaw": turn < _NEAR_RAD,
+            "right_kind": right_kind,
+            "right_robot": right_robot,
+        }
+        scores = {name: value.float() for name, value in scores.items()}
+        for number in sorted(set(kind.tolist())):
+            name = f"decided_{KINDS[number]}"
+            scores[name] = scores["decided"].where(kind == number, math.nan)
+        scores["minus_mm"] = -1000.0 * near_m
+        return scores
+
+    def decide(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return poses (B, 3), kinds (B,), heights (B,) [m] and robots (B,)."""
+        seen = self.look(batch)
+        numbers = seen.logits.argmax(1, keepdim=True)
+        told = self.at(seen, numbers, batch.raster)
+        xy = cells_of(batch.raster).positions(numbers, told.offsets)
+        best = told.yaws.argmax(-1, keepdim=True)
+        yaw = yaw_of(best, told.residuals.gather(-1, best), self.config.bins)
+        return (
+            torch.cat([xy, yaw], -1)[:, 0],
+            told.kinds[:, 0].argmax(-1),
+            told.height[:, 0, 0] * _HEIGHT_UNIT_M,
+            told.robots[:, 0].argmax(-1),
+        )
+
+    def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
+        """Return the next waypoints of each episode."""
+        moving = [_Moving.of(given) for given in inputs]
+        resting = [i for i, one in enumerate(moving) if one.rows is None]
+        with self.deciding():
+            for rows in _parts(resting, self.at_once):
+                batch = self._batch([inputs[i] for i in rows])
+                parts = (part.tolist() for part in self.decide(batch))
+                for i, (pose, kind, z, robot) in zip(
+                    rows, zip(*parts, strict=True), strict=True
+                ):
+                    x, y, yaw = pose
+                    key = KeyPose(robot, KINDS[kind], x, y, z, yaw)
+                    moving[i] = moving[i].towards(key)
+        return [one.actions() for one in moving]
+
+    def _batch(self, inputs: Sequence[ControlInput]) -> Batch:
+        seen = [given.observation for given in inputs]
+
+        def stacked(values: list[Any], dtype: torch.dtype) -> Tensor:
+            return torch.from_numpy(np.stack(values)).to(self.device, dtype)
+
+        maps = [each["map"] for each in seen]
+        robots = self.config.robots
+        joints = stacked([each["agent_pos"] for each in seen], torch.float32)
+        joints = joints.view(len(inputs), robots, 7)
+        rows, columns = maps[0]["height_m"].shape
+        past = torch.full((len(inputs), MAX_PAST, 4), -1, device=self.device)
+        return Batch(
+            rgb=stacked([m["rgb"] for m in maps], torch.uint8),
+            height_m=stacked([m["height_m"] for m in maps], torch.float32),
+            coverage=stacked([m["coverage"] for m in maps], torch.bool),
+            joints=joints[..., :6],
+            opening_m=joints[..., 6],
+            past=past,
+            instructions=[given.instruction for given in inputs],
+            sub_instructions=[],
+            raster=Raster(rows, columns, self.config.cell_m, self.config.floor_m),
+        )
+
+
+@dataclass(frozen=True)
+class _Moving:
+    """An episode that is under way."""
+
+    progress: Progress
+    rows: Any
+    bases: list[Any]
+    hands: list[Any]
+
+    @classmethod
+    def of(cls, given: ControlInput) -> "_Moving":
+        seen = given.observation
+        hands, bases = pose_matrices(seen["tcp_pose"]), pose_matrices(seen["base_pose"])
+        progress = given.memory
+        if progress is None:
+            openings = np.asarray(seen["agent_pos"]).reshape(len(hands), 7)[:, 6]
+            progress = Progress.begin(hands, openings)
+        progress, rows = go_on(progress, bases, hands)
+        return cls(progress, rows, bases, hands)
+
+    def towards(self, key: KeyPose) -> "_Moving":
+        progress = set_out(self.progress, key, self.hands[key.robot])
+        progress, rows = go_on(progress, self.bases, self.hands)
+        return replace(self, progress=progress, rows=rows)
+
+    def actions(self) -> Actions:
+        rows = self.rows
+        if rows is None:
+            still = np.repeat(self.progress.rows[None], _WAIT_ROWS, 0)
+            rows = commands(still, self.bases)
+        return Actions(rows, self.progress)
+
+
+def cells_of(raster: Raster) -> Cells:
+    """Return the cells in which a key pose is."""
+    return Cells.of(raster, STRIDE // _FINER)
+
+
+def _parts(rows: list[int], size: int) -> Iterator[list[int]]:
+    for start in range(0, len(rows), size):
+        yield rows[start : start + size]
+
+
+def _state_of(batch: Batch) -> Tensor:
+    """Return joint angles, openings and whether hands hold something, (B, R * 8)."""
+    wide = batch.opening_m / FINGER_OPENING_M
+    holds = ((wide > 0.1) & (wide < 0.9)).float()
+    each = torch.cat([batch.joints / math.pi, wide[..., None], holds[..., None]], -1)
+    return each.flatten(1)
+
+
+def _labels(batch: Batch) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return poses (B, 3), kinds (B,), heights (B,) [m] and robots (B,)."""
+    assert batch.labels is not None
+    key = batch.labels.key
+    assert key is not None
+    return (
+        batch.labels.pick_pose,
+        key[:, 0].long(),
+        key[:, 1],
+        batch.labels.decision[:, 0].clamp(min=0),
+    )
+
+
+MODELS.add("keypose", (KeyPoseModel, KeyPoseConfig))
