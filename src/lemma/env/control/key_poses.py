@@ -332,8 +332,8 @@ def _drag(
     start = (*hand[:2], at[2], hand[3])
     length = max(1e-6, math.dist(start[:2], at[:2]))
     t = min(1.0, _MEETING_M / length)
-    met = tuple(a + t * (b - a) for a, b in zip(start, at, strict=True))
-    assert len(met) == 4
+    x, y = (a + t * (b - a) for a, b in zip(start[:2], at[:2], strict=True))
+    met: Stand = (x, y, at[2], start[3] + t * wrap(at[3] - start[3]))
     # The stick points from the hand to its hook.
     along = math.atan2(at[1] - start[1], at[0] - start[0]) + (0.0 if poking else math.pi)
     sign = -1.0 if poking else 1.0
