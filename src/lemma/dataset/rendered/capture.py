@@ -114,7 +114,7 @@ class KeyframeForm:
         """
         instance = Instance.from_dict(record.instance_data())
         scene = Scene(instance.scene)
-        constant = _episode_columns(record, instance)
+        constant = episode_columns(record, instance)
         for keyframe in range(_count(record)):
             _check_state(record, keyframe)
             scene.restore(record.state(keyframe))
@@ -124,7 +124,7 @@ class KeyframeForm:
                 "time_s": record.keyframe_time_s[keyframe],
                 **_labels(record, keyframe),
                 "objects": entity_poses(object_poses(scene)),
-                **stored(_rig(self.width, self.height).look(scene)),
+                **stored(rig_of(self.width, self.height).look(scene)),
             }
 
 
@@ -150,12 +150,13 @@ def stored(view: View) -> Row:
 
 
 @lru_cache(maxsize=1)
-def _rig(width: int, height: int) -> CameraRig:
+def rig_of(width: int, height: int) -> CameraRig:
     """Return the cameras of this process: starting them takes longer than a picture."""
     return CameraRig(width, height)
 
 
-def _episode_columns(record: EpisodeRecord, instance: Instance) -> Row:
+def episode_columns(record: EpisodeRecord, instance: Instance) -> Row:
+    """Return the columns that are the same in all keyframes of an episode."""
     robots = instance.scene.robots
     return {
         "key": record.key,

@@ -16,9 +16,9 @@ from lemma.core.seeding import stream
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.capture import (
     KeyframeForm,
-    _episode_columns,
-    _rig,
     entity_poses,
+    episode_columns,
+    rig_of,
 )
 from lemma.dataset.rendered.keyframes import (
     KEY_POSES,
@@ -43,7 +43,6 @@ from lemma.env.observation import object_poses
 from lemma.expert.key_poses import next_key_poses
 from lemma.scene.raster import RASTER
 from lemma.tasks.instance import Instance
-from lemma.tasks.language.bank import sub_instruction
 from lemma.tasks.subtask import STOP, SubTask
 from lemma.tasks.suite import FREE_SPLIT
 
@@ -93,7 +92,7 @@ class KeyPoseForm(KeyframeForm):
             record: The episode.
         """
         instance = Instance.from_dict(record.instance_data())
-        constant = _episode_columns(record, instance)
+        constant = episode_columns(record, instance)
         found = list(self._played(instance))
         count = len(found)
         for number, row in enumerate(found):
@@ -152,7 +151,7 @@ class KeyPoseForm(KeyframeForm):
 
     def _row(self, env: ControlEnv, subtask: SubTask, key: KeyPose) -> Row:
         scene = env.episode.simulation.scene
-        view = _rig(self.width, self.height).look(scene)
+        view = rig_of(self.width, self.height).look(scene)
         names = subtask.to_dict()
         return {
             "time_s": env.episode.elapsed_s,

@@ -16,8 +16,12 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.core.poses import FloatArray, matrix_from_quaternion, quaternion_from_matrix
-from lemma.core.poses import wrap
+from lemma.core.poses import (
+    FloatArray,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    wrap,
+)
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import top_down
@@ -169,10 +173,8 @@ def set_out(progress: Progress, key: KeyPose, hand: FloatArray) -> Progress:
         yaw += math.pi
     home = progress.homes[key.robot]
     at = (key.x, key.y, key.z, yaw)
-    legs = _LEGS[key.kind](at, _stand_of(hand), home, turned)
-    return replace(
-        progress, robot=key.robot, legs=tuple(legs), waited_s=-1.0, turned=turned
-    )
+    legs = tuple(_legs(key.kind, at, _stand_of(hand), home))
+    return replace(progress, robot=key.robot, legs=legs, waited_s=-1.0, turned=turned)
 
 
 def go_on(
@@ -226,16 +228,39 @@ def go_on(
     return done, commands(np.array(chunk), bases)
 
 
+def stay(progress: Progress, bases: Sequence[FloatArray]) -> Rows:
+    """Return waypoints that keep all arms where they are for a while."""
+    count = round(_STAY_S * CONTROL_HZ)
+    return commands(np.repeat(progress.rows[None], count, 0), bases)
+
+
 def commands(stands: FloatArray, bases: Sequence[FloatArray]) -> Rows:
     """Return stands and openings, (steps, robots, 5), as actions."""
     found = np.empty((*stands.shape[:2], 8), np.float32)
     for robot, base in enumerate(bases):
-        inverse = np.linalg.inv(base)
-        for step, (x, y, z, yaw, opening) in enumerate(stands[:, robot].tolist()):
-            pose = inverse @ top_down(x, y, z, yaw)
+        last: list[float] = []
+        for step, row in enumerate(stands[:, robot].tolist()):
+            if row == last:
+                found[step, robot] = found[step - 1, robot]
+                continue
+            last = row
+            pose = _seen_from(base, top_down(*row[:4]))
             found[step, robot, :3] = pose[:3, 3]
             found[step, robot, 3:7] = quaternion_from_matrix(pose[:3, :3])
-            found[step, robot, 7] = opening
+            found[step, robot, 7] = row[4]
+    return found
+
+
+def _seen_from(base: FloatArray, pose: FloatArray) -> FloatArray:
+    """Return a pose in the world, (4, 4), in the frame of a base, (4, 4)."""
+    found = np.eye(4)
+    b, p = base.tolist(), pose.tolist()
+    away = [p[k][3] - b[k][3] for k in range(3)]
+    # Number by number, so that no library's order of sums decides the last bit.
+    for i in range(3):
+        for j in range(3):
+            found[i, j] = b[0][i] * p[0][j] + b[1][i] * p[1][j] + b[2][i] * p[2][j]
+        found[i, 3] = b[0][i] * away[0] + b[1][i] * away[1] + b[2][i] * away[2]
     return found
 
 
@@ -276,70 +301,61 @@ def _raised(stand: Stand, z: float) -> Stand:
     return (stand[0], stand[1], max(stand[2], z), stand[3])
 
 
-def _home(home: FloatArray, opening_m: float) -> Leg:
-    return Leg(tuple(home[:4].tolist()), opening_m)
+def _legs(kind: Kind, at: Stand, hand: Stand, home: FloatArray) -> list[Leg]:
+    """Return the way to a key pose, and what follows there.
 
-
-def _down(at: Stand, opening_m: float) -> list[Leg]:
+    Args:
+        kind: What happens there; not ``STOP``.
+        at: The key pose.
+        hand: Where the hand is.
+        home: Where the arm waits, (5,).
+    """
+    if kind in (Kind.POKE, Kind.HOOK):
+        return _drag(at, hand, home, poking=kind is Kind.POKE)
     over = _raised(at, TRAVEL_HEIGHT_M)
-    return [
-        Leg(over, opening_m),
-        Leg(at, opening_m, _FAST_M_S, _SETTLE_S),
-    ]
-
-
-def _over(at: Stand, *_: object) -> list[Leg]:
-    *way, last = _down(at, FINGER_OPENING_M)
+    if kind is Kind.PUT:
+        near = (*at[:2], at[2] + _GENTLE_M, at[3])
+        way = [Leg(over, 0.0), Leg(near, 0.0, _FAST_M_S)]
+        return [*way, Leg(at, 0.0, _GENTLE_M_S, _SETTLE_S), *_leave(at, home)]
     # A goal must hold for a while.
-    return [*way, replace(last, wait_s=_STAY_S)]
+    wait_s = _STAY_S if kind is Kind.OVER else _SETTLE_S
+    legs = [Leg(over, FINGER_OPENING_M)]
+    legs.append(Leg(at, FINGER_OPENING_M, _FAST_M_S, wait_s))
+    if kind is not Kind.OVER:
+        legs.append(Leg(at, 0.0, _FAST_M_S, _FINGERS_S))
+    if kind in (Kind.PICK, Kind.RAISE):
+        up = _raised(at, max(TRAVEL_HEIGHT_M, at[2] + _LIFT_M))
+        legs.append(Leg(up, 0.0, _FAST_M_S, _SETTLE_S))
+    if kind is Kind.PICK:
+        legs.append(_to(home, 0.0))
+    return legs
 
 
-def _take(at: Stand, *_: object) -> list[Leg]:
-    return [*_down(at, FINGER_OPENING_M), Leg(at, 0.0, _FAST_M_S, _FINGERS_S)]
-
-
-def _raise(at: Stand, *_: object) -> list[Leg]:
-    up = _raised(at, max(TRAVEL_HEIGHT_M, at[2] + _LIFT_M))
-    return [*_take(at), Leg(up, 0.0, _FAST_M_S, _SETTLE_S)]
-
-
-def _pick(at: Stand, hand: Stand, home: FloatArray, turned: bool) -> list[Leg]:
-    return [*_raise(at), _home(home, 0.0)]
-
-
-def _put(at: Stand, hand: Stand, home: FloatArray, turned: bool) -> list[Leg]:
-    over, near = _raised(at, TRAVEL_HEIGHT_M), (*at[:2], at[2] + _GENTLE_M, at[3])
-    return [
-        Leg(over, 0.0),
-        Leg(near, 0.0, _FAST_M_S),
-        Leg(at, 0.0, _GENTLE_M_S, _SETTLE_S),
-        *_leave(at, home),
-    ]
+def _to(home: FloatArray, opening_m: float) -> Leg:
+    x, y, z, yaw = home[:4].tolist()
+    return Leg((x, y, z, yaw), opening_m)
 
 
 def _leave(at: Stand, home: FloatArray) -> list[Leg]:
+    """Return how a hand lets go and the arm returns."""
     up = (*at[:2], at[2] + _RETREAT_M, at[3])
     return [
         Leg(at, FINGER_OPENING_M, _FAST_M_S, _FINGERS_S),
         Leg(up, FINGER_OPENING_M, _FAST_M_S),
-        _home(home, FINGER_OPENING_M),
+        _to(home, FINGER_OPENING_M),
     ]
 
 
-def _drag(
-    at: Stand, hand: Stand, home: FloatArray, turned: bool, *, poking: bool
-) -> list[Leg]:
-    start = (*hand[:2], at[2], hand[3])
-    length = max(1e-6, math.dist(start[:2], at[:2]))
-    t = min(1.0, _MEETING_M / length)
+def _drag(at: Stand, hand: Stand, home: FloatArray, *, poking: bool) -> list[Leg]:
+    """Return how the stick pushes or pulls, gets off the cube and is laid down."""
+    start: Stand = (*hand[:2], at[2], hand[3])
+    t = min(1.0, _MEETING_M / max(1e-6, math.dist(start[:2], at[:2])))
     x, y = (a + t * (b - a) for a, b in zip(start[:2], at[:2], strict=True))
     met: Stand = (x, y, at[2], start[3] + t * wrap(at[3] - start[3]))
-    # The stick points from the hand to its hook.
-    along = math.atan2(at[1] - start[1], at[0] - start[0]) + (0.0 if poking else math.pi)
-    sign = -1.0 if poking else 1.0
-    x = at[0] + sign * _WITHDRAWAL_M * math.cos(along)
-    y = at[1] + sign * _WITHDRAWAL_M * math.sin(along)
-    last: Stand = (x, y, at[2], at[3])
+    # Where the stick points, from the hand to its hook.
+    along = math.atan2(at[1] - start[1], at[0] - start[0])
+    along += 0.0 if poking else math.pi
+    last = _beside(at, along, -_WITHDRAWAL_M if poking else _WITHDRAWAL_M)
     legs = [
         Leg(start, 0.0, _GENTLE_M_S),
         Leg(met, 0.0, _MEETING_M_S),
@@ -347,28 +363,13 @@ def _drag(
         Leg(last, 0.0, _DRAG_M_S, _SETTLE_S),
     ]
     if not poking:
-        right = along - 0.5 * math.pi
-        x, y = x + _ASIDE_M * math.cos(right), y + _ASIDE_M * math.sin(right)
-        last = (x, y, at[2], at[3])
+        # The bar of the hook lies to the left of the handle: free it to the right.
+        last = _beside(last, along - 0.5 * math.pi, _ASIDE_M)
         legs.append(Leg(last, 0.0, _DRAG_M_S, _SETTLE_S))
     laid: Stand = (*last[:2], _LAY_M, last[3])
     return [*legs, Leg(laid, 0.0, _GENTLE_M_S, _SETTLE_S), *_leave(laid, home)]
 
 
-def _poke(at: Stand, hand: Stand, home: FloatArray, turned: bool) -> list[Leg]:
-    return _drag(at, hand, home, turned, poking=True)
-
-
-def _hook(at: Stand, hand: Stand, home: FloatArray, turned: bool) -> list[Leg]:
-    return _drag(at, hand, home, turned, poking=False)
-
-
-_LEGS = {
-    Kind.OVER: _over,
-    Kind.PICK: _pick,
-    Kind.RAISE: _raise,
-    Kind.TAKE: _take,
-    Kind.PUT: _put,
-    Kind.POKE: _poke,
-    Kind.HOOK: _hook,
-}
+def _beside(stand: Stand, bearing: float, away_m: float) -> Stand:
+    x, y = stand[0] + away_m * math.cos(bearing), stand[1] + away_m * math.sin(bearing)
+    return (x, y, *stand[2:])

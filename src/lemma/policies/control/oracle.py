@@ -1,6 +1,6 @@
-"""The expert as a policy at control level: its motion, as joint positions.
+"""The expert as policies at control level: its motion, and its key poses.
 
-It shows that the level can be solved by actions of that kind.
+They show that the level can be solved by actions of these kinds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -8,9 +8,12 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from lemma.core.errors import InvalidConfigError
+from lemma.env.control.key_poses import KeyPose, Progress
 from lemma.env.control_env import ControlEnv
+from lemma.expert.key_poses import next_key_poses
 from lemma.expert.policy import MODE, JointMotion
 from lemma.policies.control.interfaces import Actions, ControlInput
+from lemma.policies.control.moving import KEY_POSE_OPTIONS, Moving
 from lemma.policies.interfaces import Oracle
 
 
@@ -40,7 +43,51 @@ class ExpertControl(Oracle):
         return [self._act(given) for given in inputs]
 
     def _act(self, given: ControlInput) -> Actions:
-        if not isinstance(given, OracleControlInput):
-            raise InvalidConfigError("The expert is given no truth, but needs it.")
-        motion = given.memory or JointMotion(given.env)
+        motion = given.memory or JointMotion(_told(given).env)
         return Actions(motion.next_chunk(), motion)
+
+
+@dataclass(frozen=True, eq=False)
+class _Memory:
+    """What the expert remembers between two key poses."""
+
+    progress: Progress
+    ahead: tuple[KeyPose, ...] = ()
+    """Further key poses of its sub-task."""
+
+
+class ExpertKeyPoses(Oracle):
+    """Goes to one key pose of the expert after the other.
+
+    It is the upper bound of policies that learn them: they move in the same way.
+    """
+
+    control_options: ClassVar[Mapping[str, object]] = {
+        **KEY_POSE_OPTIONS,
+        "observation": "state",
+    }
+
+    def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
+        """Return the next waypoints of each episode.
+
+        Raises:
+            InvalidConfigError: The inputs come without the truth.
+        """
+        return [self._act(given) for given in inputs]
+
+    def _act(self, given: ControlInput) -> Actions:
+        episode, memory = _told(given).env.episode, given.memory
+        moving = Moving.of(given, memory and memory.progress)
+        ahead = memory.ahead if memory else ()
+        if moving.rows is None:
+            if not (ahead and moving.holds(ahead[0].robot)):
+                _, ahead = next_key_poses(episode)
+            key, *rest = ahead
+            moving, ahead = moving.towards(key), tuple(rest)
+        return moving.actions(_Memory(moving.progress, ahead))
+
+
+def _told(given: ControlInput) -> OracleControlInput:
+    if not isinstance(given, OracleControlInput):
+        raise InvalidConfigError("The expert is given no truth, but needs it.")
+    return given

@@ -12,7 +12,8 @@ whether they hold something, scales and shifts its features at every level.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,19 +22,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.core.arguments import Count, Depth, Share, Width, Widths
-from lemma.env.control.key_poses import (
-    CONTROL,
-    CONTROL_HZ,
-    KINDS,
-    KeyPose,
-    Progress,
-    commands,
-    go_on,
-    pose_matrices,
-    set_out,
-)
+from lemma.env.control.key_poses import KINDS, KeyPose
 from lemma.policies.batch import MAX_PAST, Batch
 from lemma.policies.control.interfaces import Actions, ControlInput
+from lemma.policies.control.moving import KEY_POSE_OPTIONS, Moving
 from lemma.policies.layers import Network, ResidualBlock, upsample_to
 from lemma.policies.models.base import MODELS, MapConfig, MapModel
 from lemma.policies.models.cliport.networks import (
@@ -56,8 +48,6 @@ _ROBOT_NUMBERS = 8
 _HEIGHT_UNIT_M = 0.05
 _YAW_WEIGHT = 0.5
 _NEAR_M, _NEAR_HEIGHT_M, _NEAR_RAD = 0.02, 0.012, math.radians(12.0)
-_QUARTER = 0.5 * math.pi
-_WAIT_ROWS = 10
 
 
 @dataclass(frozen=True)
@@ -104,7 +94,7 @@ class _Decoder(Network):
         self.deep = ResidualBlock(widths[-1], widths[-1])
         self.coarse, self.skips = nn.ModuleList(), nn.ModuleList()
         self.blocks = nn.ModuleList()
-        for fine, coarse in zip(widths, widths[1:], strict=False):
+        for fine, coarse in pairwise(widths):
             self.coarse.append(nn.Conv2d(coarse, fine, 1, bias=False))
             self.skips.append(nn.Conv2d(fine, fine, 1))
             self.blocks.append(ResidualBlock(fine, fine))
@@ -145,10 +135,8 @@ class KeyPoseModel(MapModel):
 
     selection = "decided"
     control_options: ClassVar[Mapping[str, object]] = {
-        "control": CONTROL,
-        "control_hz": CONTROL_HZ,
+        **KEY_POSE_OPTIONS,
         "observation": "map",
-        "clip_actions": True,
     }
 
     def __init__(self, config: KeyPoseConfig | None = None) -> None:
@@ -289,7 +277,7 @@ class KeyPoseModel(MapModel):
 
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
         """Return the next waypoints of each episode."""
-        moving = [_Moving.of(given) for given in inputs]
+        moving = [Moving.of(given, given.memory) for given in inputs]
         resting = [i for i, one in enumerate(moving) if one.rows is None]
         with self.deciding():
             for rows in _parts(resting, self.at_once):
@@ -301,7 +289,7 @@ class KeyPoseModel(MapModel):
                     x, y, yaw = pose
                     key = KeyPose(robot, KINDS[kind], x, y, z, yaw)
                     moving[i] = moving[i].towards(key)
-        return [one.actions() for one in moving]
+        return [one.actions(one.progress) for one in moving]
 
     def _batch(self, inputs: Sequence[ControlInput]) -> Batch:
         seen = [given.observation for given in inputs]
@@ -326,39 +314,6 @@ class KeyPoseModel(MapModel):
             sub_instructions=[],
             raster=Raster(rows, columns, self.config.cell_m, self.config.floor_m),
         )
-
-
-@dataclass(frozen=True)
-class _Moving:
-    """An episode that is under way."""
-
-    progress: Progress
-    rows: Any
-    bases: list[Any]
-    hands: list[Any]
-
-    @classmethod
-    def of(cls, given: ControlInput) -> "_Moving":
-        seen = given.observation
-        hands, bases = pose_matrices(seen["tcp_pose"]), pose_matrices(seen["base_pose"])
-        progress = given.memory
-        if progress is None:
-            openings = np.asarray(seen["agent_pos"]).reshape(len(hands), 7)[:, 6]
-            progress = Progress.begin(hands, openings)
-        progress, rows = go_on(progress, bases, hands)
-        return cls(progress, rows, bases, hands)
-
-    def towards(self, key: KeyPose) -> "_Moving":
-        progress = set_out(self.progress, key, self.hands[key.robot])
-        progress, rows = go_on(progress, self.bases, self.hands)
-        return replace(self, progress=progress, rows=rows)
-
-    def actions(self) -> Actions:
-        rows = self.rows
-        if rows is None:
-            still = np.repeat(self.progress.rows[None], _WAIT_ROWS, 0)
-            rows = commands(still, self.bases)
-        return Actions(rows, self.progress)
 
 
 def cells_of(raster: Raster) -> Cells:

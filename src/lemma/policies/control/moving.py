@@ -1,0 +1,79 @@
+"""Motions from one key pose to the next, as policies at control level make them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lemma.core.poses import FloatArray
+from lemma.env.control.key_poses import (
+    CONTROL,
+    CONTROL_HZ,
+    FULL_M,
+    KeyPose,
+    Progress,
+    Rows,
+    go_on,
+    pose_matrices,
+    set_out,
+    stay,
+)
+from lemma.policies.control.interfaces import Actions, ControlInput
+
+KEY_POSE_OPTIONS: Mapping[str, object] = {
+    "control": CONTROL,
+    "control_hz": CONTROL_HZ,
+    "clip_actions": True,
+}
+"""What policies that move so ask of their environment, beside an observation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """An episode in which arms move from one key pose to the next."""
+
+    progress: Progress
+    rows: Rows | None
+    """The next waypoints; None where there is no key pose to go to any more."""
+    bases: list[FloatArray]
+    """World from base of each robot, (4, 4)."""
+    hands: list[FloatArray]
+    """World from tool centre point of each, (4, 4)."""
+    openings: FloatArray
+    """Of the grippers [m], (robots,)."""
+
+    @classmethod
+    def of(cls, given: ControlInput, progress: Progress | None) -> "Moving":
+        """Go on with a motion.
+
+        Args:
+            given: Input of a policy.
+            progress: What was done before; None at the beginning of an episode.
+        """
+        seen = given.observation
+        hands, bases = pose_matrices(seen["tcp_pose"]), pose_matrices(seen["base_pose"])
+        openings = np.asarray(seen["agent_pos"], float).reshape(len(hands), 7)[:, 6]
+        if progress is None:
+            progress = Progress.begin(hands, openings)
+        progress, rows = go_on(progress, bases, hands)
+        return cls(progress, rows, bases, hands, openings)
+
+    def towards(self, key: KeyPose) -> "Moving":
+        """Set out for a key pose."""
+        progress = set_out(self.progress, key, self.hands[max(0, key.robot)])
+        progress, rows = go_on(progress, self.bases, self.hands)
+        return replace(self, progress=progress, rows=rows)
+
+    def holds(self, robot: int) -> bool:
+        """Whether a hand that was closed has something in it."""
+        return bool(self.openings[robot] > FULL_M)
+
+    def actions(self, memory: Any) -> Actions:
+        """Return the answer of a policy: the next waypoints, or to stay for a while.
+
+        Args:
+            memory: What the policy remembers.
+        """
+        rows = stay(self.progress, self.bases) if self.rows is None else self.rows
+        return Actions(rows, memory)
