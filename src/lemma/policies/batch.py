@@ -14,7 +14,7 @@ from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.robot_names import robot_number
 from lemma.dataset.rendered.dataset import POLICY_COLUMNS, MapsInMemory, keyframe_shards
 from lemma.dataset.rendered.keyframes import EXECUTED
-from lemma.env.control.key_poses import KINDS, Kind
+from lemma.env.control.key_poses import KINDS
 from lemma.policies.entities import BENCHMARK, EntitySet, poses_of
 from lemma.policies.interfaces import PolicyInput
 from lemma.robots.ur.arms import ARMS
@@ -33,6 +33,7 @@ MAX_PAST = 12
 
 _ARMS = tuple(ARMS)
 _SEEN = ("joints", "opening_m")
+_POSES = ("pick_pose", "place_pose", "bases", "kind_and_height")
 _DECISION = ("robot", "primitive", "pick", "place")
 _COLUMNS = (*POLICY_COLUMNS, "objects", "goal", "instance")
 
@@ -100,9 +101,8 @@ class Labels:
     perturbed: Tensor
     """Whether the episode was perturbed, so that its frames do not follow from its
     first one and the decisions, (B,) bool."""
-    key: Tensor | None = None
-    """Of frames at key poses: number among :data:`~lemma.env.control.key_poses.KINDS`,
-    and height [m], (B, 2); ``pick_pose`` and ``place_pose`` are then the key pose."""
+    kind_and_height: Tensor | None = None
+    """Of key poses: number in ``KINDS``, height [m], (B, 2); both poses are theirs."""
 
 
 class Frames:
@@ -127,7 +127,7 @@ class Frames:
             InvalidConfigError: Something is moved that has no number.
             DatasetError: Something is on a table that has none.
         """
-        columns, self.entities = maps.columns, entities
+        columns, self.entities = _with_key_poses(maps.columns), entities
         self.raster = maps.raster
         self.device = torch.device(device)
         self.rgb = torch.from_numpy(maps.rgb).to(self.device)
@@ -147,7 +147,6 @@ class Frames:
             "robot_colors": [tuple(c for _, c, *_ in i["robots"]) for i in instances],
         }
         perturbed = f"{EXECUTED}robot" in columns
-        columns = _with_key_poses(columns)
         decisions = executed = _decisions(columns, entities)
         if perturbed:
             executed = _decisions(columns, entities, EXECUTED)
@@ -166,8 +165,7 @@ class Frames:
             "perturbed": self._tensor([perturbed] * len(decisions), torch.bool),
             **{
                 name: self._tensor(np.stack(list(columns[name])), torch.float32)
-                for name in (*_SEEN, "pick_pose", "place_pose", "bases", "key")
-                if name in columns
+                for name in filter(columns.__contains__, (*_SEEN, *_POSES))
             },
         }
 
@@ -203,8 +201,7 @@ class Frames:
         header = keyframe_shards(Path(folder), split, tasks)[0].header
         if header.perturbed:
             columns += tuple(f"{EXECUTED}{name}" for name in _DECISION)
-        if header.key_poses:
-            columns += ("kind", "key_pose")
+        columns += ("kind", "key_pose") if header.key_poses else ()
         maps = MapsInMemory.load(folder, split, tasks, columns, shared=shared)
         if len({np.shape(j) for j in maps.columns["joints"]}) > 1:
             raise DatasetError(
@@ -271,18 +268,13 @@ def _with_key_poses(columns: dict[str, Any]) -> dict[str, Any]:
     """Return columns in which key poses, if there are any, are the poses."""
     if "kind" not in columns:
         return columns
-    poses = np.stack(list(columns["key_pose"]))
-    kinds = [KINDS.index(Kind(kind)) for kind in columns["kind"]]
-    flat = poses[:, [0, 1, 3]]
+    x, y, z, yaw = np.stack(list(columns["key_pose"])).T
+    kinds = [KINDS.index(kind) for kind in columns["kind"]]
+    pose, last = np.stack([x, y, yaw], 1), np.stack([kinds, z], 1)
     # Other primitives have no number; the kind tells them apart.
     known = [name if name in PRIMITIVES else "move" for name in columns["primitive"]]
-    return {
-        **columns,
-        "primitive": np.array(known, object),
-        "pick_pose": flat,
-        "place_pose": flat,
-        "key": np.stack([kinds, poses[:, 2]], 1),
-    }
+    poses = {"pick_pose": pose, "place_pose": pose, "kind_and_height": last}
+    return {**columns, **poses, "primitive": np.array(known, object)}
 
 
 def batch_of(

@@ -11,7 +11,7 @@ whether they hold something, scales and shifts its features at every level.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -133,6 +133,8 @@ class _Told:
 class KeyPoseModel(MapModel):
     """Predicts the next key pose, and is a policy at control level."""
 
+    # Last bits depend on the size of a batch, and a pose is made of all bits.
+    at_once = 1
     selection = "decided"
     control_options: ClassVar[Mapping[str, object]] = {
         **KEY_POSE_OPTIONS,
@@ -280,13 +282,11 @@ class KeyPoseModel(MapModel):
         moving = [Moving.of(given, given.memory) for given in inputs]
         resting = [i for i, one in enumerate(moving) if one.rows is None]
         with self.deciding():
-            for rows in _parts(resting, self.at_once):
-                batch = self._batch([inputs[i] for i in rows])
-                parts = (part.tolist() for part in self.decide(batch))
-                for i, (pose, kind, z, robot) in zip(
-                    rows, zip(*parts, strict=True), strict=True
-                ):
-                    x, y, yaw = pose
+            for start in range(0, len(resting), self.at_once):
+                rows = resting[start : start + self.at_once]
+                found = self.decide(self._batch([inputs[i] for i in rows]))
+                told = zip(*(part.tolist() for part in found), strict=True)
+                for i, ((x, y, yaw), kind, z, robot) in zip(rows, told, strict=True):
                     key = KeyPose(robot, KINDS[kind], x, y, z, yaw)
                     moving[i] = moving[i].towards(key)
         return [one.actions(one.progress) for one in moving]
@@ -321,11 +321,6 @@ def cells_of(raster: Raster) -> Cells:
     return Cells.of(raster, STRIDE // _FINER)
 
 
-def _parts(rows: list[int], size: int) -> Iterator[list[int]]:
-    for start in range(0, len(rows), size):
-        yield rows[start : start + size]
-
-
 def _state_of(batch: Batch) -> Tensor:
     """Return joint angles, openings and whether hands hold something, (B, R * 8)."""
     wide = batch.opening_m / FINGER_OPENING_M
@@ -337,7 +332,7 @@ def _state_of(batch: Batch) -> Tensor:
 def _labels(batch: Batch) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return poses (B, 3), kinds (B,), heights (B,) [m] and robots (B,)."""
     assert batch.labels is not None
-    key = batch.labels.key
+    key = batch.labels.kind_and_height
     assert key is not None
     return (
         batch.labels.pick_pose,

@@ -78,9 +78,10 @@ class TrainingConfig:
     """Options of a training run."""
 
     model: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
-    """episodic-transformer, cliport, m-cliport or reachnet."""
+    """episodic-transformer, cliport, m-cliport, reachnet or keypose."""
     data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder of keyframes that lemma render --form keyframes wrote."""
+    """Folder of keyframes that lemma render --form keyframes wrote; for keypose, --form
+    key-poses."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder of the run. A run that is there and did not end is continued."""
     options: Annotated[
