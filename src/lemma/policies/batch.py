@@ -147,9 +147,8 @@ class Frames:
             "robot_colors": [tuple(c for _, c, *_ in i["robots"]) for i in instances],
         }
         perturbed = f"{EXECUTED}robot" in columns
-        decisions = executed = _decisions(columns, entities)
-        if perturbed:
-            executed = _decisions(columns, entities, EXECUTED)
+        decisions = _decisions(columns, entities)
+        executed = _decisions(columns, entities, EXECUTED) if perturbed else decisions
         arms = [[_ARMS.index(n) for n in s.split("+")] for s in columns["arms"]]
         keyframe = self._tensor(columns["keyframe"], torch.int64)
         gaps = [instance.get("gap_m") or (np.nan, np.nan) for instance in instances]

@@ -36,7 +36,7 @@ from lemma.policies.models.cliport.networks import (
     reader,
 )
 from lemma.policies.models.grid import Cells, nearest_bins, read_at, wrapped, yaw_of
-from lemma.policies.text.encoder import TextConfig, TextEncoder
+from lemma.policies.text.encoder import Sentences, TextConfig, TextEncoder
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.raster import Raster
 
@@ -136,6 +136,7 @@ class KeyPoseModel(MapModel):
     # Last bits depend on the size of a batch, and a pose is made of all bits.
     at_once = 1
     selection = "decided"
+    of_fixed_shape = True
     control_options: ClassVar[Mapping[str, object]] = {
         **KEY_POSE_OPTIONS,
         "observation": "map",
@@ -175,11 +176,16 @@ class KeyPoseModel(MapModel):
         inputs = width + _FINER**2 + config.widths[-1] + vector
         self.read = reader(inputs, sum(self._outputs))
 
+    def told(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the words of the instructions as numbers."""
+        words = self.text.sentences.read(batch.instructions, self.device)
+        return {"words": torch.stack(words)}
+
     def look(self, batch: Batch) -> _Seen:
         """Look at a table with a sentence in mind."""
-        sentence = F.layer_norm(
-            self.text.pooled(batch.instructions), (self.config.text_width,)
-        )
+        told = batch.told or self.told(batch)
+        words = Sentences(*told["words"])
+        sentence = F.layer_norm(self.text.pooled(words), (self.config.text_width,))
         vector = torch.cat([sentence, self.state(_state_of(batch))], 1)
         image = image_of(batch).contiguous(memory_format=torch.channels_last)
         features, context = self.decoder(self.encoder(image), vector)
