@@ -9,7 +9,7 @@ import pytest
 from lemma.core.poses import FloatArray, Pose2
 from lemma.motion.arm_motion import ArmMotion, nearest_turn, park_joints
 from lemma.motion.joint_path import joint_path
-from lemma.motion.obstacles import around
+from lemma.motion.obstacles import Obstacles
 from lemma.robots.collision_model import (
     obstacle_clearance,
     self_clearance,
@@ -95,7 +95,8 @@ def test_parked_arms_touch_nothing(arms: dict[str, ArmMotion]) -> None:
         capsules = arm.capsules()
         assert self_clearance(capsules) > 0.01
         assert table_clearance(capsules) > 0.01
-        assert obstacle_clearance(capsules, around(arms, arm, None, None)) > 0.05
+        others = Obstacles(arms).around(arm.robot.name, None, None)
+        assert obstacle_clearance(capsules, others) > 0.05
     scene = arms["robot_0"].scene
     mujoco.mj_forward(scene.model, scene.data)
     touching = {

@@ -6,7 +6,7 @@ from small_tables import cube, facing, pad, stick
 
 from lemma.core.poses import FloatArray, Pose2
 from lemma.env.simulation import Simulation
-from lemma.motion.obstacles import around
+from lemma.motion.obstacles import Obstacles
 from lemma.scene.objects.entity import STICK
 
 SPEC = facing(
@@ -28,7 +28,7 @@ def obstacles(
 ) -> FloatArray:
     """The rows that stand for objects."""
     arms = simulation.arms
-    rows = around(arms, arms["robot_0"], target, held)
+    rows = Obstacles(arms).around("robot_0", target, held)
     others = len(arms["robot_1"].capsules())
     found: FloatArray = rows[others:]
     return found
@@ -38,7 +38,7 @@ def test_the_other_arm_is_an_obstacle_and_the_arm_itself_is_not(
     simulation: Simulation,
 ) -> None:
     arms = simulation.arms
-    rows = around(arms, arms["robot_0"], None, None)
+    rows = Obstacles(arms).around("robot_0", None, None)
     capsules = arms["robot_1"].capsules()
     assert np.array_equal(rows[: len(capsules), :7], capsules)
     assert (rows[: len(capsules), 7] == 0.15).all()
@@ -90,12 +90,13 @@ def test_what_stands_where_the_arm_works_is_no_obstacle(
 
 def test_without_objects_there_are_the_arms() -> None:
     arms = Simulation(facing("ur5")).arms
-    rows = around(arms, arms["robot_1"], None, None)
+    rows = Obstacles(arms).around("robot_1", None, None)
     assert np.array_equal(rows[:, :7], arms["robot_0"].capsules())
 
 
 def test_a_lone_arm_has_no_obstacles(simulation: Simulation) -> None:
     arm = simulation.arms["robot_0"]
-    rows = around({"robot_0": arm}, arm, Pose2(-0.1, 0.2), "blue_cube")
+    lone = Obstacles({"robot_0": arm})
+    rows = lone.around("robot_0", Pose2(-0.1, 0.2), "blue_cube")
     assert rows.shape == (1, 8)
     assert rows[0, 4] == pytest.approx(-0.4, abs=1e-3)

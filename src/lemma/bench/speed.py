@@ -6,7 +6,7 @@ time of the thread: so the ratio says the same on a busy machine as on an idle o
 
 import statistics
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from lemma.core.workers.resources import peak_memory_mb
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
-from lemma.expert.expert import Expert, solve
+from lemma.expert.expert import Expert, ExpertStep, solve
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.cameras import CameraImage
 from lemma.scene.rendering.renderer import Renderer
@@ -33,6 +33,9 @@ from lemma.viz.recording import record
 
 Figures = dict[str, float]
 """Numbers by the name that the JSON has; `lemma bench` says what each means."""
+
+Play = Callable[[Episode], Iterator[ExpertStep]]
+"""Solves an episode, sub-task by sub-task."""
 
 HZ = 20.0
 """Control steps per simulated second."""
@@ -229,8 +232,18 @@ def measure_expert_loop(instances: Iterable[Instance], turns: int = 5) -> Figure
     }
 
 
-def record_loop(instance: Instance) -> RecordedLoop:
-    """Let the expert solve an instance; record its motor commands."""
+def _one_by_one(episode: Episode) -> Iterator[ExpertStep]:
+    """Let the expert work on an episode, one robot at a time."""
+    return solve(episode, Expert(episode.simulation.scene, episode.instance.goal))
+
+
+def record_loop(instance: Instance, play: Play = _one_by_one) -> RecordedLoop:
+    """Let the expert solve an instance; record its motor commands.
+
+    Args:
+        instance: The problem.
+        play: How the expert solves it.
+    """
     episode = Episode(instance)
     scene = episode.simulation.scene
     start = scene.snapshot()
@@ -241,26 +254,29 @@ def record_loop(instance: Instance) -> RecordedLoop:
 
     mujoco.set_mjcb_control(note)
     try:
-        for _ in solve(episode, Expert(scene, instance.goal)):
+        for _ in play(episode):
             pass
     finally:
         mujoco.set_mjcb_control(None)
     return RecordedLoop(start, np.array(commands), scene.snapshot(), scene.time_s)
 
 
-def time_loop(instance: Instance, recorded: RecordedLoop) -> list[tuple[float, float]]:
+def time_loop(
+    instance: Instance, recorded: RecordedLoop, play: Play = _one_by_one
+) -> list[tuple[float, float]]:
     """Return how long the loop took for each sub-task, and bare physics [s].
 
     Args:
         instance: The problem.
         recorded: The expert's earlier run of it.
+        play: How it was solved there.
 
     Raises:
         PhysicsError: The same commands did not lead to the same state.
     """
     episode = Episode(instance)
     scene = episode.simulation.scene
-    steps = solve(episode, Expert(scene, instance.goal))
+    steps = play(episode)
     bare = Scene(instance.scene)
     bare.restore(recorded.start)
     model, data, done, times = bare.model, bare.data, 0, []

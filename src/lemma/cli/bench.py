@@ -17,6 +17,7 @@ from lemma.bench.speed import (
     measure_expert_loop,
     measure_speed,
 )
+from lemma.bench.together import PARALLEL_TASKS, measure_together
 from lemma.cli.options import (
     Flag,
     JsonFlag,
@@ -76,6 +77,17 @@ _TRAINING_TARGETS = {
     "eager_samples_per_s": ("without capture and compiler", "{:.0f}", ""),
     "eager_gpu_busy": ("share of the time in which the GPU works", "{:.0%}", ""),
 }
+_TOGETHER_TARGETS = {
+    "success_rate": ("success, all robots at once", "{:.0%}", "100%"),
+    "sequential_s": ("one robot at a time, mean", "{:.1f} s", ""),
+    "makespan_s": ("all robots at once, mean makespan", "{:.1f} s", ""),
+    "makespan_ratio": ("makespan over one at a time", "{:.2f}", ""),
+    "waited_s": ("waiting for reserved sectors, all robots", "{:.1f} s", ""),
+    "retreats": ("circles of waiting broken by a retreat", "{:.0f}", ""),
+    "deadlocks": ("sub-tasks that ended as deadlock", "{:.0f}", "0"),
+    "clearance_mm": ("least distance between arms", "{:.0f} mm", "≥ 50 mm"),
+    "loop_ratio": ("the loop over bare physics", "{:.2f}", "≥ 0.7"),
+}
 _GROUPS = {
     "speed": (f"Speed (first {{each}} of split {_SPLIT!r} per task)", _TARGETS),
     "loop": (
@@ -104,6 +116,7 @@ def bench(
     expert: Flag = False,
     episodes: int = SPLITS[_SPLIT],
     workers: Number = None,
+    together: Flag = False,
     policy: Annotated[
         str | None, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")
     ] = None,
@@ -122,6 +135,8 @@ def bench(
         expert: Measure the expert's success as well, which takes minutes.
         episodes: Frozen instances per task, and as many fresh ones, for the expert.
         workers: Processes for the expert; one per core by default.
+        together: Measure instead how fast the expert is with all robots at work at the
+            same time, in these tasks or pass2 and stack2.
         policy: Measure instead how fast this policy decides, and how much memory it
             needs.
         training: Measure instead how fast this model learns, and how busy the GPU is.
@@ -129,7 +144,9 @@ def bench(
         as_json: Print one JSON object on the output, and the progress elsewhere.
     """
     names = tuple(TASKS[name].name for name in dict.fromkeys(tasks)) or SUITE
-    _check_options(expert, episodes, workers, policy, training, data)
+    _check_options(expert, episodes, workers, policy, training, data, together)
+    if together:
+        return _bench_together(names if tasks else PARALLEL_TASKS, episodes, as_json)
     each = min(episodes, _SPEED_EPISODES)
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
@@ -175,16 +192,18 @@ def _check_options(
     policy: str | None,
     training: str | None,
     data: Path | None,
+    together: bool,
 ) -> None:
     if not 1 <= episodes <= SPLITS[_SPLIT] or (workers is not None and workers < 1):
         raise InvalidConfigError(
             f"--episodes goes from 1 to {SPLITS[_SPLIT]}, the length of the frozen "
             f"list, and --workers from 1 up; not {episodes} and {workers}."
         )
-    if (policy is not None) + (training is not None) + expert > 1:
+    asked = (policy is not None, training is not None, expert, together)
+    if sum(asked) > 1:
         raise InvalidConfigError(
-            "--policy, --training and --expert measure different things. Name one of "
-            "them."
+            "--policy, --training, --expert and --together measure different things. "
+            "Name one of them."
         )
     if (training is None) != (data is None):
         raise InvalidConfigError(
@@ -204,6 +223,21 @@ def _measure_training(model: str, data: Path) -> Figures:
     plain = measure_training(replace(config, compile=False, capture=False))
     names = ("samples_per_s", "gpu_busy")
     return found | {f"eager_{name}": plain[name] for name in names}
+
+
+def _bench_together(names: tuple[str, ...], episodes: int, as_json: bool) -> int:
+    found = {}
+    for name in track(names, "All robots at once", console=messages()):
+        instances = [load_instance(name, _SPLIT, i) for i in range(episodes)]
+        found[name] = measure_together(instances)
+    if as_json:
+        told = {name: _rounded(figures) for name, figures in found.items()}
+        print_json({"machine": describe_machine(), "together": told})
+        return 0
+    for name, figures in found.items():
+        title = f"{name}, first {episodes} of split {_SPLIT!r}"
+        print_figures(figures, _TOGETHER_TARGETS, title)
+    return 0
 
 
 def _measure_expert(

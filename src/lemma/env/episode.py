@@ -171,6 +171,35 @@ class Episode:
         self.conclude()
         return result
 
+    def begin(self, grounded: GroundedSubTask) -> None:
+        """Give a grounded sub-task to a free robot, while others may be at work.
+
+        Raises:
+            ResetNeededError: The episode is over.
+            InvalidActionError: The robot is busy.
+            UnknownNameError: There is no such robot in this scene.
+        """
+        if self.is_over:
+            raise ResetNeededError(
+                f"The episode {self.instance.key} is over. Reset before you act again."
+            )
+        self.simulation.begin(grounded, until_s=self.horizon_s)
+
+    def advance(self) -> tuple[ExecutedSubTask, ...]:
+        """Let time pass until a busy robot becomes free.
+
+        Returns:
+            The sub-tasks that ended; none where no robot is busy.
+        """
+        ended = tuple(
+            ExecutedSubTask(one.subtask, one.result, one.start_s)
+            for one in self.simulation.advance()
+        )
+        self.executed += ended
+        if not self.simulation.busy:
+            self.conclude()
+        return ended
+
     def linger(self, start_s: float, least_s: float = LEAST_STEP_S) -> None:
         """Let time pass until a step has taken as long as it must.
 

@@ -15,6 +15,7 @@ from lemma.core.errors import InvalidActionError, PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.outcome import Outcome, SkillResult
+from lemma.motion.reservations import Reservations
 from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.motion.skills import Skill, SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
@@ -133,6 +134,11 @@ class Simulation:
         self.scene.data.time = 0.0
 
     @property
+    def reservations(self) -> Reservations:
+        """The sectors of the table that robots at work hold."""
+        return self._skills.reservations
+
+    @property
     def time_s(self) -> float:
         """Simulated time since the first state [s]."""
         return self.scene.time_s
@@ -249,6 +255,8 @@ class Simulation:
             if ended or data.time >= end:
                 return ended
             try:
+                if len(self._running) > 1:
+                    self._skills.mind_others(tuple(self._running))
                 self.tick(tuple(self.busy))
             except BaseException:
                 # An observer may break everything off by raising something.
@@ -294,6 +302,7 @@ class Simulation:
         """End what a robot does, and count the time it took."""
         running = self._running.pop(robot)
         running.skill.close()
+        self.reservations.release(robot)
         self.clocks[robot].busy_s += self.time_s - running.start_s
 
     def _with_losses(self, result: SkillResult, before: tuple[str, ...]) -> SkillResult:
@@ -357,6 +366,7 @@ class Simulation:
         for running in self._running.values():
             running.skill.close()
         self._running.clear()
+        self.reservations.clear()
         self.scene.restore(snapshot.physics)
         self.scene.coasting.restore(snapshot.coasting)
         # The contacts too, which tell what is held.

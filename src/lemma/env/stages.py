@@ -292,7 +292,7 @@ class StageWatch:
         reaches = self._grounder.reaches
         if not held and not reaches(robot, self._grip(step.pick)):
             return False
-        if step.place in self._start.spec.object_names and step.pick != STICK:
+        if step.place in self._scene.object_names and step.pick != STICK:
             return reaches(robot, self._scene.pose2(step.place))
         return True
 
@@ -336,7 +336,7 @@ class StageWatch:
         subject = _subject(step)
         if subject not in self._number:
             return False
-        if step.primitive not in _DRAGS and step.place in self._start.spec.object_names:
+        if step.primitive not in _DRAGS and step.place in self._scene.object_names:
             return On(step.pick, step.place).holds(self._scene)
         if subject in self._scene.fallen or not self._rests(subject):
             return False

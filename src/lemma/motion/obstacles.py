@@ -1,11 +1,16 @@
 """Obstacles of an arm: the other arms, and the objects on the table."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
+import numpy.typing as npt
 
+from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray, Pose2
 from lemma.motion.arm_motion import ArmMotion
+from lemma.robots.collision_model import envelope_of, place_capsules
+from lemma.robots.ur.kinematics import frames
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene
 
@@ -15,60 +20,147 @@ _WORK_AREA_M = 0.16
 """Nearer to the target than this the gripper comes straight from above, between the
 objects that stand there; pushing it sideways would make it miss."""
 
+_ARM = np.dtype(
+    [
+        ("qpos", np.int64),
+        ("dh", np.float64, 6),
+        ("base", np.float64, (4, 4)),
+        ("links", np.float64, 10),
+        ("capsules", np.float64, (10, 7)),
+    ]
+)
+_THING = np.dtype(
+    [
+        # Where its pose is in ``data.qpos``, or -1 and ``pose``.
+        ("qpos", np.int64),
+        ("pose", np.float64, 7),
+        ("name", np.int64),
+        ("capsule", np.float64, 7),
+    ]
+)
 
-def around(
-    arms: dict[str, ArmMotion],
-    arm: ArmMotion,
-    target: Pose2 | None,
-    held: str | None,
-) -> FloatArray:
-    """Return the obstacles of one arm.
+
+class Obstacles:
+    """Obstacles of the arms of one scene, wherever they are at present."""
+
+    def __init__(self, arms: Mapping[str, ArmMotion]) -> None:
+        """Keep the shapes of arms and objects.
+
+        Args:
+            arms: All arms of the scene.
+        """
+        scene = next(iter(arms.values())).scene
+        self._qpos = scene.data.qpos
+        self._numbers = {name: k for k, name in enumerate(arms)}
+        self._arms = np.array([_arm_record(arm) for arm in arms.values()], _ARM)
+        self._names = {name: k for k, name in enumerate(scene.object_names)}
+        things = [
+            row
+            for name, number in self._names.items()
+            for row in _records(scene, name, number)
+        ]
+        self._things = np.array(things, _THING)
+        rows = 10 * (len(self._arms) - 1) + len(self._things)
+        self._rows = np.empty((len(self._arms), rows, 8))
+
+    def around(
+        self, robot: str, target: Pose2 | None, held: str | None
+    ) -> FloatArray:
+        """Return the obstacles of one arm.
+
+        Args:
+            robot: The arm that will move; it is no obstacle to itself.
+            target: Where it will work, if anywhere; the object there is left out.
+            held: The object that it holds or will pick up; left out.
+
+        Returns:
+            Capsules with the range in which they are felt, (n, 8) [m], valid until the
+            next call for this arm.
+        """
+        me = self._numbers[robot]
+        x, y = (math.inf, math.inf) if target is None else target.xy
+        out, lifted = self._rows[me], -1 if held is None else self._names[held]
+        count = _gather(self._qpos, self._arms, self._things, me, lifted, x, y, out)
+        return out[:count]
+
+
+def _arm_record(arm: ArmMotion) -> tuple[object, ...]:
+    robot, envelope = arm.robot, envelope_of(arm.robot.arm.name)
+    base, shape = robot.world_from_base, (envelope.capsule_links, envelope.capsules)
+    return (robot.qpos.start, robot.arm.dh, base, *shape)
+
+
+def _records(scene: Scene, name: str, number: int) -> list[tuple[object, ...]]:
+    """Return the capsules that stand for an object, upright as it stood."""
+    address = scene.qpos_of(name)
+    pose = scene.pose_row(name)
+    return [
+        (address, pose, number, (*capsule.start, *capsule.end, capsule.radius_m))
+        for capsule in kind_of(name).obstacle
+    ]
+
+
+@kernel
+def _gather(  # noqa: PLR0913 - one call is what makes it fast
+    qpos: FloatArray,
+    arms: npt.NDArray[np.void],
+    things: npt.NDArray[np.void],
+    me: int,
+    lifted: int,
+    x: float,
+    y: float,
+    out: FloatArray,
+) -> int:
+    """Write the obstacles of an arm to ``out``, (n, 8) [m]; returns how many.
 
     Args:
-        arms: All arms of the scene.
-        arm: The arm that will move; it is no obstacle to itself.
-        target: Where it will work, if anywhere; the object there is left out.
-        held: The object that it holds or will pick up; left out.
-
-    Returns:
-        Capsules with the range in which they are felt, (n, 8) [m].
+        qpos: Of the scene.
+        arms: Shapes of all arms.
+        things: Shapes of all objects.
+        me: The arm.
+        lifted: Number of the object that it holds, or -1.
+        x: Where it works [m]; infinite where it does not.
+        y: The same.
+        out: Written.
     """
-    rows = [np.zeros((0, 8))]
-    for other in arms.values():
-        if other is not arm:
-            capsules = other.capsules()
-            rows.append(np.c_[capsules, np.full(len(capsules), _ARM_RANGE_M)])
-    near = [
-        capsule
-        for name in arm.scene.spec.object_names
-        if name != held
-        for capsule in _object_capsules(arm.scene, name)
-        if target is None or _gap(capsule, target) > _WORK_AREA_M
-    ]
-    if near:
-        rows.append(np.array(near))
-    return np.concatenate(rows)
+    count, placed, pose = 0, np.empty((7, 4, 4)), np.empty(7)
+    for k in range(arms.shape[0]):
+        if k != me:
+            arm = arms[k]
+            start, shape = arm.qpos, arm.capsules
+            frames(arm.dh, arm.base, qpos[start : start + 6], placed)
+            place_capsules(placed, arm.links, shape, out[count:])
+            for i in range(count, count + shape.shape[0]):
+                out[i, 7] = _ARM_RANGE_M
+            count += shape.shape[0]
+    for k in range(things.shape[0]):
+        thing = things[k]
+        if thing.name == lifted:
+            continue
+        start = thing.qpos
+        for i in range(7):
+            pose[i] = qpos[start + i] if start >= 0 else thing.pose[i]
+        qw, qx, qy, qz = pose[3], pose[4], pose[5], pose[6]
+        yaw = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        row, shape = out[count], thing.capsule
+        for i in (0, 3):
+            row[i] = pose[0] + cos * shape[i] - sin * shape[i + 1]
+            row[i + 1] = pose[1] + sin * shape[i] + cos * shape[i + 1]
+            row[i + 2] = pose[2] + shape[i + 2]
+        row[6], row[7] = shape[6], _OBJECT_RANGE_M
+        if math.isinf(x) or _gap(row, x, y) > _WORK_AREA_M:
+            count += 1
+    return count
 
 
-def _object_capsules(scene: Scene, name: str) -> list[list[float]]:
-    """Return capsules, each (8,), that stand for an object, upright as it stood."""
-    pose, z = scene.pose2(name), scene.pose(name).position[2]
-    found = []
-    for capsule in kind_of(name).obstacle:
-        ends = []
-        for x, y, up in (capsule.start, capsule.end):
-            end = pose @ Pose2(x, y)
-            ends += [end.x, end.y, z + up]
-        found.append([*ends, capsule.radius_m, _OBJECT_RANGE_M])
-    return found
-
-
-def _gap(capsule: list[float], target: Pose2) -> float:
-    """Return the horizontal distance between a capsule's axis and a pose [m]."""
-    ax, ay, _, bx, by, _, _, _ = capsule
-    dx, dy = bx - ax, by - ay
+@kernel
+def _gap(capsule: FloatArray, x: float, y: float) -> float:
+    """Return the horizontal distance between a capsule's axis and a place [m]."""
+    ax, ay = capsule[0], capsule[1]
+    dx, dy = capsule[3] - ax, capsule[4] - ay
     length = dx * dx + dy * dy
     t = 0.0
     if length > 0.0:
-        t = min(1.0, max(0.0, ((target.x - ax) * dx + (target.y - ay) * dy) / length))
-    return math.hypot(target.x - ax - t * dx, target.y - ay - t * dy)
+        t = min(1.0, max(0.0, ((x - ax) * dx + (y - ay) * dy) / length))
+    return math.hypot(x - ax - t * dx, y - ay - t * dy)

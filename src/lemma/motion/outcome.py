@@ -31,6 +31,8 @@ class Outcome(StrEnum):
     """Something was in the way."""
     TIMEOUT = "timeout"
     """The motion did not end in time."""
+    DEADLOCK = "deadlock"
+    """Robots at work at the same time waited for each other, or one for too long."""
     OUT_OF_TIME = "out_of_time"
     """The episode's time was over."""
 

@@ -15,10 +15,11 @@ import numpy as np
 from lemma.core.engine import mujoco
 from lemma.core.poses import Pose2, wrap
 from lemma.core.registry import Registry
-from lemma.motion.arm_motion import ArmMotion
+from lemma.motion.arm_motion import ArmMotion, largest_turn
 from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand
-from lemma.motion.obstacles import around
+from lemma.motion.obstacles import Obstacles
 from lemma.motion.outcome import Outcome, SkillFailure, SkillResult, has_fallen
+from lemma.motion.reservations import Reservations, Verdict
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import top_down
@@ -35,6 +36,9 @@ DRAG_HEIGHT_M = 0.022
 """While it pushes or pulls, the stick hovers 4 mm above the table."""
 DRAG_SPEED_M_S = 0.2
 
+_MIND_TICKS = 5
+"""Servo ticks between two looks at what arms have left behind: 50 ms."""
+_HOME_RAD = 0.05
 _MEETING_M = 0.05
 _MEETING_M_S = 0.1
 """The stick meets the cube slowly: a knock would send it ahead."""
@@ -56,6 +60,64 @@ class SkillRunner:
         """
         self.arms = arms
         self.scene = next(iter(arms.values())).scene
+        self.reservations = Reservations(arms)
+        """Of those at work; whoever is free holds none."""
+        self._obstacles = Obstacles(arms)
+        self._felt: dict[str, tuple[Pose2 | None, str | None]] = {}
+        self._ticks = 0
+
+    def feel(self, arm: ArmMotion, target: Pose2 | None, held: str | None) -> None:
+        """Set the obstacles of an arm; see :meth:`.Obstacles.around`."""
+        self._felt[arm.robot.name] = (target, held)
+        arm.set_obstacles(self._obstacles.around(arm.robot.name, target, held))
+
+    def mind_others(self, busy: tuple[str, ...]) -> None:
+        """Let those at work feel where others are now, and not wait for ever.
+
+        Args:
+            busy: Several robots, in the order in which their sub-tasks began.
+        """
+        for name in busy:
+            # Of any arm, for a sub-task that has begun in this tick as well.
+            self.feel(self.arms[name], *self._felt[name])
+        self._ticks += 1
+        if self._ticks % _MIND_TICKS == 0:
+            self.reservations.follow()
+        if self.reservations.waits:
+            self.reservations.judge(busy)
+
+    def _enter(
+        self, arm: ArmMotion, *goals: Pose2, stick: bool
+    ) -> Generator[None, None, bool]:
+        """Wait until an arm may sweep to goals and home; returns whether it waited.
+
+        Raises:
+            SkillFailure: Robots wait for each other.
+        """
+        name, table, since = arm.robot.name, self.reservations, self.scene.time_s
+        while not table.ask(name, goals, stick=stick):
+            wait = table.waits[name]
+            if wait.verdict is Verdict.FAIL:
+                raise SkillFailure(
+                    Outcome.DEADLOCK,
+                    f"{name} waited for {' and '.join(wait.holders)}, in vain.",
+                )
+            if wait.verdict is Verdict.RETREAT:
+                arm.follow_posture(arm.park)
+                if largest_turn(arm.measured, arm.park) < _HOME_RAD:
+                    table.give_up(name)
+            yield
+        return self.scene.time_s > since
+
+    def _put_away(self, arm: ArmMotion) -> Motion:
+        """Put down what an arm holds where it is, as soon as it may go home from there.
+
+        An arm that has begun to work may do so at once, and one that is home, or stayed
+        where it was, once others have passed.
+        """
+        while not self.reservations.ask_for_home(arm.robot.name):
+            yield
+        yield from Moves(arm).give_up()
 
     def run(self, subtask: GroundedSubTask) -> Skill:
         """Execute a sub-task; yields once per servo tick, returns how it went.
@@ -71,19 +133,30 @@ class SkillRunner:
         start = self.scene.time_s
         arm = self.arms[subtask.robot]
         result = SkillResult(Outcome.SUCCESS, "Done.", 0.0)
+        self._felt[subtask.robot] = (None, None)
         if Moves(arm).is_full():
-            yield from Moves(arm).give_up()
+            yield from self._put_away(arm)
         try:
+            yield from self._begin(arm, subtask)
             yield from skill(self, arm, subtask)
         except SkillFailure as failure:
             result = SkillResult(failure.outcome, failure.explanation, 0.0)
-            yield from Moves(arm).give_up()
+            yield from self._put_away(arm)
+        self.reservations.ask_for_home(subtask.robot)
         if subtask.primitive not in _STAYS or not result.ok:
-            arm.set_obstacles(around(self.arms, arm, None, None))
+            self.feel(arm, None, None)
             yield from Moves(arm).park()
         return SkillResult(
             result.outcome, result.explanation, self.scene.time_s - start
         )
+
+    def _begin(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
+        """Reserve the first stage; all of a sub-task that does not ask on its way."""
+        stick = self.surface(subtask.pick)[1] == STICK
+        if SKILLS[subtask.primitive] in (SkillRunner.move, SkillRunner.prepare):
+            yield from self._enter(arm, subtask.pick, stick=stick)
+        else:
+            yield from self._enter(arm, subtask.pick, subtask.place, stick=stick)
 
     def move(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
         """Pick up what lies at the pick pose, and put it down at the place pose."""
@@ -100,7 +173,7 @@ class SkillRunner:
         low = stand_at(subtask.pick, top_m + _HOVER_M)
         for pose in (low, over):
             moves.check_reach(pose, "pick")
-        arm.set_obstacles(around(self.arms, arm, subtask.pick, found))
+        self.feel(arm, subtask.pick, found)
         arm.opening_m = FINGER_OPENING_M
         yield from moves.to(over, fly_by=True)
         yield from moves.lower(low)
@@ -114,7 +187,7 @@ class SkillRunner:
         over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
         for pose in (low, over):
             moves.check_reach(pose, "pick")
-        arm.set_obstacles(around(self.arms, arm, subtask.pick, held))
+        self.feel(arm, subtask.pick, held)
         yield from moves.grasp(over, low)
         yield from moves.rise(low, grip_m + _LIFT_M)
         yield from moves.to(stand_at(subtask.pick, grip_m + _LIFT_M))
@@ -131,24 +204,35 @@ class SkillRunner:
         subtask = _as_it_turns(subtask, arm)
         low = stand_at(subtask.pick, grip_m)
         over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
-        body = self.scene.model.body(held).id
-        bottom = grip_m - _grasp_of(held).height_m
-        support = self.surface(subtask.place, exclude=body)[0]
-        put = stand_at(subtask.place, support + grip_m - bottom - _PRESS_M)
+        put = self._put_down(subtask.place, held, grip_m)
         over_put = stand_at(subtask.place, max(put[2], TRAVEL_HEIGHT_M))
         for pose in (low, over):
             moves.check_reach(pose, "pick")
         for pose in (put, over_put):
             moves.check_reach(pose, "place")
-        arm.set_obstacles(around(self.arms, arm, subtask.pick, held))
+        name, stick = arm.robot.name, held == STICK
+        alone = self.reservations.is_alone(name)
+        self.feel(arm, subtask.pick, held)
         yield from moves.grasp(over, low)
         yield from moves.rise(low, over[2] - FLY_BY_M)
         moves.check_held()
-        arm.set_obstacles(around(self.arms, arm, subtask.place, held))
+        waited = yield from self._enter(arm, subtask.place, stick=stick)
+        if waited or not alone:
+            # Others may have carried something over the place, or put it there.
+            moves.check_held()
+            put = self._put_down(subtask.place, held, grip_m)
+            over_put = stand_at(subtask.place, max(put[2], TRAVEL_HEIGHT_M))
+        self.feel(arm, subtask.place, held)
         yield from moves.to(over_put, fly_by=True)
         moves.check_held()
         yield from moves.lower(put, contact=True)
         yield from moves.release(put)
+
+    def _put_down(self, place: Pose2, held: str, grip_m: float) -> Stand:
+        """Return where the hand stands when what it holds touches its support."""
+        bottom = grip_m - _grasp_of(held).height_m
+        support = self.surface(place, exclude=self.scene.model.body(held).id)[0]
+        return stand_at(place, support + grip_m - bottom - _PRESS_M)
 
     def drag(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
         """Push or pull a cube with the stick, which lies ready."""
@@ -162,7 +246,7 @@ class SkillRunner:
         for pose in (low, over):
             moves.check_reach(pose, "pick")
         moves.check_reach(end, "place")
-        arm.set_obstacles(around(self.arms, arm, subtask.pick, held))
+        self.feel(arm, subtask.pick, held)
         yield from moves.grasp(over, low)
         yield from moves.to(start, contact=True)
         moves.check_held()

@@ -37,7 +37,7 @@ class SymbolicState:
     def observe(cls, scene: Scene) -> "SymbolicState":
         """Read the situation off a scene."""
         fallen = scene.fallen
-        names = [name for name in scene.spec.object_names if name not in fallen]
+        names = [name for name in scene.object_names if name not in fallen]
         poses = {name: scene.pose2(name) for name in names}
         heights = {name: scene.pose(name).position[2] for name in names}
         supports = {

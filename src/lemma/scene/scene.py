@@ -156,6 +156,10 @@ class Scene:
             raise self._unknown(name)
         return row
 
+    def qpos_of(self, name: str) -> int:
+        """Return where ``data.qpos`` has an object's pose; -1 for what is fixed."""
+        return self._free_qpos.get(name, -1)
+
     def position(self, name: str) -> list[float]:
         """Return where the body frame of an object is in the world, (3,) [m]."""
         address = self._free_qpos.get(name)

@@ -1,0 +1,167 @@
+"""Robots at work at the same time: the same goal sooner, and nobody gets in the way."""
+
+import math
+import os
+import random
+from itertools import combinations
+
+import pytest
+from recorded_episodes import first_instance, run_expert
+from small_tables import cube, facing, move
+from tiers import slow_but
+
+from lemma.core.poses import Pose2
+from lemma.env.episode import Episode
+from lemma.env.simulation import Ended, Simulation
+from lemma.evaluation.run.watches import ClearanceWatch
+from lemma.expert.together import predecessors, solve_together
+from lemma.motion.arm_motion import largest_turn
+from lemma.motion.reservations import cell_at
+from lemma.robots.collision_model import sweep_radius_m
+from lemma.robots.reach import reach_of
+from lemma.scene.spec import RobotPlacement, SceneSpec
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+from lemma.tasks.suite import SUITE
+
+ALONE = tuple(task for task in SUITE if task not in ("pass2", "stack2"))
+
+
+PLANS = int(os.environ.get("TEAM_PLANS", "40"))
+"""Random plans for each number of robots, in the slow tier."""
+
+
+def watch_sectors(simulation: Simulation) -> ClearanceWatch:
+    """Check in every tick that no cell has two holders; watch the clearance as well.
+
+    A hand over the table that is not at home is in a cell of its arm.
+    """
+
+    def look() -> None:
+        cells = simulation.reservations.cells
+        for a, b in combinations(cells.values(), 2):
+            assert not (a & b).any()
+        for name, arm in simulation.arms.items():
+            if largest_turn(arm.measured, arm.park) > 0.1:
+                at = cell_at(*arm.tcp_pose()[:2, 3])
+                assert at is None or cells[name][at]
+
+    simulation.observers.append(look)
+    return ClearanceWatch(simulation)
+
+
+def test_a_sub_task_depends_on_earlier_ones_about_the_same_objects() -> None:
+    steps = [
+        SubTask("robot_0", Primitive.MOVE, "red_cube", "shared"),
+        SubTask("robot_0", Primitive.MOVE, "blue_cube", "shared"),
+        SubTask("robot_1", Primitive.MOVE, "red_cube", "red_pad"),
+        SubTask("robot_1", Primitive.MOVE, "blue_cube", "red_cube"),
+    ]
+    needs = predecessors(steps, ("shared",))
+    assert [set(of) for of in needs] == [set(), set(), {0}, {0, 1, 2}]
+
+
+@pytest.mark.parametrize("task", slow_but(ALONE, "pass"))
+def test_plans_in_which_nothing_is_parallel_give_the_same_state(task: str) -> None:
+    instance = first_instance(task, "ur5+ur10")
+    one_by_one, _, _, _ = run_expert(instance)
+    episode = Episode(instance)
+    for _ in solve_together(episode):
+        pass
+    assert episode.is_success
+    found = episode.simulation.scene.state_hash()
+    assert found == one_by_one.simulation.scene.state_hash()
+
+
+@pytest.mark.parametrize("task", slow_but(("pass2", "stack2"), "stack2"))
+def test_two_robots_at_once_are_sooner_and_keep_clear(task: str) -> None:
+    instance = first_instance(task, "ur5+ur10")
+    one_by_one, _, _, _ = run_expert(instance)
+    episode = Episode(instance)
+    watch = watch_sectors(episode.simulation)
+    steps = list(solve_together(episode))
+    assert episode.is_success
+    assert episode.elapsed_s < 0.9 * one_by_one.elapsed_s
+    assert watch.least_m > 0.05
+    assert [one.grounded for one in episode.executed] == [one.grounded for one in steps]
+
+
+def test_robots_that_wait_for_each_other_are_parted_by_a_retreat() -> None:
+    """Each holds a cube where the other wants to put its own."""
+    red, green = Pose2(-0.03, 0.22), Pose2(0.03, -0.22)
+    simulation = Simulation(
+        facing("ur5", cube("red", *red.xy), cube("green", *green.xy))
+    )
+    watch = watch_sectors(simulation)
+    simulation.begin(move(red, Pose2(0.0, -0.1)))
+    simulation.begin(move(green, Pose2(0.0, 0.1), "robot_1"))
+    ended = [*simulation.advance(), *simulation.advance()]
+    assert [one.result.outcome for one in ended] == ["success", "success"]
+    assert simulation.reservations.times.retreats == 1
+    assert simulation.reservations.cells == {}
+    assert watch.least_m > 0.05
+
+
+def ring(robots: int) -> SceneSpec:
+    """Return some UR5 around a table, each with a cube, in a place that all sweep."""
+    reach = reach_of("ur5").travel_m
+    away = reach - 0.13 if robots < 4 else 0.66
+    placed, cubes = [], []
+    for k, color in enumerate(("red", "green", "blue", "white")[:robots]):
+        angle = math.tau * k / robots
+        base = Pose2(away * math.cos(angle), away * math.sin(angle), angle + math.pi)
+        placed.append(RobotPlacement("ur5", ("red", "white")[k % 2], base))
+        spot = base @ Pose2(0.35, -0.35)
+        cubes.append(cube(color, spot.x, spot.y))
+    return SceneSpec(tuple(placed), tuple(cubes))
+
+
+def random_moves(spec: SceneSpec, seed: int, each: int) -> list[GroundedSubTask]:
+    """Return moves of each robot's own cube to random free spots that it reaches.
+
+    No spot is where the shoulder of an arm turns.
+    """
+    bases = [robot.base for robot in spec.robots]
+    rng, sweep_m = random.Random(seed), sweep_radius_m("ur5") + 0.04
+    found: list[GroundedSubTask] = []
+    taken = [placed.pose for placed in spec.objects]
+    at = list(taken)
+    for _ in range(each):
+        for k, robot in enumerate(spec.robots):
+            reach = reach_of(robot.arm)
+            while True:
+                to = Pose2(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5))
+                near = min(to.distance(other) for other in taken)
+                free = near > 0.13 and min(map(to.distance, bases)) > sweep_m
+                if free and reach.margin(robot.base, to.x, to.y) > 0.03:
+                    break
+            found.append(move(at[k], to, f"robot_{k}"))
+            at[k] = to
+            taken.append(to)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("robots", "seed"),
+    [(3, 0), (4, 0)]
+    + [
+        pytest.param(robots, seed, marks=pytest.mark.slow)
+        for robots in (2, 3, 4)
+        for seed in range(1, PLANS)
+    ],
+)
+def test_any_plan_ends_without_arms_that_touch(robots: int, seed: int) -> None:
+    spec = ring(robots)
+    simulation = Simulation(spec)
+    watch = watch_sectors(simulation)
+    todo, ended = random_moves(spec, seed, each=2), list[Ended]()
+    while todo or simulation.busy:
+        for name in spec.robot_names:
+            mine = next((one for one in todo if one.robot == name), None)
+            if name not in simulation.busy and mine is not None:
+                todo.remove(mine)
+                simulation.begin(mine, until_s=math.inf)
+        ended += simulation.advance()
+    assert len(ended) == 2 * robots
+    assert simulation.reservations.times.retreats <= len(ended)
+    assert watch.least_m > 0.02
+    assert {one.result.outcome for one in ended} == {"success"}
