@@ -11,7 +11,6 @@ import lemma
 from lemma.core.poses import Pose2
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.moves import Motion, Moves
-from lemma.motion.obstacles import around
 from lemma.motion.skills import SkillRunner, stand_at
 from lemma.planning.geometry import GroundedOption, SceneGeometry
 from lemma.planning.primitives import Wish
@@ -38,7 +37,7 @@ def push(runner: SkillRunner, arm: ArmMotion, subtask: GroundedSubTask) -> Motio
     over = stand_at(subtask.pick, TRAVEL_HEIGHT_M)
     moves.check_reach(start, "pick")
     moves.check_reach(end, "place")
-    arm.set_obstacles(around(runner.arms, arm, subtask.pick, None))
+    runner.feel(arm, subtask.pick, None)
     arm.opening_m = 0.0
     yield from moves.to(over, fly_by=True)
     yield from moves.wait_for_fingers()

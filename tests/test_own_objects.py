@@ -18,7 +18,7 @@ from lemma.env.control.safety_filter import SafetyFilter
 from lemma.env.observation import object_poses
 from lemma.evaluation.protocol.language_controls import control_of
 from lemma.evaluation.run.fault_isolation import check
-from lemma.motion.obstacles import around
+from lemma.motion.obstacles import Obstacles
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.batch import decision_numbers
 from lemma.policies.interfaces import Decision
@@ -99,7 +99,7 @@ def test_rendered_labels_have_rows_for_it() -> None:
 def test_arms_keep_clear_of_its_whole_height() -> None:
     simulation = lemma.Episode(instance()).simulation
     arms = simulation.arms
-    rows = around(arms, arms["robot_0"], None, None)
+    rows = Obstacles(arms).around("robot_0", None, None)
     x, y, z = simulation.scene.pose(CAN).position
     own = [row for row in rows if np.hypot(row[0] - x, row[1] - y) < 1e-9]
     assert len(own) == 1

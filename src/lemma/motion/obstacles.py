@@ -63,9 +63,7 @@ class Obstacles:
         rows = 10 * (len(self._arms) - 1) + len(self._things)
         self._rows = np.empty((len(self._arms), rows, 8))
 
-    def around(
-        self, robot: str, target: Pose2 | None, held: str | None
-    ) -> FloatArray:
+    def around(self, robot: str, target: Pose2 | None, held: str | None) -> FloatArray:
         """Return the obstacles of one arm.
 
         Args:
@@ -81,7 +79,8 @@ class Obstacles:
         x, y = (math.inf, math.inf) if target is None else target.xy
         out, lifted = self._rows[me], -1 if held is None else self._names[held]
         count = _gather(self._qpos, self._arms, self._things, me, lifted, x, y, out)
-        return out[:count]
+        rows: FloatArray = out[:count]
+        return rows
 
 
 def _arm_record(arm: ArmMotion) -> tuple[object, ...]:
