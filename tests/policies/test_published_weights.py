@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -241,7 +242,8 @@ def test_the_list_and_the_command_are_what_the_metadata_say(name: str) -> None:
     typed = tyro.cli(TrainingConfig, args=words[2:])
     # This command trains with these very options.
     made = TrainingConfig.from_dict(metadata.training)
-    assert typed.resolved() == made
+    # Compiled or not: by default a GPU compiles since they were trained.
+    assert replace(typed.resolved(), compile=made.compile) == made
     if entry["ended"] == "steps":
         assert entry["steps"] == made.steps
     if entry["ended"] == "time limit":

@@ -33,10 +33,13 @@ CHECKPOINTS = tuple(
     if entry["model"].startswith(LEROBOT)
 )
 NAMES = tuple(name for name in published_weights() if name not in CHECKPOINTS)
+LADDER = {"keypose"}
+"""Weights whose rows are of the ladder alone."""
 WHOLE = tuple(
     name
     for name in NAMES
     if hasattr(MODELS[published_weights()[name]["model"]][0], "act")
+    and name not in LADDER
 )
 
 RESULTS = sorted((Path(__file__).parents[2] / "results").glob("*/seed-0.json"))
@@ -44,7 +47,7 @@ RESULTS = sorted((Path(__file__).parents[2] / "results").glob("*/seed-0.json"))
 
 def test_all_trainings_of_the_tables_are_published() -> None:
     needed = {one for one in TRAININGS if TRAININGS[one].samples is None}
-    assert set(NAMES) == needed
+    assert set(NAMES) - LADDER == needed
     assert set(CHECKPOINTS) == {
         one.name for one in selected(CONTROL_LEVEL) if not privileged(one.policy.name)
     }
