@@ -1,6 +1,7 @@
 """`lemma bench`: the benchmark's own figures, measured here."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -31,7 +32,7 @@ from lemma.cli.options import (
 )
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.resources import usable_cores
-from lemma.tasks.instance import SPLITS
+from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.suite import SUITE, TASKS, load_instance
 
 _SPLIT = "test"
@@ -151,18 +152,12 @@ def bench(
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
     if training is not None and data is not None:
-        with messages().status(f"Training {training} for some steps ..."):
-            found = {"training": _measure_training(training, data)}
+        found = {"training": _measure_training(training, data)}
     elif policy is not None:
         with messages().status(f"Playing {len(instances)} episodes ..."):
             found = {"policy": measure_policy(policy, instances)}
     else:
-        with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
-            found = {
-                "speed": measure_speed(instances),
-                "loop": measure_expert_loop(instances[::each]),
-                "control": measure_control(instances[0]),
-            }
+        found = _measure_speed(instances, each)
     experts = _measure_expert(names, episodes, workers) if expert else {}
     if as_json:
         told: dict[str, object] = {n: _rounded(of) for n, of in found.items()}
@@ -211,16 +206,26 @@ def _check_options(
         )
 
 
+def _measure_speed(instances: Sequence[Instance], each: int) -> dict[str, Figures]:
+    with messages().status(f"Measuring speed on {len(instances)} episodes ..."):
+        return {
+            "speed": measure_speed(instances),
+            "loop": measure_expert_loop(instances[::each]),
+            "control": measure_control(instances[0]),
+        }
+
+
 def _measure_training(model: str, data: Path) -> Figures:
     # It imports torch, which is an extra.
     from lemma.policies.training.config import TrainingConfig
     from lemma.policies.training.speed import measure_training
 
     config = TrainingConfig(model, data, data / "unused")
-    found = measure_training(config)
-    if math.isnan(found["gpu_busy"]):
-        return {name: found[name] for name in ("samples_per_s", "frames_per_s")}
-    plain = measure_training(replace(config, compile=False, capture=False))
+    with messages().status(f"Training {model} for some steps ..."):
+        found = measure_training(config)
+        if math.isnan(found["gpu_busy"]):
+            return {name: found[name] for name in ("samples_per_s", "frames_per_s")}
+        plain = measure_training(replace(config, compile=False, capture=False))
     names = ("samples_per_s", "gpu_busy")
     return found | {f"eager_{name}": plain[name] for name in names}
 
