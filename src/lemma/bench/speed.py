@@ -6,7 +6,7 @@ time of the thread: so the ratio says the same on a busy machine as on an idle o
 
 import statistics
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +44,7 @@ _KEPT_STEPS = 7
 """How long a random action is kept up."""
 
 
-def measure_speed(instances: list[Instance], repeats: int = 30) -> Figures:
+def measure_speed(instances: Sequence[Instance], repeats: int = 30) -> Figures:
     """Measure episodes without images, images, sampling, resets and memory.
 
     Args:
@@ -89,7 +89,7 @@ def _measure_images(instance: Instance, renderer: Renderer, repeats: int) -> Fig
 
 
 def _time_resets(
-    instances: list[Instance], renderer: Renderer, repeats: int
+    instances: Sequence[Instance], renderer: Renderer, repeats: int
 ) -> tuple[float, float]:
     """Return the times to a first state, and to the first pictures [s]."""
     times = []
