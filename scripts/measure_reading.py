@@ -28,8 +28,11 @@ from lemma.policies.models.reachnet.goal_reader import (
     ReaderConfig,
     goal_numbers,
 )
+from lemma.policies.models.reachnet.model import ReachNet
 from lemma.policies.text.grammar import Grammar, grammar
 from lemma.policies.text.paraphrase import paraphrase
+from lemma.policies.text.refusals import REASON_NAMES, refusal_bank
+from lemma.policies.weights import load_model
 from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.language.bank import instruct, templates
@@ -79,12 +82,15 @@ def kinds_of(task: str) -> tuple[tuple[str, str], ...]:
 
 def batches(
     rules: Grammar, options: argparse.Namespace
-) -> Iterator[tuple[list[str], Tensor]]:
-    """Yield sentences and their goals."""
-    rng = stream("reading", options.seed)
+) -> Iterator[tuple[list[str], Tensor, Tensor]]:
+    """Yield sentences, their goals and the reasons why some have none."""
+    rng, bank = stream("reading", options.seed), refusal_bank()
     for _ in range(-(-options.steps // _POOLED)):
         pool = []
         for _ in range(_POOLED * options.batch):
+            if rng.random() < options.refusals:
+                pool.append(bank.draw(rng))
+                continue
             task = SUITE[int(rng.integers(len(SUITE)))]
             goal = draw_goal(kinds_of(task), rng)
             if rng.random() < options.paraphrases:
@@ -92,26 +98,32 @@ def batches(
             else:
                 kind = ("high_level", "human")[int(rng.integers(2))]
                 text = instruct(task, kind, goal, rng)
-            pool.append((text, goal))
+            pool.append((text, goal, ""))
         pool.sort(key=lambda said: len(said[0]))
         for start in rng.permutation(_POOLED) * options.batch:
             part = pool[start : start + options.batch]
-            texts = [text for text, _ in part]
-            yield texts, goal_numbers([goal for _, goal in part], CPU)
+            texts = [text for text, _, _ in part]
+            goals = goal_numbers([goal for _, goal, _ in part], CPU)
+            reasons = [REASON_NAMES.index(why) if why else -1 for _, _, why in part]
+            yield texts, goals, torch.tensor(reasons)
 
 
 def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
     """Return a reader that has learned."""
     torch.manual_seed(options.seed)
     reader = GoalReader(ReaderConfig())
+    if options.start:
+        found: ReachNet = load_model(options.start)
+        # What is not there, such as the part that refuses, begins anew.
+        reader.load_state_dict(found.reader.state_dict(), strict=False)
     optimizer = torch.optim.AdamW(reader.parameters(), options.rate, weight_decay=0.02)
     steps = -(-options.steps // _POOLED) * _POOLED
     rates = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, options.rate, total_steps=steps, pct_start=0.1
     )
     start, mean = time.perf_counter(), 0.0
-    for step, (texts, goals) in enumerate(batches(rules, options), 1):
-        loss = reader.loss(texts, goals)
+    for step, (texts, *wanted) in enumerate(batches(rules, options), 1):
+        loss = reader.loss(texts, *wanted)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(reader.parameters(), 1.0)
@@ -135,7 +147,7 @@ def measure(
         goals = [draw_goal(template.entity_kinds, rng) for _ in range(draws)]
         present = torch.stack([draw_scene(goal, rng) for goal in goals])
         texts = [template.render(goal) for goal in goals]
-        read = reader.read(texts, present if scenes else None)
+        read, _ = reader.read(texts, present if scenes else None)
         want = goal_numbers(goals, CPU)
         right = (torch.stack([want, want.flip(1)]) == read).flatten(2).all(2).any(0)
         found[group, template] = float(right.float().mean())
@@ -172,6 +184,8 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--rate", type=float, default=1.5e-3)
     parser.add_argument("--paraphrases", type=float, default=0.7)
+    parser.add_argument("--refusals", type=float, default=0.18)
+    parser.add_argument("--start", default="", help="weights of ReachNet to go on from")
     parser.add_argument("--without", nargs="*", default=[], help="rules left out")
     parser.add_argument("--draws", type=int, default=8, help="goals per sentence")
     parser.add_argument("--misread", type=float, default=0.0, help="list those below")

@@ -45,6 +45,8 @@ Height = Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)]
 """Above the table top [m]."""
 Cost = Annotated[float, msgspec.Meta(ge=0.0, le=1e3)]
 """Loss of log-probability."""
+Temperature = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
+"""Divides log-probabilities."""
 Extent = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
 """Extent of a part of the table [m]."""
 

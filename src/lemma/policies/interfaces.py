@@ -238,20 +238,31 @@ class Policy(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Understanding:
+    """The meaning of a sentence, to a policy that reads."""
+
+    goal: GoalPairs
+    """The likeliest (top, bottom) pairs, none if there is none."""
+    certainty: float
+    """How likely they are, or that the sentence is no order, in [0, 1]."""
+    refusal: str = ""
+    """Why it is no order, in a sentence; empty if it is one."""
+    other: GoalPairs = ()
+    """The second likeliest pairs."""
+    other_certainty: float = 0.0
+    """How likely those are, in [0, 1]."""
+
+
 @runtime_checkable
 class Reader(Protocol):
     """A policy that can say what a sentence asks for, before it acts."""
 
-    def understand(
-        self, inputs: Sequence[PolicyInput]
-    ) -> list[tuple[GoalPairs, float]]:
-        """Return the (top, bottom) pairs that each sentence asks for.
+    def understand(self, inputs: Sequence[PolicyInput]) -> list[Understanding]:
+        """Return what each sentence asks for.
 
         Args:
             inputs: One per episode; at least one.
-
-        Returns:
-            The likeliest pairs, none if there is none, and how likely they are.
         """
         ...
 

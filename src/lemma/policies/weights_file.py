@@ -212,15 +212,18 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
             f"{LEROBOT!r} before its name."
         )
     try:
-        former = MODELS[metadata.model][0].former_names
+        kind = MODELS[metadata.model][0]
+        former, options = kind.former_names, dict(metadata.options)
+        for part, values in kind.former_options.items():
+            options[part] = {**values, **options.get(part, {})}
         with safe_open(path, "pt") as file:
             found = {_renamed(name, former): name for name in file.keys()}  # noqa: SIM118
             # First a model that takes no memory: sizes in their ranges may be large.
             with torch.device("meta"), _Unfilled():
-                wanted = make_model(metadata.model, metadata.options).state_dict()
+                wanted = make_model(metadata.model, options).state_dict()
             _check_shapes(path, metadata, file, found, wanted)
             with _Unfilled():
-                model = make_model(metadata.model, metadata.options)
+                model = make_model(metadata.model, options)
             model.load_state_dict(
                 {
                     name: _read_tensor(file, found[name], metadata, value)

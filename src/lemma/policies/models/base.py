@@ -43,6 +43,9 @@ class Model(nn.Module, ABC):
     former_names: ClassVar[Mapping[str, str]] = {}
     """Patterns of names of weights in files of earlier releases, and what takes the
     place of each."""
+    former_options: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """Options of parts of the model that files of earlier releases do not name, and
+    their values there."""
     config: Any
     """The options; a frozen dataclass whose fields are plain data."""
 

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from lemma.core.arguments import Count, Depth, Share, Width
 from lemma.policies.entities import EntitySet
 from lemma.policies.layers import TransformerLayer, sinusoids
+from lemma.policies.text.refusals import resolved
 from lemma.policies.text.words import PADDING, UNKNOWN, Vocabulary, word_vectors
 from lemma.scene.objects.entity import entity_named
 
@@ -117,7 +118,7 @@ class SentenceReader:
         if self.groups is None:
             yield from map(self._word, self.vocabulary.read(text))
             return
-        for piece in _PIECE.findall(text.lower()):
+        for piece in _PIECE.findall(resolved(text).lower()):
             if not piece[0].isalpha():
                 back = piece.startswith("<")
                 mark = _MARKS.get(piece, _BACK if back else _ARROW)

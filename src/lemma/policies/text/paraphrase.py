@@ -112,7 +112,7 @@ def paraphrase(
     held = any(HAND in pair for pair in goal_pairs)
     if not (used or held) and rng.random() < chances["ruled"] and speaks_of(goal_pairs):
         text = _ruled(goal_pairs, rng, rules or grammar())
-        return _noisy(text, rng, {**chances, "swapped": 0.4 * chances["swapped"]})
+        return noisy(text, rng, {**chances, "swapped": 0.4 * chances["swapped"]})
     if held or rng.random() < chances["native"] or len(goal_pairs) > 2:
         text = _one(_own(task, used), rng).render(goal_pairs)
     elif len(goal_pairs) == 2 and rng.random() < 0.5:
@@ -132,7 +132,7 @@ def paraphrase(
     if pool and rng.random() < chances["clause_added"]:
         clause = _one(pool, rng)
         kept.insert(0 if rng.random() < 0.5 else len(kept), clause)
-    return _noisy(", ".join(kept), rng, chances)
+    return noisy(", ".join(kept), rng, chances)
 
 
 def _one(options: Sequence[T], rng: np.random.Generator) -> T:
@@ -223,7 +223,7 @@ def _fronted(sentence: _Sentence) -> _Sentence:
     return _Sentence(pieces, sentence.roles[::-1], sentence.said[::-1])
 
 
-def _noisy(text: str, rng: np.random.Generator, chances: Mapping[str, float]) -> str:
+def noisy(text: str, rng: np.random.Generator, chances: Mapping[str, float]) -> str:
     """Return a text in lower case with words left out, exchanged or mistyped."""
     pieces = _PIECE.findall(text.lower())
     draws = rng.random((len(pieces) + 1, 2)).tolist()

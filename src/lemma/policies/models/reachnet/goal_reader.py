@@ -4,17 +4,21 @@ It looks at the places where a color is named, or a thing of one color only. For
 two of them it scores that the one shall lie on the other, and for each its kind. The
 score of a goal is the sum over its pairs, and all possible goals compete. So it cannot
 memorise colors or places in a sentence.
+
+It also says how likely a sentence is an order at all, and if not, why: p(goal) =
+p(order) p(goal | order). Goals and reasons to refuse are one distribution.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.core.arguments import Count, Depth, Share, Width
+from lemma.core.arguments import Count, Depth, Share, Temperature, Width
 from lemma.policies.batch import NOBODY
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import TransformerLayer, made_without_numbers
@@ -27,6 +31,7 @@ from lemma.policies.text.encoder import (
     WordEmbedding,
     groups_of,
 )
+from lemma.policies.text.refusals import REASONS
 from lemma.tasks.language.template import GoalPairs
 
 _MENTIONS = 12
@@ -63,6 +68,24 @@ class ReaderConfig:
     guesses: bool = False
     """Whether a text without words asks for what the table makes likeliest, instead of
     nothing: for a reader that is taught without sentences."""
+    refuses: bool = True
+    """Whether it can say that a sentence is no order, and why."""
+    temperature: Temperature = 1.0
+    """Its probabilities are raised to one over this, and scaled to 1 again, so that
+    its certainty is how often it is right."""
+
+
+class Readings(NamedTuple):
+    """What B sentences may ask for."""
+
+    goals: Tensor
+    """The two likeliest goals of each, (B, 2, conjuncts, 2); -1 for none."""
+    shares: Tensor
+    """How likely each is, (B, 2)."""
+    reasons: Tensor
+    """Number of the likeliest reason to refuse each, (B,); -1 where it is an order."""
+    refused: Tensor
+    """How likely it is no order, (B,)."""
 
 
 class GoalReader(WordEmbedding):
@@ -103,6 +126,13 @@ class GoalReader(WordEmbedding):
         distinct = list(dict.fromkeys(names))
         self.kind = nn.Linear(width, len(distinct))
         self.count = nn.Linear(width, CONJUNCTS)
+        self.order: nn.Sequential | None = None
+        if config.refuses:
+            self.order = nn.Sequential(
+                nn.Linear(2 * width, width),
+                nn.GELU(),
+                nn.Linear(width, 1 + len(REASONS)),
+            )
         goals, numbers = _goals(self.cargo, self.targets)
         group = torch.tensor(groups_of(entities)[0])
         kinds = torch.tensor([distinct.index(name) for name in names])
@@ -112,57 +142,92 @@ class GoalReader(WordEmbedding):
         self.register_buffer("kinds", kinds, persistent=False)
 
     def forward(self, texts: Texts) -> Tensor:
-        """Return the log-probability of every goal, (B, goals)."""
+        """Return the log-probability of every goal and reason, (B, goals + reasons)."""
         told = self.sentences.read(texts, self.alike.device)
-        return self._scores(told)[0].log_softmax(-1)
+        scores, order, _ = self._scores(told)
+        return _joint(scores, order)
 
-    def loss(self, texts: Texts, goals: Tensor) -> Tensor:
+    def loss(
+        self, texts: Texts, goals: Tensor, reasons: Tensor | None = None
+    ) -> Tensor:
         """Return how unlikely the goals are held; a mean over sentences.
 
         Args:
             texts: Sentences.
             goals: Their goals, (B, conjuncts, 2), in any order; -1 for none.
+            reasons: Numbers of the reasons why they are no orders, (B,); -1 where they
+                are. All are, if None.
         """
-        return F.nll_loss(self(texts), self._number(goals))
+        wanted = self._number(goals)
+        if reasons is not None:
+            wanted = torch.where(reasons < 0, wanted, len(self.goals) + reasons)
+        return F.nll_loss(self(texts), wanted)
 
     @torch.no_grad()
-    def read(self, texts: Sequence[str], present: Tensor | None = None) -> Tensor:
-        """Return the likeliest goals, (B, conjuncts, 2); -1 for none.
+    def read(
+        self, texts: Sequence[str], present: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Return the likeliest goals, (B, conjuncts, 2), and reasons to refuse, (B,).
+
+        -1 stands for no goal, and for no reason.
 
         Of two pairs the one that is named first comes first. A text without words asks
-        for nothing, unless the options say that it is guessed from the table.
+        for nothing, unless the options say that it is guessed from the table; nor does
+        one that is refused.
 
         Args:
             texts: Sentences.
             present: Which entities are seen, (B, entities) bool. Goals that need
                 others are less likely: "on the red one" means one that is there.
         """
-        return self.weigh(texts, present)[0]
+        found = self.weigh(texts, present)
+        refused = (found.reasons >= 0)[:, None, None]
+        return found.goals[:, 0].masked_fill(refused, NOBODY), found.reasons
 
     @torch.no_grad()
-    def weigh(
-        self, texts: Sequence[str], present: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Return the likeliest goals, as :meth:`read`, and their likelihoods, (B,)."""
+    def weigh(self, texts: Sequence[str], present: Tensor | None = None) -> Readings:
+        """Return what sentences may ask for, and how likely; see :meth:`read`.
+
+        Whether a sentence is an order does not depend on the table: its answer is the
+        same throughout an episode.
+        """
         told = self.sentences.read(texts, self.alike.device)
-        scores, first = self._scores(told)
+        scores, order, first = self._scores(told)
         if present is not None:
             missing = F.pad(~present[:, : self.targets], (0, 1)).float() * _ABSENT
             scores = scores + missing[:, self.goals].sum((2, 3))
-        likely, number = scores.softmax(-1).max(-1)
+        shares = (_joint(scores, order) / self.config.temperature).softmax(-1)
+        count = len(self.goals)
+        likely, number = shares[:, :count].topk(2)
         best = self.goals[number]
         # Behind everything else comes what is none.
         places = F.pad(first, (0, 1), value=2 * self.config.max_words)
-        place = places.gather(1, best.flatten(1) % (self.targets + 1))
-        order = place.view_as(best).amin(-1).argsort(dim=1, stable=True)
-        best = best.gather(1, order[:, :, None].expand_as(best))
+        named = (best % (self.targets + 1)).flatten(1)
+        place = places.gather(1, named).view_as(best).amin(-1)
+        at = place.argsort(dim=2, stable=True)
+        best = best.gather(2, at[..., None].expand_as(best))
         silent = ~told.mask.any(1) & (not self.config.guesses)
-        best = best.masked_fill(silent[:, None, None], NOBODY)
-        return best, likely.masked_fill(silent, 1.0)
+        best = best.masked_fill(silent[:, None, None, None], NOBODY)
+        likely = likely.masked_fill(silent[:, None], 1.0)
+        reasons = torch.full_like(number[:, 0], -1)
+        if order is not None:
+            doubt = (order[:, 0] < order[:, 1:].logsumexp(-1)) & ~silent
+            reasons = torch.where(doubt, order[:, 1:].argmax(-1), reasons)
+        return Readings(best, likely, reasons, shares[:, count:].sum(-1))
 
-    def _scores(self, told: Sentences) -> tuple[Tensor, Tensor]:
-        """Return each goal's score, and where each entity is first named, (B, T)."""
+    def _scores(self, told: Sentences) -> tuple[Tensor, Tensor | None, Tensor]:
+        """Return what is known of sentences.
+
+        Returns:
+            Each goal's score; the log-probability of an order and of each reason for
+            there being none, (B, 1 + reasons), or None; and where each entity is first
+            named, (B, T).
+        """
         tokens, whole = self._encoded(told)
+        order = None
+        if self.order is not None:
+            most = tokens.masked_fill(~told.mask.unsqueeze(2), _NEVER).amax(1)
+            order = self.order(torch.cat([whole, most], -1)).float().log_softmax(-1)
         length = tokens.shape[1]
         place = torch.arange(length, device=tokens.device)
         at = torch.where(told.names != NO_NAME, place, length)
@@ -180,7 +245,7 @@ class GoalReader(WordEmbedding):
         slots = torch.where(one, flat.shape[1] - 1, slots)
         size = (~one).sum(-1) - 1
         first = torch.where(meant, at[:, :, None], length).amin(1)
-        return flat[:, slots].sum(-1) + count[:, size], first
+        return flat[:, slots].sum(-1) + count[:, size], order, first
 
     def _pairs(self, said: Tensor, meant: Tensor) -> Tensor:
         """Return how likely each thing shall lie on each other, (B, C, T).
@@ -236,6 +301,14 @@ class GoalReader(WordEmbedding):
         slots = torch.where(top == NOBODY, none, top * self.targets + bottom)
         found: Tensor = self.numbers[tuple(slots.sort(1).values.unbind(1))]
         return found
+
+
+def _joint(scores: Tensor, order: Tensor | None) -> Tensor:
+    """Return the log-probabilities of goals and of reasons, (B, goals + reasons)."""
+    goals = scores.log_softmax(-1)
+    if order is None:
+        return goals
+    return torch.cat([goals + order[:, :1], order[:, 1:]], -1)
 
 
 def _slopes(heads: int) -> Tensor:

@@ -9,7 +9,7 @@ entities. The last three see no pixels, and so they also learn from labels with 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -18,9 +18,10 @@ from torch.nn import functional as F
 from lemma.core.arguments import Cost, Depth
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
+from lemma.core.seeding import stream
 from lemma.policies.batch import STOP, Batch, Labels
 from lemma.policies.entities import EntitySet
-from lemma.policies.interfaces import Decision, Insight, PolicyInput
+from lemma.policies.interfaces import Decision, Insight, PolicyInput, Understanding
 from lemma.policies.layers import constant
 from lemma.policies.models.base import MODELS, MapConfig, MapModel, subtask_of
 from lemma.policies.models.reachnet.goal_reader import (
@@ -57,10 +58,15 @@ from lemma.policies.models.reachnet.scene_table import (
     turned_numbers,
 )
 from lemma.policies.text.encoder import Sentences
-from lemma.tasks.language.template import GoalPairs
+from lemma.policies.text.refusals import REASON_NAMES, REASONS, refusal_bank
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _REACH_POINTS = 128
+_CLEAR = 0.8
+"""Certainty of a goal by the words alone, from which things that are not seen do not
+change it: it is said then that they are not there."""
+_REFUSALS = 0.15
+"""Sentences that only the reader learns from, for each frame of a batch."""
 _LOUDEST = 25.0
 _SUCCESS = "success"
 _OPTIONS = 6
@@ -110,6 +116,9 @@ class ReachNet(MapModel):
         r"^(planner\.layers\.\d+\.hidden)\.0\.": r"\1_in.",
         r"^(planner\.layers\.\d+\.hidden)\.2\.": r"\1_out.",
     }
+    former_options: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "reader": {"refuses": False}
+    }
     reads_outcomes = True
     of_fixed_shape = True
 
@@ -130,12 +139,27 @@ class ReachNet(MapModel):
         self.grounding = ReachNetGrounder(known)
 
     def told(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the goals and the words of the instructions as numbers."""
+        """Return the goals and the words of the instructions as numbers.
+
+        Behind them come sentences for the reader alone: those to refuse, with the
+        number of the reason, and contrasts.
+        """
         assert batch.labels is not None
-        words = self.reader.sentences.read(batch.instructions, self.device)
+        goals, texts = list(batch.labels.goals), list(batch.instructions)
+        reasons = [-1] * len(texts)
+        reader = self.reader
+        if reader.config.refuses and not reader.config.guesses:
+            # Drawn from what is said, which is a function of the step.
+            rng = stream("refusals", *texts)
+            more = math.ceil(_REFUSALS * len(texts))
+            for text, goal, reason in (refusal_bank().draw(rng) for _ in range(more)):
+                texts.append(text)
+                goals.append(goal)
+                reasons.append(REASON_NAMES.index(reason) if reason else -1)
         return {
-            "goal": goal_numbers(batch.labels.goals, self.device, batch.entities),
-            "words": torch.stack(words),
+            "goal": goal_numbers(goals, self.device, batch.entities),
+            "words": torch.stack(reader.sentences.read(texts, self.device)),
+            "reasons": torch.tensor(reasons, device=self.device),
         }
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
@@ -144,8 +168,9 @@ class ReachNet(MapModel):
         assert labels is not None
         marks, coarse = self.eye(batch)
         told = batch.told or self.told(batch)
-        goal = told["goal"]
-        reading = self.reader.loss(Sentences(*told["words"]), goal)
+        words = Sentences(*told["words"])
+        reading = self.reader.loss(words, told["goal"], told["reasons"])
+        goal = told["goal"][: len(batch)]
         with torch.autocast(self.device.type, enabled=False):
             rings = self.eye.reach(coarse, batch, labels.bases[..., :2])
             known = self._true_rings(labels)
@@ -238,12 +263,12 @@ class ReachNet(MapModel):
         labels = batch.labels
         assert labels is not None
         with self.deciding():
-            table, decision = self._decide(batch)
+            table, decision, _ = self._decide(batch)
             with torch.autocast(self.device.type, enabled=False):
                 poses = self.grounding(table, decision)
                 told = self.grounding(table, labels.decision)
                 goal = goal_numbers(labels.goals, self.device, batch.entities)
-                read = self.reader.read(batch.instructions, table.present)
+                read, _ = self.reader.read(batch.instructions, table.present)
                 # The order of the two pairs does not matter.
                 orders = torch.stack([goal, goal.flip(1)])
                 right = (orders == read).flatten(2).all(2).any(0)
@@ -284,26 +309,42 @@ class ReachNet(MapModel):
         found: list[Decision] = []
         with self.deciding():
             for batch, failed in self._with_failures(inputs):
-                table, decision = self._decide(batch, failed)
+                table, decision, reasons = self._decide(batch, failed)
                 grounded = self._grounded(table, decision)
-                for row, poses in zip(decision.tolist(), grounded, strict=True):
+                rows = zip(decision.tolist(), grounded, reasons.tolist(), strict=True)
+                for row, poses, reason in rows:
                     subtask = subtask_of(row, batch.entities)
                     done = poses or subtask.primitive is Primitive.STOP
                     why = "" if done else f"What it needs is not seen: {subtask}."
+                    if reason >= 0:
+                        why = REASONS[REASON_NAMES[reason]]
                     found.append(Decision(subtask, poses, why))
         return found
 
-    def understand(
-        self, inputs: Sequence[PolicyInput]
-    ) -> list[tuple[GoalPairs, float]]:
+    def understand(self, inputs: Sequence[PolicyInput]) -> list[Understanding]:
         """Return what each sentence asks for on its table, and how likely that is."""
-        found: list[tuple[GoalPairs, float]] = []
+        found: list[Understanding] = []
         with self.deciding():
             for batch in self.batches(inputs):
                 present = self.eye.see(batch).present
-                goals, likely = self.reader.weigh(batch.instructions, present)
-                for rows, share in zip(goals.tolist(), likely.tolist(), strict=True):
-                    found.append((pairs_of(rows, batch.entities.places), share))
+                read = self.reader.weigh(batch.instructions, present)
+                said = self.reader.weigh(batch.instructions)
+                # A clear name counts for more than what lies there.
+                clear = (said.shares[:, :1] >= _CLEAR)[..., None, None]
+                goals = torch.where(clear, said.goals, read.goals)
+                shares = torch.where(clear[..., 0, 0], said.shares, read.shares)
+                rows = (
+                    part.tolist()
+                    for part in (goals, shares, read.reasons, read.refused)
+                )
+                for two, likely, reason, refused in zip(*rows, strict=True):
+                    one, other = (pairs_of(rows, batch.entities.places) for rows in two)
+                    sure, less = likely
+                    if reason >= 0:
+                        why = REASONS[REASON_NAMES[reason]]
+                        found.append(Understanding(one, refused, why))
+                    else:
+                        found.append(Understanding(one, sure, "", other, less))
         return found
 
     def explain(self, inputs: Sequence[PolicyInput]) -> list[Insight]:
@@ -311,7 +352,7 @@ class ReachNet(MapModel):
         found: list[Insight] = []
         with self.deciding():
             for batch, failed in self._with_failures(inputs):
-                table, goals, scores = self._weigh(batch, failed)
+                table, goals, scores, _ = self._weigh(batch, failed)
                 shares, numbers = scores.float().softmax(-1).topk(_OPTIONS)
                 options = decision_of(numbers, self.config.robots, batch.entities)
                 for row, rows in enumerate(goals.tolist()):
@@ -339,18 +380,24 @@ class ReachNet(MapModel):
 
     def _decide(
         self, batch: Batch, failed: Sequence[Sequence[SubTask]] = ()
-    ) -> tuple[SceneTable, Tensor]:
-        """Return what is seen, and the likeliest sub-tasks, (B, 4)."""
-        table, _, scores = self._weigh(batch, failed)
+    ) -> tuple[SceneTable, Tensor, Tensor]:
+        """Return what is seen, the likeliest sub-tasks, (B, 4), and reasons, (B,)."""
+        table, _, scores, reasons = self._weigh(batch, failed)
         robots = self.config.robots
-        return table, decision_of(scores.argmax(-1), robots, batch.entities)
+        return table, decision_of(scores.argmax(-1), robots, batch.entities), reasons
 
     def _weigh(
         self, batch: Batch, failed: Sequence[Sequence[SubTask]]
-    ) -> tuple[SceneTable, Tensor, Tensor]:
-        """Return what is seen and read, and the score of every sub-task, (B, N)."""
+    ) -> tuple[SceneTable, Tensor, Tensor, Tensor]:
+        """Return what is seen and read, how good every sub-task is, and refusals.
+
+        Returns:
+            What is seen; the goals; scores, (B, N); and the number of the reason why a
+            sentence is refused, (B,), -1 if it is not. Then there is nothing but to
+            stop.
+        """
         table = self.eye.see(batch)
-        goal = self.reader.read(batch.instructions, table.present)
+        goal, reasons = self.reader.read(batch.instructions, table.present)
         with torch.autocast(self.device.type, enabled=False):
             scores = self.planner(table, goal, batch.past, self.grounding.drags)
         robots = self.config.robots
@@ -359,7 +406,9 @@ class ReachNet(MapModel):
                 numbers = torch.tensor([numbers_of(subtask, robots, batch.entities)])
                 number = int(number_of(numbers, robots, batch.entities))
                 scores[row, number] -= self.config.failure_cost
-        return table, goal, scores
+        # To stop is the last of all sub-tasks.
+        scores[reasons >= 0, -1] = torch.inf
+        return table, goal, scores, reasons
 
     def _grounded(
         self, table: SceneTable, decision: Tensor
