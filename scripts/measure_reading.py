@@ -15,6 +15,7 @@ import time
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
 
@@ -46,6 +47,7 @@ FAMILIES = {
     "pads": (("cube", "pad"),) * 2,
     "cubes": (("cube", "cube"),) * 2,
 }
+_EMA = 0.998
 _POOLED = 8
 """Batches that share their sentences, so that those of one length come together."""
 Asked = tuple[str, Template]
@@ -121,6 +123,7 @@ def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
     rates = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, options.rate, total_steps=steps, pct_start=0.1
     )
+    average = deepcopy(reader).eval()
     start, mean = time.perf_counter(), 0.0
     for step, (texts, *wanted) in enumerate(batches(rules, options), 1):
         loss = reader.loss(texts, *wanted)
@@ -129,11 +132,16 @@ def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
         torch.nn.utils.clip_grad_norm_(reader.parameters(), 1.0)
         optimizer.step()
         rates.step()
+        # As in the training of models.
+        decay = min(_EMA, (1 + step) / (10 + step))
+        with torch.no_grad():
+            for old, new in zip(average.parameters(), reader.parameters(), strict=True):
+                old.lerp_(new, 1.0 - decay)
         mean += (loss.item() - mean) * max(0.02, 1 / step)
         if step % 200 == 0:
             seconds = time.perf_counter() - start
             print(f"{step:6} loss {mean:.3f} ({seconds:.0f} s)", flush=True)
-    return reader.eval()
+    return average
 
 
 def measure(

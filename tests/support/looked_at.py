@@ -15,6 +15,7 @@ from lemma.policies.interfaces import (
     PolicyInput,
     SeenObject,
     SeenRobot,
+    Understanding,
 )
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.subtask import STOP, Primitive, SubTask
@@ -35,8 +36,10 @@ def own(text: str, policy: str = "oracle") -> EpisodeRequest:
 class Reads:
     """Understands always the same, and stops at once."""
 
-    def __init__(self, pairs: tuple[tuple[str, str], ...], certainty: float) -> None:
-        self.answer = (pairs, certainty)
+    def __init__(
+        self, pairs: tuple[tuple[str, str], ...], certainty: float, **more: Any
+    ) -> None:
+        self.answer = Understanding(pairs, certainty, **more)
 
     def understand(self, inputs: Sequence[PolicyInput]) -> list[Any]:
         return [self.answer for _ in inputs]

@@ -116,10 +116,35 @@ def test_unread_sentences_are_not_acted_on(asked: EpisodeRequest, says: str) -> 
     ],
 )
 def test_denials_are_not_understood(said: str) -> None:
-    play = played(own(said, "reader"), reader=Reads(INSTANCE.goal.pairs, 0.9))
+    reader = Reads(INSTANCE.goal.pairs, 0.9, refuses=False)
+    play = played(own(said, "reader"), reader=reader)
     assert play.status.phase is Phase.FAILED
     assert reading_of(play).pairs is None
     assert "shall not be" in reading_of(play).note
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ("Where is the red cube?", "That is a question."),
+        ("Put the purple cube on the red one", "There is no purple cube here."),
+    ],
+)
+def test_a_refusal_is_said_with_its_reason(said: str, why: str) -> None:
+    reader = Reads((), 0.9, refusal="That is a question.")
+    play = played(own(said, "reader"), reader=reader)
+    assert play.status.phase is Phase.FAILED
+    assert reading_of(play).note.startswith(why)
+
+
+def test_it_asks_back_when_two_readings_are_near() -> None:
+    ((top, bottom),) = INSTANCE.goal.pairs
+    two = {"other": ((bottom, top),), "other_certainty": 0.3}
+    reading = reading_of(played(own(SAID, "r"), r=Reads(((top, bottom),), 0.5, **two)))
+    assert not reading.acts
+    assert reading.choices == (((top, bottom),), ((bottom, top),))
+    surer = Reads(INSTANCE.goal.pairs, 0.7, **two)
+    assert not reading_of(played(own(SAID, "r"), r=surer)).choices
 
 
 @pytest.mark.parametrize("task", SUITE)

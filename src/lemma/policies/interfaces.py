@@ -248,6 +248,8 @@ class Understanding:
     """How likely they are, or that the sentence is no order, in [0, 1]."""
     refusal: str = ""
     """Why it is no order, in a sentence; empty if it is one."""
+    refuses: bool = True
+    """Whether it can refuse; else what says what shall not be is not read."""
     other: GoalPairs = ()
     """The second likeliest pairs."""
     other_certainty: float = 0.0

@@ -102,7 +102,7 @@ def test_it_overfits_one_episode(expert: ReachNet) -> None:
 
 def test_it_says_why_it_decides(novice: ReachNet) -> None:
     inputs = inputs_of(drawn_batch(3))
-    read = [pairs for pairs, _ in novice.understand(inputs)]
+    read = [found.goal for found in novice.understand(inputs)]
     decided = [decision.subtask for decision in novice.act(inputs)]
     for insight, subtask, pairs in zip(
         novice.explain(inputs), decided, read, strict=True

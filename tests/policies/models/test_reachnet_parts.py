@@ -36,6 +36,7 @@ from lemma.policies.models.reachnet.utility import (
     TURNS_RAD,
     DragUtility,
 )
+from lemma.policies.text.refusals import REASON_NAMES
 from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.drags import stick_gap
 
@@ -242,13 +243,15 @@ def test_colors_are_all_the_same_to_the_planner() -> None:
 SMALL = ReaderConfig(width=32, layers=1, heads=2, dropout=0.0)
 
 
-def practised(texts: list[str], goals: Tensor, steps: int = 60) -> GoalReader:
+def practised(
+    texts: list[str], goals: Tensor, reasons: Tensor | None = None, steps: int = 60
+) -> GoalReader:
     torch.manual_seed(0)
     reader = GoalReader(SMALL)
     optimizer = torch.optim.Adam(reader.parameters(), lr=5e-3)
     for _ in range(steps):
         optimizer.zero_grad()
-        reader.loss(texts, goals).backward()
+        reader.loss(texts, goals, reasons).backward()
         optimizer.step()
     return reader.eval()
 
@@ -270,13 +273,13 @@ def test_goals_are_read_after_some_practice_in_any_colors() -> None:
     reader = practised(texts, goals)
     # Pairs come in the order in which they are named.
     want = [*goals[:2].tolist(), goals[2].flip(0).tolist()]
-    assert reader.read(texts).tolist() == want
+    assert reader.read(texts)[0].tolist() == want
     other = [text.replace("white", "green").upper() for text in texts]
     white, green = (ENTITIES.index(f"{color}_cube") for color in ("white", "green"))
     moved = torch.tensor(want)
     other_color = (moved >= 0) & (moved % 5 == white)
     moved = torch.where(other_color, moved - white + green, moved)
-    assert reader.read(other).tolist() == moved.tolist()
+    assert reader.read(other)[0].tolist() == moved.tolist()
     for text, changed in zip(texts, other, strict=True):
         both = reader([text, changed]).sort(1).values
         torch.testing.assert_close(both[0], both[1])
@@ -293,14 +296,15 @@ def test_what_is_on_the_table_tells_what_is_meant() -> None:
     for row, kind in enumerate(("pad", "cube")):
         present[row, ENTITIES.index(f"blue_{kind}")] = True
     unclear = ["red cube onto blue"] * 2
-    assert reader.read(unclear, present).tolist() == goals[:2].tolist()
+    assert reader.read(unclear, present)[0].tolist() == goals[:2].tolist()
 
 
 def test_goals_of_any_sentence_can_be() -> None:
     torch.manual_seed(1)
-    reader = GoalReader(ReaderConfig(width=16, layers=1, heads=2)).eval()
+    config = ReaderConfig(width=16, layers=1, heads=2, refuses=False)
+    reader = GoalReader(config).eval()
     texts = [f"word {i} red blue, pink <- red / white" for i in range(40)]
-    goals = reader.read([*texts, "?!", "xyzzy", "red " * 100])
+    goals, _ = reader.read([*texts, "?!", "xyzzy", "red " * 100])
     top, bottom = goals[..., 0], goals[..., 1]
     assert (top < 5).all()
     assert ((top == bottom) == (top == -1)).all()
@@ -312,12 +316,30 @@ def test_goals_of_any_sentence_can_be() -> None:
 def test_who_says_nothing_asks_for_nothing(silence: str) -> None:
     torch.manual_seed(1)
     reader = GoalReader(SMALL).eval()
-    goals, likely = reader.weigh([silence, "red cube onto blue pad"])
-    assert (goals[0] == -1).all()
-    assert likely[0] == 1.0
-    assert (goals[1, 0] >= 0).all()
-    guessing = GoalReader(replace(SMALL, guesses=True)).eval()
-    assert (guessing.read([silence])[0, 0] >= 0).all()
+    found = reader.weigh([silence, "red cube onto blue pad"])
+    assert (found.goals[0] == -1).all()
+    assert found.reasons[0] == -1
+    assert found.shares[0, 0] == 1.0
+    assert (found.goals[1, 0, 0] >= 0).all()
+    guessing = GoalReader(replace(SMALL, guesses=True, refuses=False)).eval()
+    assert (guessing.read([silence])[0][0, 0] >= 0).all()
+
+
+def test_a_sentence_is_refused_with_its_reason_after_some_practice() -> None:
+    texts = ["put the red cube on the blue pad", "is the red cube on the blue pad ?"]
+    goals = goal_numbers([(("red_cube", "blue_pad"),), ()], CPU)
+    reasons = torch.tensor([-1, REASON_NAMES.index("question")])
+    reader = practised(texts, goals, reasons)
+    read, refused = reader.read(texts)
+    assert refused.tolist() == reasons.tolist()
+    assert read[0].tolist() == goals[0].tolist()
+    assert (read[1] == -1).all()
+    found = reader.weigh(texts)
+    assert found.refused[1] > 0.5 > found.refused[0]
+    # It is one distribution, of goals and of reasons.
+    torch.testing.assert_close(reader(texts).exp().sum(1), torch.ones(2))
+    reader.config = replace(reader.config, temperature=3.0)
+    assert 0.0 < reader.weigh(texts).refused[1] < found.refused[1]
 
 
 def test_every_weight_of_the_reader_is_trained() -> None:

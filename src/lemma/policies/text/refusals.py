@@ -38,6 +38,8 @@ REASONS: Mapping[str, str] = {
 }
 """Why a sentence is no order, by the names of the reasons."""
 REASON_NAMES = tuple(REASONS)
+_DRAWN = (*REASON_NAMES, "negation", "absent")
+"""Reasons to draw from; the hardest ones, by the lines kept, are there twice."""
 _KEPT = 8
 """Every so many lines one is kept for choosing the temperature."""
 _CONTRASTS = 0.2
@@ -130,7 +132,7 @@ class RefusalBank:
             reason, goal = "", _drawn_goal(rng)
             line = _one(self.contrast["one"], rng)
         else:
-            reason = _one(REASON_NAMES, rng)
+            reason = _one(_DRAWN, rng)
             line = _one(self.refused[reason], rng)
         text = self.render(line, rng, goal)
         return (text if plain else noisy(text, rng, _CHANCES)), goal, reason
@@ -153,6 +155,14 @@ def refusal_bank(*, kept: bool = False) -> RefusalBank:
     return RefusalBank.of(found).parted(kept=kept)
 
 
+_STRANGE = (
+    *("orange", "purple", "violet", "brown", "black", "grey", "gray", "cyan", "gold"),
+    *("magenta", "turquoise", "teal", "silver", "golden", "beige", "lilac", "maroon"),
+)
+_UNKNOWN = re.compile(
+    rf"\b({'|'.join(_STRANGE)})"
+    r"(?: (cube|block|box|brick|pad|circle|target|mat|disc))?\b"
+)
 _NOUN = "|".join(sorted({*CUBE.nouns, *PAD.nouns, "mat", "disc", "brick", "spot"}))
 _SAME = r"(?:its|the|that|their) (?:very )?(?:own|same|very)(?: own)? colou?r"
 _OWN = re.compile(
@@ -174,6 +184,16 @@ def resolved(text: str) -> str:
         return text
     color = colors.pop()
     return _OWN.sub(lambda m: f"the {color} {m['noun'] or m['noun2']}", text)
+
+
+def unknown_things(text: str) -> str:
+    """Return the first thing of a color that nothing has, such as ``"purple cube"``.
+
+    Args:
+        text: A sentence that was refused; the result is empty if it names none.
+    """
+    found = _UNKNOWN.search(text.lower())
+    return f"{found[1]} {found[2] or 'thing'}" if found else ""
 
 
 def _one(options: Sequence[str], rng: np.random.Generator) -> str:

@@ -23,6 +23,7 @@ from lemma.policies.interfaces import (
     Reader,
     told,
 )
+from lemma.policies.text.refusals import unknown_things
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
@@ -39,11 +40,13 @@ _DRAGS = (Primitive.HOOK, Primitive.POKE)
 _DENIES = re.compile(
     "\\b(?:not|never|cannot|dont|nor)\\b|n['\u2019]t\\b", re.IGNORECASE
 )
-"""Words of denials, which readers take for the contrary: none was trained on them."""
+"""Words of denials: readers that were never shown any take them for the contrary."""
 SILENT = Reading(None, "This policy does not say what it understood.")
 """Of policies without a reader."""
 LEAST_CERTAIN = 0.5
 """Least certainty at which a reader has understood."""
+NEAR = 0.5
+"""Share of the certainty of a reading from which another one is near."""
 
 
 def parse_goal(text: str, instance: Instance) -> Reading:
@@ -75,19 +78,31 @@ def ask_reader(policy: object, given: PolicyInput, instance: Instance) -> Readin
     reader: Reader | None = find_part(policy, Reader)
     if reader is None:
         return SILENT
-    if _DENIES.search(given.instruction):
+    found = reader.understand([given])[0]
+    pairs, certainty = found.goal, found.certainty
+    if found.refusal:
+        missing = unknown_things(given.instruction)
+        why = f"There is no {missing} here." if missing else found.refusal
+        return Reading(None, f"{why} ({certainty:.0%} sure)", acts=False)
+    if not found.refuses and _DENIES.search(given.instruction):
         return Reading(
             None,
             "The sentence says what shall not be, and that is not understood. Say what "
             "shall be.",
             acts=False,
         )
-    pairs, certainty = reader.understand([given])[0]
+    if found.other and found.other_certainty >= NEAR * certainty:
+        return Reading(
+            None,
+            "That can be read in two ways. Which one is meant?",
+            acts=False,
+            choices=(pairs, found.other),
+        )
     if certainty < LEAST_CERTAIN or not pairs:
         best = f"; at best {say_goal(pairs)}, {certainty:.0%} sure" if pairs else ""
         return Reading(None, f"The sentence could not be read{best}.", acts=False)
-    found = _possible(pairs, instance)
-    return Reading(found.pairs, found.note or f"{certainty:.0%} sure", found.acts)
+    said = _possible(pairs, instance)
+    return Reading(said.pairs, said.note or f"{certainty:.0%} sure", said.acts)
 
 
 def check_plan(reading: Reading, scene: Scene, *, needed: bool) -> Reading:

@@ -69,6 +69,8 @@ class Reading:
     """A remark, in a sentence."""
     acts: bool = True
     """Whether the policy should act on it."""
+    choices: tuple[GoalPairs, ...] = ()
+    """Readings that are near each other: the visitor is asked which one is meant."""
 
 
 class Phase(StrEnum):

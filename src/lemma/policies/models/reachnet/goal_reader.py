@@ -128,11 +128,10 @@ class GoalReader(WordEmbedding):
         self.count = nn.Linear(width, CONJUNCTS)
         self.order: nn.Sequential | None = None
         if config.refuses:
-            self.order = nn.Sequential(
-                nn.Linear(2 * width, width),
-                nn.GELU(),
-                nn.Linear(width, 1 + len(REASONS)),
-            )
+            last = nn.Linear(width, 1 + len(REASONS))
+            # Nearly all are orders to a reader that has learned nothing.
+            nn.init.constant_(last.bias[:1], 4.0)
+            self.order = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), last)
         goals, numbers = _goals(self.cargo, self.targets)
         group = torch.tensor(groups_of(entities)[0])
         kinds = torch.tensor([distinct.index(name) for name in names])

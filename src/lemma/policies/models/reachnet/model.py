@@ -65,6 +65,7 @@ _REACH_POINTS = 128
 _CLEAR = 0.8
 """Certainty of a goal by the words alone, from which things that are not seen do not
 change it: it is said then that they are not there."""
+_NEVER = 1e4
 _REFUSALS = 0.15
 """Sentences that only the reader learns from, for each frame of a batch."""
 _LOUDEST = 25.0
@@ -342,9 +343,10 @@ class ReachNet(MapModel):
                     sure, less = likely
                     if reason >= 0:
                         why = REASONS[REASON_NAMES[reason]]
-                        found.append(Understanding(one, refused, why))
+                        found.append(Understanding((), refused, why))
                     else:
-                        found.append(Understanding(one, sure, "", other, less))
+                        refuses = self.config.reader.refuses
+                        found.append(Understanding(one, sure, "", refuses, other, less))
         return found
 
     def explain(self, inputs: Sequence[PolicyInput]) -> list[Insight]:
@@ -407,7 +409,7 @@ class ReachNet(MapModel):
                 number = int(number_of(numbers, robots, batch.entities))
                 scores[row, number] -= self.config.failure_cost
         # To stop is the last of all sub-tasks.
-        scores[reasons >= 0, -1] = torch.inf
+        scores[reasons >= 0, :-1] -= _NEVER
         return table, goal, scores, reasons
 
     def _grounded(

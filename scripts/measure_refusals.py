@@ -1,0 +1,230 @@
+"""Measure what a reader refuses, and whether its certainty means what it says.
+
+    python scripts/measure_refusals.py reachnet
+
+It reads the human and unseen templates of the benchmark, the voices and the contrasts,
+which are orders, and the evaluation bank of sentences that are none
+(``tests/policies/sentences/refusals.toml``); each with random colors, on a table with
+up to three distractors. Printed are readings that are right, wrong or refused, then
+certainty against how often it is right, and the expected calibration error.
+``--fit`` prints the temperature that suits the lines kept from training, and voices.
+``--as-before`` refuses as the page did when readers could not: below 50 % and after
+"not".
+"""
+
+import argparse
+import re
+import tomllib
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from lemma.core.seeding import stream
+from lemma.policies.models.reachnet.goal_reader import (
+    GoalReader,
+    ReaderConfig,
+    goal_numbers,
+)
+from lemma.policies.models.reachnet.model import ReachNet
+from lemma.policies.text.refusals import RefusalBank, refusal_bank
+from lemma.policies.weights import load_model
+from lemma.tasks.language.bank import templates
+from lemma.tasks.language.template import GoalPairs
+from lemma.tasks.suite import SUITE
+from measure_reading import FAMILIES, draw_goal, draw_scene, voices
+
+BANK = Path(__file__).parents[1] / "tests" / "policies" / "sentences" / "refusals.toml"
+ORDERS = ("human", "unseen", "voices", "contrast", "own")
+_DENIES = re.compile(r"\b(?:not|never|cannot|dont|nor)\b|n['\u2019]t\b", re.IGNORECASE)
+_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
+
+
+class Said(NamedTuple):
+    """A sentence with its right answer."""
+
+    group: str
+    text: str
+    goal: GoalPairs
+    """Empty if it is to be refused."""
+
+
+class Answers(NamedTuple):
+    """What a reader made of sentences."""
+
+    right: torch.Tensor
+    refused: torch.Tensor
+    certainty: torch.Tensor
+
+
+def orders(draws: int) -> Iterator[Said]:
+    """Yield orders of the benchmark and of the voices."""
+    rng = stream("refusals", "orders")
+    for kind in ("human", "unseen"):
+        for task in SUITE:
+            for template in templates(task, kind):
+                for _ in range(draws):
+                    assert template.entity_kinds is not None
+                    goal = draw_goal(template.entity_kinds, rng)
+                    yield Said(kind, template.render(goal), goal)
+    for _, template in voices():
+        for _ in range(draws):
+            assert template.entity_kinds is not None
+            goal = draw_goal(template.entity_kinds, rng)
+            yield Said("voices", template.render(goal), goal)
+
+
+def asked(bank: RefusalBank, draws: int) -> Iterator[Said]:
+    """Yield the sentences of a bank."""
+    rng = stream("refusals", "bank")
+    for group, lines in (*bank.refused.items(), *bank.contrast.items()):
+        for line in lines:
+            for _ in range(draws):
+                goal: GoalPairs = ()
+                if group in bank.contrast:
+                    goal = draw_goal(FAMILIES["pad"], rng)
+                if group == "own":
+                    color = goal[0][0].split("_")[0]
+                    goal = ((goal[0][0], f"{color}_pad"),)
+                if group == "pad":
+                    line = line.replace("{c1}", "{t}").replace("{p1}", "{b}")
+                    line = line.replace("{c2}", "{u}").replace("{p2}", "{a}")
+                if group == "own":
+                    line = line.replace("{c1}", "{t}")
+                yield Said(
+                    {"one": "contrast", "pad": "contrast"}.get(group, group),
+                    bank.render(line, rng, goal),
+                    goal,
+                )
+
+
+def answers(reader: GoalReader, said: list[Said], *, as_before: bool) -> Answers:
+    """Return what a reader makes of sentences on random tables."""
+    rng = stream("refusals", "tables")
+    found: list[tuple[bool, bool, float]] = []
+    for start in range(0, len(said), 64):
+        part = said[start : start + 64]
+        tables = torch.stack([draw_scene(one.goal or _any(rng), rng) for one in part])
+        read = reader.weigh([one.text for one in part], tables)
+        want = goal_numbers([one.goal for one in part], torch.device("cpu"))
+        got = read.goals[:, 0]
+        same = (torch.stack([want, want.flip(1)]) == got).flatten(2).all(2).any(0)
+        for row, one in enumerate(part):
+            no, sure = bool(read.reasons[row] >= 0), float(read.shares[row, 0])
+            if as_before:
+                no = sure < 0.5 or _DENIES.search(one.text) is not None
+            elif no:
+                sure = float(read.refused[row])
+            right = no if not one.goal else bool(same[row]) and not no
+            if as_before:
+                # It had no certainty of refusing.
+                right = bool(one.goal) and bool(same[row])
+                found.append((right, no, sure))
+            else:
+                found.append((right, no, sure))
+    columns = list(zip(*found, strict=True))
+    return Answers(*(torch.tensor(column) for column in columns))
+
+
+def _any(rng: np.random.Generator) -> GoalPairs:
+    return draw_goal(FAMILIES["pads" if rng.random() < 0.5 else "cubes"], rng)
+
+
+def ece(found: Answers) -> float:
+    """Return the expected calibration error, in ten bins as wide as each other."""
+    bins = (found.certainty * 10).long().clamp(max=9)
+    error = 0.0
+    for number in range(10):
+        here = bins == number
+        if here.any():
+            gap = found.right[here].double().mean() - found.certainty[here].mean()
+            error += float(gap.abs()) * float(here.double().mean())
+    return error
+
+
+def report(said: list[Said], found: Answers) -> None:
+    """Print both tables."""
+    rows: dict[str, list[int]] = defaultdict(list)
+    for row, one in enumerate(said):
+        rows[one.group].append(row)
+    totals: dict[str, list[int]] = {"orders": [], "no orders": []}
+    for group, numbers in rows.items():
+        totals["orders" if group in ORDERS else "no orders"] += numbers
+    print(f"{'sentences':12} {'n':>6} {'right':>7} {'refused':>8} {'wrong act':>10}")
+    for group, numbers in (*rows.items(), *totals.items()):
+        refused = found.refused[numbers].double().mean().item()
+        order = group in ORDERS or group == "orders"
+        acted = found.right[numbers] & ~found.refused[numbers]
+        right = acted.double().mean().item() if order else refused
+        wrong = (1 - refused) - (right if order else 0.0)
+        print(f"{group:12} {len(numbers):6} {right:7.1%} {refused:8.1%} {wrong:10.1%}")
+    print(f"\n{'certainty':>12} {'n':>6} {'right':>7} {'mean certainty':>15}")
+    for low, high in pairwise(_EDGES):
+        sure = found.certainty
+        here = (sure >= low) & ((sure < high) | (high == 1.0))
+        if here.any():
+            right, mean = found.right[here].double().mean(), sure[here].mean()
+            share = f"{low:.0%} to {high:.0%}"
+            print(f"{share:>12} {int(here.sum()):6} {right:7.1%} {mean:15.1%}")
+    sure = found.certainty >= 0.9
+    if sure.any():
+        print(f"{'90 % or more':>12} {int(sure.sum()):6} ", end="")
+        print(f"{found.right[sure].double().mean():7.1%}")
+    print(f"expected calibration error {ece(found):.3f}")
+
+
+def fitted(reader: GoalReader) -> float:
+    """Return the temperature that makes kept lines and voices likeliest."""
+    said = [one for one in orders(4) if one.group == "voices"]
+    said += list(asked(refusal_bank(kept=True), 12))
+    config, best = reader.config, (np.inf, 1.0)
+    for value in np.arange(0.6, 4.05, 0.1).tolist():
+        reader.config = replace(config, temperature=value)
+        found = answers(reader, said, as_before=False)
+        sure = found.certainty.double().clamp(1e-6, 1 - 1e-6)
+        loss = -torch.where(found.right, sure.log(), (1 - sure).log()).mean()
+        best = min(best, (float(loss), value))
+    reader.config = config
+    return best[1]
+
+
+def main() -> None:
+    """Measure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("weights", help="of ReachNet, by name or file")
+    parser.add_argument("--reader", type=Path, help="a reader by measure_reading.py")
+    parser.add_argument("--draws", type=int, default=8, help="of each sentence")
+    parser.add_argument("--temperature", type=float)
+    parser.add_argument("--fit", action="store_true")
+    parser.add_argument("--as-before", action="store_true")
+    parser.add_argument("--list", action="store_true", help="print what is wrong")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    model: ReachNet = load_model(options.weights)
+    reader = model.reader
+    if options.reader:
+        reader = GoalReader(ReaderConfig()).eval()
+        reader.load_state_dict(torch.load(options.reader))
+    if options.temperature:
+        reader.config = replace(reader.config, temperature=options.temperature)
+    if options.fit:
+        value = fitted(reader)
+        print(f"temperature {value:.1f}")
+        reader.config = replace(reader.config, temperature=value)
+    bank = RefusalBank.of(tomllib.loads(BANK.read_text(encoding="utf-8")))
+    said = [*orders(options.draws), *asked(bank, options.draws)]
+    found = answers(reader, said, as_before=options.as_before)
+    report(said, found)
+    if options.list:
+        for one, right, sure in zip(said, found.right, found.certainty, strict=True):
+            if not right:
+                print(f"{sure:4.0%} {one.group}: {one.text}")
+
+
+if __name__ == "__main__":
+    main()
