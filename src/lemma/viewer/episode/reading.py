@@ -92,9 +92,10 @@ def ask_reader(policy: object, given: PolicyInput, instance: Instance) -> Readin
             acts=False,
         )
     if found.other and found.other_certainty >= NEAR * certainty:
+        two = f"{say_goal(pairs)}, or {say_goal(found.other)}"
         return Reading(
             None,
-            "That can be read in two ways. Which one is meant?",
+            f"That can be read in two ways: {two}? Say which one.",
             acts=False,
             choices=(pairs, found.other),
         )

@@ -70,7 +70,7 @@ class Reading:
     acts: bool = True
     """Whether the policy should act on it."""
     choices: tuple[GoalPairs, ...] = ()
-    """Readings that are near each other: the visitor is asked which one is meant."""
+    """Readings that are near each other, about which the visitor is asked."""
 
 
 class Phase(StrEnum):
