@@ -2,8 +2,8 @@
 
     python scripts/measure_refusals.py reachnet
 
-It reads the human and unseen templates of the benchmark, the voices and the contrasts,
-which are orders, and the evaluation bank of sentences that are none
+It reads orders: the human and unseen templates of the benchmark, the voices and those
+of the evaluation bank, and the sentences of that bank that are none
 (``tests/policies/sentences/refusals.toml``); each with random colors, on a table with
 up to three distractors. Printed are readings that are right, wrong or refused, then
 certainty against how often it is right, and the expected calibration error.
@@ -32,7 +32,7 @@ from lemma.policies.models.reachnet.goal_reader import (
     goal_numbers,
 )
 from lemma.policies.models.reachnet.model import ReachNet
-from lemma.policies.text.refusals import RefusalBank, refusal_bank
+from lemma.policies.text.refusals import RefusalBank, goal_for, refusal_bank
 from lemma.policies.weights import load_model
 from lemma.tasks.language.bank import templates
 from lemma.tasks.language.template import GoalPairs
@@ -40,7 +40,7 @@ from lemma.tasks.suite import SUITE
 from measure_reading import FAMILIES, draw_goal, draw_scene, voices
 
 BANK = Path(__file__).parents[1] / "tests" / "policies" / "sentences" / "refusals.toml"
-ORDERS = ("human", "unseen", "voices", "contrast", "own")
+ORDERS = ("human", "unseen", "voices", "contrast", "own", "plain")
 _DENIES = re.compile(r"\b(?:not|never|cannot|dont|nor)\b|n['\u2019]t\b", re.IGNORECASE)
 _EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 
@@ -82,25 +82,14 @@ def orders(draws: int) -> Iterator[Said]:
 def asked(bank: RefusalBank, draws: int) -> Iterator[Said]:
     """Yield the sentences of a bank."""
     rng = stream("refusals", "bank")
-    for group, lines in (*bank.refused.items(), *bank.contrast.items()):
+    for group, lines in (*bank.refused.items(), *bank.orders.items()):
         for line in lines:
             for _ in range(draws):
-                goal: GoalPairs = ()
-                if group in bank.contrast:
-                    goal = draw_goal(FAMILIES["pad"], rng)
+                goal = goal_for(line, rng) if group in bank.orders else ()
                 if group == "own":
-                    color = goal[0][0].split("_")[0]
-                    goal = ((goal[0][0], f"{color}_pad"),)
-                if group == "pad":
-                    line = line.replace("{c1}", "{t}").replace("{p1}", "{b}")
-                    line = line.replace("{c2}", "{u}").replace("{p2}", "{a}")
-                if group == "own":
-                    line = line.replace("{c1}", "{t}")
-                yield Said(
-                    {"one": "contrast", "pad": "contrast"}.get(group, group),
-                    bank.render(line, rng, goal),
-                    goal,
-                )
+                    cube = goal[0][0]
+                    goal = ((cube, cube.replace("_cube", "_pad")),)
+                yield Said(group, bank.render(line, rng, goal), goal)
 
 
 def answers(reader: GoalReader, said: list[Said], *, as_before: bool) -> Answers:
@@ -120,13 +109,11 @@ def answers(reader: GoalReader, said: list[Said], *, as_before: bool) -> Answers
                 no = sure < 0.5 or _DENIES.search(one.text) is not None
             elif no:
                 sure = float(read.refused[row])
-            right = no if not one.goal else bool(same[row]) and not no
-            if as_before:
-                # It had no certainty of refusing.
-                right = bool(one.goal) and bool(same[row])
-                found.append((right, no, sure))
-            else:
-                found.append((right, no, sure))
+            right = bool(one.goal) and bool(same[row])
+            if not as_before:
+                # Before, its certainty was of the goal alone.
+                right = no if not one.goal else right and not no
+            found.append((right, no, sure))
     columns = list(zip(*found, strict=True))
     return Answers(*(torch.tensor(column) for column in columns))
 

@@ -1,38 +1,60 @@
 """Tests of sentences that are no order for the table."""
 
+import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from lemma.core.seeding import stream
+from lemma.policies.text.own_color import resolved
 from lemma.policies.text.refusals import (
     REASONS,
     RefusalBank,
     refusal_bank,
-    resolved,
     unknown_things,
 )
 
 EVALUATION = Path(__file__).parent / "sentences" / "refusals.toml"
 
 
-def test_every_reason_has_sentences_and_no_line_of_evaluation_is_taught() -> None:
-    taught, kept = refusal_bank(), refusal_bank(kept=True)
-    source = tomllib.loads(EVALUATION.read_text(encoding="utf-8"))
-    asked = RefusalBank.of(source)
-    for bank in (taught, kept, asked):
-        assert set(bank.refused) == set(REASONS)
-    lines = {
-        line for bank in (taught, kept) for of in bank.refused.values() for line in of
-    }
-    held = {line for of in asked.refused.values() for line in of}
-    assert len(lines) >= 200
-    assert len(held) >= 200
-    assert not lines & held
+def words_of(line: str) -> set[str]:
+    """Return the words of a line without its slots and rules."""
+    return set(re.findall(r"[a-z']+", re.sub(r"\{\w+\}|<\w+>", " ", line.lower())))
+
+
+def test_every_reason_has_sentences_of_which_training_knows_other_words() -> None:
+    parts = [refusal_bank(), refusal_bank(kept=True)]
+    asked = RefusalBank.of(tomllib.loads(EVALUATION.read_text(encoding="utf-8")))
+    assert not {*asked.colors, *asked.things} & {*parts[0].colors, *parts[0].things}
+    assert all(set(bank.refused) == set(REASONS) for bank in (*parts, asked))
+    assert sum(map(len, parts[0].refused.values())) >= 200
+    assert sum(map(len, asked.refused.values())) >= 200
+    for name, lines in (*asked.refused.items(), ("contrast", asked.orders["contrast"])):
+        if name == "absent":
+            # Its colors and things are what counts.
+            continue
+        taught = {
+            word
+            for bank in parts
+            for line in (
+                *bank.refused.get(name, ()),
+                *bank.orders.get(name, ()),
+                *(
+                    text
+                    for rule in ("put", "on", "please")
+                    for text in bank.rules[rule]
+                ),
+            )
+            for word in words_of(line)
+        }
+        said = [words_of(line) for line in lines]
+        assert not [words for words in said if words and words <= taught]
+
+
+def test_no_slot_or_choice_is_left() -> None:
     rng = stream("refusals", "test")
-    said = {taught.draw(rng, plain=True)[0] for _ in range(2000)}
-    # Thousands of sentences, in which no slot or choice is left.
+    said = {refusal_bank().draw(rng, plain=True)[0] for _ in range(2000)}
     assert len(said) > 1200
     assert not any(set(text) & set("{}<>|()") for text in said)
 

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from lemma.core.arguments import Count, Depth, Share, Width
 from lemma.policies.entities import EntitySet
 from lemma.policies.layers import TransformerLayer, sinusoids
-from lemma.policies.text.refusals import resolved
+from lemma.policies.text.own_color import resolved
 from lemma.policies.text.words import PADDING, UNKNOWN, Vocabulary, word_vectors
 from lemma.scene.objects.entity import entity_named
 

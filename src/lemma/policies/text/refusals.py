@@ -2,14 +2,14 @@
 
 A reader that is only ever shown orders takes everything for one. So it is also shown
 questions, stories, other verbs and relations, denials and things that are not there,
-each with the reason why it is none; and contrasts ("not on the blue one"), which are
-orders although they deny something.
+each with the reason why it is none; and orders that look like them: contrasts ("not on
+the blue one") and plain ones.
 """
 
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -42,9 +42,8 @@ _DRAWN = (*REASON_NAMES, "negation", "absent")
 """Reasons to draw from; the hardest ones, by the lines kept, are there twice."""
 _KEPT = 8
 """Every so many lines one is kept for choosing the temperature."""
-_CONTRASTS = 0.2
-"""Share of contrasts among what is drawn."""
-_COLORS_NAMED = re.compile(r"\b(?:" + "|".join(BENCHMARK_COLORS) + r")\b")
+_ORDERS = 0.35
+"""Share of orders among what is drawn."""
 _SLOT = re.compile(r"\{(\w+)\}")
 _RULE = re.compile(r"<(\w+)>")
 _CHOICE = re.compile(r"\(([^()]*)\)")
@@ -54,10 +53,11 @@ _BARE = ("the {c} one", "{c}", "the {c}")
 
 @dataclass(frozen=True)
 class RefusalBank:
-    """Sentences by the reason why they are refused, and contrasts."""
+    """Sentences by the reason why they are refused, and orders that look like them."""
 
     refused: Mapping[str, Sequence[str]]
-    contrast: Mapping[str, Sequence[str]]
+    orders: Mapping[str, Sequence[str]]
+    """By what they look like: ``contrast``, ``plain`` or ``own``."""
     colors: Sequence[str]
     """Words for colors that nothing has."""
     things: Sequence[str]
@@ -68,37 +68,25 @@ class RefusalBank:
     @classmethod
     def of(cls, source: Mapping[str, Any]) -> "RefusalBank":
         """Return the bank that a file describes."""
-        rules = dict(source.get("words", source))
+        words = source["words"]
         return cls(
             source["refused"],
-            source["contrast"],
-            rules["colors"],
-            rules["things"],
-            rules,
+            source["orders"],
+            words["colors"],
+            words["things"],
+            words,
         )
 
     def parted(self, *, kept: bool) -> "RefusalBank":
         """Return the lines for training, or those kept for choosing the temperature."""
 
-        def part(
-            lines: Mapping[str, Sequence[str]],
-        ) -> dict[str, list[str]]:
+        def part(lines: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
             return {
-                name: [
-                    line
-                    for i, line in enumerate(texts)
-                    if (i % _KEPT == _KEPT - 1) is kept
-                ]
-                for name, texts in lines.items()
+                name: [t for i, t in enumerate(of) if (i % _KEPT == _KEPT - 1) is kept]
+                for name, of in lines.items()
             }
 
-        return RefusalBank(
-            part(self.refused),
-            part(self.contrast),
-            self.colors,
-            self.things,
-            self.rules,
-        )
+        return replace(self, refused=part(self.refused), orders=part(self.orders))
 
     def render(self, line: str, rng: np.random.Generator, goal: GoalPairs = ()) -> str:
         """Return a line with its rules, choices and slots filled in.
@@ -106,7 +94,7 @@ class RefusalBank:
         Args:
             line: Of this bank.
             rng: Where all draws come from.
-            goal: One pair, whose things fill the slots of a contrast.
+            goal: The pairs whose things fill the slots of an order.
         """
         while found := _CHOICE.search(line):
             start, end = found.span()
@@ -128,9 +116,9 @@ class RefusalBank:
             plain: Whether the sentence is left without errors.
         """
         goal: GoalPairs = ()
-        if rng.random() < _CONTRASTS:
-            reason, goal = "", _drawn_goal(rng)
-            line = _one(self.contrast["one"], rng)
+        if rng.random() < _ORDERS:
+            reason, line = "", _one(self.orders[_one(tuple(self.orders), rng)], rng)
+            goal = goal_for(line, rng)
         else:
             reason = _one(_DRAWN, rng)
             line = _one(self.refused[reason], rng)
@@ -155,6 +143,7 @@ def refusal_bank(*, kept: bool = False) -> RefusalBank:
     return RefusalBank.of(found).parted(kept=kept)
 
 
+# For the reason in words alone; what is refused does not depend on it.
 _STRANGE = (
     *("orange", "purple", "violet", "brown", "black", "grey", "gray", "cyan", "gold"),
     *("magenta", "turquoise", "teal", "silver", "golden", "beige", "lilac", "maroon"),
@@ -163,27 +152,6 @@ _UNKNOWN = re.compile(
     rf"\b({'|'.join(_STRANGE)})"
     r"(?: (cube|block|box|brick|pad|circle|target|mat|disc))?\b"
 )
-_NOUN = "|".join(sorted({*CUBE.nouns, *PAD.nouns, "mat", "disc", "brick", "spot"}))
-_SAME = r"(?:its|the|that|their) (?:very )?(?:own|same|very)(?: own)? colou?r"
-_OWN = re.compile(
-    rf"\bthe (?P<noun>{_NOUN})"
-    rf" (?:(?:of|in|with|having) (?:{_SAME}|its colou?r)"
-    r"|(?:that|which) (?:has|shares|matches) (?:its|the same)(?: own)? colou?r)"
-    rf"|\b(?:the|its) (?:matching|same[- ]colou?red|like-colou?red) (?P<noun2>{_NOUN})",
-    re.IGNORECASE,
-)
-
-
-def resolved(text: str) -> str:
-    """Return a text in which "the pad of its own color" has the color's name.
-
-    Only where one color is named in all, so that there is no doubt.
-    """
-    colors = set(_COLORS_NAMED.findall(text.lower()))
-    if len(colors) != 1:
-        return text
-    color = colors.pop()
-    return _OWN.sub(lambda m: f"the {color} {m['noun'] or m['noun2']}", text)
 
 
 def unknown_things(text: str) -> str:
@@ -196,15 +164,20 @@ def unknown_things(text: str) -> str:
     return f"{found[1]} {found[2] or 'thing'}" if found else ""
 
 
+def goal_for(line: str, rng: np.random.Generator) -> GoalPairs:
+    """Return a goal with as many pairs as an order has: cubes on pads or on cubes."""
+    cubes, pads = (rng.permutation(list(BENCHMARK_COLORS)).tolist() for _ in range(2))
+    count = 2 if "{t2}" in line else 1
+    return tuple(
+        (f"{cubes[i]}_cube", f"{pads[i]}_pad")
+        if rng.random() < 0.5
+        else (f"{cubes[i]}_cube", f"{cubes[count + i]}_cube")
+        for i in range(count)
+    )
+
+
 def _one(options: Sequence[str], rng: np.random.Generator) -> str:
     return options[int(rng.integers(len(options)))]
-
-
-def _drawn_goal(rng: np.random.Generator) -> GoalPairs:
-    """Return a goal of one pair: a cube on a pad, or on another cube."""
-    one, other = rng.permutation(list(BENCHMARK_COLORS))[:2].tolist()
-    kind = "pad" if rng.random() < 0.5 else "cube"
-    return ((f"{one}_cube", f"{other}_{kind}"),)
 
 
 def _slots(rng: np.random.Generator, goal: GoalPairs) -> dict[str, str]:
@@ -215,12 +188,14 @@ def _slots(rng: np.random.Generator, goal: GoalPairs) -> dict[str, str]:
     found |= {f"p{i}": _named(c, PAD.nouns, rng) for i, c in enumerate(pads, 1)}
     found |= {"k1": cubes[0], "k2": cubes[1]}
     found["s"] = found["c4" if rng.random() < 0.5 else "p2"]
-    for top, bottom in goal:
-        upper, lower = entity_named(top), entity_named(bottom)
+    pairs = [(entity_named(top), entity_named(bottom)) for top, bottom in goal]
+    for number, (upper, lower) in zip(("", "2"), pairs, strict=False):
+        found[f"t{number}"] = _named(upper.color, upper.kind.nouns, rng)
+        found[f"b{number}"] = _named(lower.color, lower.kind.nouns, rng)
+    if len(pairs) == 1:
+        ((upper, lower),) = pairs
         named = {upper.color, lower.color}
         other, another = [color for color in cubes if color not in named][:2]
-        found["t"] = _named(upper.color, upper.kind.nouns, rng)
-        found["b"] = _named(lower.color, lower.kind.nouns, rng)
         found["u"] = _named(other, upper.kind.nouns, rng)
         found["a"] = _named(another, lower.kind.nouns, rng)
         if rng.random() < 0.3:
