@@ -32,7 +32,7 @@ from lemma.policies.models.reachnet.goal_reader import (
 from lemma.policies.models.reachnet.model import ReachNet
 from lemma.policies.text.grammar import Grammar, grammar
 from lemma.policies.text.paraphrase import paraphrase
-from lemma.policies.text.refusals import REASON_NAMES, refusal_bank
+from lemma.policies.text.refusals import refusal_bank
 from lemma.policies.weights import load_model
 from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.objects.palette import BENCHMARK_COLORS
@@ -100,14 +100,13 @@ def batches(
             else:
                 kind = ("high_level", "human")[int(rng.integers(2))]
                 text = instruct(task, kind, goal, rng)
-            pool.append((text, goal, ""))
+            pool.append((text, goal, -1))
         pool.sort(key=lambda said: len(said[0]))
         for start in rng.permutation(_POOLED) * options.batch:
             part = pool[start : start + options.batch]
             texts = [text for text, _, _ in part]
             goals = goal_numbers([goal for _, goal, _ in part], CPU)
-            reasons = [REASON_NAMES.index(why) if why else -1 for _, _, why in part]
-            yield texts, goals, torch.tensor(reasons)
+            yield texts, goals, torch.tensor([reason for _, _, reason in part])
 
 
 def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
@@ -115,7 +114,8 @@ def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
     torch.manual_seed(options.seed)
     reader = GoalReader(ReaderConfig())
     if options.start:
-        found: ReachNet = load_model(options.start)
+        found = load_model(options.start)
+        assert isinstance(found, ReachNet)
         # What is not there, such as the part that refuses, begins anew.
         reader.load_state_dict(found.reader.state_dict(), strict=False)
     optimizer = torch.optim.AdamW(reader.parameters(), options.rate, weight_decay=0.02)

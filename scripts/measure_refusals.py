@@ -155,7 +155,8 @@ def report(said: list[Said], found: Answers) -> None:
         sure = found.certainty
         here = (sure >= low) & ((sure < high) | (high == 1.0))
         if here.any():
-            right, mean = found.right[here].double().mean(), sure[here].mean()
+            right = float(found.right[here].double().mean())
+            mean = float(sure[here].mean())
             share = f"{low:.0%} to {high:.0%}"
             print(f"{share:>12} {int(here.sum()):6} {right:7.1%} {mean:15.1%}")
     sure = found.certainty >= 0.9
@@ -192,7 +193,8 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="print what is wrong")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    model: ReachNet = load_model(options.weights)
+    model = load_model(options.weights)
+    assert isinstance(model, ReachNet)
     reader = model.reader
     if options.reader:
         reader = GoalReader(ReaderConfig()).eval()

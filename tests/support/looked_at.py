@@ -52,7 +52,7 @@ class Explains(Reads):
     """Knows why, and stops at once."""
 
     def explain(self, inputs: Sequence[PolicyInput]) -> list[Insight]:
-        pairs, _ = self.answer
+        pairs = self.answer.goal
         things = tuple(SeenObject(name, (0.3, 0.2)) for name in pairs[0])
         robots = (SeenRobot((-0.7, 0.0), (0.2, 0.8)), SeenRobot((0.7, 0.0), (0.2, 0.8)))
         options = ((STOP, 0.9), (SubTask("robot_0", Primitive.MOVE, *pairs[0]), 0.1))

@@ -108,8 +108,10 @@ class RefusalBank:
 
     def draw(
         self, rng: np.random.Generator, *, plain: bool = False
-    ) -> tuple[str, GoalPairs, str]:
-        """Return a sentence, and its goal or the reason why it has none.
+    ) -> tuple[str, GoalPairs, int]:
+        """Return a sentence, its goal, and the number of the reason why it has none.
+
+        The number is -1 if it has one.
 
         Args:
             rng: Where all draws come from.
@@ -117,13 +119,13 @@ class RefusalBank:
         """
         goal: GoalPairs = ()
         if rng.random() < _ORDERS:
-            reason, line = "", _one(self.orders[_one(tuple(self.orders), rng)], rng)
+            number, line = -1, _one(self.orders[_one(tuple(self.orders), rng)], rng)
             goal = goal_for(line, rng)
         else:
             reason = _one(_DRAWN, rng)
-            line = _one(self.refused[reason], rng)
+            number, line = REASON_NAMES.index(reason), _one(self.refused[reason], rng)
         text = self.render(line, rng, goal)
-        return (text if plain else noisy(text, rng, _CHANCES)), goal, reason
+        return (text if plain else noisy(text, rng, _CHANCES)), goal, number
 
 
 # Hardly any word is left out or exchanged: "not" and "off" are what matters here.

@@ -18,7 +18,6 @@ from torch.nn import functional as F
 from lemma.core.arguments import Cost, Depth
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
-from lemma.core.seeding import stream
 from lemma.policies.batch import STOP, Batch, Labels
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, Insight, PolicyInput, Understanding
@@ -57,17 +56,12 @@ from lemma.policies.models.reachnet.scene_table import (
     turned,
     turned_numbers,
 )
+from lemma.policies.models.reachnet.understanding import WHY, lesson, understood
 from lemma.policies.text.encoder import Sentences
-from lemma.policies.text.refusals import REASON_NAMES, REASONS, refusal_bank
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _REACH_POINTS = 128
-_CLEAR = 0.8
-"""Certainty of a goal by the words alone, from which things that are not seen do not
-change it: it is said then that they are not there."""
 _NEVER = 1e4
-_REFUSALS = 0.15
-"""Sentences that only the reader learns from, for each frame of a batch."""
 _LOUDEST = 25.0
 _SUCCESS = "success"
 _OPTIONS = 6
@@ -140,28 +134,8 @@ class ReachNet(MapModel):
         self.grounding = ReachNetGrounder(known)
 
     def told(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the goals and the words of the instructions as numbers.
-
-        Behind them come sentences for the reader alone: those to refuse, with the
-        number of the reason, and contrasts.
-        """
-        assert batch.labels is not None
-        goals, texts = list(batch.labels.goals), list(batch.instructions)
-        reasons = [-1] * len(texts)
-        reader = self.reader
-        if reader.config.refuses and not reader.config.guesses:
-            # Drawn from what is said, which is a function of the step.
-            rng = stream("refusals", *texts)
-            more = math.ceil(_REFUSALS * len(texts))
-            for text, goal, reason in (refusal_bank().draw(rng) for _ in range(more)):
-                texts.append(text)
-                goals.append(goal)
-                reasons.append(REASON_NAMES.index(reason) if reason else -1)
-        return {
-            "goal": goal_numbers(goals, self.device, batch.entities),
-            "words": torch.stack(reader.sentences.read(texts, self.device)),
-            "reasons": torch.tensor(reasons, device=self.device),
-        }
+        """Return the goals and the words of the instructions as numbers."""
+        return lesson(self.reader, batch, self.device)
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Return the terms of the loss."""
@@ -318,7 +292,7 @@ class ReachNet(MapModel):
                     done = poses or subtask.primitive is Primitive.STOP
                     why = "" if done else f"What it needs is not seen: {subtask}."
                     if reason >= 0:
-                        why = REASONS[REASON_NAMES[reason]]
+                        why = WHY[reason]
                     found.append(Decision(subtask, poses, why))
         return found
 
@@ -329,24 +303,8 @@ class ReachNet(MapModel):
             for batch in self.batches(inputs):
                 present = self.eye.see(batch).present
                 read = self.reader.weigh(batch.instructions, present)
-                said = self.reader.weigh(batch.instructions)
-                # A clear name counts for more than what lies there.
-                clear = (said.shares[:, :1] >= _CLEAR)[..., None, None]
-                goals = torch.where(clear, said.goals, read.goals)
-                shares = torch.where(clear[..., 0, 0], said.shares, read.shares)
-                rows = (
-                    part.tolist()
-                    for part in (goals, shares, read.reasons, read.refused)
-                )
-                for two, likely, reason, refused in zip(*rows, strict=True):
-                    one, other = (pairs_of(rows, batch.entities.places) for rows in two)
-                    sure, less = likely
-                    if reason >= 0:
-                        why = REASONS[REASON_NAMES[reason]]
-                        found.append(Understanding((), refused, why))
-                    else:
-                        refuses = self.config.reader.refuses
-                        found.append(Understanding(one, sure, "", refuses, other, less))
+                names, refuses = batch.entities.places, self.config.reader.refuses
+                found += understood(read, names, refuses=refuses)
         return found
 
     def explain(self, inputs: Sequence[PolicyInput]) -> list[Insight]:
