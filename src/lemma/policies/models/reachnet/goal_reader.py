@@ -39,9 +39,6 @@ _MENTIONS = 12
 _NEVER = -30.0
 _ABSENT = -6.0
 """Loss of log-probability of a goal for each thing that is not seen."""
-_CLEAR = 0.8
-"""Certainty by the words alone from which a reader that refuses names what it was told,
-be it seen or not."""
 _FAR = 24
 """Words further apart than this are all the same."""
 _NEAR = 5
@@ -197,9 +194,7 @@ class GoalReader(WordEmbedding):
         scores, order, first = self._scores(told)
         if present is not None:
             missing = F.pad(~present[:, : self.targets], (0, 1)).float() * _ABSENT
-            seen = scores + missing[:, self.goals].sum((2, 3))
-            clear = scores.softmax(-1).amax(-1, True) >= _CLEAR
-            scores = torch.where(clear & self.config.refuses, scores, seen)
+            scores = scores + missing[:, self.goals].sum((2, 3))
         shares = (_joint(scores, order) / self.config.temperature).softmax(-1)
         count = len(self.goals)
         likely, number = shares[:, :count].topk(2)
