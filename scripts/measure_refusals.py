@@ -59,6 +59,8 @@ class Answers(NamedTuple):
 
     right: torch.Tensor
     refused: torch.Tensor
+    stops: torch.Tensor
+    """Whether the policy stops, which takes more than that it is rather no order."""
     certainty: torch.Tensor
 
 
@@ -95,7 +97,7 @@ def asked(bank: RefusalBank, draws: int) -> Iterator[Said]:
 def answers(reader: GoalReader, said: list[Said], *, as_before: bool) -> Answers:
     """Return what a reader makes of sentences on random tables."""
     rng = stream("refusals", "tables")
-    found: list[tuple[bool, bool, float]] = []
+    found: list[tuple[bool, bool, bool, float]] = []
     for start in range(0, len(said), 64):
         part = said[start : start + 64]
         tables = torch.stack([draw_scene(one.goal or _any(rng), rng) for one in part])
@@ -113,7 +115,8 @@ def answers(reader: GoalReader, said: list[Said], *, as_before: bool) -> Answers
             if not as_before:
                 # Before, its certainty was of the goal alone.
                 right = no if not one.goal else right and not no
-            found.append((right, no, sure))
+            stops = float(read.refused[row]) >= reader.config.refuse_from
+            found.append((right, no, stops and not as_before, sure))
     columns = list(zip(*found, strict=True))
     return Answers(*(torch.tensor(column) for column in columns))
 
@@ -142,14 +145,17 @@ def report(said: list[Said], found: Answers) -> None:
     totals: dict[str, list[int]] = {"orders": [], "no orders": []}
     for group, numbers in rows.items():
         totals["orders" if group in ORDERS else "no orders"] += numbers
-    print(f"{'sentences':12} {'n':>6} {'right':>7} {'refused':>8} {'wrong act':>10}")
+    print("sentences         n   right  refused  wrong act    stops")
     for group, numbers in (*rows.items(), *totals.items()):
         refused = found.refused[numbers].double().mean().item()
+        stops = found.stops[numbers].double().mean().item()
         order = group in ORDERS or group == "orders"
         acted = found.right[numbers] & ~found.refused[numbers]
         right = acted.double().mean().item() if order else refused
         wrong = (1 - refused) - (right if order else 0.0)
-        print(f"{group:12} {len(numbers):6} {right:7.1%} {refused:8.1%} {wrong:10.1%}")
+        print(
+            f"{group:12} {len(numbers):6} {right:7.1%} {refused:8.1%} {wrong:10.1%} {stops:8.1%}"
+        )
     print(f"\n{'certainty':>12} {'n':>6} {'right':>7} {'mean certainty':>15}")
     for low, high in pairwise(_EDGES):
         sure = found.certainty

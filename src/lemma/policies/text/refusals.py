@@ -42,7 +42,7 @@ _DRAWN = (*REASON_NAMES, "negation", "absent")
 """Reasons to draw from; the hardest ones, by the lines kept, are there twice."""
 _KEPT = 8
 """Every so many lines one is kept for choosing the temperature."""
-_ORDERS = 0.35
+_ORDERS = 0.45
 """Share of orders among what is drawn."""
 _SLOT = re.compile(r"\{(\w+)\}")
 _RULE = re.compile(r"<(\w+)>")

@@ -70,8 +70,10 @@ class ReaderConfig:
     nothing: for a reader that is taught without sentences."""
     refuses: bool = True
     """Whether it can say that a sentence is no order, and why."""
+    refuse_from: Share = 0.7
+    """How likely a sentence must be no order for the policy to stop."""
     temperature: Temperature = 1.0
-    """Its probabilities are raised to one over this, and scaled to 1 again, so that
+    """Log-probabilities of goals, and those of reasons, are divided by this, so that
     its certainty is how often it is right."""
 
 
@@ -83,7 +85,8 @@ class Readings(NamedTuple):
     shares: Tensor
     """How likely each is, (B, 2)."""
     reasons: Tensor
-    """Number of the likeliest reason to refuse each, (B,); -1 where it is an order."""
+    """Number of the likeliest reason to refuse each, (B,); -1 where it is rather an
+    order."""
     refused: Tensor
     """How likely it is no order, (B,)."""
 
@@ -180,8 +183,9 @@ class GoalReader(WordEmbedding):
                 others are less likely: "on the red one" means one that is there.
         """
         found = self.weigh(texts, present)
-        refused = (found.reasons >= 0)[:, None, None]
-        return found.goals[:, 0].masked_fill(refused, NOBODY), found.reasons
+        acts = found.refused < self.config.refuse_from
+        goals = found.goals[:, 0].masked_fill(~acts[:, None, None], NOBODY)
+        return goals, found.reasons.masked_fill(acts, -1)
 
     @torch.no_grad()
     def weigh(self, texts: Sequence[str], present: Tensor | None = None) -> Readings:
@@ -195,7 +199,10 @@ class GoalReader(WordEmbedding):
         if present is not None:
             missing = F.pad(~present[:, : self.targets], (0, 1)).float() * _ABSENT
             scores = scores + missing[:, self.goals].sum((2, 3))
-        shares = (_joint(scores, order) / self.config.temperature).softmax(-1)
+        scores = scores / self.config.temperature
+        if order is not None:
+            order = (order / self.config.temperature).log_softmax(-1)
+        shares = _joint(scores, order).exp()
         count = len(self.goals)
         likely, number = shares[:, :count].topk(2)
         best = self.goals[number]
@@ -208,11 +215,11 @@ class GoalReader(WordEmbedding):
         silent = ~told.mask.any(1) & (not self.config.guesses)
         best = best.masked_fill(silent[:, None, None, None], NOBODY)
         likely = likely.masked_fill(silent[:, None], 1.0)
+        refused = shares[:, count:].sum(-1).masked_fill(silent, 0.0)
         reasons = torch.full_like(number[:, 0], -1)
         if order is not None:
-            doubt = (order[:, 0] < order[:, 1:].logsumexp(-1)) & ~silent
-            reasons = torch.where(doubt, order[:, 1:].argmax(-1), reasons)
-        return Readings(best, likely, reasons, shares[:, count:].sum(-1))
+            reasons = torch.where(refused > 0.5, order[:, 1:].argmax(-1), reasons)
+        return Readings(best, likely, reasons, refused)
 
     def _scores(self, told: Sentences) -> tuple[Tensor, Tensor | None, Tensor]:
         """Return what is known of sentences.
