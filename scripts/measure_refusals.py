@@ -153,9 +153,8 @@ def report(said: list[Said], found: Answers) -> None:
         acted = found.right[numbers] & ~found.refused[numbers]
         right = acted.double().mean().item() if order else refused
         wrong = (1 - refused) - (right if order else 0.0)
-        print(
-            f"{group:12} {len(numbers):6} {right:7.1%} {refused:8.1%} {wrong:10.1%} {stops:8.1%}"
-        )
+        shares = f"{right:7.1%} {refused:8.1%} {wrong:10.1%} {stops:8.1%}"
+        print(f"{group:12} {len(numbers):6} {shares}")
     print(f"\n{'certainty':>12} {'n':>6} {'right':>7} {'mean certainty':>15}")
     for low, high in pairwise(_EDGES):
         sure = found.certainty
