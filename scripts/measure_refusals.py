@@ -35,12 +35,13 @@ from lemma.policies.models.reachnet.model import ReachNet
 from lemma.policies.text.refusals import RefusalBank, goal_for, refusal_bank
 from lemma.policies.weights import load_model
 from lemma.tasks.language.bank import templates
+from lemma.tasks.language.blind import blind_templates
 from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.suite import SUITE
 from measure_reading import FAMILIES, draw_goal, draw_scene, voices
 
 BANK = Path(__file__).parents[1] / "tests" / "policies" / "sentences" / "refusals.toml"
-ORDERS = ("human", "unseen", "voices", "contrast", "own", "plain")
+ORDERS = ("human", "unseen", "blind", "voices", "contrast", "own", "plain")
 _DENIES = re.compile(r"\b(?:not|never|cannot|dont|nor)\b|n['\u2019]t\b", re.IGNORECASE)
 _EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 
@@ -64,12 +65,13 @@ class Answers(NamedTuple):
     certainty: torch.Tensor
 
 
-def orders(draws: int) -> Iterator[Said]:
+def orders(draws: int, *, blind: bool = False) -> Iterator[Said]:
     """Yield orders of the benchmark and of the voices."""
     rng = stream("refusals", "orders")
-    for kind in ("human", "unseen"):
+    for kind in ("human", "unseen", *(["blind"] if blind else [])):
         for task in SUITE:
-            for template in templates(task, kind):
+            known = blind_templates(task) if kind == "blind" else templates(task, kind)
+            for template in known:
                 for _ in range(draws):
                     assert template.entity_kinds is not None
                     goal = draw_goal(template.entity_kinds, rng)
@@ -195,6 +197,7 @@ def main() -> None:
     parser.add_argument("--temperature", type=float)
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--as-before", action="store_true")
+    parser.add_argument("--blind", action="store_true", help="blind orders, unlisted")
     parser.add_argument("--list", action="store_true", help="print what is wrong")
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -211,12 +214,12 @@ def main() -> None:
         print(f"temperature {value:.1f}")
         reader.config = replace(reader.config, temperature=value)
     bank = RefusalBank.of(tomllib.loads(BANK.read_text(encoding="utf-8")))
-    said = [*orders(options.draws), *asked(bank, options.draws)]
+    said = [*orders(options.draws, blind=options.blind), *asked(bank, options.draws)]
     found = answers(reader, said, as_before=options.as_before)
     report(said, found)
     if options.list:
         for one, right, sure in zip(said, found.right, found.certainty, strict=True):
-            if not right:
+            if not right and one.group != "blind":
                 print(f"{sure:4.0%} {one.group}: {one.text}")
 
 

@@ -62,7 +62,7 @@ def play(
         split: Frozen list to take it from: train, val or test; or free, which samples
             it. By default test, and free for tasks of your own.
         instance: A JSON file with an instance of your own, to begin with.
-        policy: As in lemma evaluate. By default reachnet where torch is
+        policy: As in lemma evaluate. By default reachnet-refusals where torch is
             installed, else the expert, which reads the benchmark's sentences alone.
         say: A sentence of your own, which is acted on at once.
         failures: List the failures in a folder of results, and play them beside the

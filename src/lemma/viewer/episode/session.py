@@ -26,7 +26,12 @@ _PATIENCE_S = 1.0
 """Time that a policy gets to stop [s]."""
 
 
-_LEARNED = ("reachnet", "episodic-transformer+cliport", "m-cliport")
+_LEARNED = (
+    "reachnet-refusals",
+    "reachnet",
+    "episodic-transformer+cliport",
+    "m-cliport",
+)
 
 
 class Session:
