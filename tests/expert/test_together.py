@@ -2,6 +2,7 @@
 
 import math
 import os
+import pickle
 import random
 from itertools import combinations
 
@@ -83,6 +84,46 @@ def test_two_robots_at_once_are_sooner_and_keep_clear(task: str) -> None:
     assert episode.elapsed_s < 0.9 * one_by_one.elapsed_s
     assert watch.least_m > 0.05
     assert [one.grounded for one in episode.executed] == [one.grounded for one in steps]
+
+
+def test_a_moment_at_which_robots_are_busy_is_found_again_to_the_bit() -> None:
+    instance = first_instance("stack2", "ur5+ur10")
+    episode = Episode(instance)
+    moments = []
+    for _ in solve_together(episode):
+        if episode.simulation.busy:
+            found = episode.simulation.scene.state_hash(), tuple(episode.executed)
+            moments.append((*found, episode.snapshot()))
+    assert moments
+    for state, executed, snapshot in moments:
+        again = Episode(instance)
+        again.restore(pickle.loads(pickle.dumps(snapshot)))
+        assert again.simulation.scene.state_hash() == state
+        assert tuple(again.executed) == executed
+        assert again.snapshot().begun == snapshot.begun
+
+
+def test_what_follows_a_restored_moment_is_equal_to_the_bit() -> None:
+    instance = first_instance("stack2", "ur5+ur10")
+    plan = solve_together(Episode(instance))
+    first = [one for one in plan if one.start_s == 0.0]
+    endings = []
+    for moment_s in (3.0, 6.0):
+        team = Episode(instance)
+        for one in first:
+            team.begin(one.grounded)
+        team.advance(moment_s)
+        snapshot = team.snapshot()
+        for played in (team, Episode(instance)):
+            if played is not team:
+                played.restore(snapshot)
+            while played.simulation.busy:
+                played.advance()
+            waited = played.simulation.reservations.times
+            state = played.simulation.scene.state_hash()
+            endings.append((state, tuple(played.executed), waited))
+    assert len(first) == 2
+    assert all(ending == endings[0] for ending in endings)
 
 
 def test_robots_that_wait_for_each_other_are_parted_by_a_retreat() -> None:

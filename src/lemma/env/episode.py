@@ -1,6 +1,7 @@
 """One instance being executed: sub-tasks so far, time, success."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 from lemma.core.arguments import real
@@ -29,8 +30,21 @@ class ExecutedSubTask:
 
 
 @dataclass(frozen=True, slots=True)
+class BegunSubTask:
+    """A sub-task that was given to a robot."""
+
+    grounded: GroundedSubTask
+    start_s: float
+    """Simulated time at which it began [s]."""
+
+
+@dataclass(frozen=True, slots=True)
 class EpisodeSnapshot:
-    """An episode between two sub-tasks or control steps; plain data, can be pickled."""
+    """A moment of an episode; plain data, can be pickled.
+
+    Where robots are busy it is the last moment at which none was, and all that has
+    begun since then: a motion in its midst cannot be saved.
+    """
 
     instance: Instance
     simulation: SimulationSnapshot
@@ -41,6 +55,10 @@ class EpisodeSnapshot:
     """Simulated time at which it ended [s]; None while it goes on."""
     verdict: bool | None
     """Whether it succeeded; None before that was judged."""
+    begun: tuple[BegunSubTask, ...] = ()
+    """Sub-tasks given since, if robots are busy; restoring carries them out anew."""
+    until_s: float = 0.0
+    """Simulated time up to which they are carried out [s]."""
 
 
 class Episode:
@@ -81,6 +99,8 @@ class Episode:
         self.stopped = False
         self._ended_s: float | None = None
         self._verdict: bool | None = None
+        self._quiet: EpisodeSnapshot | None = None
+        self._begun: list[BegunSubTask] = []
 
     @property
     def elapsed_s(self) -> float:
@@ -183,17 +203,25 @@ class Episode:
             raise ResetNeededError(
                 f"The episode {self.instance.key} is over. Reset before you act again."
             )
+        if not self.simulation.busy:
+            self._quiet, self._begun = self.snapshot(), []
         self.simulation.begin(grounded, until_s=self.horizon_s)
+        self._begun.append(BegunSubTask(grounded, self.simulation.time_s))
 
-    def advance(self) -> tuple[ExecutedSubTask, ...]:
+    def advance(self, until_s: float = math.inf) -> tuple[ExecutedSubTask, ...]:
         """Let time pass until a busy robot becomes free.
 
+        Args:
+            until_s: Simulated time at which to return at the latest [s]; robots that
+                are busy then stay so.
+
         Returns:
-            The sub-tasks that ended; none where no robot is busy.
+            The sub-tasks that ended; none where ``until_s`` came first or no robot is
+            busy.
         """
         ended = tuple(
             ExecutedSubTask(one.subtask, one.result, one.start_s)
-            for one in self.simulation.advance()
+            for one in self.simulation.advance(until_s)
         )
         self.executed += ended
         if not self.simulation.busy:
@@ -230,7 +258,14 @@ class Episode:
         return SkillResult(Outcome.STOPPED, "The policy said stop.", 0.0)
 
     def snapshot(self) -> EpisodeSnapshot:
-        """Return all that the rest of the episode depends on."""
+        """Return all that the rest of the episode depends on.
+
+        Raises:
+            InvalidActionError: A robot is busy, and not by :meth:`begin`.
+        """
+        if self.simulation.busy and self._quiet is not None:
+            begun, now = tuple(self._begun), self.simulation.time_s
+            return replace(self._quiet, begun=begun, until_s=now)
         return EpisodeSnapshot(
             self.instance,
             self.simulation.snapshot(),
@@ -243,6 +278,9 @@ class Episode:
 
     def restore(self, snapshot: EpisodeSnapshot) -> None:
         """Go back to a snapshot of an episode of the same instance.
+
+        Robots that were busy are so again. What they have done is carried out anew,
+        which takes as long as it took, and observers do not see it.
 
         Raises:
             InvalidConfigError: It was taken of another instance.
@@ -257,6 +295,27 @@ class Episode:
         self.executed = list(snapshot.executed)
         self.stopped = snapshot.stopped
         self._ended_s, self._verdict = snapshot.ended_s, snapshot.verdict
+        self._quiet = None
+        if snapshot.begun:
+            self._catch_up(snapshot)
+
+    def _catch_up(self, snapshot: EpisodeSnapshot) -> None:
+        """Carry out anew all that had begun in a snapshot."""
+        observers = self.simulation.observers
+        kept, observers[:] = tuple(observers), [self.stages.look]
+        try:
+            for one in snapshot.begun:
+                self._pass_until(one.start_s)
+                self.begin(one.grounded)
+            self._pass_until(snapshot.until_s)
+        finally:
+            observers[:] = kept
+
+    def _pass_until(self, time_s: float) -> None:
+        while (
+            self.simulation.busy and self.simulation.time_s < time_s - 0.5 * TIME_STEP_S
+        ):
+            self.advance(time_s)
 
     def info(self, goal_progress: float | None = None) -> dict[str, Any]:
         """Return the figures that every step and reset reports.

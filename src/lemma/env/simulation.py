@@ -15,7 +15,7 @@ from lemma.core.errors import InvalidActionError, PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.motion.reservations import Reservations
+from lemma.motion.reservations import Reservations, WaitingTimes
 from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.motion.skills import Skill, SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
@@ -94,6 +94,8 @@ class SimulationSnapshot:
     arms: dict[str, ArmSnapshot]
     coasting: CoastingState
     """How far each object has moved by itself."""
+    waiting: WaitingTimes
+    """How long arms waited for others so far."""
 
 
 class Simulation:
@@ -357,16 +359,15 @@ class Simulation:
             )
             for name, arm in self.arms.items()
         }
-        return SimulationSnapshot(
-            self.scene.snapshot(), arms, self.scene.coasting.state()
-        )
+        coasting, waiting = self.scene.coasting.state(), self.reservations.times.copy()
+        return SimulationSnapshot(self.scene.snapshot(), arms, coasting, waiting)
 
     def restore(self, snapshot: SimulationSnapshot) -> None:
         """Go back to a snapshot; what follows is equal to the bit. No robot is busy."""
         for running in self._running.values():
             running.skill.close()
         self._running.clear()
-        self.reservations.clear()
+        self.reservations.clear(snapshot.waiting)
         self.scene.restore(snapshot.physics)
         self.scene.coasting.restore(snapshot.coasting)
         # The contacts too, which tell what is held.

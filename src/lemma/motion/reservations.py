@@ -105,6 +105,10 @@ class WaitingTimes:
     retreats: int = 0
     deadlocks: int = 0
 
+    def copy(self) -> "WaitingTimes":
+        """Return the same numbers, which nobody else changes."""
+        return WaitingTimes(dict(self.waited_s), self.retreats, self.deadlocks)
+
 
 class Reservations:
     """Sectors of the arms of one scene, by robot."""
@@ -193,11 +197,13 @@ class Reservations:
         """Give up all that an arm holds and waits for."""
         self.give_up(robot)
         self._end_wait(robot)
+        if not self._holders:
+            self._stuck_s = None
 
-    def clear(self) -> None:
-        """Forget everything, the times as well."""
+    def clear(self, times: WaitingTimes) -> None:
+        """Reserve nothing any more, and go on counting from some times."""
         self._holders, self.waits, self._stuck_s = {}, {}, None
-        self.times = WaitingTimes()
+        self.times = times.copy()
 
     def _end_wait(self, robot: str) -> None:
         wait = self.waits.pop(robot, None)

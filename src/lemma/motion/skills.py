@@ -36,6 +36,7 @@ DRAG_HEIGHT_M = 0.022
 """While it pushes or pulls, the stick hovers 4 mm above the table."""
 DRAG_SPEED_M_S = 0.2
 
+_TICK_S = 0.01
 _MIND_TICKS = 5
 """Servo ticks between two looks at what arms have left behind: 50 ms."""
 _HOME_RAD = 0.05
@@ -64,7 +65,6 @@ class SkillRunner:
         """Of those at work; whoever is free holds none."""
         self._obstacles = Obstacles(arms)
         self._felt: dict[str, tuple[Pose2 | None, str | None]] = {}
-        self._ticks = 0
 
     def feel(self, arm: ArmMotion, target: Pose2 | None, held: str | None) -> None:
         """Set the obstacles of an arm; see :meth:`.Obstacles.around`."""
@@ -80,8 +80,8 @@ class SkillRunner:
         for name in busy:
             # Of any arm, for a sub-task that has begun in this tick as well.
             self.feel(self.arms[name], *self._felt[name])
-        self._ticks += 1
-        if self._ticks % _MIND_TICKS == 0:
+        # By the clock, so that a restored state goes on in the same way.
+        if round(self.scene.time_s / _TICK_S) % _MIND_TICKS == 0:
             self.reservations.follow()
         if self.reservations.waits:
             self.reservations.judge(busy)
