@@ -127,7 +127,7 @@ def test_tasks_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
         (["show", "pass", "--split", "free", "--index", str(10**22)], "from 0 to 92"),
         (["show", "stack", "--split", "tset"], "Did you mean 'test'?"),
         (["demo", "stack", "--robots", "ur5,ur1"], "Valid: ur5, ur10"),
-        (["demo", "stack", "--robots", "ur5"], "a team has two"),
+        (["demo", "stack", "--robots", "ur5"], "a team has 2"),
         (["demo", "stack", "--seed", "-3"], "from 0 to 92"),
         (["demo", "stack", "--seed", "3", "--index", "3"], "either"),
         (["bench", "stack", "--episodes", "0"], "from 1 to 60"),

@@ -120,7 +120,7 @@ def test_an_environment_has_as_many_robots_as_its_team() -> None:
     observation, info = env.reset(options={"instance": three_arms()})
     assert len(info["idle_s"]) == 3
     assert env.observation_space.contains(observation)
-    with pytest.raises(InvalidConfigError, match="3 robots, but tables are"):
+    with pytest.raises(InvalidConfigError, match="has 3 robots, but tables of"):
         env.reset(seed=0)
     with pytest.raises(InvalidConfigError, match="for 2 robots"):
         lemma.make("stack").reset(options={"instance": three_arms()})

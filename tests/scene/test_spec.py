@@ -37,8 +37,8 @@ def test_an_unknown_arm_is_answered() -> None:
 
 
 def test_an_unknown_robot_color_is_answered() -> None:
-    with pytest.raises(UnknownNameError, match=r"robot color 'blue'.*red, white"):
-        RobotPlacement("ur5", "blue", HERE)
+    with pytest.raises(UnknownNameError, match=r"robot color 'pink'.*red, white"):
+        RobotPlacement("ur5", "pink", HERE)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from lemma.robots.ur.build import ARMS
 from lemma.tasks.instance import LARGEST_INDEX, Instance
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, TASKS, default_split, load_instance
+from lemma.tasks.teams.layouts import LAYOUTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ def select_instance(task: str | None, wish: Selection) -> Instance:
     seed = whole("seed", wish.seed or 0, 0, LARGEST_INDEX)
     if wish.robots is None:
         return load_instance(task, FREE_SPLIT, seed)
-    team = parse_team(wish.robots)
+    team = parse_team(wish.robots, LAYOUTS[TASKS[task].layout].size)
     return sample(TASKS[task], FREE_SPLIT, seed, team=team).instance
 
 
@@ -101,19 +102,24 @@ def read_instance(path: Path, task: str | None, wish: Selection = DEFAULT) -> In
     return found
 
 
-def parse_team(robots: str) -> tuple[str, str]:
+def parse_team(robots: str, size: int) -> tuple[str, ...]:
     """Return the arm types of a team that a user typed, such as ``"ur5,ur10"``.
+
+    Args:
+        robots: The words.
+        size: How many robots the task has.
 
     Raises:
         UnknownNameError: No such arm type.
-        InvalidConfigError: Not two of them.
+        InvalidConfigError: Not as many of them.
     """
     names = [name.strip() for name in robots.split(",")]
     for name in names:
         ARMS[name]
-    if len(names) != 2:
+    if len(names) != size:
         raise InvalidConfigError(
-            f"--robots {robots} names {len(names)} arm type(s), but a team has two. "
-            f"Separate them by a comma: ur5,ur10. Valid: {', '.join(ARMS)}."
+            f"--robots {robots} names {len(names)} arm type(s), but a team has {size}. "
+            f"Separate them by a comma: {','.join(['ur5'] * (size - 1))},ur10. Valid: "
+            f"{', '.join(ARMS)}."
         )
-    return names[0], names[1]
+    return tuple(names)

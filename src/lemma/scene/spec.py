@@ -14,7 +14,9 @@ from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.table import TABLE_HALF_X_M, Gap
 
-ROBOT_COLORS = ("red", "white")
+ROBOT_COLORS = ("red", "white", "blue", "green")
+PAIR_COLORS = ROBOT_COLORS[:2]
+"""The colors that robots of a pair are drawn from."""
 _LEAST_TOP_M = 0.3
 """A table top is at least so wide."""
 ROOM_M = 10.0
@@ -28,7 +30,7 @@ class RobotPlacement:
     arm: str
     """Arm type, a name in ``lemma.robots.ur.build.ARMS``."""
     color: str
-    """``"red"`` or ``"white"``."""
+    """One of :data:`ROBOT_COLORS`."""
     base: Pose2
     """World from base: the yaw points the robot's front at the table."""
 

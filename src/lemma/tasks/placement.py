@@ -37,6 +37,7 @@ from lemma.tasks.drags import (
 )
 from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import Primitive
+from lemma.tasks.teams.coalitions import needed
 from lemma.tasks.zones import FROM_EDGE_M, Mask, Territory, Zone, ZoneLike
 
 _DRAWS = 2048
@@ -263,7 +264,8 @@ class ObjectPlacer:
 
         Raises:
             PlacementError: Something is in the way of a needed drag, or a robot could
-                do alone, with cubes that happen to be around, what takes two.
+                do alone, with cubes that happen to be around, what takes two; or a
+                larger team could do without one of its robots.
         """
         for primitive, robot, receiver, which in self._drags:
             cube = self.objects[which]
@@ -271,7 +273,12 @@ class ObjectPlacer:
             drag = (primitive, robot, receiver)
             if not self.can_drag(*drag, cube.pose, others, kind):
                 raise PlacementError(f"{primitive} {cube.name}")
-        for robot in range(len(self.robots)):
+        team = range(len(self.robots))
+        if len(team) > 2 and len(needed(self.territory, self.objects, goal)) < len(
+            team
+        ):
+            raise PlacementError("team without one robot")
+        for robot in team:
             if self._could_push_towers(robot, goal):
                 raise PlacementError(f"robot {robot} and a tower")
 

@@ -21,15 +21,16 @@ from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.placement import BESIDE_BASE_M, ObjectPlacer, PlacementError, gap_m
-from lemma.tasks.sampling import (
+from lemma.tasks.task import TASKS, Task
+from lemma.tasks.teams.layouts import (
     APART_M,
     LATERAL_M,
+    LAYOUTS,
     SHARED_WIDTH_M,
     YAW_RAD,
     apart_m,
     gap_beyond,
 )
-from lemma.tasks.task import TASKS, Task
 from lemma.tasks.zones import FROM_EDGE_M, Zone, ZoneLike
 
 _ROUNDED_M = 1e-4
@@ -49,9 +50,12 @@ def problems(instance: Instance) -> tuple[str, ...]:
         UnknownNameError: There is no such task.
     """
     task = TASKS[instance.task]
-    robots = len(instance.scene.robots)
-    if robots != 2:
-        return (f"The sampler sets tables for two robots, and this one has {robots}.",)
+    layout, robots = LAYOUTS[task.layout], len(instance.scene.robots)
+    if robots != layout.size:
+        return (
+            f"The sampler sets tables of {task.name} for {layout.size} robots, and "
+            f"this one has {robots}.",
+        )
     crowded = tuple(_crowded(instance))
     found: tuple[str, ...] | None = None
     for placer, goal in _ways(instance, task):
@@ -177,7 +181,7 @@ def _ways(instance: Instance, task: Task) -> Iterator[tuple[_RecordedPlacer, Goa
     for placed in instance.scene.objects:
         if placed not in extra:
             by_kind.setdefault(placed.kind, []).append(placed)
-    for order in permutations(range(len(instance.scene.robots))):
+    for order in LAYOUTS[task.layout].orders:
         every = product(*map(permutations, by_kind.values()))
         for chosen in islice(every, _MOST_WAYS):
             there = tuple(placed for kind in chosen for placed in kind)
@@ -214,6 +218,10 @@ def _crowded(instance: Instance) -> Iterator[str]:
 def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[str]:
     """Yield where robots do not stand as the sampler would have them."""
     robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
+    if len(robots) > 2:
+        if not LAYOUTS[task.layout].allows(robots):
+            yield f"The robots do not stand as in the layout {task.layout}."
+        return
     for number, (robot, phrase) in enumerate(zip(robots, phrases, strict=True)):
         turned = wrap(robot.base.yaw - math.pi * number)
         if abs(robot.base.y) > LATERAL_M or abs(turned) > YAW_RAD + 1e-3:
@@ -247,6 +255,8 @@ def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[
 def _hindered(what: str) -> str:
     """Return why a whole table was refused."""
     primitive, _, name = what.partition(" ")
+    if primitive == "team":
+        return "The team might reach the goal without one of its robots."
     if primitive == "robot":
         return "One robot alone might push a tower of cubes to where the goal wants it."
     return (

@@ -13,6 +13,7 @@ from lemma.tasks.language.bank import add_bank
 from lemma.tasks.language.template import LanguageBank
 from lemma.tasks.names import gym_id
 from lemma.tasks.placement import ObjectPlacer
+from lemma.tasks.teams.layouts import LAYOUTS
 
 TEAMS: tuple[tuple[str, ...], ...] = (
     ("ur5", "ur5"),
@@ -41,8 +42,10 @@ class Task:
     language: LanguageBank
     """Its instructions."""
     teams: tuple[tuple[str, ...], ...] = TEAMS
-    """Arm types of the teams that instances are drawn from, each as likely, in either
-    order."""
+    """Arm types of the teams that instances are drawn from, each as likely. A pair
+    stands in either order; a larger team in the order of the layout."""
+    layout: str = "pair"
+    """Where the robots stand: a name in :data:`~lemma.tasks.teams.layouts.LAYOUTS`."""
     fixed: bool = False
     """Whether the robots of all its instances stand in the same places, of the same
     arms and colors: those of the first team."""
@@ -68,10 +71,12 @@ class Task:
                 "distractors. There must be at least one sub-task, and the range of "
                 "distractors must ascend from zero or more."
             )
-        if not self.teams or any(len(team) != 2 for team in self.teams):
+        size = LAYOUTS[self.layout].size
+        if not self.teams or any(len(team) != size for team in self.teams):
             raise InvalidConfigError(
                 f"Task {self.name!r} has the teams {self.teams!r}. There must be one "
-                "or more, of two arm types each, such as (('ur5', 'ur10'),)."
+                f"or more, of {size} arm types each, such as "
+                f"{(('ur5',) * (size - 1) + ('ur10',),)!r}."
             )
 
     @property

@@ -176,7 +176,7 @@ class Territory:
             tool: Whether with the stick in its hand, held by either end.
             by_m: How far beyond its possibilities they are, at least [m].
         """
-        safe_m = self._safe_m(robot, kind, tool=tool) + by_m
+        safe_m = self.safe_m(robot, kind, tool=tool) + by_m
         return self.distance(robot, x, y) >= safe_m
 
     def keeps_off(
@@ -195,10 +195,10 @@ class Territory:
             tool: Whether with the stick in its hand.
         """
         kind, at = placed.entity.kind, placed.pose
-        safe_m = self._safe_m(robot, kind, tool=tool) + OUTSIDE_M + row_m + SLIDE_M
+        safe_m = self.safe_m(robot, kind, tool=tool) + OUTSIDE_M + row_m + SLIDE_M
         return self.robots[robot].base.distance(at) >= safe_m
 
-    def _safe_m(self, robot: int, kind: ObjectKind, *, tool: bool) -> float:
+    def safe_m(self, robot: int, kind: ObjectKind, *, tool: bool = False) -> float:
         """Return the distance from which on a robot could do nothing to a thing."""
         safe_m = self.could(robot).radius_m(kind.disc_m, kind.support_m or 0.0)
         return safe_m + (STICK_DIAGONAL_M if tool else 0.0)

@@ -19,7 +19,12 @@ PAPER: Color = (250, 250, 249)
 LIGHT: Color = (255, 255, 255)
 GOOD: Color = (46, 160, 90)
 BAD: Color = (214, 60, 52)
-ROBOT_INK: dict[str, Color] = {"red": (205, 30, 30), "white": (245, 245, 240)}
+ROBOT_INK: dict[str, Color] = {
+    "red": (205, 30, 30),
+    "white": (245, 245, 240),
+    "blue": (40, 90, 205),
+    "green": (30, 140, 60),
+}
 ENTITY_INK: dict[str, Color] = {
     "pink": (226, 90, 150),
     "red": (200, 30, 30),

@@ -35,6 +35,8 @@ __all__ = ["ARMS", "COLORS", "JOINTS", "LINKS", "ArmSpec", "add_arm"]
 COLORS: dict[str, Rgba] = {
     "red": (0.74, 0.07, 0.06, 1.0),
     "white": (0.92, 0.92, 0.90, 1.0),
+    "blue": (0.08, 0.24, 0.66, 1.0),
+    "green": (0.08, 0.44, 0.18, 1.0),
 }
 """Paint of the robots."""
 
@@ -51,7 +53,7 @@ def add_arm(
         arm: Which arm.
         prefix: Name of the robot; every name in the scene begins with it.
         base: Where it stands on the table.
-        color: ``"red"`` or ``"white"``.
+        color: A name in :data:`COLORS`.
 
     Raises:
         UnknownNameError: No robot has that color.

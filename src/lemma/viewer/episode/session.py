@@ -17,7 +17,7 @@ from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.scene.table import Gap
 from lemma.serve.websocket import is_address
 from lemma.tasks.instance import OWN_SPLIT, Instance
-from lemma.tasks.sampling import gap_beyond
+from lemma.tasks.teams.layouts import gap_beyond
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.status import EpisodeRequest
 from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator

@@ -1,0 +1,1 @@
+"""Teams: where their robots stand, and who of them is needed."""

@@ -1,0 +1,138 @@
+"""Who is needed: what a team could do without one of its robots, by geometry alone.
+
+If no team without one robot could reach a goal, no smaller coalition could either. A
+coalition is kept from ``On(top, bottom)`` where none of it could touch the top, none
+could touch the bottom or put anything on it, or nothing could get from those who could
+do the one to those who could do the other. All of that is said of what robots *could*
+do (:mod:`lemma.robots.could`), with whatever they can touch as a means: a row of cubes
+that is pushed gets farther than a hand.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from lemma.core.poses import Pose2
+from lemma.core.seeding import ordered_sum
+from lemma.scene.objects.kind import ObjectKind
+from lemma.scene.spec import ObjectPlacement
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.zones import OUTSIDE_M, REMOTE_M, SLIDE_M, Territory
+
+
+def needed(
+    territory: Territory, objects: Sequence[ObjectPlacement], goal: Goal
+) -> tuple[int, ...]:
+    """Return the robots without whom the others could not reach a goal.
+
+    Args:
+        territory: Reach of the team.
+        objects: Everything on the table.
+        goal: The goal, of things that lie on others.
+    """
+    team = range(len(territory.robots))
+    return tuple(
+        absent
+        for absent in team
+        if not _Coalition(territory, objects, set(team) - {absent}).could(goal)
+    )
+
+
+class _Coalition:
+    """Some robots of a team, and what they could touch as things lie."""
+
+    def __init__(
+        self,
+        territory: Territory,
+        objects: Sequence[ObjectPlacement],
+        robots: Iterable[int],
+    ) -> None:
+        self._territory = territory
+        self._robots = sorted(robots)
+        self._placed = {placed.name: placed for placed in objects}
+        self._cargo = [
+            placed
+            for placed in objects
+            if placed.entity.kind.cargo and self._touching(placed)
+        ]
+
+    def could(self, goal: Goal) -> bool:
+        """Whether nothing keeps the coalition from any part of a goal."""
+        return all(map(self._could_put, goal.placements))
+
+    def _could_put(self, on: On) -> bool:
+        top, bottom = (self._placed[name] for name in (on.top, on.bottom))
+        row_m = self._row_m(but=(on.top, on.bottom))
+        getters = self._touching(top) or self._pushing_together(top, row_m)
+        if not getters:
+            return False
+        # A cube that stands on one that is pushed slides or tips over where it stops.
+        tower_m = row_m + 2.0 * top.entity.kind.side_m if row_m else 0.0
+        putters = self._touching(bottom) + self._within(bottom, tower_m)
+        groups = self._groups(top.entity.kind, row_m)
+        return any(group & set(getters) and group & set(putters) for group in groups)
+
+    def _touching(self, placed: ObjectPlacement) -> list[int]:
+        """Return who could do anything to a thing with a hand and what it holds."""
+        x, y = np.array([placed.pose.x]), np.array([placed.pose.y])
+        kind = placed.entity.kind
+        return [
+            robot
+            for robot in self._robots
+            if not self._territory.cannot(robot, kind, x, y)[0]
+        ]
+
+    def _within(self, placed: ObjectPlacement, row_m: float) -> list[int]:
+        """Return who could push a row of cubes to a thing."""
+        return [
+            robot
+            for robot in self._robots
+            if row_m and not self._territory.keeps_off(robot, placed, row_m)
+        ]
+
+    def _row_m(self, but: tuple[str, ...]) -> float:
+        """Return the length of a row of all cubes that the coalition could touch."""
+        spare = (p.entity.kind.side_m for p in self._cargo if p.name not in but)
+        return 2.0 * ordered_sum(spare)
+
+    def _pushing_together(self, top: ObjectPlacement, row_m: float) -> list[int]:
+        """Return who could touch a thing that somebody else has pushed on with a row.
+
+        A row moves a thing away from its robot, no farther than the row reaches and the
+        thing then moves on by itself.
+        """
+        found = []
+        for pusher in self._within(top, row_m):
+            base = self._territory.robots[pusher].base
+            away = base.distance(top.pose)
+            safe_m = self._territory.safe_m(pusher, top.entity.kind)
+            far = max(away, safe_m + row_m) + REMOTE_M
+            at = Pose2(
+                base.x + (top.pose.x - base.x) * far / away,
+                base.y + (top.pose.y - base.y) * far / away,
+            )
+            moved = ObjectPlacement(top.kind, top.color, at)
+            found += [r for r in self._touching(moved) if r != pusher]
+        return found
+
+    def _groups(self, kind: ObjectKind, row_m: float) -> list[set[int]]:
+        """Return the robots between whom a kind of thing could go from hand to hand."""
+        groups: list[set[int]] = []
+        for robot in self._robots:
+            linked = [
+                g for g in groups if any(self._linked(robot, r, kind, row_m) for r in g)
+            ]
+            groups = [g for g in groups if g not in linked]
+            groups.append({robot}.union(*linked))
+        return groups
+
+    def _linked(self, one: int, other: int, kind: ObjectKind, row_m: float) -> bool:
+        """Whether one robot could put or push a thing where another could touch it."""
+        bases = [self._territory.robots[robot].base for robot in (one, other)]
+        farthest = max(
+            self._territory.could(giver).place_m
+            + self._territory.could(taker).radius_m(kind.disc_m)
+            for giver, taker in ((one, other), (other, one))
+        )
+        slack_m = OUTSIDE_M + row_m + SLIDE_M if row_m else REMOTE_M
+        return bases[0].distance(bases[1]) < farthest + slack_m
