@@ -18,7 +18,7 @@ from lemma.core.errors import InvalidActionError, UnknownNameError, shown
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.core.robot_names import robot_name, robot_names, robot_number
-from lemma.scene.objects.entity import ENTITIES, SHARED, extra_entities
+from lemma.scene.objects.entity import ENTITIES, SHARED, extra_entities, pair_regions
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.tasks.subtask import (
     STOP,
@@ -178,9 +178,13 @@ def picks() -> tuple[str, ...]:
     return (*PICKS, *extra_entities())
 
 
-def places() -> tuple[str, ...]:
-    """Return where a sub-task may put it: :data:`PLACES`, then what was added."""
-    return (*PLACES, *extra_entities())
+def places(team_size: int = 2) -> tuple[str, ...]:
+    """Return where a sub-task may put it, by number.
+
+    :data:`PLACES`, then the regions that two of a larger team may share, then what was
+    added.
+    """
+    return (*PLACES, *pair_regions(team_size), *extra_entities())
 
 
 def skill_space(team_size: int) -> spaces.Dict:
@@ -201,7 +205,7 @@ def plan_space(team_size: int) -> spaces.Dict:
             "robot": spaces.Discrete(team_size),
             "primitive": spaces.Discrete(len(primitive_names())),
             "pick": spaces.Discrete(len(picks())),
-            "place": spaces.Discrete(len(places())),
+            "place": spaces.Discrete(len(places(team_size))),
         }
     )
 
@@ -244,7 +248,7 @@ def decode_skill(action: Action, team_size: int) -> GroundedSubTask | None:
     return GroundedSubTask(robot_name(robot), primitive, pick, place)
 
 
-def encode_plan(subtask: SubTask | None) -> dict[str, Any]:
+def encode_plan(subtask: SubTask | None, team_size: int = 2) -> dict[str, Any]:
     """Return the plan-level action for a symbolic sub-task, or ``stop`` for None.
 
     Raises:
@@ -252,7 +256,7 @@ def encode_plan(subtask: SubTask | None) -> dict[str, Any]:
     """
     _check_type(subtask, SubTask)
     subtask = subtask or STOP
-    for entity, valid in ((subtask.pick, picks()), (subtask.place, places())):
+    for entity, valid in ((subtask.pick, picks()), (subtask.place, places(team_size))):
         if entity not in valid:
             raise InvalidActionError(
                 f"No table ever has a {shown(entity)}. Valid: {', '.join(valid[1:])}."
@@ -261,7 +265,7 @@ def encode_plan(subtask: SubTask | None) -> dict[str, Any]:
         "robot": _robot_number(subtask.robot) if subtask.robot else 0,
         "primitive": primitive_names().index(subtask.primitive),
         "pick": picks().index(subtask.pick),
-        "place": places().index(subtask.place),
+        "place": places(team_size).index(subtask.place),
     }
 
 
@@ -276,7 +280,7 @@ def decode_plan(action: Action, team_size: int) -> SubTask:
     primitive = _primitive(action["primitive"])
     entity = picks()
     pick = entity[_number(action["pick"], "pick", entity)]
-    entity = places()
+    entity = places(team_size)
     place = entity[_number(action["place"], "place", entity)]
     if primitive is Primitive.STOP:
         return STOP

@@ -36,7 +36,7 @@ class PlanEnv(SubTaskEnv):
         Raises:
             InvalidActionError: There never is such an entity.
         """
-        return encode_plan(subtask)
+        return encode_plan(subtask, len(self.robot_names))
 
     def decode(self, action: Action) -> SubTask:
         """Return the sub-task that an action means.

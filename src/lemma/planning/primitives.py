@@ -99,6 +99,8 @@ def ground_move(
     if cube not in now.supports or now.on_top_of(cube) is not None:
         return None
     start, kind = now.poses[cube], kind_of(cube)
+    if not geometry.reaches(subtask.robot, start):
+        return None
     if subtask.place in geometry.regions:
         obstacles = geometry.discs(now, but=cube)
         if STICK in now.poses:

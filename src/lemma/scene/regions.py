@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 from lemma.core.poses import Pose2
 from lemma.robots.reach import reach_of
-from lemma.scene.objects.entity import SHARED
+from lemma.scene.objects.entity import SHARED, pair_regions
 from lemma.scene.table import TABLE_HALF_Y_M, Gap, lies_on_table
 
 EDGE_M = 0.05
@@ -49,8 +49,10 @@ def regions_of(
     if len(team) <= 2 or spots_of(stands, gap_m):
         return MappingProxyType({SHARED: team})
     pairs = {
-        f"{SHARED}_{first}{second}": (first, second)
-        for first, second in combinations(team, 2)
+        name: (first, second)
+        for name, (first, second) in zip(
+            pair_regions(len(team)), combinations(team, 2), strict=True
+        )
         if spots_of((stands[first], stands[second]), gap_m)
     }
     return MappingProxyType(pairs)

@@ -16,7 +16,7 @@ from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_names
 from lemma.policies.control.interfaces import Actions, ControlInput, ControlPolicy
 from lemma.policies.interfaces import Decision, Effort, Policy, PolicyInput
-from lemma.scene.objects.entity import SHARED, known_entities
+from lemma.scene.objects.entity import SHARED, known_entities, pair_regions
 from lemma.serve.faults import FaultKind, PolicyFailedError, trouble_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
@@ -178,7 +178,9 @@ def _subtask(subtask: object, robots: int) -> SubTask:
     _check_name("robot", subtask.robot, robot_names(robots))
     for entity in (subtask.pick, subtask.place):
         if entity != "":
-            _check_name("entity", entity, (*known_entities(), SHARED))
+            _check_name(
+                "entity", entity, (*known_entities(), SHARED, *pair_regions(robots))
+            )
     return SubTask(subtask.robot, primitive, subtask.pick, subtask.place)
 
 

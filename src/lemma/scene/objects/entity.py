@@ -10,6 +10,7 @@ that is a choice too: see :func:`known_entities`.
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 from lemma.core.errors import UnknownNameError
 from lemma.scene.objects.cube import CUBE
@@ -67,6 +68,20 @@ ENTITIES = (
 )
 """The benchmark's entities, in the order of their numbers. Weights and data count on
 it, so it does not grow with what is registered."""
+
+
+def pair_regions(team_size: int) -> tuple[str, ...]:
+    """Return the names of all places that two of a team may share: ``"shared_01"``.
+
+    A pair has none: what it shares is :data:`SHARED`.
+    """
+    pairs = combinations(range(team_size), 2) if team_size > 2 else ()
+    return tuple(f"{SHARED}_{first}{second}" for first, second in pairs)
+
+
+def is_region(name: str) -> bool:
+    """Whether a place is no object, but a part of the table that robots share."""
+    return name == SHARED or name.startswith(f"{SHARED}_")
 
 
 def entity_named(name: str) -> Entity:
