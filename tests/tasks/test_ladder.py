@@ -31,7 +31,7 @@ def rung_of(task: str) -> str:
 def test_it_has_eight_rungs_of_three_degrees_and_ends_with_the_papers_tasks() -> None:
     assert len(LADDER) == len(set(LADDER)) == 24
     assert [t for t in LADDER if t in SUITE] == ["pass", "stack", "poke", "hook"]
-    assert set(LISTED) == {*SUITE, *LADDER}
+    assert {*SUITE, *LADDER} < set(LISTED)
     assert all(TASKS[task].name == task for task in LADDER)
 
 

@@ -27,12 +27,14 @@ from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.tasks.drags import grasp_on_stick
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.names import FAMILIES
 from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import SUITE, TASKS, load_instance
 from lemma.tasks.task import TEAMS, Task
 
 TEST = range(SPLITS["test"])
+TABLES = (*SUITE, *FAMILIES)
 Box = tuple[Pose2, float, float]
 """Centre and half sizes of a rectangle on the table."""
 
@@ -81,7 +83,7 @@ def gap(a: ObjectPlacement, b: ObjectPlacement) -> float:
     return float(np.hypot(between[..., 0], between[..., 1]).min())
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", TABLES)
 def test_nothing_overlaps(task: str) -> None:
     for instance in of_test_split(task):
         for a, b in combinations(instance.scene.objects, 2):
@@ -90,7 +92,7 @@ def test_nothing_overlaps(task: str) -> None:
             assert gap(a, b) > (0.015 if "cube" in (a.kind, b.kind) else 0.005)
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", TABLES)
 def test_everything_lies_on_the_table_and_clear_of_the_robots(task: str) -> None:
     for instance in of_test_split(task):
         for placed in instance.scene.objects:
@@ -109,7 +111,7 @@ def test_everything_lies_on_the_table_and_clear_of_the_robots(task: str) -> None
 # --- Everything is seen ------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", TABLES)
 def test_some_camera_sees_every_object(task: str) -> None:
     for instance in of_test_split(task):
         cameras = []
@@ -169,7 +171,7 @@ def able(instance: Instance, name: str) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", TABLES)
 def test_each_robot_either_works_with_a_thing_or_could_not_touch_it(task: str) -> None:
     for instance in of_test_split(task):
         for name in instance.scene.object_names:

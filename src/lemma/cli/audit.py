@@ -128,12 +128,12 @@ def _keys(
         InvalidConfigError: There are not so many.
     """
     from lemma.core.errors import InvalidConfigError
-    from lemma.tasks.instance import SPLITS
+    from lemma.tasks.instance import splits_of
     from lemma.tasks.suite import check_split
 
     for task in tasks:
         check_split(task, split)
-    size = SPLITS.get(split)
+    size = min((splits_of(task).get(split, 0) for task in tasks), default=0) or None
     if count is None and size is None:
         raise InvalidConfigError(
             "The split free needs --episodes, because it has any number of instances."

@@ -12,7 +12,7 @@ from lemma.core.seeding import stream
 from lemma.dataset.instructions import draw_instruction
 from lemma.expert.expert import Expert
 from lemma.scene.scene import Scene
-from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.instance import Instance, splits_of
 from lemma.tasks.language.bank import instruct, robot_phrases, sub_instruction
 from lemma.tasks.suite import TASKS, default_split, load_instance
 
@@ -55,7 +55,7 @@ def _draw(task: str, kind: Kind, seed: int) -> Iterator[tuple[Instance, str]]:
     """Yield training instances, sampled if there is no list, and sentences for them."""
     draws = stream("instructions", task, seed)
     for number in count():
-        index = int(draws.integers(SPLITS["train"]))
+        index = int(draws.integers(splits_of(task)["train"]))
         instance = load_instance(task, default_split(task), index)
         for text in _sentences(instance, kind, seed, number, draws):
             yield instance, text

@@ -51,7 +51,7 @@ Word = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint=""
 ALL = "all"
 Listed = Annotated[str, tyro.conf.arg(metavar="NAME,...")]
 """Names separated by commas, or ``all``; see :func:`words`."""
-SuiteName = Literal["lemma", "ladder"]
+SuiteName = Literal["lemma", "ladder", "teams"]
 """A suite: a key of :data:`lemma.tasks.names.SUITES`."""
 Arguments = Annotated[
     str, tyro.conf.arg(metavar="NAME=VALUE,...", help_behavior_hint="")

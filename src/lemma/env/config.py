@@ -18,7 +18,7 @@ from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.robots.ur.build import ARMS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.cameras import CLOSE_PX
-from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.instance import Instance, splits_of
 from lemma.tasks.language.blind import check_blind, instruction
 from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
 from lemma.tasks.sampling import sample
@@ -133,7 +133,8 @@ class EnvConfig:
             if side is not None:
                 checked[name] = whole(name, side, 1)
         if self.index is not None:
-            last = SPLITS[self.split] - 1 if self.split in SPLITS else None
+            size = splits_of(self.task).get(self.split)
+            last = None if size is None else size - 1
             checked["index"] = whole("index", self.index, 0, last)
         if self.robots is not None:
             checked["robots"] = self._checked_team(self.robots)
@@ -330,7 +331,7 @@ class InstanceSource:
         task, robots = self._config.task, self._config.robots
         if split == FREE_SPLIT:
             return self._load(split, rng.integers(_SEEDS))
-        for index in rng.permutation(SPLITS[split]):
+        for index in rng.permutation(splits_of(task)[split]):
             instance = load_instance(task, split, int(index))
             if self._has_team(instance):
                 return instance

@@ -13,6 +13,7 @@ from lemma.core.errors import InvalidConfigError, shown
 from lemma.core.poses import Pose2
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
+from lemma.tasks.names import FAMILIES
 
 BENCHMARK_VERSION = "v3"
 """Part of every instance's key: a change of the sampler is a new version."""
@@ -22,6 +23,8 @@ OWN_SPLIT = "own"
 
 SPLITS = {"train": 700, "val": 40, "test": 60}
 """Frozen instances per task and split (paper, section V)."""
+_TEAM_SPLITS = {**SPLITS, "train": 200}
+"""The same of the suite ``teams``."""
 
 
 LARGEST_INDEX = 2**63 - 1
@@ -51,6 +54,11 @@ class _Data(TypedDict):
     goal: list[tuple[str, str]]
     instructions: dict[str, str]
     distractors: list[str]
+
+
+def splits_of(task: str) -> dict[str, int]:
+    """Return how many frozen instances each split of a listed task has."""
+    return _TEAM_SPLITS if task in FAMILIES else SPLITS
 
 
 @dataclass(frozen=True, slots=True)

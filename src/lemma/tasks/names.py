@@ -31,9 +31,11 @@ def rung_task(rung: str, degree: str) -> str:
 
 LADDER = tuple(rung_task(rung, degree) for rung in RUNGS for degree in DEGREES)
 """The 24 tasks of the suite ``ladder``; four of them are of the suite ``lemma``."""
-SUITES = {"lemma": SUITE, "ladder": LADDER}
+FAMILIES = ("relay", "line", "carousel", "sort", "tower")
+"""The families of the suite ``teams``, for three and four robots."""
+SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}
 """Sets of tasks with frozen lists, by name."""
-LISTED = tuple(dict.fromkeys((*SUITE, *LADDER)))
+LISTED = tuple(dict.fromkeys(task for suite in SUITES.values() for task in suite))
 """Every task with frozen lists, in the order in which tables have them."""
 
 

@@ -7,8 +7,8 @@ from importlib.resources import files
 
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
-from lemma.tasks import library  # noqa: F401 - adds all tasks
-from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance
+from lemma.tasks import families, library  # noqa: F401 - adds all tasks
+from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance, splits_of
 from lemma.tasks.names import LADDER, LISTED, SUITE, SUITES
 from lemma.tasks.sampling import sample
 from lemma.tasks.task import TASKS
@@ -77,7 +77,7 @@ def load_instance(task: str, split: str, index: int) -> Instance:
     if split == FREE_SPLIT:
         seed = whole("index", index, 0, LARGEST_INDEX)
         return sample(TASKS[task], split, seed).instance
-    number = whole("index", index, 0, SPLITS[split] - 1)
+    number = whole("index", index, 0, splits_of(task)[split] - 1)
     return Instance.from_dict(json.loads(_frozen_lines(task, split)[number]))
 
 

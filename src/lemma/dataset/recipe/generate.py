@@ -58,7 +58,7 @@ from lemma.dataset.recipe.record import (
 )
 from lemma.dataset.recipe.schema import EpisodeRecord, describe, from_table, to_table
 from lemma.expert.disturbances import Perturbation
-from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
+from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, splits_of
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
 
 _SHOWN = 5
@@ -95,15 +95,17 @@ class GenerateConfig:
                 "episodes of each task there shall be, with --episodes."
             )
 
-    def count(self, split: str) -> int:
-        """Return how many episodes of a split are wanted; a list may be shorter."""
-        every = SPLITS.get(split, self.episodes or 0)
+    def count(self, task: str, split: str) -> int:
+        """Return how many episodes of a list are wanted; it may be shorter."""
+        every = splits_of(task).get(split, self.episodes or 0)
         return every if self.episodes is None else min(self.episodes, every)
 
     @property
     def total(self) -> int:
         """Return how many episodes there will be."""
-        return len(self.tasks) * sum(self.count(split) for split in self.splits)
+        return sum(
+            self.count(task, split) for task in self.tasks for split in self.splits
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,7 +272,7 @@ def _look(order: GenerateConfig, split: str, task: str, about: dict[str, str]) -
         DatasetError: It is of another version, or holds more than is wanted.
     """
     path, there = recipe_file(order.out, split, task), 0
-    parts, wanted = order.out / PARTS / f"{split}-{task}", order.count(split)
+    parts, wanted = order.out / PARTS / f"{split}-{task}", order.count(task, split)
     if path.exists():
         file, found = open_table(path)
         check_same_job(path, found, about)

@@ -8,7 +8,7 @@ from gymnasium.utils import RecordConstructorArgs
 from lemma.core.errors import InvalidConfigError, shown
 from lemma.env.base_env import LemmaEnv
 from lemma.env.config import RESET_OPTIONS
-from lemma.tasks.instance import SPLITS
+from lemma.tasks.instance import splits_of
 
 FIGURES = ("is_success", "success", "progress", "elapsed_s", "instance")
 """Keys of ``info`` about an episode; none that a harness might take for observed."""
@@ -48,7 +48,7 @@ class HarnessEpisodes(
                 f"{shown(inner)} has no instances. Make the environment with "
                 "lemma.make or gymnasium.make."
             )
-        self._split = inner.config.split
+        self._task, self._split = inner.config.task, inner.config.split
         self._first_seed, self._next = first_seed, 0
 
     def reset(
@@ -63,7 +63,8 @@ class HarnessEpisodes(
         if not chosen.keys() & {"index", "instance"}:
             index = self._next if seed is None else seed - self._first_seed
             split = chosen.get("split", self._split)
-            chosen["index"] = index % SPLITS[split] if split in SPLITS else index
+            size = splits_of(self._task).get(split)
+            chosen["index"] = index if size is None else index % size
             self._next = chosen["index"] + 1
         observation, info = self.env.reset(seed=seed, options=chosen)
         return observation, _figures(info, over=False)

@@ -13,7 +13,7 @@ from lemma.scene.objects.entity import HAND, entity_named, kind_of, known_entiti
 from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.goal import Goal
-from lemma.tasks.instance import SPLITS, Instance
+from lemma.tasks.instance import Instance, splits_of
 from lemma.tasks.language.blind import blind_templates, instruction
 from lemma.tasks.language.template import BLIND, GoalPairs
 from lemma.tasks.suite import TASKS, load_instance
@@ -57,7 +57,8 @@ def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:
     if language == "shuffled":
         task, split = instance.task, instance.split
         following = instance.index + 1
-        other = load_instance(task, split, following % SPLITS.get(split, following + 1))
+        size = splits_of(task).get(split, following + 1)
+        other = load_instance(task, split, following % size)
         there = set(other.goal.entities) <= set(instance.scene.object_names)
         same = set(other.goal.pairs) == set(instance.goal.pairs)
         asks = other.goal.pairs if there and not same else None

@@ -19,7 +19,12 @@ from lemma.evaluation.run.loading import served_parts, weights_of
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.interfaces import TIMEOUT_S
 from lemma.policies.spec import PLANNINGS, PolicySpec
-from lemma.tasks.instance import BENCHMARK_VERSION, OWN_SPLIT, SPLITS, Instance
+from lemma.tasks.instance import (
+    BENCHMARK_VERSION,
+    OWN_SPLIT,
+    Instance,
+    splits_of,
+)
 from lemma.tasks.language.blind import check_blind
 from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split
@@ -96,18 +101,17 @@ class EvaluationConfig:
         for kind in self.kinds:
             known("kind of instruction", kind, instance.instructions)
 
-    @property
-    def per_task(self) -> int:
-        """Episodes per task and kind of instruction."""
+    def count(self, task: str) -> int:
+        """Return how many episodes of a task there are per kind of instruction."""
         if self.instance is not None:
             return 1
-        every = SPLITS.get(self.split, self.episodes or 0)
+        every = splits_of(task).get(self.split, self.episodes or 0)
         return every if self.episodes is None else min(self.episodes, every)
 
     @property
     def total(self) -> int:
         """Episodes in all."""
-        return len(self.tasks) * len(self.kinds) * self.per_task
+        return len(self.kinds) * sum(map(self.count, self.tasks))
 
     def about(self) -> dict[str, Any]:
         """Return what decides the result."""
@@ -165,7 +169,7 @@ class EvaluationConfig:
     def groups(self) -> Iterator[tuple[str, str, range]]:
         """Yield kind, task and numbers of the episodes that are played together."""
         first = self.instance.index if self.instance else 0
-        last = first + self.per_task
         for kind, task in product(self.kinds, self.tasks):
+            last = first + self.count(task)
             for start in range(first, last, GROUP):
                 yield kind, task, range(start, min(start + GROUP, last))

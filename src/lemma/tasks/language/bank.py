@@ -23,6 +23,7 @@ from lemma.scene.objects.entity import (
     HAND,
     SHARED,
     entity_named,
+    is_region,
     kind_of,
 )
 from lemma.scene.spec import RobotPlacement
@@ -32,12 +33,14 @@ from lemma.tasks.language.template import (
     Template,
     only_goal,
 )
+from lemma.tasks.names import FAMILIES
 from lemma.tasks.subtask import added_phrase, primitive_names
 
 _WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 _FAMILIES = ("cube_on_pad", "cubes_on_pads", "cube_on_cube", "cubes_on_cubes")
 _LADDER = ("hand_over_cube", "cube_in_hand", "cube_on_pad_alone")
-"""Families of the ladder's own rungs; no published model has been trained on them."""
+_UNSEEN_BY_MODELS = (*_LADDER, *FAMILIES)
+"""The ladder's own rungs and teams; no published model has been trained on them."""
 _PAPER_LINES = (
     *("move", "move_to_shared", "prehook", "hook", "prepoke", "poke", "stop"),
 )
@@ -62,7 +65,7 @@ def bank_for(task: str) -> LanguageBank:
     """
     if task in _added:
         return _added[task]
-    banks = _banks((*_FAMILIES, *_LADDER))
+    banks = _banks((*_FAMILIES, *_UNSEEN_BY_MODELS))
     if task not in banks:
         raise UnknownNameError("task", task, dict.fromkeys([*banks, *_added]))
     return banks[task]
@@ -93,17 +96,22 @@ def parse(sentence: str) -> frozenset[tuple[str, str]] | None:
     Returns:
         The (top, bottom) pairs; None if no template says the sentence.
     """
-    banks = _banks((*_FAMILIES, *_LADDER))
+    banks = _banks((*_FAMILIES, *_UNSEEN_BY_MODELS))
     return only_goal([t for name in banks for t in banks[name]], sentence)
 
 
 def phrase(entity: str) -> str:
     """Return how sub-instructions name an entity: ``"red cube"``, ``"yellow stick"``.
 
+    The region of two robots of a larger team is the ``"space of robots 0 and 1"``.
+
     Raises:
-        UnknownNameError: No entity, and not ``"shared"``.
+        UnknownNameError: No entity, and no region.
     """
-    return "shared space" if entity == SHARED else entity_named(entity).phrase
+    if not is_region(entity):
+        return entity_named(entity).phrase
+    pair = entity.removeprefix(SHARED).removeprefix("_")
+    return f"space of robots {' and '.join(pair)}" if pair else "shared space"
 
 
 def say_pair(top: str, bottom: str) -> str:
@@ -199,13 +207,13 @@ def sub_instruction(
                 f"{primitive!r} needs pick and place, got pick={pick!r}, "
                 f"place={place!r}. Name both, such as 'red_cube' and 'shared'."
             )
-        line = added or lines["move_to_shared" if place == SHARED else "move"]
+        line = added or lines["move_to_shared" if is_region(place) else "move"]
         return line.format(robot=robot, pick=phrase(pick), place=phrase(place))
     if primitive in ("reach", "lift"):
         if pick is None:
             raise InvalidConfigError(f"{primitive!r} needs pick, such as 'red_cube'.")
         return lines[primitive].format(robot=robot, pick=phrase(pick))
-    cubes = {e for e in (pick, place) if e and e != SHARED and kind_of(e).cargo}
+    cubes = {e for e in (pick, place) if e and not is_region(e) and kind_of(e).cargo}
     if len(cubes) != 1:
         raise InvalidConfigError(
             f"{primitive!r} acts on one cube, got pick={pick!r}, place={place!r}. "

@@ -1,0 +1,205 @@
+"""Teams of three and four: where they stand, who is needed, and what they solve.
+
+Everything holds for every layout and every family that is registered.
+"""
+
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+import lemma
+from lemma.core.errors import InvalidConfigError
+from lemma.core.poses import Pose2
+from lemma.core.seeding import stream
+from lemma.env.episode import Episode
+from lemma.env.simulation import Simulation
+from lemma.evaluation.run.watches import ClearanceWatch
+from lemma.expert.expert import Expert, solve
+from lemma.expert.together import solve_together
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.symbolic_state import SymbolicState
+from lemma.robots.could import could_of
+from lemma.scene.objects.cube import CUBE_EDGE_M
+from lemma.scene.objects.pad import PAD_RADIUS_M
+from lemma.scene.scene import Scene
+from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.names import FAMILIES
+from lemma.tasks.rules import problems
+from lemma.tasks.suite import TASKS, load_instance
+from lemma.tasks.teams.coalitions import needed
+from lemma.tasks.teams.layouts import LAYOUTS
+from lemma.tasks.zones import Territory
+
+LARGER = [name for name in LAYOUTS if LAYOUTS[name].size > 2]
+ARMS_APART_M = 0.05
+
+
+def robots_of(layout: str, draw: int = 0) -> tuple[RobotPlacement, ...]:
+    record, rng = LAYOUTS[layout], stream("test", "layout", layout, draw)
+    placed = record.place(("ur5",) * record.size, rng)
+    assert placed is not None
+    return placed
+
+
+# --- Layouts -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("layout", LARGER)
+def test_robots_of_a_layout_differ_in_color_and_neighbors_share(layout: str) -> None:
+    record = LAYOUTS[layout]
+    for draw in range(5):
+        robots = robots_of(layout, draw)
+        assert len({robot.color for robot in robots}) == record.size
+        assert record.allows(robots)
+        regions = set(SceneSpec(robots, ()).regions.values())
+        everybody = {tuple(range(record.size))}
+        assert regions in ({tuple(sorted(n)) for n in record.neighbors}, everybody)
+        moved = [*robots[:-1], RobotPlacement("ur5", "red", Pose2(0.0, 0.0))]
+        assert not record.allows(moved)
+
+
+@pytest.mark.parametrize("layout", LARGER)
+def test_waiting_arms_are_clear_of_each_other(layout: str) -> None:
+    simulation = Simulation(SceneSpec(robots_of(layout), ()))
+    watch = ClearanceWatch(simulation)
+    for _ in range(10):
+        simulation.tick(())
+    assert watch.least_m > ARMS_APART_M
+
+
+@pytest.mark.parametrize("layout", LARGER)
+def test_roles_keep_neighbors(layout: str) -> None:
+    record = LAYOUTS[layout]
+    pairs = {frozenset(pair) for pair in record.neighbors}
+    for order in record.orders:
+        assert sorted(order) == list(range(record.size))
+        assert {frozenset((order[i], order[j])) for i, j in record.neighbors} == pairs
+
+
+def test_a_team_of_another_size_is_refused() -> None:
+    with pytest.raises(InvalidConfigError, match="are set for 3"):
+        lemma.make("relay", split="free", robots=("ur5", "ur5")).reset(seed=0)
+
+
+# --- Who is needed -----------------------------------------------------------------
+
+
+def cube(color: str, x: float, y: float) -> ObjectPlacement:
+    return ObjectPlacement("cube", color, Pose2(x, y))
+
+
+def test_whoever_could_be_done_without_is_found() -> None:
+    """Three in a row, 1.4 m apart: what matters is who could touch what."""
+    robots = tuple(
+        RobotPlacement("ur5", color, Pose2(x, -0.6, 0.5 * math.pi))
+        for x, color in ((-1.4, "red"), (0.0, "white"), (1.4, "blue"))
+    )
+    far = ObjectPlacement("pad", "red", Pose2(1.5, 0.0))
+    mine = ObjectPlacement("pad", "blue", Pose2(-1.2, 0.0))
+    start, goal = cube("red", -1.5, 0.1), Goal((On("red_cube", "red_pad"),))
+    territory = Territory(robots)
+    assert needed(territory, (start, far), goal) == (0, 1, 2)
+    near = Goal((On("red_cube", "blue_pad"),))
+    assert needed(territory, (start, mine), near) == (0,)
+    # A long row of cubes gets from one end to where the other could touch it.
+    row = [
+        cube(color, -1.5, 0.3 + 0.15 * k) for k, color in enumerate(("pink", "blue"))
+    ]
+    more = [cube(color, 0.0, 0.15 * k) for k, color in enumerate(("white", "green"))]
+    assert 1 in needed(territory, (start, far, *more), goal)
+    assert 1 in needed(territory, (start, far, *row), goal)
+    closer = tuple(
+        RobotPlacement(r.arm, r.color, Pose2(0.85 * r.base.x, r.base.y, r.base.yaw))
+        for r in robots
+    )
+    assert 1 in needed(Territory(closer), (start, far), goal)
+    assert 1 not in needed(Territory(closer), (start, far, *row), goal)
+
+
+def could(robot: RobotPlacement, placed: ObjectPlacement) -> bool:
+    """Whether a robot could touch a thing or put another on it, by the bound alone."""
+    reach, away = could_of(robot.arm), robot.base.distance(placed.pose)
+    size = {"cube": math.sqrt(0.5) * CUBE_EDGE_M, "pad": PAD_RADIUS_M}[placed.kind]
+    return away - size < max(reach.touch_m, reach.place_m)
+
+
+@pytest.mark.parametrize("task", FAMILIES)
+def test_nobody_can_be_done_without(task: str) -> None:
+    """Whoever is absent alone could touch a thing, or joins two who share nothing."""
+    for index in range(60):
+        instance = load_instance(task, "test", index)
+        scene, goal = instance.scene, instance.goal
+        who = {
+            name: [
+                i for i, r in enumerate(scene.robots) if could(r, scene.placement(name))
+            ]
+            for name in goal.entities
+        }
+        owners = {able[0] for able in who.values() if len(able) == 1}
+        for absent in set(range(len(scene.robots))) - owners:
+            ends = [robot for i, robot in enumerate(scene.robots) if i != absent]
+            assert len(ends) == 2
+            reaches = [could_of(robot.arm) for robot in ends]
+            touch_m = sum(max(r.touch_m, r.place_m) for r in reaches)
+            assert ends[0].base.distance(ends[1].base) > touch_m + CUBE_EDGE_M
+            assert {len(able) for able in who.values()} == {1}
+
+
+@pytest.mark.parametrize("task", FAMILIES)
+def test_no_coalition_has_a_plan(task: str) -> None:
+    for index in range(2):
+        instance = load_instance(task, "val", index)
+        now, robots = (
+            SymbolicState.observe(Scene(instance.scene)),
+            instance.scene.robot_names,
+        )
+        grounder = GeometricGrounder(instance.scene)
+        for coalition in combinations(robots, len(robots) - 1):
+            assert find_plan(now, instance.goal, grounder, team=coalition) is None
+
+
+# --- What is frozen ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", FAMILIES)
+def test_tables_are_those_that_the_sampler_sets(task: str) -> None:
+    record = TASKS[task]
+    tables = [load_instance(task, "test", index) for index in range(60)]
+    assert {tuple(r.arm for r in one.scene.robots) for one in tables} == {*record.teams}
+    counts = {len(one.distractors) for one in tables}
+    assert counts == set(range(record.distractors[0], record.distractors[1] + 1))
+    for one in tables[:3]:
+        assert problems(one) == ()
+
+
+@pytest.mark.parametrize("task", FAMILIES)
+def test_the_expert_solves_it_one_at_a_time_and_together(task: str) -> None:
+    instance = load_instance(task, "test", 7)
+    alone, together = Episode(instance), Episode(instance)
+    steps = list(solve(alone, Expert(alone.simulation.scene, instance.goal)))
+    watch = ClearanceWatch(together.simulation)
+    assert all(step.result.ok for step in solve_together(together))
+    assert alone.is_success
+    assert together.is_success
+    assert len(steps) == TASKS[task].subtasks
+    assert together.elapsed_s <= alone.elapsed_s
+    assert watch.least_m > ARMS_APART_M
+
+
+def test_regions_of_pairs_are_actions_at_plan_level() -> None:
+    env = lemma.make("line", level="plan", split="val", index=0)
+    expert = lemma.ExpertPolicy(env)
+    env.reset()
+    rng, done, reward, steps = np.random.default_rng(0), False, 0.0, 0
+    env.action_space.seed(int(rng.integers(100)))
+    while not done:
+        action = expert.act()
+        assert env.action_space.contains(action)
+        _, reward, terminated, truncated, _ = env.step(action)
+        done, steps = terminated or truncated, steps + 1
+    assert reward == 1.0
+    assert steps == TASKS["line"].subtasks + 1  # and stop
