@@ -10,7 +10,7 @@ from lemma.core.files import write_whole
 from lemma.scene.rendering.gl_context import Tessellation
 from lemma.scene.rendering.renderer import QUALITIES, Quality, Renderer
 from lemma.scene.scene import Scene
-from lemma.viz.annotate import BAD, GOOD, Color, fitting_size, font
+from lemma.viz.annotate import BAD, GOOD, Color, fitting_size, font, wrap
 from lemma.viz.camera_fit import outline, overview
 from lemma.viz.recording import Recording, main_sentence, pose
 
@@ -140,16 +140,20 @@ def caption(
     draw = ImageDraw.Draw(strip)
     edge = round(0.22 * height)
     instruction = f"“{main_sentence(recording.instance)}”"
-    large = font(fitting_size(instruction, 0.28 * height, width - 2 * edge))
+    room, least = width - 2 * edge, 0.16 * height
+    size_px = fitting_size(instruction, 0.28 * height, room)
+    if size_px < least:
+        # Two readable lines instead of a long one.
+        size_px, instruction = least, "\n".join(wrap(instruction, least, room))
     at = (edge, 0.31 * height)
-    draw.text(at, instruction, fill=_INK, font=large, anchor="lm")
+    draw.text(at, instruction, fill=_INK, font=font(size_px), anchor="lm", spacing=2)
     low = 0.70 * height
     clock = "   ".join(part for part in (f"{time_s:.1f} s", note) if part)
     small = font(0.21 * height)
     draw.text((width - edge, low), clock, fill=_FAINT, font=small, anchor="rm")
     text, ink = _status(recording, time_s, ended)
-    room = width - 3 * edge - small.getlength(clock)
-    small = font(fitting_size(text, 0.21 * height, room))
+    beside = width - 3 * edge - small.getlength(clock)
+    small = font(fitting_size(text, 0.21 * height, beside))
     draw.text((edge, low), text, fill=ink, font=small, anchor="lm")
     share = time_s / max(recording.elapsed_s, time_s, 1e-9)
     bar = max(2, height // 18)
