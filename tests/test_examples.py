@@ -26,7 +26,7 @@ CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     "06_control_loop.py": ("lifted the pink_cube by 15 cm", ()),
     "07_browser.py": ("success\nDone\n", ("18095", "--once")),
     "08_policy_server.py": ("shared: success\nsuccess", ()),
-    "09_learn_to_reach.py": ("reach, test:", ("reach_fixed", "512", "1")),
+    "09_learn_by_reward.py": ("lift, test:", ("lift_fixed", "512", "1")),
     "10_write_a_task.py": ("success", ()),
     "11_write_an_object.py": ("success", ()),
     "12_write_a_primitive.py": ("push blue_cube -> shared: success", ()),
