@@ -194,7 +194,7 @@ if __name__ == "__main__":
     if lifts:
         hand = Hand(task)
         hand.reset(seed=0)
-        imitate(model, hand, min(DEMONSTRATIONS, int(steps)))
+        imitate(model, hand, min(DEMONSTRATIONS, int(steps) // 100))
         share = test(model, task, int(episodes))
         print(f"{task}, test, imitation alone: {share:.1%}", flush=True)
     points = Curve(every=min(int(steps), 4096))
