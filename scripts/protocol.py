@@ -36,6 +36,10 @@ Everything that fixes a number, as one frozen file: `protocol.json` in
 - **Skills are held by their effect.** The expert's time for every frozen instance of
   val and test is part of the protocol: whoever changes skills, physics or the expert
   changes it.
+- **The ladder's own lists are not in it**, but those of `pass`, `stack`, `poke` and
+  `hook` in full. The hashes of the other twenty are in
+  `lemma/tasks/frozen/manifest.json`; there are no blind sentences and no times of the
+  expert for them.
 
 [](evaluation.md) explains the words.
 """
