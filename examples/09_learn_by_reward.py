@@ -1,10 +1,10 @@
-"""PPO learns to reach or to lift the named cube, in minutes on one core; then a test.
+"""PPO learns to reach for a cube; lifting is imitated first, and PPO goes on; a test.
 
 python examples/09_learn_by_reward.py [TASK] [STEPS] [EPISODES] [CURVE.png]
 
 TASK is a rung of the ladder on which robot 0 acts: reach_fixed or lift_fixed, or the
 same with more variation. PPO learns reach from nothing. To lift, its policy first
-imitates a script of ten lines (behavior cloning), and PPO improves it. Prints the
+imitates a script of ten lines (behavior cloning), and PPO goes on. Prints the
 learning curve, and for each degree of variation the success in the first EPISODES
 instances of the split test, judged as ``lemma evaluate`` judges. Needs
 Stable-Baselines3: pip install "lemma-bench[rl]".
