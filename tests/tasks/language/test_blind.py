@@ -52,9 +52,10 @@ READ_BY = {
     "src/lemma/evaluation/protocol/rules.py",
     "src/lemma/evaluation/run/rollout.py",
     "src/lemma/cli/evaluate.py",
+    "scripts/measure_refusals.py",
 }
 """Every file of the package and the scripts that may import it: environments say the
-sentence, evaluations too."""
+sentence, evaluations too, and a script counts which of them a finished reader refuses."""
 
 
 @pytest.fixture
