@@ -55,7 +55,7 @@ READ_BY = {
     "scripts/measure_refusals.py",
 }
 """Every file of the package and the scripts that may import it: environments say the
-sentence, evaluations too, and a script counts which of them a finished reader refuses."""
+sentence, evaluations too, and a script counts which ones a finished reader refuses."""
 
 
 @pytest.fixture
