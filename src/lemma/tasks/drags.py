@@ -239,7 +239,12 @@ def _is_free(
     disc_m: float,
     gap_m: Gap | None,
 ) -> bool:
-    """Whether stick and cube meet nothing and the cube stays on the table."""
+    """Whether stick and cube meet nothing and the cube stays on the table.
+
+    It looks at six places. Between two of them an object may be nearer, mostly beside
+    the end of the hook: 10 of 6,594 ways found for 800 frozen instances lead past one
+    by less than 5 mm. To look at more places would change recorded episodes.
+    """
     for i in range(6):
         t = i / 5
         grip = Pose2(
