@@ -154,7 +154,7 @@ def imitate(model: PPO, env: Hand, episodes: int) -> None:
     optimizer = torch.optim.Adam(model.policy.parameters(), 1e-3)
     for _ in range(CLONING_STEPS):
         batch = torch.randint(len(x), (256,))
-        mean = model.policy.get_distribution(x[batch]).distribution.mean
+        mean = model.policy.get_distribution(x[batch]).mode()
         loss = torch.nn.functional.mse_loss(mean, y[batch])
         optimizer.zero_grad()
         loss.backward()
