@@ -20,9 +20,9 @@ def arrange(placer: ObjectPlacer) -> Goal:
 
 
 lemma.TASKS.add(
-    "tower",
+    "pile",
     lemma.Task(
-        name="tower",
+        name="pile",
         summary="One robot hands a cube over, the other builds a tower on its pad.",
         subtasks=3,
         distractors=(0, 2),
@@ -39,7 +39,7 @@ lemma.TASKS.add(
 
 if __name__ == "__main__":
     seed = int(sys.argv[1]) if len(sys.argv) > 1 else 0
-    env = lemma.make("tower", level="plan", split="free", index=seed)
+    env = lemma.make("pile", level="plan", split="free", index=seed)
     expert = lemma.ExpertPolicy(env)
     observation, info = env.reset()
     print(info["instruction"])

@@ -21,9 +21,9 @@ from lemma.tasks.instance import BENCHMARK_VERSION
 from lemma.tasks.language.bank import bank_for
 from lemma.tasks.names import SUITE, in_order
 
-FREE = f"{BENCHMARK_VERSION}/tower/free/"
+FREE = f"{BENCHMARK_VERSION}/pile/free/"
 
-TOWER = EXAMPLES / "10_write_a_task.py"
+PILE = EXAMPLES / "10_write_a_task.py"
 
 
 def run(
@@ -54,60 +54,60 @@ def test_a_bad_plugin_is_an_error_of_the_command(capsys) -> None:
 
 
 def test_own_task_is_listed_and_asked_for(capsys) -> None:
-    with loaded(TOWER):
+    with loaded(PILE):
         _, out, _ = run(capsys, "tasks", "--json")
         found = {record["task"]: record for record in json.loads(out)}
-        assert [*found] == [*SUITE, "tower"]
-        assert found["tower"]["gym_id"] == "lemma/Tower-v0"
-        _, out, _ = run(capsys, "instructions", "tower", "--n", "3", "--json")
+        assert [*found] == [*SUITE, "pile"]
+        assert found["pile"]["gym_id"] == "lemma/Pile-v0"
+        _, out, _ = run(capsys, "instructions", "pile", "--n", "3", "--json")
         assert all(r["instance"].startswith(FREE) for r in json.loads(out))
 
 
 def test_own_task_has_environments_without_a_word_about_splits() -> None:
-    with loaded(TOWER):
-        by_id: Any = gymnasium.make("lemma/Tower-v0", level="plan").unwrapped
-        by_name = lemma.make("tower", level="plan")
-        assert by_id.config == by_name.config == lemma.make("lemma/Tower-v0").config
+    with loaded(PILE):
+        by_id: Any = gymnasium.make("lemma/Pile-v0", level="plan").unwrapped
+        by_name = lemma.make("pile", level="plan")
+        assert by_id.config == by_name.config == lemma.make("lemma/Pile-v0").config
         assert by_name.config.split == "free"
         assert by_name.reset(seed=0)[1]["instance"].startswith(FREE)
         with pytest.raises(InvalidConfigError, match=r"list 'test'.*'free'"):
-            lemma.make("tower", split="test")
+            lemma.make("pile", split="test")
         with pytest.raises(InvalidConfigError, match="no frozen list 'val'"):
             by_name.reset(options={"split": "val"})
         with pytest.raises(InvalidConfigError, match="no frozen list 'val'"):
-            lemma.load_instance("tower", "val", 0)
+            lemma.load_instance("pile", "val", 0)
 
 
 def test_own_task_is_said_in_training() -> None:
-    with loaded(TOWER):
-        goal = lemma.load_instance("tower", "free", 0).goal.pairs
-        said = {draw_instruction("tower", goal, "", epoch=i) for i in range(20)}
+    with loaded(PILE):
+        goal = lemma.load_instance("pile", "free", 0).goal.pairs
+        said = {draw_instruction("pile", goal, "", epoch=i) for i in range(20)}
         assert len(said) == 2
-        assert all(bank_for("tower").parse(sentence) for sentence in said)
-        with pytest.raises(UnknownNameError, match="Did you mean 'tower'"):
-            bank_for("towr")
+        assert all(bank_for("pile").parse(sentence) for sentence in said)
+        with pytest.raises(UnknownNameError, match="Did you mean 'pile'"):
+            bank_for("pille")
 
 
 def test_what_to_generate_is_checked() -> None:
-    with loaded(TOWER):
+    with loaded(PILE):
         with pytest.raises(InvalidConfigError, match="no frozen list 'train'"):
-            GenerateConfig(out=Path(), tasks=("stack", "tower"), splits=("train",))
+            GenerateConfig(out=Path(), tasks=("stack", "pile"), splits=("train",))
         with pytest.raises(InvalidConfigError, match=r"has no end.*--episodes"):
-            GenerateConfig(out=Path(), tasks=("tower",), splits=("free",))
+            GenerateConfig(out=Path(), tasks=("pile",), splits=("free",))
         order = GenerateConfig(
-            out=Path(), tasks=("tower", "stack"), splits=("free",), episodes=900
+            out=Path(), tasks=("pile", "stack"), splits=("free",), episodes=900
         )
         assert order.total == 1800
-    with pytest.raises(UnknownNameError, match="Unknown task 'tower'"):
-        GenerateConfig(out=Path(), tasks=("tower",), splits=("free",), episodes=1)
+    with pytest.raises(UnknownNameError, match="Unknown task 'pile'"):
+        GenerateConfig(out=Path(), tasks=("pile",), splits=("free",), episodes=1)
 
 
 def test_own_task_is_generated_and_read_without_it(capsys, tmp_path: Path) -> None:
     data = tmp_path / "data"
-    with loaded(TOWER):
+    with loaded(PILE):
         code, out, err = run(
             capsys,
-            *("generate", "--tasks", "tower", "--episodes", 2, "--workers", 1),
+            *("generate", "--tasks", "pile", "--episodes", 2, "--workers", 1),
             *("--out", data),
             processes=True,
         )
@@ -117,12 +117,12 @@ def test_own_task_is_generated_and_read_without_it(capsys, tmp_path: Path) -> No
     assert code == 0
     assert "All 2 episodes are reproduced to the bit" in out
     code, out, _ = run(capsys, "inspect", data, "--json")
-    assert json.loads(out)["tasks"]["tower"]["episodes"] == 2
+    assert json.loads(out)["tasks"]["pile"]["episodes"] == 2
 
 
 def test_order_of_tasks_does_not_depend_on_what_is_registered() -> None:
-    assert in_order(["zigzag", "hook", "tower", "pass", "hook"]) == (
-        *("pass", "hook", "tower", "zigzag"),
+    assert in_order(["zigzag", "hook", "pile", "pass", "hook"]) == (
+        *("pass", "hook", "pile", "zigzag"),
     )
 
 
@@ -157,29 +157,29 @@ def test_gymnasium_knows_one_task_by_one_name() -> None:
 
 def test_own_task_is_evaluated_and_reported_without_it(capsys, tmp_path: Path) -> None:
     result = tmp_path / "result"
-    with loaded(TOWER):
+    with loaded(PILE):
         code, out, err = run(
             capsys,
-            *("evaluate", "--policy", "oracle", "--tasks", "tower", "--episodes", 2),
+            *("evaluate", "--policy", "oracle", "--tasks", "pile", "--episodes", 2),
             *("--workers", 1, "--out", result, "--json"),
         )
     assert code == 0, err
-    assert json.loads(out)["high_level"]["tower"]["successes"] == 2
+    assert json.loads(out)["high_level"]["pile"]["successes"] == 2
     code, out, _ = run(capsys, "compare", result, result, "--json")
-    assert json.loads(out)["high_level"]["tower"]["both"] == 2
+    assert json.loads(out)["high_level"]["pile"]["both"] == 2
     code, _, err = run(capsys, "report", result, "--out", tmp_path / "report")
     assert code == 0, err
     tables = (tmp_path / "report" / "results.md").read_text()
-    assert "| success [%] | tower | mean |" in tables
-    assert "2 episodes of tower" in tables
+    assert "| success [%] | pile | mean |" in tables
+    assert "2 episodes of pile" in tables
 
 
 def test_what_to_evaluate_is_checked() -> None:
     policy = PolicySpec("oracle")
-    with loaded(TOWER):
+    with loaded(PILE):
         with pytest.raises(InvalidConfigError, match="no frozen list 'test'"):
-            EvaluationConfig(out=Path(), policy=policy, tasks=("tower",))
+            EvaluationConfig(out=Path(), policy=policy, tasks=("pile",))
         with pytest.raises(InvalidConfigError, match=r"has no end.*--episodes"):
             EvaluationConfig(out=Path(), policy=policy, split="free")
-    with pytest.raises(UnknownNameError, match="Unknown task 'tower'"):
-        EvaluationConfig(out=Path(), policy=policy, tasks=("tower",))
+    with pytest.raises(UnknownNameError, match="Unknown task 'pile'"):
+        EvaluationConfig(out=Path(), policy=policy, tasks=("pile",))

@@ -70,7 +70,7 @@ def bad_data() -> list[Any]:
         with_part(("index",), 1.5),
         with_part(("robots", 0, 0), "ur7"),
         with_part(("robots", 0, 0), ["ur5"]),
-        with_part(("robots", 0, 1), "green"),
+        with_part(("robots", 0, 1), "purple"),
         with_part(("robots", 0), ["ur5"]),
         with_part(("objects", 0, 0), "sphere"),
         with_part(("objects", 0, 1), "no color"),

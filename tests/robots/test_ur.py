@@ -203,7 +203,7 @@ def test_arms_of_one_type_share_their_meshes_and_only_capsules_collide() -> None
 
 def test_an_unknown_color_names_the_valid_ones() -> None:
     with pytest.raises(UnknownNameError, match="red, white"):
-        add_arm(empty_spec(), ARMS["ur5"], "robot_0", Pose2(0, 0), "green")
+        add_arm(empty_spec(), ARMS["ur5"], "robot_0", Pose2(0, 0), "purple")
 
 
 @pytest.mark.parametrize("sign", [1, -1])

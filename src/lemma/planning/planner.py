@@ -8,7 +8,7 @@ returns the plan whose summed utility is highest; nothing is scripted per task.
 """
 
 import heapq
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lemma.core.seeding import ordered_sum
@@ -29,10 +29,6 @@ _AHEAD = 0.1
 """Cost of working on a conjunct while an earlier one is open: one thing at a time."""
 _LEAST = _EFFORT - _QUALITY
 _MAX_EXPANSIONS = 4000
-_REMEMBERED = 64
-_found: dict[Hashable, "Plan | None"] = {}
-"""The last plans, by all that they depend on: an episode is planned by the expert, and
-by who judges how far it got."""
 
 
 @dataclass(frozen=True)
@@ -105,24 +101,6 @@ def find_plan(
     if any(name in now.fallen for name in goal.entities):
         return None
     robots = team if team is not None else tuple(grounder.robots)
-    means = (type(grounder), *(PRIMITIVES[name] for name in PRIMITIVES))
-    parts = (now.poses, now.supports, now.labels)
-    key = (now.spec, goal, robots, limit_s, means, *(tuple(p.items()) for p in parts))
-    if key not in _found:
-        if len(_found) >= _REMEMBERED:
-            del _found[next(iter(_found))]
-        _found[key] = _search(now, goal, grounder, limit_s, robots)
-    return _found[key]
-
-
-def _search(
-    now: SymbolicState,
-    goal: Goal,
-    grounder: GeometricGrounder,
-    limit_s: float,
-    robots: tuple[str, ...],
-) -> Plan | None:
-    """Search from the cheapest way on; see :func:`find_plan`."""
     queue: list[
         tuple[float, int, float, SymbolicState, tuple[GroundedOption, ...]]
     ] = []

@@ -13,6 +13,7 @@ import numpy as np
 
 from lemma.core.poses import Pose2
 from lemma.core.registry import Registry, check_fields
+from lemma.core.seeding import ordered_sum
 from lemma.robots.could import could_of
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.cube import CUBE
@@ -254,7 +255,7 @@ def _corner(base: float, left: float, right: float) -> tuple[float, float]:
 
 
 def _facing_middle(spots: Sequence[tuple[float, float]]) -> Bases:
-    mx, my = (math.fsum(s[axis] for s in spots) / len(spots) for axis in (0, 1))
+    mx, my = (ordered_sum(s[axis] for s in spots) / len(spots) for axis in (0, 1))
     return [Pose2(x, y, math.atan2(my - y, mx - x)) for x, y in spots]
 
 
