@@ -90,7 +90,7 @@ def test_the_same_instances_are_the_same_bytes(tmp_path: Path) -> None:
 def test_a_folder_of_lists_has_a_manifest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(freezer, "SPLITS", {"val": 2})
+    monkeypatch.setattr(freezer, "splits_of", lambda _: {"val": 2})
     tasks = ("pass", "stack")
     lines = list(freeze(tmp_path / "frozen", tasks, ("val",), workers=1))
     assert [line.split(":")[0] for line in lines] == ["pass-val", "stack-val"]
@@ -108,7 +108,7 @@ def test_a_folder_of_lists_has_a_manifest(
             frozen = load_instance(name.split("-")[0], "val", index)
             assert json.loads(line) == frozen.to_dict()
     # A second run, of another split, adds to the manifest.
-    monkeypatch.setattr(freezer, "SPLITS", {"test": 1})
+    monkeypatch.setattr(freezer, "splits_of", lambda _: {"test": 1})
     list(freeze(tmp_path / "frozen", tasks, ("test",), workers=1))
     manifest = json.loads((tmp_path / "frozen" / MANIFEST).read_text())
     assert set(manifest) == {"pass-val", "stack-val", "pass-test", "stack-test"}

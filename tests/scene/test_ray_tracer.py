@@ -67,7 +67,8 @@ def levels(task: str) -> NDArray[np.int64]:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_colors_are_those_of_opengl(task: str) -> None:
-    assert levels(task).shape == (3, 5, 48, 64, 3)
+    cameras = len(camera_names(scene(task).spec.robot_names))
+    assert levels(task).shape == (3, cameras, 48, 64, 3)
     assert levels(task).mean() < MEAN_LEVELS
     # OpenGL computes light at corners, and highlights on what is near differ.
     assert levels(task).mean((2, 3, 4)).max() < 2.0
@@ -82,7 +83,7 @@ def test_depths_are_those_of_opengl(task: str) -> None:
     off_mm = 1000.0 * np.abs(ours - theirs)
     rasterized = 0.0 if choose_backend().is_software else RASTERIZED_MM_A_M
     assert (off_mm > STEP_MM + rasterized * ours).mean() < EDGES
-    assert np.array_equal(np.median(off_mm, axis=(2, 3)), np.zeros((3, 5)))
+    assert not np.median(off_mm, axis=(2, 3)).any()
 
 
 def test_the_bounds_tell_states_and_cameras_apart() -> None:
