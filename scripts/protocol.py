@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from lemma.core.workers.resumable import flat
-from lemma.evaluation.protocol.rules import PROTOCOL, in_force, sha256_of_protocol
+from lemma.evaluation.protocol.rules import PROTOCOL, in_force
+from lemma.evaluation.protocol.suites import OTHERS, definition, sha256_of
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "src" / "lemma" / "evaluation" / "protocol" / PROTOCOL
@@ -24,6 +25,7 @@ Everything that fixes a number, as one frozen file: `protocol.json` in
 | protocol | SHA-256 |
 |:---|:---|
 | `{name}` | `{sha256}` |
+{suites}
 
 - **Results quote it.** It is computed from the code, the data and the
   version of MuJoCo when an evaluation begins; `about.json` and every summary hold the
@@ -36,10 +38,11 @@ Everything that fixes a number, as one frozen file: `protocol.json` in
 - **Skills are held by their effect.** The expert's time for every frozen instance of
   val and test is part of the protocol: whoever changes skills, physics or the expert
   changes it.
-- **The ladder's own lists are not in it**, but those of `pass`, `stack`, `poke` and
-  `hook` in full. The hashes of the other twenty are in
-  `lemma/tasks/frozen/manifest.json`; there are no blind sentences and no times of the
-  expert for them.
+- **Other suites have a hash each**, of their tasks, lists and goals, which results
+  quote beside the protocol's under `suites`; so the protocol stays when they grow.
+  Results with different lists of a suite are not mixed. `pass`, `stack`, `poke` and
+  `hook` are of the protocol. There are no blind sentences and no times of the expert
+  for the other tasks.
 
 [](evaluation.md) explains the words.
 """
@@ -48,7 +51,12 @@ Everything that fixes a number, as one frozen file: `protocol.json` in
 def text(protocol: Mapping[str, Any]) -> str:
     """Return the page of a protocol."""
     page = _INTRODUCTION.format(
-        name=protocol["name"], sha256=sha256_of_protocol(protocol)
+        name=protocol["name"],
+        sha256=sha256_of(protocol),
+        suites="\n".join(
+            f"| suite `{suite}` | `{sha256_of(definition(suite))}` |"
+            for suite in OTHERS
+        ),
     )
     simple = {k: v for k, v in protocol.items() if not isinstance(v, Mapping)}
     page += _table("In general", {k: v for k, v in simple.items() if k != "name"})

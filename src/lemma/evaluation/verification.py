@@ -22,6 +22,7 @@ from lemma.evaluation.analysis.result import Result, check_lines, read_result
 from lemma.evaluation.experiments.catalog import EXPERIMENTS
 from lemma.evaluation.lines import lines_at, lines_in, read_lines, result_beside
 from lemma.evaluation.protocol.rules import GROUP, NAME, quote
+from lemma.evaluation.protocol.suites import other_suites, quote_suites
 from lemma.evaluation.records import SUMMARY, Row, check_about, key_of, read_about
 from lemma.evaluation.run.config import VERDICTS
 from lemma.evaluation.run.evaluate import start_of
@@ -134,6 +135,9 @@ class Claim:
                 f"It follows protocol {about['protocol'][:12]}, and this installation "
                 f"follows {quote()[:12]} ({NAME})."
             )
+        here = quote_suites(row["task"] for row in self.rows)
+        for suite in other_suites(about, here):
+            yield f"Its lists of the suite {suite!r} are not those of this installation."
         if about["benchmark"] != BENCHMARK_VERSION or about["horizon_s"] != HORIZON_S:
             yield "It is of another benchmark or horizon than this installation."
         if _says_oracle(policy) and not about.get("oracle"):

@@ -30,8 +30,8 @@ from lemma.evaluation.protocol.rules import (
     frozen,
     in_force,
     quote,
-    sha256_of_protocol,
 )
+from lemma.evaluation.protocol.suites import quote_suites, sha256_of
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import SPLITS, Instance
@@ -47,7 +47,7 @@ def test_what_is_in_force_is_what_is_frozen() -> None:
     )
     # As JSON reads it back.
     assert json.loads(json.dumps(in_force())) == frozen()
-    assert sha256_of_protocol(frozen()) == quote()
+    assert sha256_of(frozen()) == quote()
 
 
 def test_the_page_is_made_from_the_file() -> None:
@@ -87,6 +87,19 @@ def test_protocols_are_not_mixed(missing: bool) -> None:
     with pytest.raises(DatasetError, match="here follows protocol 555"):
         check_protocol({"protocol": "5" * 64}, other, "here", "there")
     check_protocol(other, other, "here", "there")
+
+
+def test_other_suites_have_hashes_beside_the_protocol() -> None:
+    assert quote_suites(SUITE) == {}
+    quoted = quote_suites(["pass", "lift_fixed", "carousel"])
+    assert [*quoted] == ["ladder", "teams"]
+    page = PAGE.read_text(encoding="utf-8")
+    assert all(sha256 in page for sha256 in quoted.values())
+    ours = {"protocol": quote(), "suites": quoted}
+    check_protocol(ours, {"protocol": quote()}, "here", "there")
+    theirs = {"protocol": quote(), "suites": {"teams": "6" * 64}}
+    with pytest.raises(DatasetError, match="different lists of the suite 'teams'"):
+        check_protocol(ours, theirs, "here", "there")
 
 
 def moved(instance: Instance, name: str, dx: float) -> Instance:

@@ -1,11 +1,11 @@
 """The protocol: everything that fixes a number, in one frozen file with a hash.
 
+The paper's suite is in it. Of the others, see :mod:`lemma.evaluation.protocol.suites`.
 ``protocol.json`` ships with the package. The protocol in force is computed from the
 code, the data and the versions. Results quote its hash, which is that of the file
 unless something differs. Results of different protocols are never mixed.
 """
 
-import hashlib
 import json
 from collections.abc import Mapping
 from functools import cache
@@ -26,6 +26,7 @@ from lemma.evaluation.protocol.perturbed_starts import (
     SHIFT_M,
     TURN_RAD,
 )
+from lemma.evaluation.protocol.suites import lists_of, other_suites, sha256_of
 from lemma.evaluation.records import (
     POSE_TOLERANCE_MM,
     PROTOCOL_VERSION,
@@ -57,18 +58,13 @@ GROUP = 10
 @cache
 def in_force() -> dict[str, Any]:
     """Return the protocol that an evaluation follows here and now."""
-    lists = json.loads((files("lemma.tasks") / "frozen" / "manifest.json").read_bytes())
     return {
         "name": NAME,
         "version": PROTOCOL_VERSION,
         "benchmark": BENCHMARK_VERSION,
         "tasks": list(SUITE),
         "episodes_per_task": dict(SPLITS),
-        "lists_sha256": {
-            name: lists[name]["sha256"]
-            for name in sorted(lists)
-            if name.rpartition("-")[0] in SUITE
-        },
+        "lists_sha256": lists_of(SUITE),
         "instructions": {
             "kinds": list(EVALUATION_KINDS),
             "source": "the frozen lists: one sentence of each kind per instance; blind "
@@ -135,15 +131,9 @@ def frozen() -> dict[str, Any]:
     return told
 
 
-def sha256_of_protocol(protocol: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a protocol's canonical JSON."""
-    text = json.dumps(protocol, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def quote() -> str:
     """Return what a result quotes: the hash of the protocol that is in force."""
-    return sha256_of_protocol(in_force())
+    return sha256_of(in_force())
 
 
 def departures() -> list[str]:
@@ -180,6 +170,11 @@ def check_protocol(
             f"{_short(others)}: what differs may not be the policy. Evaluate one of "
             "them again with the version of the other; this one follows "
             f"{_short(quote())} ({NAME})."
+        )
+    for suite in other_suites(about, other.get("suites", {})):
+        raise DatasetError(
+            f"{where} and {there} have different lists of the suite {suite!r}. Evaluate "
+            "one of them again with the version of the other."
         )
 
 

@@ -14,6 +14,7 @@ from lemma.dataset.recipe.files import versions
 from lemma.evaluation.protocol.expert_times import TIMED_SPLITS
 from lemma.evaluation.protocol.language_controls import FULL, LANGUAGES
 from lemma.evaluation.protocol.rules import GROUP, quote
+from lemma.evaluation.protocol.suites import quote_suites
 from lemma.evaluation.records import PROTOCOL_VERSION
 from lemma.evaluation.run.loading import served_parts, weights_of
 from lemma.evaluation.run.rollout import Rollout
@@ -116,6 +117,7 @@ class EvaluationConfig:
     def about(self) -> dict[str, Any]:
         """Return what decides the result."""
         told = [getattr(planner, "about", None) for planner in self.policy.planners()]
+        suites = quote_suites(self.tasks) if self.instance is None else {}
         return {
             "policy": self.policy.about(),
             **({"planners": told} if any(told) else {}),
@@ -126,6 +128,7 @@ class EvaluationConfig:
             "perturb_start": self.perturb_start,
             "split": self.split,
             "protocol": quote(),
+            **({"suites": suites} if suites else {}),
             "protocol_version": PROTOCOL_VERSION,
             "verdicts": self.verdicts,
             **({"instance": self.instance.to_dict()} if self.instance else {}),
