@@ -254,4 +254,4 @@ def test_who_departs_is_told(
     assert run("evaluate", *words, "--out", tmp_path) == 0
     assert "name mine instead of lemma-v3" in capsys.readouterr().err
     about = json.loads((tmp_path / "about.json").read_text())
-    assert about["protocol"] == sha256_of_protocol(told)
+    assert about["protocol"] == sha256_of(told)
