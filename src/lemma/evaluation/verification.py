@@ -137,7 +137,7 @@ class Claim:
             )
         here = quote_suites(row["task"] for row in self.rows)
         for suite in other_suites(about, here):
-            yield f"Its lists of the suite {suite!r} are not those of this installation."
+            yield f"Its lists of the suite {suite!r} are others than those here."
         if about["benchmark"] != BENCHMARK_VERSION or about["horizon_s"] != HORIZON_S:
             yield "It is of another benchmark or horizon than this installation."
         if _says_oracle(policy) and not about.get("oracle"):

@@ -173,8 +173,8 @@ def check_protocol(
         )
     for suite in other_suites(about, other.get("suites", {})):
         raise DatasetError(
-            f"{where} and {there} have different lists of the suite {suite!r}. Evaluate "
-            "one of them again with the version of the other."
+            f"{where} and {there} have different lists of the suite {suite!r}. "
+            "Evaluate one of them again with the version of the other."
         )
 
 
