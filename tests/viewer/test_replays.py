@@ -120,6 +120,9 @@ def test_page_plays_from_the_disk_without_a_network(
     browser.wait_for(f"{inner}.querySelector('canvas')")
     assert browser.run("document.querySelectorAll('h2').length") == 2
     assert browser.run("document.body.innerText.includes('Solved.')")
+    reached = browser.run("document.querySelector('.reached').innerText")
+    assert "of the stages; furthest: " in reached
+    assert "nderstood: " in reached
     asked = [
         event["params"]["request"]["url"].partition(":")[0]
         for event in browser.events

@@ -34,8 +34,10 @@ from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.suite import SUITE, TASKS, load_instance
 from lemma.viewer.episode.play import Play
-from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan
+from lemma.viewer.episode.reading import SILENT, ask_reader, check_plan, weights_words
 from lemma.viewer.episode.status import EpisodeRequest, Phase, Reading, say_goal
+from lemma.viewer.words import reached_html
+from lemma.viz.recording import judged, reached_words
 
 INSTANCE = load_instance("stack", "test", 0)
 PRESENT = next(o.color for o in INSTANCE.scene.objects if o.kind == "cube")
@@ -62,6 +64,16 @@ def test_expert_solves_and_says_so(solved: Play) -> None:
     assert all(line.ok and line.end_s for line in status.lines)
     assert status.reading is not None
     assert status.reading.pairs == INSTANCE.goal.pairs
+
+
+def test_stages_and_verdicts_are_those_of_the_line(solved: Play) -> None:
+    stages = solved.reached()
+    assert stages == rollout_of(solved).verdict().stages
+    assert {*judged(stages).values()} == {"yes"}
+    assert reached_words(stages).startswith("100% of the stages; furthest: placed")
+    told = reached_html(stages, over=True)
+    assert told.count("yes") == 3
+    assert "verdicts" not in reached_html(stages, over=False)
 
 
 def test_page_changes_no_bit(solved: Play) -> None:
@@ -184,6 +196,15 @@ def test_a_goal_that_was_only_understood_is_not_called_solved() -> None:
     play = played(own(SAID, "reader"), reader=ReadsAndActs())
     assert play.status.phase is Phase.FOLLOWED
     assert say_goal(INSTANCE.goal.pairs) in play.status.note
+    # Its stages are not those of the listed goal.
+    assert not play.reached()
+
+
+def test_weights_of_another_version_say_so() -> None:
+    words = "on version 2 of the benchmark; this is version 3."
+    assert weights_words("reachnet").endswith(words)
+    assert not weights_words("oracle")
+    assert not weights_words("http://localhost:1")
 
 
 def test_a_sentence_of_the_benchmark_is_judged_by_what_it_asks_for() -> None:

@@ -270,6 +270,21 @@ def place_of(row: Row) -> tuple[Any, ...]:
     return EVALUATION_KINDS.index(kind), task_rank(task), index
 
 
+def older_versions(
+    weights: Mapping[str, Mapping[str, Any]], benchmark: str
+) -> tuple[str, ...]:
+    """Return the other versions of the benchmark that weights were trained on.
+
+    Args:
+        weights: By name of the model, as in ``about.json``.
+        benchmark: The version that is played.
+    """
+    known = {
+        one.get("data", {}).get("benchmark", benchmark) for one in weights.values()
+    }
+    return tuple(sorted(known - {benchmark}))
+
+
 def training_seed(weights: Mapping[str, Mapping[str, Any]]) -> int:
     """Return the seed that a policy was trained with; 0 if none is known.
 

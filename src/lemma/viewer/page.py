@@ -37,7 +37,7 @@ from lemma.viewer.server import (
     prepare_panel,
     set_theme,
 )
-from lemma.viewer.words import part, status_html, why_html
+from lemma.viewer.words import part, reached_html, status_html, why_html
 
 PLAY, PAUSE, STEP, RESTART = MOVES = ("Play", "Pause", "Step", "Restart")
 """Buttons of an episode."""
@@ -72,7 +72,7 @@ class Panel:
         # The library types values of its handles as read-only.
         self._gui: Any = server.gui
         self._status: Status | None = None
-        self._timeline = ""
+        self._timeline = self._reached = ""
         self._explanation: Explanation | None = None
         self._instance: Instance | None = None
         self._complaint = ""
@@ -117,6 +117,7 @@ class Panel:
             moves = gui.add_button_group("", MOVES)
             speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1 ×")
             self.time = gui.add_slider("Time [s]", 0.0, 1.0, _SLIDER_S / 2, 0.0)
+            self.reached = gui.add_html("")
             self.timeline = gui.add_html(part("timeline", (), 0.0))
             self.why = gui.add_html("")
         moves.on_click(lambda event: self.move(event.target.value))
@@ -235,6 +236,9 @@ class Panel:
         timeline = part("timeline", status.lines, now_s)
         if timeline != self._timeline:
             self._timeline = self.timeline.content = timeline
+        reached = reached_html(play.reached(), over=transport.over)
+        if reached != self._reached:
+            self._reached = self.reached.content = reached
         explanation = play.explanation()
         if explanation is not self._explanation and instance is not None:
             self._explanation = explanation

@@ -29,7 +29,15 @@ from lemma.viewer.scene.bodies import Bodies, light_room, name_bodies
 from lemma.viewer.scene.viewpoint import Viewpoint
 from lemma.viewer.server import close_server, open_server
 from lemma.viz.pages.templates import fill, macro, script_text
-from lemma.viz.recording import FRAME_S, Line, Recording, main_sentence
+from lemma.viz.recording import (
+    FRAME_S,
+    Line,
+    Recording,
+    judged,
+    main_sentence,
+    reached_words,
+    trained_words,
+)
 from lemma.viz.replay import (
     expert_instead,
     replay_line,
@@ -149,6 +157,7 @@ def replay_of_case(case: Case, other: Case | None = None) -> Replay:
     elif case.cause is not None:
         sides.append(expert_instead(case, again))
     row = case.row
+    notes = [f"It went differently here. {text}" for text in differs if text]
     return Replay(
         f"{row['instruction_kind']}-{row['task']}-{row['index']}",
         f"{row['task']} {row['index']}, {case.policy}",
@@ -156,7 +165,7 @@ def replay_of_case(case: Case, other: Case | None = None) -> Replay:
         sides,
         serialize(sides),
         0.0 if case.cause is None else again.turn_s,
-        " ".join(f"It went differently here. {text}" for text in differs if text),
+        " ".join([*notes, trained_words(case.about["weights"])]).strip(),
     )
 
 
@@ -282,6 +291,7 @@ def replays_page(replays: Sequence[Replay], player: str | None) -> str:
                     "title": side.title,
                     "verdict": side.verdict,
                     "solved": side.success,
+                    "reached": _reached(side),
                     "steps": [_step(line, side.frames[-1][0]) for line in side.lines],
                 }
                 for side in replay.sides
@@ -299,6 +309,14 @@ def replays_page(replays: Sequence[Replay], player: str | None) -> str:
         encode=lambda content: base64.b64encode(content).decode(),
         footer=f"Written by lemma {__version__}. It needs no network.",
     )
+
+
+def _reached(side: Recording) -> str:
+    """Return how far an episode came, and the verdicts, in a line."""
+    if not side.stages:
+        return ""
+    verdicts = (f"{name}: {found}" for name, found in judged(side.stages).items())
+    return f"{reached_words(side.stages)}. {', '.join(verdicts).capitalize()}."
 
 
 def _step(line: Line, last_s: float) -> dict[str, Any]:

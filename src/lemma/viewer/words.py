@@ -1,6 +1,8 @@
 """Texts of the panel as HTML; sentences of users and policies are escaped."""
 
+from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.instance import Instance
@@ -9,7 +11,7 @@ from lemma.tasks.subtask import Primitive
 from lemma.viewer.episode.reading import Explanation
 from lemma.viewer.episode.status import ENDS, Phase, Status, say_goal
 from lemma.viz.pages.templates import macro
-from lemma.viz.recording import describe_subtask
+from lemma.viz.recording import describe_subtask, judged, reached_words
 
 part = partial(macro, "panel.html")
 """Returns a part of the panel, from the macro of that name."""
@@ -21,6 +23,19 @@ def status_html(status: Status) -> str:
     goal = say_goal(status.reading.pairs or ()) if status.reading else ""
     goes_on = status.phase not in (*ENDS, Phase.READY)
     return part("status", status, goes_on, goal)
+
+
+def reached_html(stages: Mapping[str, Any], *, over: bool) -> str:
+    """Return how far an episode came, and at its end the verdicts.
+
+    Args:
+        stages: As in lines of results; empty for nothing.
+        over: Whether it is over.
+    """
+    if not stages:
+        return ""
+    verdicts = judged(stages) if over else {}
+    return part("reached", stages["progress"], reached_words(stages), verdicts)
 
 
 def why_html(explanation: Explanation, instance: Instance) -> str:

@@ -2,26 +2,29 @@
 
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lemma.core.poses import FloatArray
 from lemma.dataset.playback import FrameTaker
 from lemma.env.episode import Episode
 from lemma.env.simulation import HORIZON_S
+from lemma.evaluation.records import older_versions
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
 from lemma.expert.expert import ExpertStep
 from lemma.motion.outcome import SkillResult
 from lemma.policies.spec import PolicySpec
 from lemma.scene.scene import Scene
-from lemma.tasks.instance import Instance
+from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.bank import robot_phrases, sub_instruction
 from lemma.tasks.subtask import SubTask
 
 FRAME_S = 0.05
 """Simulated time from one state to the next where nothing else is asked for [s]."""
 SOLVED = "Solved."
+VERDICTS = ("understood", "allocated", "executed")
+"""Verdicts on the first object that was moved; see :mod:`lemma.env.stages`."""
 
 Frames = Sequence[tuple[float, FloatArray]]
 """Simulated time [s] and positions of all joints, (nq,), in order."""
@@ -78,6 +81,8 @@ class Recording:
     """Real time of simulating and planning [s]; 0 where it was not measured."""
     because: str = ""
     """Why it failed, in a sentence, where more is known than :attr:`failure`."""
+    stages: Mapping[str, Any] = field(default_factory=dict)
+    """How far it came, as in lines of results; empty where nobody looked."""
 
     @classmethod
     def of(
@@ -99,6 +104,7 @@ class Recording:
             episode.is_success,
             episode.failure,
             episode.elapsed_s,
+            stages=episode.stages.record(),
         )
 
     @property
@@ -172,6 +178,47 @@ def record(
     done = Recording.of(title, play.episode, lines, taker.frames if taker else ())
     wall_s = time.perf_counter() - started
     return replace(done, success=play.success, failure=play.failure, wall_s=wall_s)
+
+
+def reached_words(stages: Mapping[str, Any]) -> str:
+    """Return how far an episode came: ``"60% of the stages; furthest: lifted, ..."``.
+
+    Args:
+        stages: As in lines of results; see :mod:`lemma.env.stages`.
+    """
+    words = f"{stages['progress']:.0%} of the stages"
+    if stages["stage"]:
+        words += f"; furthest: {stages['stage']}"
+        if stages["subtask"] is not None:
+            words += f", sub-task {stages['subtask'] + 1} of the expert's plan"
+        words += f", at {stages['time_s']:.1f} s"
+    return words
+
+
+def judged(stages: Mapping[str, Any]) -> dict[str, str]:
+    """Return the three verdicts on the first object that was moved, in words.
+
+    Args:
+        stages: As in lines of results; see :mod:`lemma.env.stages`.
+    """
+    words = {True: "yes", False: "no", None: "open" if stages["moved"] else "not begun"}
+    return {name: words[stages[name]] for name in VERDICTS}
+
+
+def trained_words(weights: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a sentence where weights were trained on another version; mostly none.
+
+    Args:
+        weights: By name of the model, as in ``about.json``.
+    """
+    older = older_versions(weights, BENCHMARK_VERSION)
+    if not older:
+        return ""
+    versions = " and ".join(name.removeprefix("v") for name in older)
+    return (
+        f"Its weights were trained on version {versions} of the benchmark; this is "
+        f"version {BENCHMARK_VERSION.removeprefix('v')}."
+    )
 
 
 def pose(scene: Scene, qpos: FloatArray) -> None:

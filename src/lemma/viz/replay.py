@@ -188,6 +188,7 @@ def replay_line(
         row["failure"],
         row["elapsed_s"],
         because=explanation(case),
+        stages=row["stages"],
     )
     differs = next(differences(row, again, strictly=True), "")
     return Replayed(recording, differs, *turns[-1])

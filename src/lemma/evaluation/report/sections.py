@@ -17,6 +17,7 @@ from lemma.evaluation.experiments.catalog import (
     SEEDS,
     SUITES,
 )
+from lemma.evaluation.records import older_versions
 from lemma.evaluation.report import measures, tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
@@ -215,10 +216,9 @@ def protocol_words(entries: Sequence[PolicyResults], where: str = f"*{HOW}*") ->
 def _older_words(results: Iterable[Result], benchmark: str) -> str:
     """Return a sentence where weights were trained on another version; mostly none."""
     older = {
-        told["data"]["benchmark"]
+        version
         for result in results
-        for told in result.about["weights"].values()
-        if told.get("data", {}).get("benchmark", benchmark) != benchmark
+        for version in older_versions(result.about["weights"], benchmark)
     }
     if not older:
         return ""

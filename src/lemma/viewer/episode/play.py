@@ -10,9 +10,9 @@ next one begins beside it.
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.poses import Pose2
@@ -36,6 +36,7 @@ from lemma.viewer.episode.reading import (
     check_plan,
     explain,
     parse_goal,
+    weights_words,
 )
 from lemma.viewer.episode.status import (
     OWN_WORDS,
@@ -279,6 +280,7 @@ class Play:
     def _act(self, rollout: Rollout) -> None:
         self._board.tell(Phase.LOADING)
         player = self._load(self.request.policy)
+        self._board.tell(trained=weights_words(self.request.policy))
         controls = self._controls = isinstance(player, ControlPlayer)
         if controls:
             # The same table, in the environment that this policy asks for.
@@ -372,6 +374,16 @@ class Play:
         else:
             words = describe_subtask(decision.subtask, self.rollout.instance)
             self._board.begin(Phase.ACTING, words, now_s)
+
+    def reached(self) -> Mapping[str, Any]:
+        """Return how far it came, as in lines of results.
+
+        Nothing before somebody acts, nor for a sentence that asks for another goal.
+        """
+        rollout = self.rollout
+        if rollout is None or not (self.acts and self._goal_is_known):
+            return {}
+        return rollout.episode.stages.record()
 
     def explanation(self) -> Explanation:
         """Return why and how the sub-task at the cursor is done."""

@@ -8,6 +8,7 @@ from typing import Any
 from lemma.core.errors import LemmaError
 from lemma.env.simulation import Simulation
 from lemma.evaluation.run.fault_isolation import Fault, check
+from lemma.evaluation.run.loading import weights_of
 from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.motion.skills import DRAG_HEIGHT_M, stand_at
 from lemma.planning.grounding import GeometricGrounder
@@ -23,6 +24,7 @@ from lemma.policies.interfaces import (
     Reader,
     told,
 )
+from lemma.policies.spec import PolicySpec
 from lemma.policies.text.refusals import unknown_things
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.scene.scene import Scene
@@ -32,6 +34,7 @@ from lemma.tasks.language.bank import parse, phrase
 from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 from lemma.viewer.episode.status import Reading, say_goal
+from lemma.viz.recording import trained_words
 
 Waypoints = tuple[tuple[float, float, float], ...]
 """Points of the hand, oldest first [m]."""
@@ -150,6 +153,18 @@ def hear(
     if reading.acts and reading.pairs:
         said = replace(said, goal=Goal.from_pairs(reading.pairs))
     return said, reading
+
+
+def weights_words(policy: str) -> str:
+    """Return a sentence where a policy's weights are of another version; mostly none.
+
+    Args:
+        policy: Its name. Servers and visitors' hands have no weights here.
+    """
+    try:
+        return trained_words(weights_of(PolicySpec(policy)))
+    except LemmaError:
+        return ""
 
 
 def find_part(policy: Any, kind: Any) -> Any:

@@ -106,6 +106,8 @@ class Status:
     """Reason or result."""
     reading: Reading | None = None
     lines: tuple[Line, ...] = ()
+    trained: str = ""
+    """A remark on the policy's weights, in a sentence."""
 
 
 def say_goal(pairs: GoalPairs) -> str:

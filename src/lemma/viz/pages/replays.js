@@ -61,7 +61,8 @@ function open(replay) {
       return item;
     }));
     return make("section", {}, make("h2", {}, side.title), list,
-      make("div", { class: side.solved ? "verdict solved" : "verdict" }, side.verdict));
+      make("div", { class: side.solved ? "verdict solved" : "verdict" }, side.verdict),
+      make("div", { class: "reached" }, side.reached));
   }));
   for (const link of document.querySelectorAll(".names a"))
     link.toggleAttribute("aria-current", link.hash.slice(1) === replay.name);

@@ -210,13 +210,16 @@ function card(c) {
   box.append(make("h3", {}, c.sentence ? `“${c.sentence}”` : "(told nothing)"));
   const chips = make("div", { class: "chips" });
   if (c.cause) chips.append(chip(causes[c.cause], "bad"), chip(words(c.outcome)),
-    chip(`${Math.round(100 * c.progress)} % of the goal`));
+    chip(`${Math.round(100 * c.progress)} % of the stages`),
+    ...Object.entries(c.judged).map(([name, found]) =>
+      chip(`${name}: ${found}`, { yes: "good", no: "bad" }[found])));
   else chips.append(chip("solved", "good"));
   if (c.elapsed_s) chips.append(chip(c.elapsed_s.toFixed(1) + " simulated s"));
   chips.append(chip(c.distractors + (c.distractors === 1 ? " distractor" : " distractors")));
   box.append(chips);
   if (!c.cause) return box;
   box.append(make("p", { class: "why" }, c.why));
+  box.append(make("p", { class: "faint" }, [c.reached, c.trained].join(". ")));
   box.append(make("ol", {}, ...c.steps.map((s, i) => step(s, i === c.mistake))));
   if (!c.steps.length) box.append(make("p", { class: "faint" }, "It did nothing."));
   if (c.differs)

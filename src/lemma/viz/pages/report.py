@@ -37,6 +37,7 @@ from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.viz.pages.report_figures import figures_of
 from lemma.viz.pages.report_pictures import Pictures
 from lemma.viz.pages.templates import data_uri, fill, inline
+from lemma.viz.recording import judged, reached_words, trained_words
 
 PAGE = "index.html"
 _RATE = re.compile(r"^(?:≈ )?([\d.]+)(?: |$)")
@@ -171,6 +172,9 @@ def _case_data(case: Case, policy: int, pictures: Pictures | None) -> dict[str, 
     data |= {
         "why": explanation(case),
         "progress": row["progress"],
+        "reached": reached_words(row["stages"]),
+        "judged": judged(row["stages"]),
+        "trained": trained_words(case.about["weights"]),
         "elapsed_s": row.get("elapsed_s"),
         "mistake": case.mistake,
         "steps": [_step_data(case, step) for step in row["subtasks"]],
