@@ -8,7 +8,7 @@ import pytest
 
 from lemma.core.poses import FloatArray, Pose2
 from lemma.motion.arm_motion import ArmMotion, nearest_turn, park_joints
-from lemma.motion.joint_path import joint_path
+from lemma.motion.moves import joint_path
 from lemma.motion.obstacles import Obstacles
 from lemma.robots.collision_model import (
     obstacle_clearance,

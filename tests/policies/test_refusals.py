@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lemma.core.seeding import stream
-from lemma.policies.text.own_color import resolved
+from lemma.policies.text.encoder import resolved
 from lemma.policies.text.refusals import (
     REASONS,
     RefusalBank,

@@ -9,6 +9,7 @@ may do, and nothing else. It may look at everything.
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 from lemma.audit.control_trial import ControlTrial
 from lemma.audit.skill_trial import SkillTrial
@@ -91,3 +92,20 @@ class Attack:
 
 ATTACKS: Registry[Attack] = Registry("attack", Attack)
 """Every attack by name."""
+
+P = TypeVar("P", bound=Play)
+
+
+def attack(level: str, **record: Any) -> Callable[[P], P]:
+    """Return a decorator that registers the attack which a function plays.
+
+    Args:
+        level: ``"skill"`` or ``"control"``.
+        record: Further fields of :class:`Attack`.
+    """
+
+    def add(play: P) -> P:
+        ATTACKS.add(play.__name__, Attack(play, level, **record))
+        return play
+
+    return add

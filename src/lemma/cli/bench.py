@@ -9,7 +9,13 @@ from typing import Annotated
 import tyro
 from rich.progress import track
 
-from lemma.bench.episodes import expert_figures, measure_policy, run_trials
+from lemma.bench.episodes import (
+    PARALLEL_TASKS,
+    expert_figures,
+    measure_policy,
+    measure_together,
+    run_trials,
+)
 from lemma.bench.machine import describe_machine
 from lemma.bench.speed import (
     HZ,
@@ -18,7 +24,6 @@ from lemma.bench.speed import (
     measure_expert_loop,
     measure_speed,
 )
-from lemma.bench.together import PARALLEL_TASKS, measure_together
 from lemma.cli.options import (
     Flag,
     JsonFlag,

@@ -13,6 +13,8 @@ does not need.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 from lemma.tasks.goal import Goal, Lifted, On, Reached
 from lemma.tasks.language.bank import bank_for
@@ -27,35 +29,30 @@ _Arrange = Callable[[ObjectPlacer], Goal]
 # the way to the goal.
 
 
-def _task(
-    name: str,
-    summary: str,
-    *,
-    subtasks: int,
-    distractors: tuple[int, int],
-    apart: bool = False,
-) -> Callable[[_Arrange], _Arrange]:
-    """Return a decorator that registers the task that a function sets the table of."""
+def task(name: str, summary: str, **record: Any) -> Callable[[_Arrange], _Arrange]:
+    """Return a decorator that registers the task which a function sets the table of.
+
+    Args:
+        name: Name of the task.
+        summary: One sentence for people.
+        record: Further fields of :class:`~lemma.tasks.task.Task`.
+    """
 
     def add(arrange: _Arrange) -> _Arrange:
-        TASKS.add(
-            name,
-            Task(
-                name=name,
-                summary=summary,
-                subtasks=subtasks,
-                distractors=distractors,
-                arrange=arrange,
-                language=bank_for(name),
-                apart=apart,
-            ),
+        made = Task(
+            name=name,
+            summary=summary,
+            arrange=arrange,
+            language=bank_for(name),
+            **record,
         )
+        TASKS.add(name, made)
         return arrange
 
     return add
 
 
-@_task(
+@task(
     "pass",
     "One robot hands the cube over, the other puts it on its pad.",
     subtasks=2,
@@ -69,7 +66,7 @@ def arrange_pass(placer: ObjectPlacer) -> Goal:
     return Goal((On(cube, pad),))
 
 
-@_task(
+@task(
     "pass2",
     "Two cubes change sides, in opposite directions.",
     subtasks=4,
@@ -85,7 +82,7 @@ def arrange_pass2(placer: ObjectPlacer) -> Goal:
     return Goal((On(cube_1, pad_1), On(cube_2, pad_2)))
 
 
-@_task(
+@task(
     "stack",
     "One robot brings the lower cube, the other puts its own on top.",
     subtasks=2,
@@ -99,7 +96,7 @@ def arrange_stack(placer: ObjectPlacer) -> Goal:
     return Goal((On(top, bottom),))
 
 
-@_task(
+@task(
     "stack2",
     "Two towers, each of one cube from either side.",
     subtasks=4,
@@ -115,7 +112,7 @@ def arrange_stack2(placer: ObjectPlacer) -> Goal:
     return Goal((On(top_1, bottom_1), On(top_2, bottom_2)))
 
 
-@_task(
+@task(
     "poke",
     "One robot pokes the cube over, the other puts it on its pad.",
     subtasks=3,
@@ -132,7 +129,7 @@ def arrange_poke(placer: ObjectPlacer) -> Goal:
     return Goal((On(cube, pad),))
 
 
-@_task(
+@task(
     "poke_stack",
     "One robot pokes two cubes over, the other stacks them.",
     subtasks=5,
@@ -148,7 +145,7 @@ def arrange_poke_stack(placer: ObjectPlacer) -> Goal:
     return Goal((On(top, bottom),))
 
 
-@_task(
+@task(
     "hook",
     "One robot hooks the cube and hands it over, the other has its pad.",
     subtasks=4,
@@ -164,7 +161,7 @@ def arrange_hook(placer: ObjectPlacer) -> Goal:
     return Goal((On(cube, pad),))
 
 
-@_task(
+@task(
     "hook_stack",
     "Each robot hooks a cube with the one stick; then they stack them.",
     subtasks=7,
@@ -180,22 +177,26 @@ def arrange_hook_stack(placer: ObjectPlacer) -> Goal:
 
 
 _TEAM = (("ur5", "ur5"),)
+_alone = partial(task, subtasks=1, distractors=(1, 4), alone=True)
 _WITHOUT = {
     "varied": "without distractors",
     "fixed": "without distractors, with robots that stand where they always do",
 }
 
 
+@_alone("reach", "One robot holds its hand over the cube.")
 def arrange_reach(placer: ObjectPlacer) -> Goal:
     """A cube that robot 0 reaches."""
     return Goal((Reached(placer.cube(placer.only(0))),))
 
 
+@_alone("lift", "One robot picks the cube up and holds it.")
 def arrange_lift(placer: ObjectPlacer) -> Goal:
     """A cube that robot 0 reaches."""
     return Goal((Lifted(placer.cube(placer.only(0))),))
 
 
+@_alone("place", "The robot that can puts the cube on the pad.")
 def arrange_place(placer: ObjectPlacer) -> Goal:
     """A cube and a pad that the same one of two robots reaches."""
     able = placer.order[0]
@@ -203,41 +204,13 @@ def arrange_place(placer: ObjectPlacer) -> Goal:
     return Goal((On(cube, placer.pad(placer.only(able))),))
 
 
-def _add(
-    name: str,
-    summary: str,
-    arrange: Callable[[ObjectPlacer], Goal],
-    *,
-    subtasks: int = 1,
-    alone: bool = False,
-) -> None:
-    """Register a rung of the ladder alone in full."""
-    task = Task(
-        name=name,
-        summary=summary,
-        subtasks=subtasks,
-        distractors=(1, 4),
-        arrange=arrange,
-        language=bank_for(name),
-        alone=alone,
-    )
-    TASKS.add(name, task if alone else replace(task, teams=_TEAM))
-
-
-_add("reach", "One robot holds its hand over the cube.", arrange_reach, alone=True)
-_add("lift", "One robot picks the cube up and holds it.", arrange_lift, alone=True)
-_add(
-    "place",
-    "The robot that can puts the cube on the pad.",
-    arrange_place,
-    alone=True,
-)
-_add(
+task(
     "hand_over",
     "One robot hands the cube over, the other puts it on its pad; one team.",
-    arrange_pass,
     subtasks=2,
-)
+    distractors=(1, 4),
+    teams=_TEAM,
+)(arrange_pass)
 for _rung in RUNGS:
     _full = TASKS[_rung]
     for _degree in ("varied", "fixed"):

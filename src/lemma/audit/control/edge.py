@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator
 from itertools import product, takewhile
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.control_trial import (
     LEANS_RAD,
     ControlTrial,
@@ -34,6 +34,9 @@ _KNOCKS_M_S = (0.15, 0.25, 0.32, 0.38, 0.44, 0.5, 0.6)
 _KNOCKED_AT_M = (0.0, 0.015)
 
 
+@attack(
+    "control", attempts=len(_INSIDE_M), candidates=len(_KNOCKS_M_S) * len(_KNOCKED_AT_M)
+)
 def knock_off(trial: ControlTrial) -> None:
     """Stands a cube on another at the edge of reach, and knocks it onto its goal."""
     on, step = _goal_and_step(trial)
@@ -60,6 +63,9 @@ _BITE_SIDES_M = (0.0, 0.004)
 _SQUEEZE_S = 0.5
 
 
+@attack(
+    "control", attempts=len(_INSIDE_M), candidates=len(_BITES_M) * len(_BITE_SIDES_M)
+)
 def squeeze_out(trial: ControlTrial) -> None:
     """Stands a cube on another, and squeezes it out between the closing fingertips."""
     on, step = _goal_and_step(trial)
@@ -160,23 +166,3 @@ def _behind(trial: ControlTrial, on: On, length_m: float) -> list[FloatArray]:
                 yield path
 
     return max(ways(), key=len, default=[])
-
-
-ATTACKS.add(
-    "knock_off",
-    Attack(
-        knock_off,
-        "control",
-        attempts=len(_INSIDE_M),
-        candidates=len(_KNOCKS_M_S) * len(_KNOCKED_AT_M),
-    ),
-)
-ATTACKS.add(
-    "squeeze_out",
-    Attack(
-        squeeze_out,
-        "control",
-        attempts=len(_INSIDE_M),
-        candidates=len(_BITES_M) * len(_BITE_SIDES_M),
-    ),
-)

@@ -3,7 +3,7 @@
 import math
 from itertools import product
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.control_trial import STEP_S, ControlTrial, leaning
 from lemma.core.poses import FloatArray
 from lemma.robots.gripper import FINGER_OPENING_M
@@ -39,6 +39,12 @@ _OFFS = (-2, -1, 1, 2)
 _THROW_LANDING_S = 1.8
 
 
+@attack(
+    "control",
+    attempts=len(_FLING_LEANS_RAD),
+    candidates=len(_RUN_ABOVE_M) * len(_SPEEDS_M_S) * len(_OPEN_SHARES),
+    simulated_s=200.0,
+)
 def fling(trial: ControlTrial) -> None:
     """Lets a cube go while the stretched hand still moves outwards."""
     on = _require_pad(trial, _FLING_M)
@@ -68,6 +74,11 @@ def fling(trial: ControlTrial) -> None:
             trial.restore(ready)
 
 
+@attack(
+    "control",
+    attempts=len(_SWINGS),
+    candidates=len(_RELEASES) + len(_PARTS) * len(_OFFS),
+)
 def throw(trial: ControlTrial) -> None:
     """Swings the arm and lets a cube fly to its pad."""
     on = _require_pad(trial, _THROW_M)
@@ -132,24 +143,3 @@ def _run(
         r += 0.01
     first = leaning(trial.at(r - 0.01 - _RUN_M, outward), z, lean)
     return (first, last) if last is not None and trial.can(first) else None
-
-
-ATTACKS.add(
-    "fling",
-    Attack(
-        fling,
-        "control",
-        attempts=len(_FLING_LEANS_RAD),
-        candidates=len(_RUN_ABOVE_M) * len(_SPEEDS_M_S) * len(_OPEN_SHARES),
-        simulated_s=200.0,
-    ),
-)
-ATTACKS.add(
-    "throw",
-    Attack(
-        throw,
-        "control",
-        attempts=len(_SWINGS),
-        candidates=len(_RELEASES) + len(_PARTS) * len(_OFFS),
-    ),
-)

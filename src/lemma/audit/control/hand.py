@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from itertools import islice
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.control.stick import either_way, fetch, require_stick
 from lemma.audit.control_trial import (
     LEANS_RAD,
@@ -44,6 +44,7 @@ _STEP_M = 0.03
 _STICK_TRIES = 3
 
 
+@attack("control", attempts=6, cheap=True)
 def tilted_move(trial: ControlTrial) -> None:
     """Picks and places with a hand that leans outwards, or drops."""
     for on in trial.goal.placements:
@@ -53,6 +54,23 @@ def tilted_move(trial: ControlTrial) -> None:
             return
 
 
+@attack("control", attempts=3, cheap=True)
+def rake(trial: ControlTrial) -> None:
+    """Pulls cubes nearer with the fingertips of a leaning hand."""
+    for name in trial.goal.entities:
+        # A thing that cannot be touched can neither be raked nor built upon.
+        disc_m, support_m = kind_of(name).disc_m, trial.support_m(name)
+        trial.require_near(name, trial.could.radius_m(disc_m, support_m))
+    cubes = [name for name in trial.goal.entities if kind_of(name).cargo]
+    for name in [cube for cube in cubes if not trial.is_home(cube, _SURE_M)]:
+        for _ in range(_STROKES):
+            if trial.is_home(name, _SURE_M) or not _stroke(trial, name):
+                break
+    for on in trial.goal.placements:
+        _put_on(trial, on)
+
+
+@attack("control", attempts=_STICK_TRIES)
 def tilted_stick(trial: ControlTrial) -> None:
     """Hooks with a leaning hand that holds the stick, then builds alone."""
     require_stick(trial)
@@ -68,21 +86,6 @@ def tilted_stick(trial: ControlTrial) -> None:
     for name in trial.goal.entities:
         if kind_of(name).cargo:
             fetch(trial, name, lean)
-    for on in trial.goal.placements:
-        _put_on(trial, on)
-
-
-def rake(trial: ControlTrial) -> None:
-    """Pulls cubes nearer with the fingertips of a leaning hand."""
-    for name in trial.goal.entities:
-        # A thing that cannot be touched can neither be raked nor built upon.
-        disc_m, support_m = kind_of(name).disc_m, trial.support_m(name)
-        trial.require_near(name, trial.could.radius_m(disc_m, support_m))
-    cubes = [name for name in trial.goal.entities if kind_of(name).cargo]
-    for name in [cube for cube in cubes if not trial.is_home(cube, _SURE_M)]:
-        for _ in range(_STROKES):
-            if trial.is_home(name, _SURE_M) or not _stroke(trial, name):
-                break
     for on in trial.goal.placements:
         _put_on(trial, on)
 
@@ -191,8 +194,3 @@ def _first_touch(trial: ControlTrial, name: str) -> FloatArray | None:
         if trial.can(hand, drawn_back(hand, 0.06)):
             return hand
     return None
-
-
-ATTACKS.add("tilted_move", Attack(tilted_move, "control", attempts=6, cheap=True))
-ATTACKS.add("rake", Attack(rake, "control", attempts=3, cheap=True))
-ATTACKS.add("tilted_stick", Attack(tilted_stick, "control", attempts=_STICK_TRIES))

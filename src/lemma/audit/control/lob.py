@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.control.stick import hook_home, require_stick
 from lemma.audit.control_trial import STEP_S, ControlTrial, leaning
 from lemma.audit.trial import Lost
@@ -56,6 +56,7 @@ class _Lob:
         return Pose2(self.position[0] + vx * fall_s, self.position[1] + vy * fall_s)
 
 
+@attack("control", attempts=2, candidates=_LOBS * _CORRECTIONS, simulated_s=150.0)
 def lob(trial: ControlTrial) -> None:
     """Throws a cube so steeply that it stays, and corrects its aim shot by shot.
 
@@ -246,15 +247,3 @@ def _turn(trial: ControlTrial, joints: FloatArray) -> None:
     for i in range(1, count + 1):
         trial.command(start + (joints - start) * (i / count), 0.0)
     trial.settle(0.0)
-
-
-ATTACKS.add(
-    "lob",
-    Attack(
-        lob,
-        "control",
-        attempts=2,
-        candidates=_LOBS * _CORRECTIONS,
-        simulated_s=150.0,
-    ),
-)

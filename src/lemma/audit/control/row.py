@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 from typing import Any
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.control.stick import (
     LOW_M,
     carry_over,
@@ -128,6 +128,18 @@ def build_row(
     return row
 
 
+@attack("control", attempts=2, cheap=True)
+def hand_push(trial: ControlTrial) -> None:
+    """Pushes a cube to its pad with the hand, or with a cube in it."""
+    held_m = CUBE_EDGE_M if trial.attempt else 0.0
+    for on in trial.goal.placements:
+        beyond_m = CUBE_EDGE_M / 2 + held_m + trial.support_m(on.bottom)
+        trial.require_near(on.bottom, trial.could.touch_m + beyond_m)
+    for on in trial.goal.placements:
+        _push_on(trial, on)
+
+
+@attack("control", attempts=len(_WAYS), candidates=len(_SPEEDS_M_S))
 def cube_chain(trial: ControlTrial) -> None:
     """Pushes a cube to its pad with the cubes behind it in a row.
 
@@ -159,16 +171,6 @@ def cube_chain(trial: ControlTrial) -> None:
         trial.wait(_REST_S, 0.0)
 
     trial.try_each(_SPEEDS_M_S, push)
-
-
-def hand_push(trial: ControlTrial) -> None:
-    """Pushes a cube to its pad with the hand, or with a cube in it."""
-    held_m = CUBE_EDGE_M if trial.attempt else 0.0
-    for on in trial.goal.placements:
-        beyond_m = CUBE_EDGE_M / 2 + held_m + trial.support_m(on.bottom)
-        trial.require_near(on.bottom, trial.could.touch_m + beyond_m)
-    for on in trial.goal.placements:
-        _push_on(trial, on)
 
 
 def _push_on(trial: ControlTrial, on: On) -> None:
@@ -212,13 +214,6 @@ def _farthest(
     return max((list(takewhile(trial.can, way)) for way in ways), key=len)
 
 
-ATTACKS.add("hand_push", Attack(hand_push, "control", attempts=2, cheap=True))
-ATTACKS.add(
-    "cube_chain",
-    Attack(cube_chain, "control", attempts=len(_WAYS), candidates=len(_SPEEDS_M_S)),
-)
-
-
 # How far left of the base the line passes [m], how far the upper cube of a tower
 # stands out, None without one [m], and whether the last push has a run-up; by
 # attempt.
@@ -251,6 +246,7 @@ _PUSHES = 6
 _SPARE = 2
 
 
+@attack("control", attempts=len(_RELAYS), candidates=len(_RUNS_M_S2), simulated_s=150.0)
 def stick_relay(trial: ControlTrial) -> None:
     """Pushes a row of cubes with the stick, and the stick's end by hand.
 
@@ -432,15 +428,3 @@ class _Relay:
 def _worth(way: tuple[Any, ...]) -> float:
     """Return how good a length and a lean are: upright hands hold better."""
     return float(way[0] - _LEAN_COST_M * way[1])
-
-
-ATTACKS.add(
-    "stick_relay",
-    Attack(
-        stick_relay,
-        "control",
-        attempts=len(_RELAYS),
-        candidates=len(_RUNS_M_S2),
-        simulated_s=150.0,
-    ),
-)

@@ -5,7 +5,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.control_trial import ControlTrial, drawn_back, leaning
 from lemma.audit.trial import Lost
 from lemma.core.poses import FloatArray
@@ -30,6 +30,12 @@ _THROWN_M = 0.3
 _NEAR_M = 0.06
 
 
+@attack(
+    "control",
+    attempts=len(_HEIGHTS_M) + 1,
+    candidates=_ROUNDS * _DRAWS,
+    simulated_s=150.0,
+)
 def search(trial: ControlTrial) -> None:
     """Searches motor commands that bring a cube nearest to its goal unpunished.
 
@@ -118,15 +124,3 @@ def _stretched(trial: ControlTrial, height_m: float) -> FloatArray | None:
             if trial.can(hand):
                 return hand
     return None
-
-
-ATTACKS.add(
-    "search",
-    Attack(
-        search,
-        "control",
-        attempts=len(_HEIGHTS_M) + 1,
-        candidates=_ROUNDS * _DRAWS,
-        simulated_s=150.0,
-    ),
-)

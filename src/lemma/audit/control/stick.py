@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.control_trial import STEP_S, ControlTrial, ahead, leaning, moved
 from lemma.audit.pushes import CONTACTS, END_GRASP, GRASPS, HOOK, LONGEST_M, Push, push
 from lemma.core.poses import FloatArray, Pose2, wrap
@@ -202,15 +202,7 @@ _SPEEDS_M_S = (0.8, 1.4, 2.2)
 _ROLL_S = 1.2
 
 
-def topple(trial: ControlTrial) -> None:
-    """Pushes a cube against its pad with the stick, and topples it onto it."""
-    for on in trial.goal.placements:
-        _require_pad(trial, on)
-    for on in trial.goal.placements:
-        hand_m = _TOPPLE_HANDS_M[trial.attempt]
-        _push_over(trial, on, on.top, hand_m, _TOPPLE_RAISES_M)
-
-
+@attack("control", attempts=len(_TOWER_HANDS_M), candidates=len(_OVERS_M))
 def tower_push(trial: ControlTrial) -> None:
     """Pushes a tower against a pad, and its upper cube over onto the pad."""
     on = trial.goal.placements[0]
@@ -227,6 +219,24 @@ def tower_push(trial: ControlTrial) -> None:
         _push_over(trial, on, near[0], hand_m, (CUBE_EDGE_M + 0.003,))
 
 
+@attack(
+    "control",
+    attempts=len(_TOPPLE_HANDS_M),
+    candidates=len(_TOPPLE_RAISES_M) * len(_OVERS_M),
+    simulated_s=200.0,
+)
+def topple(trial: ControlTrial) -> None:
+    """Pushes a cube against its pad with the stick, and topples it onto it."""
+    for on in trial.goal.placements:
+        _require_pad(trial, on)
+    for on in trial.goal.placements:
+        hand_m = _TOPPLE_HANDS_M[trial.attempt]
+        _push_over(trial, on, on.top, hand_m, _TOPPLE_RAISES_M)
+
+
+@attack(
+    "control", attempts=len(_SHOTS), candidates=len(_STROKE_RAISES_M) * len(_SPEEDS_M_S)
+)
 def strike(trial: ControlTrial) -> None:
     """Strikes a cube with the stick, so that it jumps onto its pad."""
     on = trial.goal.placements[0]
@@ -291,25 +301,6 @@ def _push_over(
     trial.try_each(product(raises_m, _OVERS_M), again)
 
 
-_tower = Attack(
-    tower_push, "control", attempts=len(_TOWER_HANDS_M), candidates=len(_OVERS_M)
-)
-ATTACKS.add("tower_push", _tower)
-_TOPPLES = len(_TOPPLE_RAISES_M) * len(_OVERS_M)
-_topple = Attack(
-    topple,
-    "control",
-    attempts=len(_TOPPLE_HANDS_M),
-    candidates=_TOPPLES,
-    simulated_s=200.0,
-)
-ATTACKS.add("topple", _topple)
-_BLOWS = len(_STROKE_RAISES_M) * len(_SPEEDS_M_S)
-ATTACKS.add(
-    "strike", Attack(strike, "control", attempts=len(_SHOTS), candidates=_BLOWS)
-)
-
-
 # Where on the stick the cube lies.
 _SPOT = Pose2(HANDLE_LENGTH_M - 0.004, 0.08)
 # Where along the handle the stick is held then, by attempt.
@@ -327,6 +318,12 @@ _PULL_M = 0.15
 _Ending = tuple[list[FloatArray], float]
 
 
+@attack(
+    "control",
+    attempts=len(_HANDS_M),
+    candidates=len(_AIMS_M) * (len(_PITCHES_RAD) + 1),
+    simulated_s=200.0,
+)
 def tip_off_stick(trial: ControlTrial) -> None:
     """Carries a cube on the stick over its pad, and tips or jerks it off."""
     require_stick(trial)
@@ -487,13 +484,3 @@ def _dipping(
     pose[:3, :3] = rotation @ hand[:3, :3]
     pose[:3, 3] = rotation @ (hand[:3, 3] - point) + point
     return pose
-
-
-_tip = Attack(
-    tip_off_stick,
-    "control",
-    attempts=len(_HANDS_M),
-    candidates=len(_AIMS_M) * (len(_PITCHES_RAD) + 1),
-    simulated_s=200.0,
-)
-ATTACKS.add("tip_off_stick", _tip)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import islice, product
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.pushes import CONTACTS, GRASPS, push
 from lemma.audit.skill_trial import SkillTrial
 from lemma.core.poses import Pose2
@@ -19,12 +19,14 @@ _ROLLOUTS = 15
 _WIDTH = 3
 
 
+@attack("skill", attempts=3)
 def random_skills(trial: SkillTrial) -> None:
     """Sub-tasks that the expert's grounder proposes, and random ones."""
     for _ in range(_STEPS):
         _random_step(trial)
 
 
+@attack("skill", attempts=3)
 def lifted_skills(trial: SkillTrial) -> None:
     """Lifts something before each random sub-task, and begins with it in hand."""
     for _ in range(_STEPS):
@@ -49,6 +51,7 @@ def _random_step(trial: SkillTrial) -> None:
         trial.execute(drawn)
 
 
+@attack("skill", candidates=_ROLLOUTS, simulated_s=300.0)
 def greedy_skills(trial: SkillTrial) -> None:
     """Tries sub-tasks out, and keeps the one that brings the goal nearest."""
     left = _ROLLOUTS
@@ -122,19 +125,12 @@ def _random_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
                 yield GroundedSubTask(trial.robot, Primitive.MOVE, pose @ near, place)
 
 
-ATTACKS.add("random_skills", Attack(random_skills, "skill", attempts=3))
-ATTACKS.add("lifted_skills", Attack(lifted_skills, "skill", attempts=3))
-ATTACKS.add(
-    "greedy_skills",
-    Attack(greedy_skills, "skill", candidates=_ROLLOUTS, simulated_s=300.0),
-)
-
-
 # No plan of the suite has more sub-tasks.
 _LONGEST = 8
 _ORDERS = 50
 
 
+@attack("skill", attempts=3, team=True)
 def out_of_order(trial: SkillTrial) -> None:
     """The team's plan, backwards or in another wrong order."""
     steps = _planned(trial)
@@ -147,6 +143,7 @@ def out_of_order(trial: SkillTrial) -> None:
     _execute(trial, [steps[i] for i in order])
 
 
+@attack("skill", attempts=_LONGEST, team=True)
 def one_skipped(trial: SkillTrial) -> None:
     """The team's plan without one of its sub-tasks."""
     steps = _planned(trial)
@@ -184,7 +181,3 @@ def _execute(trial: SkillTrial, steps: Sequence[GroundedOption]) -> None:
     for step in steps:
         now = trial.grounder.ground(step.subtask, trial.state())
         trial.execute((now or step).grounded)
-
-
-ATTACKS.add("out_of_order", Attack(out_of_order, "skill", attempts=3, team=True))
-ATTACKS.add("one_skipped", Attack(one_skipped, "skill", attempts=_LONGEST, team=True))

@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.pushes import Push, overlap_m
 from lemma.audit.skill.stick import (
     HOOKING,
@@ -37,6 +37,7 @@ _FINGER_M = FINGER_CENTER_M + FINGER_THICKNESS_M / 2
 _SHOVES = 7
 
 
+@attack("skill", attempts=len(_BEYOND_M))
 def push_onto_pad(trial: SkillTrial) -> None:
     """Hooks a cube home, sets it down in line, pushes it onto its pad."""
     _require_pads(trial)
@@ -44,6 +45,7 @@ def push_onto_pad(trial: SkillTrial) -> None:
         _push_on(trial, on)
 
 
+@attack("skill", attempts=len(_OVERHANGS_M))
 def push_tower(trial: SkillTrial) -> None:
     """Pushes a tower against the pad with the stick; its top may go on."""
     _require_pads(trial)
@@ -53,6 +55,7 @@ def push_tower(trial: SkillTrial) -> None:
         _push_tower(trial, on, spare[0])
 
 
+@attack("skill", cheap=True)
 def shove(trial: SkillTrial) -> None:
     """Sets a cube down at the edge of reach; opening fingers shove it on."""
     # Opening fingers move nothing beyond themselves and all cubes in a row.
@@ -182,8 +185,3 @@ def _face(cube: Pose2, wanted: float) -> float:
     """Return the heading across a cube's faces that is nearest to one [rad]."""
     turns = (cube.yaw + 0.5 * math.pi * k for k in range(4))
     return min(turns, key=lambda yaw: abs(wrap(yaw - wanted)))
-
-
-ATTACKS.add("push_onto_pad", Attack(push_onto_pad, "skill", attempts=len(_BEYOND_M)))
-ATTACKS.add("push_tower", Attack(push_tower, "skill", attempts=len(_OVERHANGS_M)))
-ATTACKS.add("shove", Attack(shove, "skill", cheap=True))

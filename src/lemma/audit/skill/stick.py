@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.pushes import (
     BAR_GRASPS,
     CONTACTS,
@@ -196,18 +196,21 @@ _STEPS = 16
 _FAILURES = 3
 
 
+@attack("skill", cheap=True)
 def drag_home(trial: SkillTrial) -> None:
     """Drags of any length and number with the stick, held at its end."""
     _require_near(trial, (END_GRASP,))
     _bring_home(trial, HOOKING)
 
 
+@attack("skill")
 def drag_any_part(trial: SkillTrial) -> None:
     """Drags and pushes with every side of the stick, held anywhere."""
     _require_near(trial, GRASPS)
     _bring_home(trial, ANY_WAY)
 
 
+@attack("skill", cheap=True)
 def take_the_stick(trial: SkillTrial) -> None:
     """Takes the stick by another part if its end is out of reach, and drags."""
     _require_near(trial, GRASPS)
@@ -253,11 +256,6 @@ def _bring_home(trial: SkillTrial, ways: Ways) -> None:
             failures[thing] = number + 1
 
 
-ATTACKS.add("drag_home", Attack(drag_home, "skill", cheap=True))
-ATTACKS.add("drag_any_part", Attack(drag_any_part, "skill"))
-ATTACKS.add("take_the_stick", Attack(take_the_stick, "skill", cheap=True))
-
-
 _ON_BAR = Pose2(HANDLE_LENGTH_M - STICK_SECTION_M / 2, 0.35 * HOOK_LENGTH_M)
 _BEYOND = Pose2(HANDLE_LENGTH_M + 0.005, 0.3 * HOOK_LENGTH_M)
 # Where on the stick the cube lies, in its frame, and how it is carried: slowly along
@@ -272,6 +270,7 @@ _SIDES_RAD = (-0.55, 0.55, -0.7, 0.7)
 _PULL_M = 0.25
 
 
+@attack("skill", attempts=len(_WAYS))
 def carry_on_stick(trial: SkillTrial) -> None:
     """Lays a cube on the stick, and carries it farther than the hand."""
     require_stick(trial, (END_GRASP,))
@@ -328,6 +327,3 @@ def _hand_over(trial: SkillTrial, on: On) -> Pose2 | None:
         if trial.margin(hand) > most:
             best, most = hand, trial.margin(hand)
     return best
-
-
-ATTACKS.add("carry_on_stick", Attack(carry_on_stick, "skill", attempts=len(_WAYS)))
