@@ -2,14 +2,13 @@
 
 import io
 import json
-import os
 import runpy
-import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
+from interpreter import python
 from own_plugins import EXAMPLES, loaded
 
 from lemma.core.kernels import NOTICE
@@ -69,15 +68,8 @@ def run(name: str, *arguments: str) -> str:
     return out.getvalue()
 
 
-def python(*words: str, **variables: str) -> str:
-    done = subprocess.run(
-        [sys.executable, *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-        env=os.environ | variables,
-    )
+def told_by(*words: str, **variables: str) -> str:
+    done = python(*words, **variables)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr.replace(NOTICE, "") == ""
     return done.stdout
@@ -103,7 +95,7 @@ def test_example_runs(name: str, data: Path) -> None:
 
 @pytest.mark.slow
 def test_an_example_runs_by_itself() -> None:
-    assert "success" in python("-W", "error", str(EXAMPLES / "02_expert.py"))
+    assert "success" in told_by("-W", "error", str(EXAMPLES / "02_expert.py"))
 
 
 @pytest.mark.slow
@@ -114,7 +106,7 @@ def test_the_notebook_runs_from_top_to_bottom() -> None:
     # Nothing that was printed is kept: it would be out of date.
     assert not any(cell["outputs"] for cell in cells)
     code = "\n".join("".join(cell["source"]) for cell in cells)
-    printed = python("-c", code, MPLBACKEND="Agg")
+    printed = told_by("-c", code, MPLBACKEND="Agg")
     assert "success: True" in printed
     assert "| pass |" in printed
     assert "'event': 'grasped'" in printed

@@ -1,25 +1,12 @@
 """Public names, and how Gymnasium comes to know the tasks."""
 
-import subprocess
-import sys
-
 import gymnasium
 import pytest
+from interpreter import told_without
 
 import lemma
 from lemma.registration import LEVELS
 from lemma.tasks.names import SUITE, gym_id
-
-
-def run(code: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 def test_what_is_wrong_with_a_module_is_not_hidden(
@@ -60,7 +47,7 @@ def test_import_registers(name: str) -> None:
     ],
 )
 def test_any_order_of_imports_will_do(code: str) -> None:
-    run(code)
+    told_without((), code)
 
 
 @pytest.mark.parametrize("level", list(LEVELS))

@@ -3,8 +3,6 @@
 import ast
 import io
 import re
-import subprocess
-import sys
 import tomllib
 from contextlib import redirect_stdout
 from functools import cache
@@ -13,6 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from interpreter import python
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
@@ -177,7 +176,7 @@ def test_import_is_silent_and_light() -> None:
         "heavy &= set(sys.modules)\n"
         "sys.exit(f'imported {sorted(heavy)}' if heavy else 0)"
     )
-    done = run_python("-W", "error", "-c", code)
+    done = python("-W", "error", "-c", code)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
@@ -336,7 +335,7 @@ def test_the_life_of_an_episode_runs_as_printed() -> None:
     code = (
         page.split("## Life of an episode")[1].split("```python\n")[1].split("```")[0]
     )
-    done = run_python("-W", "error", "-c", code)
+    done = python("-W", "error", "-c", code)
     assert (done.returncode, done.stderr.replace(NOTICE, "")) == (0, "")
     assert done.stdout.startswith("True ["), done.stdout
 
@@ -382,12 +381,6 @@ def options_of(verb: str) -> frozenset[str]:
     assert not end.value.code, f"lemma {verb}: {out.getvalue()}"
     printed = re.findall(r"--[a-z][a-z-]*", out.getvalue())
     return frozenset(printed) | {"--help", "--tyro-print-completion"}
-
-
-def run_python(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, *arguments], capture_output=True, text=True, check=False
-    )
 
 
 def test_no_path_of_a_developers_machine() -> None:

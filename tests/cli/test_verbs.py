@@ -2,12 +2,12 @@ import errno
 import io
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from command import run
+from interpreter import python, told_without
 
 from lemma import __version__
 from lemma.cli import main as command
@@ -54,8 +54,7 @@ def test_what_runs_nothing_imports_nothing() -> None:
         "    except SystemExit: pass\n"
         "    print('loaded', *sys.modules, file=sys.stderr)"
     )
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = python("-c", code)
     told = [line for line in done.stderr.splitlines() if line.startswith("loaded ")]
     asked: set[str] = set()
     for words, line in zip(LIGHT, told, strict=True):
@@ -68,8 +67,7 @@ def test_what_runs_nothing_imports_nothing() -> None:
 
 
 def test_results_are_made_without_an_encoder_of_videos() -> None:
-    code = "import sys, lemma.cli.reproduce; sys.exit('av' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    assert told_without(("av",), "import lemma.cli.reproduce") == ""
 
 
 @pytest.mark.parametrize(
@@ -194,12 +192,7 @@ def test_a_misspelled_policy_is_understood_without_torch(
 ) -> None:
     out = tmp_path / "out"
     line = ["evaluate", "--policy", policy, "--out", str(out), "--episodes", "1"]
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_TORCH, *line],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python("-c", WITHOUT_TORCH, *line)
     assert done.returncode == 2
     assert words in done.stderr
     assert "Traceback" not in done.stderr

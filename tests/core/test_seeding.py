@@ -1,11 +1,9 @@
 """A stream is a pure function of its words."""
 
-import subprocess
-import sys
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from interpreter import told_without
 
 from lemma.core.seeding import stream
 
@@ -61,8 +59,6 @@ def test_the_numbers_are_those_of_every_other_machine_and_process() -> None:
         "from lemma.core.seeding import stream; print(*stream('v1', 'stack', 'test', 3,"
         " 'layout').integers(1_000_000, size=3))"
     )
-    elsewhere = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert integers.tolist() == [int(word) for word in elsewhere.stdout.split()]
+    elsewhere = told_without((), code)
+    assert integers.tolist() == [int(word) for word in elsewhere.split()]
     assert integers.tolist() == [564616, 988485, 337325]

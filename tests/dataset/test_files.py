@@ -3,13 +3,13 @@
 import errno
 import os
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from interpreter import python
 from recipes import made_up, small_order, write_recipe
 
 from lemma.core.errors import DatasetError
@@ -117,9 +117,7 @@ def test_a_folder_has_one_writer(tmp_path: Path) -> None:
             "from lemma.core.files import only_writer\n"
             "with only_writer(Path(sys.argv[1])): pass"
         )
-        done = subprocess.run(
-            [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True
-        )
+        done = python("-c", code, tmp_path)
         assert "Another process is writing" in done.stderr
     hold(tmp_path)
     # An empty file that costs nothing; to remove it would let two of them in.

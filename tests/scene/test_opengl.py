@@ -3,11 +3,11 @@
 import json
 import os
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from interpreter import python
 
 from lemma.core.errors import RenderingError
 from lemma.scene.rendering import gl_backend as opengl
@@ -57,13 +57,7 @@ def probes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def run(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-W", "error", "-c", PICTURE + code],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
+    return python("-W", "error", "-c", PICTURE + code)
 
 
 def test_first_library_that_works_is_chosen(probes: list[str]) -> None:

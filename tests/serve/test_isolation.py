@@ -1,7 +1,6 @@
 """Other people's classes live in processes that may hang, crash and leave."""
 
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from typing import Any
 
 import pytest
 from faulty_policies import BAD, MOVE, given, moved, view
+from interpreter import python
 
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.loading import load_policy
@@ -160,8 +160,6 @@ def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
     script = tmp_path / "play.py"
     line = 'lemma.serve.isolation.isolate("collections:Counter", 9.0)'
     script.write_text(f"import lemma.serve.isolation\n{line}\n")
-    done = subprocess.run(
-        [sys.executable, script], capture_output=True, text=True, check=False
-    )
+    done = python(script)
     assert "under 'if __name__ == \"__main__\":'" in done.stderr
     assert "lemma serve" not in done.stderr

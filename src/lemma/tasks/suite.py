@@ -7,11 +7,12 @@ from importlib.resources import files
 
 from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
-from lemma.tasks import families, library  # noqa: F401 - adds all tasks
+from lemma.tasks import library  # noqa: F401 - adds tasks
 from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance, splits_of
 from lemma.tasks.names import LADDER, LISTED, SUITE, SUITES
 from lemma.tasks.sampling import sample
 from lemma.tasks.task import TASKS
+from lemma.tasks.teams import families  # noqa: F401 - adds tasks
 
 __all__ = [
     "FREE_SPLIT",

@@ -7,22 +7,21 @@ from pathlib import Path
 from shutil import copytree
 
 import pytest
-from recipes import bytes_of, made_up, remembered, small_order, small_recipe
+from recipes import bytes_of, remembered, small_order, small_recipe
 
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.files import only_writer, read_json, sha256_of, write_json
 from lemma.core.workers.pool import ProcessPool, Serial
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.recipe import generate as generating
-from lemma.dataset.recipe.files import load, open_table, versions, write_table
+from lemma.dataset.recipe.files import load, open_table, versions
 from lemma.dataset.recipe.generate import (
     GenerateConfig,
     generate,
     generate_part,
-    recipe_file,
 )
 from lemma.dataset.recipe.replay import differing
-from lemma.dataset.recipe.schema import EpisodeRecord, to_table
+from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, Instance
 from lemma.tasks.suite import SUITE
 
@@ -99,23 +98,6 @@ def test_parts_are_taken_up(tmp_path: Path) -> None:
     assert generate(order, Serial(), counts.append).made == 10
     assert counts[0] == 2
     assert bytes_of(tmp_path) == bytes_of(small_recipe())
-
-
-def test_parts_of_another_version_are_refused_and_kept(tmp_path: Path) -> None:
-    write_json(tmp_path / ".parts" / "about.json", {**ABOUT, "mujoco": "3.16.0"})
-    (tmp_path / ".parts" / "part").write_text("of that version")
-    with pytest.raises(DatasetError, match=r"mujoco was 3\.16\.0 and is now"):
-        generate(small_order(tmp_path), Serial())
-    assert (tmp_path / ".parts" / "about.json").exists()
-
-
-def test_a_recipe_of_another_version_is_refused_and_kept(tmp_path: Path) -> None:
-    path = recipe_file(tmp_path, "val", "stack")
-    write_table(path, to_table([made_up()]), {**ABOUT, "numpy": "1.0"})
-    before = sha256_of(path)
-    with pytest.raises(DatasetError, match=r"numpy was 1\.0 and is now.*new folder"):
-        generate(small_order(tmp_path), Serial())
-    assert sha256_of(path) == before
 
 
 def test_a_full_disk_loses_nothing(

@@ -18,7 +18,7 @@ from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import ProcessPool, Serial
 from lemma.dataset.files import MANIFEST, check_files
 from lemma.dataset.hub import check
-from lemma.dataset.recipe.files import REVISION_VARIABLE, open_table
+from lemma.dataset.recipe.files import REVISION_VARIABLE
 from lemma.dataset.recipe.generate import GenerateConfig, generate
 from lemma.dataset.rendered.capture import KeyframeForm
 from lemma.dataset.rendered.dataset import KeyframeDataset
@@ -65,7 +65,6 @@ def test_a_run_that_was_killed_is_completed_with_the_same_bytes(
     assert bytes_of(out) == bytes_of(undisturbed)
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_processes_give_the_same_bytes(undisturbed: Path, tmp_path: Path) -> None:
     summary = render(order(tmp_path / "set"), SMALL, ProcessPool(2))
@@ -155,15 +154,3 @@ def test_what_was_made_otherwise_is_refused(undisturbed: Path, tmp_path: Path) -
             RenderConfig(recipe=tmp_path / "other", out=undisturbed), SMALL, Serial()
         )
     assert bytes_of(undisturbed) == before
-
-
-def test_another_engine_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    about = open_table(recipe().files()[0])[1]
-    monkeypatch.setattr(
-        "lemma.dataset.rendered.render.open_table",
-        lambda path: (None, {**about, "mujoco": "2"}),
-    )
-    with pytest.raises(DatasetError, match="mujoco 2, and here is"):
-        render(order(tmp_path / "set"), SMALL, Serial())

@@ -1,13 +1,12 @@
 """The page about planners prints examples that run, and every name there is."""
 
 import re
-import subprocess
-import sys
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from chat_server import chat_server
+from interpreter import python
 
 from lemma.policies.planners.answers import InvalidAnswer
 from lemma.policies.planners.chat import ChatOptions
@@ -34,19 +33,12 @@ def test_the_example_runs(
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_a_planner_of_ones_own_is_found_by_name(tmp_path: Path) -> None:
     (tmp_path / "idle.py").write_text(CODE[1])
     line = "evaluate --plugin idle.py --policy idle --split val --tasks pass"
     line += " --episodes 1 --workers 1 --out out"
     code = "from lemma.cli.main import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code, *line.split()],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=tmp_path,
-    )
+    done = python("-c", code, *line.split(), folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "0.0" in done.stdout
 
