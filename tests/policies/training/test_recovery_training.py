@@ -1,7 +1,5 @@
 """Recovery states in training: as many as asked for, and never where they judge."""
 
-import os
-import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,9 +8,6 @@ import pytest
 import tiny_model
 import torch
 from batches import drawn_batch, labels_of
-from painted_keyframes import write_painted
-from safetensors.torch import load_file
-from test_training import finish, start, state
 from tiny_model import NAME, Tiny, TinyConfig
 from tiny_transformer import tiny
 
@@ -25,24 +20,11 @@ from lemma.policies.training.distributed import ProcessGroup
 from lemma.policies.training.loader import BatchLoader, FrameSource, Sampler, joined
 from lemma.policies.training.loop import train
 from lemma.policies.training.run import read_frames, recovery_units, training_units
-from lemma.policies.training.step import Trainer
 
 ALONE = ProcessGroup(0, 1, torch.device("cpu"))
 GREEN_PAD = BENCHMARK.places.index("green_pad")
 
 tiny_model.register()
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("painted")
-    return write_painted(folder, {"train": 10, "val": 4})
-
-
-@pytest.fixture(scope="module")
-def recovery(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("perturbed")
-    return write_painted(folder, {"train": 6, "val": 2}, perturbed=True)
 
 
 @pytest.fixture
@@ -182,55 +164,6 @@ def test_processes_together_draw_what_one_does(config: TrainingConfig) -> None:
             found += map(tuple, rows)
         assert len({len(feed.make(step)) for feed in ranks}) == 1
     assert sorted(both) == sorted(one)
-
-
-@pytest.mark.slow
-def test_two_processes_learn_what_one_does_with_twice_the_batch(
-    config: TrainingConfig, tmp_path: Path
-) -> None:
-    # Random draws belong to a process, so there are none.
-    options = ("dropout=0.0",)
-    share, steps = 0.5, 8
-    one = replace(config, out=tmp_path / "one", options=options, batch_size=8,
-                  steps=steps, val_every=4, recovery_share=share,
-                  learning_rate=1e-2)  # fmt: skip
-    train(one)
-    off = [f"--augmentation.no-{name}" for name in ("palette", "templates", "turn")]
-    for name in ("paraphrases", "translate-cells", "brightness", "pixel-noise",
-                 "height-noise-m", "dropouts"):  # fmt: skip
-        off += [f"--augmentation.{name}", "0"]
-    words = ("--options", *options, "--steps", str(steps), "--val-every", "4")
-    mixed = ("--recovery", str(config.recovery), "--recovery-share", str(share))
-    finish(start(config.data, tmp_path / "two", *words, *mixed, *off, processes=2))
-    ours, theirs = (state(tmp_path / n)["trainer"]["model"] for n in ("one", "two"))
-    for name, value in ours.items():
-        if value.is_floating_point():
-            assert torch.allclose(value, theirs[name], atol=1e-5), name
-
-
-def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
-    config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    config = replace(config, recovery_share=0.3, augmentation=Augmentation())
-    whole = train(replace(config, out=tmp_path / "whole"))
-    run = replace(config, out=tmp_path / "parts", checkpoint_every_s=1e-9)
-    one_step = Trainer.train
-
-    def stop_at_seven(trainer: Trainer, *args: Any) -> Any:
-        if trainer.step == 7:
-            os.kill(os.getpid(), signal.SIGTERM)
-        return one_step(trainer, *args)
-
-    monkeypatch.setattr(Trainer, "train", stop_at_seven)
-    assert train(run).status == "interrupted"
-    monkeypatch.setattr(Trainer, "train", one_step)
-    report = train(run)
-    assert (report.status, report.scores) == ("finished", whole.scores)
-    first, second = (
-        load_file(tmp_path / name / "weights.safetensors")
-        for name in ("whole", "parts")
-    )
-    assert all(torch.equal(value, second[name]) for name, value in first.items())
 
 
 def test_recovery_states_are_never_validated_on(

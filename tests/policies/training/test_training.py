@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 import tiny_model
 import torch
-from painted_keyframes import write_painted
 from safetensors.torch import load_file
 from tiny_model import NAME, Tiny, TinyConfig, config
 
@@ -39,12 +38,6 @@ ALONE = ProcessGroup(0, 1, torch.device("cpu"))
 tiny_model.register()
 # As in the processes that are started here; more would only wait for each other.
 torch.set_num_threads(1)
-
-
-@pytest.fixture(scope="session")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("painted")
-    return write_painted(folder, {"train": 10, "val": 4})
 
 
 def test_a_batch_is_wholly_on_the_device_that_is_asked_for(
@@ -150,11 +143,17 @@ def test_the_seed_decides(data: Path, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("mixed", [False, True])
 def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    data: Path,
+    recovery: Path,
+    mixed: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    train(config(data, tmp_path / "whole"))
-    run = config(data, tmp_path / "parts", checkpoint_every_s=1e-9)
+    more = {"recovery": recovery, "recovery_share": 0.3} if mixed else {}
+    train(config(data, tmp_path / "whole", **more))
+    run = config(data, tmp_path / "parts", checkpoint_every_s=1e-9, **more)
     one_step = Trainer.train
 
     def stop_at_eleven(trainer: Trainer, *args: Any) -> Any:
@@ -201,18 +200,23 @@ def start(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("mixed", [False, True])
 def test_two_processes_do_what_one_does_with_twice_the_batch(
-    data: Path, tmp_path: Path
+    data: Path, recovery: Path, mixed: bool, tmp_path: Path
 ) -> None:
     # Random draws belong to a process, so there are none.
     calm = Augmentation.none()
     options = ("dropout=0.0",)
+    more = {"recovery": recovery, "recovery_share": 0.5} if mixed else {}
     train(config(data, tmp_path / "one", batch_size=8, steps=10, val_every=5,
-                 augmentation=calm, options=options))  # fmt: skip
+                 augmentation=calm, options=options, **more))  # fmt: skip
     off = [f"--augmentation.no-{name}" for name in ("palette", "templates", "turn")]
     for name in ("paraphrases", "translate-cells", "brightness", "pixel-noise",
                  "height-noise-m", "dropouts"):  # fmt: skip
         off += [f"--augmentation.{name}", "0"]
+    off += [
+        word for n, v in more.items() for word in (f"--{n.replace('_', '-')}", str(v))
+    ]
     words = ("--options", *options, "--steps", "10", "--val-every", "5", *off)
     finish(start(data, tmp_path / "two", *words, processes=2))
     one, two = state(tmp_path / "one")["trainer"], state(tmp_path / "two")["trainer"]

@@ -27,12 +27,6 @@ from lemma.tasks.instance import BENCHMARK_VERSION
 tiny_model.register()
 
 
-@pytest.fixture(scope="session")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("painted")
-    return write_painted(folder, {"train": 10, "val": 4})
-
-
 def test_another_run_in_the_folder_is_not_overwritten(
     data: Path, tmp_path: Path
 ) -> None:
