@@ -30,7 +30,7 @@ from lemma.env.signals.goal_state import NUMBERS
 from lemma.tasks.names import DEGREES, rung_task
 
 UNITS = (1.0, 1.0, 1.0, 1.0, 0.1, 1.0, *[0.3] * 3, 0.5, *[0.3] * 3)
-"""What the numbers of a goal state are divided by."""
+"""Divisors of the numbers of a goal state."""
 NEAR_M = 0.05
 """Ways as long as this are told apart well [m]."""
 SLOW_M, SLOWEST = 0.1, 0.2

@@ -67,7 +67,7 @@ class Figures:
 
         Args:
             widths: By the name of the cube [px].
-            held: What is in a hand: if nothing is, this is the beginning.
+            held: Object in a hand; none at the beginning.
         """
         seen = [width for width in widths.values() if width > 0.0]
         if held:

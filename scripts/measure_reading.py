@@ -116,7 +116,7 @@ def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
     if options.start:
         found = load_model(options.start)
         assert isinstance(found, ReachNet)
-        # What is not there, such as the part that refuses, begins anew.
+        # Missing parts, such as the one that refuses, begin anew.
         reader.load_state_dict(found.reader.state_dict(), strict=False)
     optimizer = torch.optim.AdamW(reader.parameters(), options.rate, weight_decay=0.02)
     steps = -(-options.steps // _POOLED) * _POOLED

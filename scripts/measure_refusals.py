@@ -56,7 +56,7 @@ class Said(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """What a reader made of sentences."""
+    """Readings of sentences."""
 
     right: torch.Tensor
     refused: torch.Tensor

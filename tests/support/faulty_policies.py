@@ -78,7 +78,7 @@ class Scripted:
         if len(around[0]):
             row, column = row + around[0].mean(), first + around[1].mean()
         x, y = (column + 0.5 - columns / 2) * 0.008, (rows / 2 - row - 0.5) * 0.008
-        # Whom it lies nearer to: a robot that is asked for too much has to stop.
+        # The nearer robot: one that is asked for too much has to stop.
         number = int(x > 0)
         robot = f"robot_{number}"
         pick = Pose2(float(x), float(y), float(one.view.joints[number, 0]))

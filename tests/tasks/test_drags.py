@@ -51,7 +51,7 @@ def robot(arm: str) -> RobotPlacement:
 
 
 def receiver(primitive: Primitive, arm: str) -> RobotPlacement:
-    """Whose reach the cube shall come into.
+    """The robot whose reach the cube shall come into.
 
     A partner stands so far away that a cube fits between them that neither could touch.
     """

@@ -85,7 +85,7 @@ def test_a_team_of_another_size_is_refused() -> None:
         lemma.make("relay", split="free", robots=("ur5", "ur5")).reset(seed=0)
 
 
-# --- Who is needed -----------------------------------------------------------------
+# --- The robots that are needed -----------------------------------------------------------------
 
 
 def cube(color: str, x: float, y: float) -> ObjectPlacement:
@@ -129,7 +129,7 @@ def could(robot: RobotPlacement, placed: ObjectPlacement) -> bool:
 
 @pytest.mark.parametrize("task", FAMILIES)
 def test_nobody_can_be_done_without(task: str) -> None:
-    """Whoever is absent alone could touch a thing, or joins two who share nothing."""
+    """An absent robot alone could touch a thing, or joins two that share nothing."""
     for index in range(60):
         instance = load_instance(task, "test", index)
         scene, goal = instance.scene, instance.goal
@@ -162,7 +162,7 @@ def test_no_coalition_has_a_plan(task: str) -> None:
             assert find_plan(now, instance.goal, grounder, team=coalition) is None
 
 
-# --- What is frozen ----------------------------------------------------------------
+# --- Frozen lists ----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("task", FAMILIES)

@@ -33,7 +33,7 @@ _ROOM, _ROBOT = -1, -2
 
 @dataclass(frozen=True, slots=True)
 class CoastingState:
-    """What a :class:`Coasting` knows; plain data."""
+    """State of a :class:`Coasting`; plain data."""
 
     left_m: FloatArray
     since_s: FloatArray

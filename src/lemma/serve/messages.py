@@ -348,7 +348,7 @@ def decode(decoder: msgspec.msgpack.Decoder[M], data: bytes | str) -> M:
 
     Args:
         decoder: Says of which type it is.
-        data: What came in.
+        data: The message.
 
     Raises:
         ValidationError: It is of another type.

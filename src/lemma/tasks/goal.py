@@ -209,7 +209,7 @@ class Goal:
 
     @property
     def held(self) -> frozenset[str]:
-        """What hands shall hold."""
+        """Names of the objects that hands shall hold."""
         return frozenset(on.top for on in self.conjuncts if on.bottom == HAND)
 
     def progress(self, scene: Scene) -> float:

@@ -97,7 +97,7 @@ class SubTask:
     """A symbolic sub-task: the paper's d_m with g_m = (e, p, q) and robot gamma_m."""
 
     robot: str
-    """Who: ``"robot_0"``; empty for ``stop``."""
+    """Name of the robot: ``"robot_0"``; empty for ``stop``."""
     primitive: Primitive
     pick: str = ""
     """Entity to grasp; the stick for all primitives but ``move``."""

@@ -56,7 +56,7 @@ def trained(model: ReachNet, steps: int, frames: int = 3) -> float:
 
 @pytest.fixture(scope="module")
 def expert() -> ReachNet:
-    """Who knows an episode by heart: 16 s."""
+    """A model that knows an episode by heart: 16 s."""
     model = tiny()
     trained(model, 200)
     return model
@@ -64,7 +64,7 @@ def expert() -> ReachNet:
 
 @pytest.fixture(scope="module")
 def novice() -> ReachNet:
-    """Who was trained for a moment."""
+    """A model that was trained for a moment."""
     model = tiny()
     trained(model, 10)
     return model

@@ -101,7 +101,7 @@ def can_drag(now: SymbolicState, by_m: float = 0.0) -> Tensor:
 
     Args:
         now: The state.
-        by_m: What each distance may lack [m].
+        by_m: Tolerance of each distance [m].
     """
     table = table_of(now)
     found = DragUtility().drags(table).constraints[0]

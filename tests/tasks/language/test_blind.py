@@ -124,7 +124,7 @@ def test_they_are_of_the_form_of_the_goal(task: str) -> None:
     assert found == {(("cube", *bottoms),) * len(goal)}
 
 
-# --- Who is given one ---------------------------------------------------------------
+# --- Instances that have one ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("task", slow_but(SUITE, "pass2", "stack"))
@@ -194,7 +194,7 @@ def test_nothing_for_training_takes_the_kind() -> None:
         bank.templates("pass", BLIND)
 
 
-# --- What depends on them -----------------------------------------------------------
+# --- Uses of them -----------------------------------------------------------
 
 
 def test_data_of_instances_do_not(other_words: None) -> None:

@@ -2,8 +2,8 @@
 
 An Arrow file holds the keyframes of some episodes, one record batch for each, so that
 any keyframe is found at once. Images are Arrow tensors: any Arrow library reads them.
-What a policy needs of every keyframe (map, joints, labels, sentences) and what few need
-(camera images) are in files apart, side by side, with the same rows.
+Data that policies need of every keyframe (map, joints, labels, sentences), and camera
+images, which few need, are in separate files with the same rows.
 
 Lengths are stored as ``uint16`` in units of 0.1 mm; see :mod:`lemma.scene.raster`.
 

@@ -26,7 +26,7 @@ KEY_POSE_OPTIONS: Mapping[str, object] = {
     "control_hz": CONTROL_HZ,
     "clip_actions": True,
 }
-"""What policies that move so ask of their environment, beside an observation."""
+"""Options of the environment of policies that move so, beside an observation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Moving:
 
         Args:
             given: Input of a policy.
-            progress: What was done before; None at the beginning of an episode.
+            progress: Progress so far; None at the beginning of an episode.
         """
         seen = given.observation
         hands, bases = pose_matrices(seen["tcp_pose"]), pose_matrices(seen["base_pose"])
@@ -73,7 +73,7 @@ class Moving:
         """Return the answer of a policy: the next waypoints, or to stay for a while.
 
         Args:
-            memory: What the policy remembers.
+            memory: Memory of the policy.
         """
         rows = stay(self.progress, self.bases) if self.rows is None else self.rows
         return Actions(rows, memory)

@@ -49,7 +49,7 @@ class ExpertControl(Oracle):
 
 @dataclass(frozen=True, eq=False)
 class _Memory:
-    """What the expert remembers between two key poses."""
+    """Memory of the expert between two key poses."""
 
     progress: Progress
     ahead: tuple[KeyPose, ...] = ()

@@ -6,8 +6,8 @@ the map and a position in it; features of that cell tell height, yaw, which robo
 there and what happens there. Waypoints of the control mode ``ee_waypoint`` lead there,
 see :mod:`lemma.env.control.key_poses`; then the policy looks again.
 
-One network sees color and height. What the sentence says, and where arms are and
-whether they hold something, scales and shifts its features at every level.
+One network sees color and height. The sentence, the positions of the arms and what they
+hold scale and shift its features at every level.
 """
 
 import math
@@ -120,7 +120,7 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Told:
-    """What is said of some cells, (B, K, ...), float32."""
+    """Predictions for some cells, (B, K, ...), float32."""
 
     offsets: Tensor
     height: Tensor

@@ -63,7 +63,7 @@ def without_texts(batch: Batch, told: Mapping[str, Tensor]) -> Batch:
 
     Args:
         batch: With labels.
-        told: What a model made of its texts and names.
+        told: Texts and names as the model has encoded them.
     """
     assert batch.labels is not None
     own = {name: value.clone() for name, value in told.items()}

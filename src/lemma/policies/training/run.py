@@ -253,7 +253,7 @@ def open_run(
 
     Args:
         config: Resolved.
-        model: Whose options are written too.
+        model: Model whose options are written, too.
         data: Version and digest of the data.
         command: The command line.
 

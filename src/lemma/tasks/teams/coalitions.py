@@ -1,4 +1,4 @@
-"""Who is needed: what a team could do without one of its robots, by geometry alone.
+"""The robots that a goal needs: what a team could do without one, by geometry.
 
 If no team without one robot could reach a goal, no smaller coalition could either. A
 coalition is kept from ``On(top, bottom)`` where none of it could touch the top, none

@@ -303,7 +303,7 @@ def score_poses(
     Args:
         found: Predicted poses.
         labels: The expert's.
-        entities: Whose numbers the labels have.
+        entities: Entities whose numbers the labels have.
     """
     counts, pick, place = counted(labels)
     _, primitive, entity, goal = labels.decision.unbind(1)

@@ -78,7 +78,7 @@ class ReaderConfig:
 
 
 class Readings(NamedTuple):
-    """What B sentences may ask for."""
+    """Readings of B sentences."""
 
     goals: Tensor
     """The two likeliest goals of each, (B, 2, conjuncts, 2); -1 for none."""

@@ -195,7 +195,7 @@ class ReachNet(MapModel):
 
         Args:
             truth: All true.
-            seen: What perception finds, for the planner to learn from it, too.
+            seen: Results of perception, for the planner to learn from it, too.
             goal: Numbers of the goals.
             batch: With labels.
         """
@@ -352,7 +352,7 @@ class ReachNet(MapModel):
         """Return what is seen and read, how good every sub-task is, and refusals.
 
         Returns:
-            What is seen; the goals; scores, (B, N); and the number of the reason why a
+            The scene; the goals; scores, (B, N); and the number of the reason why a
             sentence is refused, (B,), -1 if it is not. Then there is nothing but to
             stop.
         """

@@ -215,7 +215,7 @@ def true_table(
         labels: Where everything is.
         rings: Radii of reach, (B, R, 3) [m].
         raster: Raster of the maps.
-        entities: Whose numbers the labels have.
+        entities: Entities whose numbers the labels have.
     """
     traits = traits_of(entities, labels.objects.device)
     position, there = labels.objects[..., :3], labels.objects[..., 0].isfinite()
