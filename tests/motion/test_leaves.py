@@ -8,10 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rmpflow_scenes import (
     ELBOW_UP,
-    NO_OBSTACLES,
     ZEROS,
-    accelerate,
-    arm_model,
+    acceleration,
     only,
     posture_goal,
     state_at,
@@ -26,7 +24,7 @@ from lemma.motion.rmpflow.leaves import (
     TargetLeaf,
     VelocityCapLeaf,
 )
-from lemma.motion.rmpflow.workspace import ArmTarget, Workspace
+from lemma.motion.rmpflow.workspace import ArmTarget
 
 
 def evaluate_target(
@@ -142,16 +140,7 @@ def test_posture_pulls_to_its_goal_and_is_capped() -> None:
     found = {}
     for offset in (0.3, 1.0, 1.5, 3.0):
         goal = posture_goal(np.array(ELBOW_UP) + offset * np.eye(6)[0])
-        out = np.empty(6)
-        accelerate(
-            Workspace(),
-            arm_model("ur5"),
-            goal,
-            parameters,
-            state_at(ELBOW_UP),
-            NO_OBSTACLES,
-            out,
-        )
+        out = acceleration(goal, parameters, state_at(ELBOW_UP))
         assert np.abs(out[1:]).max() == pytest.approx(0.0, abs=1e-12)
         found[offset] = out[0] * mass / weight
     gain = parameters.posture.gain
@@ -164,15 +153,8 @@ def test_posture_pulls_to_its_goal_and_is_capped() -> None:
 def test_posture_damps_velocity() -> None:
     parameters = only("posture")
     posture, qd = parameters.posture, np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.1])
-    out = np.empty(6)
-    accelerate(
-        Workspace(),
-        arm_model("ur5"),
-        posture_goal(np.array(ELBOW_UP)),
-        parameters,
-        state_at(ELBOW_UP, qd),
-        NO_OBSTACLES,
-        out,
+    out = acceleration(
+        posture_goal(np.array(ELBOW_UP)), parameters, state_at(ELBOW_UP, qd)
     )
     share = posture.metric / (posture.metric + posture.inertia)
     assert out == pytest.approx(-share * posture.damping * qd)
@@ -258,17 +240,8 @@ def test_damping_takes_energy_out_and_more_so_when_fast() -> None:
     direction /= np.linalg.norm(direction)
     powers = []
     for speed in (0.1, 1.0, 2.0):
-        out = np.empty(6)
         goal = ArmTarget(np.zeros(3), np.eye(3), np.zeros(6), 0.0, 0.0)
-        accelerate(
-            Workspace(),
-            arm_model("ur5"),
-            goal,
-            parameters,
-            state_at(ELBOW_UP, speed * direction),
-            NO_OBSTACLES,
-            out,
-        )
+        out = acceleration(goal, parameters, state_at(ELBOW_UP, speed * direction))
         powers.append(out @ direction)
         assert out == pytest.approx(powers[-1] * direction)
         mass = parameters.damping.metric * speed + parameters.damping.inertia

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from rmpflow_scenes import (
     ARM_NAMES,
-    NO_OBSTACLES,
     SUBSTEP_S,
-    accelerate,
+    acceleration,
     arm_model,
     links,
     move,
@@ -139,27 +138,28 @@ def test_acceleration_is_the_textbook_sum(arm: str) -> None:
     """Far from limits and obstacles, against differences instead of Jacobians."""
     model = arm_model(arm)._replace(sphere_meets_table=np.zeros(12))
     model = model._replace(lower=np.full(6, -1e6), upper=np.full(6, 1e6))
-    parameters, out = Leaves(max_acceleration=1e9), np.empty(6)
+    parameters = Leaves(max_acceleration=1e9)
     rng = np.random.default_rng(1)
     for state in some_states(20, seed=2):
         x, y, z = rng.uniform(-0.6, 0.6, 3)
         pose = top_down(x, y, z, rng.uniform(-3, 3))
         goal = pose_goal(pose, rng.uniform(-2, 2, 6))
-        accelerate(Workspace(), model, goal, parameters, state, NO_OBSTACLES, out)
+        out = acceleration(goal, parameters, state, model)
         expected = textbook_tool_acceleration(model, state, goal, parameters)
         scale = float(np.abs(expected).max())
         assert out == pytest.approx(expected, abs=1e-4 * scale)
 
 
 def test_acceleration_is_capped_in_its_own_direction() -> None:
-    model, beam = arm_model("ur5"), (0.3, 0.0, 0.3, 0.5, 0.0, 0.3, 0.05, 0.2)
-    obstacles = np.array([beam])
-    free, capped, largest = np.empty(6), np.empty(6), 0.0
+    obstacles = np.array([(0.3, 0.0, 0.3, 0.5, 0.0, 0.3, 0.05, 0.2)])
+    largest = 0.0
     unbounded = Leaves(max_acceleration=1e9)
     for state in some_states(100, seed=3):
         goal = pose_goal(top_down(0.5, 0.1, 0.2, 1.0), state[0] + 1.0)
-        accelerate(Workspace(), model, goal, unbounded, state, obstacles, free)
-        accelerate(Workspace(), model, goal, Leaves(), state, obstacles, capped)
+        free, capped = (
+            acceleration(goal, leaves, state, obstacles=obstacles)
+            for leaves in (unbounded, Leaves())
+        )
         norm, limit = float(np.linalg.norm(free)), Leaves().max_acceleration
         largest = max(largest, norm)
         assert capped == pytest.approx(free * min(1.0, limit / norm), rel=1e-9)
@@ -173,9 +173,8 @@ def test_obstacle_pushes_harder_the_nearer_it_is() -> None:
 
     def push(away_m: float) -> float:
         ball = np.array([[*(x + away_m, y, z) * 2, 0.03, 0.15]])
-        out, unbounded = np.empty(6), Leaves(max_acceleration=1e9)
-        goal = posture_goal(q)
-        accelerate(Workspace(), model, goal, unbounded, state_at(q), ball, out)
+        leaves = Leaves(max_acceleration=1e9)
+        out = acceleration(posture_goal(q), leaves, state_at(q), obstacles=ball)
         moved = tcp(model, q + step * out) - tcp(model, q)
         return -float(moved[0, 3]) / step
 
@@ -231,11 +230,10 @@ def test_substeps_are_calls() -> None:
 
 def test_root_notices_what_was_replaced() -> None:
     model, state, goal, _ = scenario()
-    root, out = Workspace(), np.empty(6)
+    root = Workspace()
 
     def now(model: ArmModel, goal: ArmTarget, parameters: Leaves) -> FloatArray:
-        accelerate(root, model, goal, parameters, state, NO_OBSTACLES, out)
-        return out.copy()
+        return acceleration(goal, parameters, state, model, root=root)
 
     first = now(model, goal, Leaves())
     # A ball that the gripper holds comes near the table, which pushes it.

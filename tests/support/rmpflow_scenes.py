@@ -157,18 +157,19 @@ def sphere_gaps(name: str, q: FloatArray, obstacles: FloatArray) -> FloatArray:
     return np.array(gaps)
 
 
-def accelerate(
-    root: Workspace,
-    arm: ArmModel,
+def acceleration(
     goal: ArmTarget,
     parameters: Leaves,
     state: FloatArray,
-    obstacles: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Write the joint accelerations that all leaves agree on to ``out``, (6,)."""
-    root.load(arm, goal, parameters)
+    model: ArmModel | None = None,
+    obstacles: FloatArray = NO_OBSTACLES,
+    root: Workspace | None = None,
+) -> FloatArray:
+    """Return the joint accelerations that all leaves agree on, (6,)."""
+    root, out = root or Workspace(), np.empty(6)
+    root.load(model or arm_model("ur5"), goal, parameters)
     _accelerate_array(root.record, root.spheres, state, obstacles, out)
+    return out
 
 
 @njit(error_model="numpy")

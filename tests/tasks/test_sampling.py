@@ -133,7 +133,7 @@ def test_some_camera_sees_every_object(task: str) -> None:
             assert seen.mean() > 0.7, f"{instance.key} {placed.name}"
 
 
-# --- One answer to who could do what ----------------------------------------------
+# --- One answer to who could do what -----------------------------------------------
 
 
 def handle(instance: Instance, name: str) -> Pose2:

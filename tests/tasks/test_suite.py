@@ -166,7 +166,7 @@ def test_a_refused_draw_is_followed_by_the_next() -> None:
     assert len(frozen.distractors) == len(refused.distractors)
 
 
-# --- Contents of the test split --------------------------------------------------
+# --- Contents of the test split ----------------------------------------------------
 
 
 @pytest.mark.parametrize("task", SUITE)

@@ -90,7 +90,7 @@ def test_it_is_asked_of_a_state_not_of_what_was_computed_last(
     assert scene.state_hash() == before
 
 
-# --- Taken for success by version 1 -----------------------------------------------
+# --- Taken for success by version 1 ------------------------------------------------
 
 
 def test_a_bridge_on_two_cubes_is_on_neither(

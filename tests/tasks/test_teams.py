@@ -85,7 +85,7 @@ def test_a_team_of_another_size_is_refused() -> None:
         lemma.make("relay", split="free", robots=("ur5", "ur5")).reset(seed=0)
 
 
-# --- The robots that are needed -----------------------------------------------------------------
+# --- The robots that are needed ----------------------------------------------------
 
 
 def cube(color: str, x: float, y: float) -> ObjectPlacement:
@@ -162,7 +162,7 @@ def test_no_coalition_has_a_plan(task: str) -> None:
             assert find_plan(now, instance.goal, grounder, team=coalition) is None
 
 
-# --- Frozen lists ----------------------------------------------------------------
+# --- Frozen lists ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("task", FAMILIES)

@@ -93,7 +93,7 @@ def goals(template: Template) -> list[GoalPairs]:
     ]
 
 
-# --- The templates ------------------------------------------------------------------
+# --- The templates -----------------------------------------------------------------
 
 
 def test_there_are_forty_of_each_task_and_no_two_are_the_same() -> None:
@@ -124,7 +124,7 @@ def test_they_are_of_the_form_of_the_goal(task: str) -> None:
     assert found == {(("cube", *bottoms),) * len(goal)}
 
 
-# --- Instances that have one ---------------------------------------------------------------
+# --- Instances that have one -------------------------------------------------------
 
 
 @pytest.mark.parametrize("task", slow_but(SUITE, "pass2", "stack"))
@@ -194,7 +194,7 @@ def test_nothing_for_training_takes_the_kind() -> None:
         bank.templates("pass", BLIND)
 
 
-# --- Uses of them -----------------------------------------------------------
+# --- Uses of them ------------------------------------------------------------------
 
 
 def test_data_of_instances_do_not(other_words: None) -> None:
