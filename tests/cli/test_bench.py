@@ -2,6 +2,7 @@ import json
 from functools import partial
 
 import pytest
+from command import run
 
 from lemma.bench.episodes import Trial, expert_figures, run_trials
 from lemma.bench.speed import (
@@ -11,16 +12,13 @@ from lemma.bench.speed import (
     time_loop,
 )
 from lemma.cli import bench as bench_verb
-from lemma.cli.main import main
 from lemma.core.errors import PhysicsError
 from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.suite import load_instance
 
 
 def test_one_thing_is_measured_at_a_time(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "--policy", "oracle", "--expert"])
-    assert end.value.code == 2
+    assert run("bench", "--policy", "oracle", "--expert") == 2
     assert "Name one of them" in " ".join(capsys.readouterr().err.split())
 
 
@@ -35,9 +33,7 @@ def test_bench_as_json(
     twice = partial(measure_expert_loop, turns=2)
     monkeypatch.setattr(bench_verb, "measure_expert_loop", twice)
     words = "bench stack --expert --episodes 1 --workers 1 --json"
-    with pytest.raises(SystemExit) as end:
-        main(words.split())
-    assert end.value.code == 0
+    assert run(*words.split()) == 0
     report = json.loads(capsys.readouterr().out)
     assert set(report) == {"machine", "speed", "loop", "control", "expert"}
     assert set(report["loop"]) == set(bench_verb._LOOP_TARGETS)
@@ -97,9 +93,7 @@ def test_trials_are_the_same_in_several_processes() -> None:
 
 @pytest.mark.render
 def test_figures_of_a_policy(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "pass", "--episodes", "1", "--policy", "oracle", "--json"])
-    assert end.value.code == 0
+    assert run("bench", "pass", "--episodes", "1", "--policy", "oracle", "--json") == 0
     report = json.loads(capsys.readouterr().out)
     assert set(report) == {"machine", "policy"}
     found = report["policy"]

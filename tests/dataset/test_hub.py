@@ -7,14 +7,12 @@ import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command import run
-from fake_hub import FakeHub, fake_hub
-from huggingface_hub import constants
+from fake_hub import FakeHub, point_at, taken_for_the_hub
 from recipes import bytes_of, made_up, write_recipe
 
 from lemma.core.errors import DatasetError
@@ -23,28 +21,10 @@ from lemma.dataset.hub import pull, push
 from lemma.dataset.recipe.files import load
 
 NAME = "me/data"
+hub = pytest.fixture(taken_for_the_hub)
 
 # The client's, not ours.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
-
-
-def point_at(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Do what HF_ENDPOINT would have done before the client was imported."""
-    template = constants.HUGGINGFACE_CO_URL_TEMPLATE.removeprefix(constants.ENDPOINT)
-    monkeypatch.setattr(constants, "ENDPOINT", url)
-    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", url + template)
-
-
-@pytest.fixture
-def hub(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[FakeHub]:
-    """A hub that the client takes for the real one."""
-    with fake_hub() as served:
-        point_at(served.url, monkeypatch)
-        monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
-        # Ours has no Xet storage, and speaks LFS.
-        monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
-        monkeypatch.setenv("HF_TOKEN", "hf_ours")
-        yield served
 
 
 @pytest.fixture

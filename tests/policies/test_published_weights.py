@@ -1,7 +1,6 @@
 """Weights by name: where they are found, fetched from, and how they are published."""
 
 import shlex
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,14 +8,12 @@ from typing import Any
 
 import pytest
 import tiny_model
-import torch
 import tyro
-from fake_hub import COMMIT, FakeHub, fake_hub
-from huggingface_hub import constants
-from tiny_model import NAME, Tiny, TinyConfig
+from command import run
+from fake_hub import COMMIT, FakeHub, taken_for_the_hub
+from tiny_model import ABOUT, Tiny, written
 
 import publish_weights as publish
-from lemma.cli.main import main
 from lemma.core.errors import UnknownNameError, WeightsError
 from lemma.core.files import read_json, write_json
 from lemma.policies import weights
@@ -31,54 +28,23 @@ from lemma.policies.weights import (
     published_weights,
 )
 from lemma.policies.weights_file import (
-    WeightsMetadata,
     read_metadata,
-    write_weights,
 )
 from publish_weights import Fineness
 
 tiny_model.register()
-
-ABOUT = WeightsMetadata(
-    model=NAME,
-    options={"width": 12, "dropout": 0.25},
-    data={"benchmark": "v1", "digest": "d"},
-    command="lemma train tiny --data d --out o",
-    ended="time limit",
-    steps=5,
-)
-
-
-def written(folder: Path) -> Path:
-    torch.manual_seed(0)
-    path = folder / "weights.safetensors"
-    model = Tiny(TinyConfig(width=12, dropout=0.25))
-    write_weights(path, model.state_dict(), ABOUT)
-    return path
+hub = pytest.fixture(taken_for_the_hub)
 
 
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A checkout with published weights, named small."""
     folder = tmp_path / "checkout"
-    publish.pack(written(tmp_path), "small", Fineness(32), folder)
+    about = replace(ABOUT, ended="time limit", steps=5)
+    publish.pack(written(tmp_path, about), "small", Fineness(32), folder)
     monkeypatch.setattr(weights, "CHECKOUT", folder)
     monkeypatch.delenv(FOLDER_VARIABLE, raising=False)
     return folder
-
-
-@pytest.fixture
-def hub(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[FakeHub]:
-    """A hub that the client takes for the real one."""
-    template = constants.HUGGINGFACE_CO_URL_TEMPLATE.removeprefix(constants.ENDPOINT)
-    with fake_hub() as served:
-        monkeypatch.setattr(constants, "ENDPOINT", served.url)
-        monkeypatch.setattr(
-            constants, "HUGGINGFACE_CO_URL_TEMPLATE", served.url + template
-        )
-        monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
-        monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
-        yield served
 
 
 def published_on(hub: FakeHub, checkout: Path) -> Path:
@@ -130,9 +96,7 @@ def test_published_weights_are_fetched_by_revision(
     checkout: Path, hub: FakeHub, capsys: pytest.CaptureFixture[str]
 ) -> None:
     published_on(hub, checkout)
-    with pytest.raises(SystemExit) as end:
-        main(["pull", "--weights", "small"])
-    assert end.value.code == 0
+    assert run("pull", "--weights", "small") == 0
     assert "small: " in capsys.readouterr().out
     asked = [request for request in hub.requests if "/resolve/" in request]
     assert asked
@@ -163,9 +127,7 @@ def test_without_a_hub_the_command_is_named(
     hub.exists = False
     with pytest.raises(WeightsError, match="lemma pull --weights small"):
         find_weights("small")
-    with pytest.raises(SystemExit) as end:
-        main(["pull", "--weights", "smal"])
-    assert end.value.code == 2
+    assert run("pull", "--weights", "smal") == 2
     assert "Did you mean 'small'" in capsys.readouterr().err
 
 
@@ -176,9 +138,7 @@ def test_without_a_hub_the_command_is_named(
 def test_pull_says_what_it_fetches(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(words)
-    assert end.value.code == 2
+    assert run(*words) == 2
     assert "lemma pull" in capsys.readouterr().err
 
 

@@ -8,7 +8,7 @@ import pytest
 import tiny_model
 import torch
 from safetensors.torch import load_file, save_file
-from tiny_model import NAME, Tiny, TinyConfig
+from tiny_model import ABOUT, Tiny, TinyConfig, tiny, written
 
 import publish_weights as publish
 from lemma.core.errors import DatasetError, WeightsError
@@ -20,7 +20,6 @@ from lemma.policies.weights import load_model
 from lemma.policies.weights_file import (
     METADATA_KEY,
     Rounding,
-    WeightsMetadata,
     load_weights,
     mark_ended,
     read_metadata,
@@ -29,26 +28,6 @@ from lemma.policies.weights_file import (
 )
 
 tiny_model.register()
-
-ABOUT = WeightsMetadata(
-    model=NAME,
-    options={"width": 12, "dropout": 0.25},
-    data={"benchmark": "v1", "digest": "d"},
-    command="lemma train tiny --data d --out o",
-    scores={"primitive": 0.5},
-    lemma="0.1.0",
-)
-
-
-def tiny(seed: int = 0) -> Tiny:
-    torch.manual_seed(seed)
-    return Tiny(TinyConfig(width=12, dropout=0.25))
-
-
-def written(folder: Path, about: WeightsMetadata = ABOUT) -> Path:
-    path = folder / "weights.safetensors"
-    write_weights(path, tiny().state_dict(), about)
-    return path
 
 
 def test_weights_come_back_with_their_model(tmp_path: Path) -> None:

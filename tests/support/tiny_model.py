@@ -11,6 +11,7 @@ from torch.nn import functional as F
 from lemma.policies.batch import PRIMITIVES, Batch
 from lemma.policies.models.base import MODELS, Model
 from lemma.policies.training.config import TrainingConfig
+from lemma.policies.weights_file import WeightsMetadata, write_weights
 
 NAME = "tiny"
 
@@ -90,6 +91,28 @@ def config(data: Path, out: Path, **options: Any) -> TrainingConfig:
         **options,
     }
     return TrainingConfig(data=data, out=out, **given)
+
+
+ABOUT = WeightsMetadata(
+    model=NAME,
+    options={"width": 12, "dropout": 0.25},
+    data={"benchmark": "v1", "digest": "d"},
+    command="lemma train tiny --data d --out o",
+    lemma="0.1.0",
+)
+"""Metadata of the weights of :func:`written`."""
+
+
+def tiny(seed: int = 0) -> Tiny:
+    torch.manual_seed(seed)
+    return Tiny(TinyConfig(width=12, dropout=0.25))
+
+
+def written(folder: Path, about: WeightsMetadata = ABOUT) -> Path:
+    """Write weights, and return their file."""
+    path = folder / "weights.safetensors"
+    write_weights(path, tiny().state_dict(), about)
+    return path
 
 
 def register() -> None:
