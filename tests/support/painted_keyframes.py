@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from lemma.core.files import sha256_of, write_json
@@ -38,6 +39,20 @@ _PERTURBED = {"perturb": "0.3", "perturb_seed": "0"}
 _VERSIONS = {"benchmark": BENCHMARK_VERSION, "lemma": "0.0.0"}
 
 Row = dict[str, Any]
+
+
+@pytest.fixture(scope="session", name="data")
+def painted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set to train on."""
+    folder = tmp_path_factory.mktemp("painted")
+    return write_painted(folder, {"train": 10, "val": 4})
+
+
+@pytest.fixture(scope="session", name="recovery")
+def painted_recovery(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Perturbed executions of the same episodes."""
+    folder = tmp_path_factory.mktemp("perturbed")
+    return write_painted(folder, {"train": 6, "val": 2}, perturbed=True)
 
 
 def write_painted(

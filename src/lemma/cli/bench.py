@@ -26,6 +26,7 @@ from lemma.bench.speed import (
 )
 from lemma.cli.options import (
     Flag,
+    Folder,
     JsonFlag,
     Number,
     TaskNames,
@@ -129,9 +130,7 @@ def bench(
     training: Annotated[
         str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="")
     ] = None,
-    data: Annotated[
-        Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")
-    ] = None,
+    data: Folder = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Measure speed, memory and, if asked to, the expert's success.

@@ -8,6 +8,7 @@ import pytest
 import tiny_model
 import torch
 from batches import drawn_batch, labels_of
+from painted_keyframes import painted, painted_recovery  # noqa: F401 - fixtures
 from tiny_model import NAME, Tiny, TinyConfig
 from tiny_transformer import tiny
 

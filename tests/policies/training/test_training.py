@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import tiny_model
 import torch
+from painted_keyframes import painted, painted_recovery  # noqa: F401 - fixtures
 from safetensors.torch import load_file
 from tiny_model import NAME, Tiny, TinyConfig, config
 

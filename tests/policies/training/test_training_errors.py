@@ -7,7 +7,7 @@ import pytest
 import tiny_model
 import torch
 from command import run as run_lemma
-from painted_keyframes import write_painted
+from painted_keyframes import painted, write_painted  # noqa: F401 - fixtures
 from tiny_model import NAME, Tiny, config
 
 from lemma.cli.main import main
