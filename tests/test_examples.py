@@ -69,7 +69,7 @@ def run(name: str, *arguments: str) -> str:
 
 
 def told_by(*words: str, **variables: str) -> str:
-    done = python(*words, **variables)
+    done = python(*words, variables=variables)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr.replace(NOTICE, "") == ""
     return done.stdout

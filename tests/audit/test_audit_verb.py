@@ -78,31 +78,6 @@ def test_leaves_with_1_if_an_attack_succeeded(
     assert run("audit", "--tasks", "poke_stack", *EPISODES) == 0
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (("--split", "free"), "split free needs --episodes"),
-        (
-            ("--episodes", "61"),
-            "--episodes 61 do not fit the split test, which has instances 0 to 59",
-        ),
-        (("--start", "60"), "--start 60 and --episodes all do not fit"),
-        (
-            ("--start", "-1", "--split", "free", "--episodes", "2"),
-            "which has instances from 0 on",
-        ),
-        (("--attacks", "drag_hom"), "drag_home"),
-        (("--attacks", "drag_home", "--level", "control"), "at skill level"),
-        (("--tasks", " , "), "names nothing"),
-    ],
-)
-def test_says_what_it_cannot_do(
-    words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("audit", *words) == 2
-    assert told in " ".join(capsys.readouterr().err.split())
-
-
 @pytest.mark.slow
 def test_repeats_whoever_works() -> None:
     keys = [("hook_stack", "test", index) for index in range(2)]

@@ -17,11 +17,6 @@ from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.suite import load_instance
 
 
-def test_one_thing_is_measured_at_a_time(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("bench", "--policy", "oracle", "--expert") == 2
-    assert "Name one of them" in " ".join(capsys.readouterr().err.split())
-
-
 @pytest.mark.slow
 @pytest.mark.render
 def test_bench_as_json(

@@ -82,32 +82,3 @@ def test_one_episode_as_pictures(
     last = picture.crop((36 + 1280, 138, 36 + 1280 + 620, 138 + 400))
     assert len(tile.getcolors(tile.width * tile.height) or ()) > 100
     assert tile.tobytes() != last.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--index", "1"), "Say which with --task"),
-        (("--task", "stack", "--index", "0"), "no episode stack/test/0"),
-        (("--task", "hook"), "no episodes of task hook"),
-        (("--split", "train"), "and split train"),
-    ],
-)
-def test_what_is_not_there_is_explained(
-    recipe: Path,
-    words: tuple[str, ...],
-    message: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert run("inspect", recipe, *words) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert message in printed.err
-    assert printed.err.count("\n") == 1
-
-
-def test_no_recipe_is_explained(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("inspect", tmp_path / "none") == 2
-    assert "lemma generate" in capsys.readouterr().err

@@ -59,32 +59,6 @@ def test_every_form_works_where_it_is_told_and_can_be_interrupted(
     assert "Interrupted: 3 of 4 episodes are made" in " ".join(told.split())
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--form", "keyframes", "--no-depth"), "--no-depth is for --form lerobot"),
-        (("--fps", "20"), "keyframes have no rate"),
-        (("--renderer", "warp"), "drawn by OpenGL"),
-        (("--form", "lerobot", "--renderer", "vulkan"), "opengl"),
-        (("--form", "lerobot", "--instructions", "poem"), "Unknown kind of instr"),
-        (("--form", "lerobot", "--size", "63x48"), "must be even"),
-        (("--form", "lerobot", "--size", "large"), "is no size"),
-        (("--form", "lerobot", "--fps", "30"), "Choose one of 1, 2"),
-        (("--form", "lerobot", "--engine", "ray", "--workers", "2"), "Leave out one"),
-        (("--form", "lerobot", "--tasks", "sleep"), "Unknown task"),
-    ],
-)
-def test_what_cannot_be_is_refused_before_anything_is_written(
-    words: tuple[str, ...],
-    message: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert run("render", recipe_folder(), "--out", tmp_path / "set", *words) == 2
-    assert message in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "set").exists()
-
-
 def test_a_data_set_is_filmed_as_the_options_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -41,21 +41,3 @@ def test_one_evaluation_is_reported_and_compared(
     assert "| the expert | 100.0 (21–100) | 100.0 (21–100) † |" in text
     assert run("compare", one, one) == 0
     assert "1.0000" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["reproduce", "papr"], "Did you mean 'paper'?"),
-        (["report", "nowhere"], "There is no nowhere"),
-        (["report"], "Name a result"),
-        (["compare", "nowhere", "nowhere"], "no episodes in nowhere"),
-    ],
-)
-def test_bad_input_is_explained(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(*words) == 2
-    captured = capsys.readouterr()
-    assert message in captured.err
-    assert "Traceback" not in captured.err

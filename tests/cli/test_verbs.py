@@ -114,36 +114,6 @@ def test_tasks_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["demo", "stak"], "Did you mean 'stack'?"),
-        (["show", "stak"], "Valid: pass, pass2"),
-        (["bench", "stak"], "Unknown task 'stak'"),
-        (["show", "stack", "--index", "60"], "0 to 59"),
-        (["show", "stack", "--index", "-1"], "from 0 to 59"),
-        (["demo", "stack", "--seed", str(10**25)], f"from 0 to {2**63 - 1}"),
-        (["show", "pass", "--split", "free", "--index", str(10**22)], "from 0 to 92"),
-        (["show", "stack", "--split", "tset"], "Did you mean 'test'?"),
-        (["demo", "stack", "--robots", "ur5,ur1"], "Valid: ur5, ur10"),
-        (["demo", "stack", "--robots", "ur5"], "a team has 2"),
-        (["demo", "stack", "--seed", "-3"], "from 0 to 92"),
-        (["demo", "stack", "--seed", "3", "--index", "3"], "either"),
-        (["bench", "stack", "--episodes", "0"], "from 1 to 60"),
-        (["bench", "stack", "--workers", "0"], "--workers from 1"),
-    ],
-)
-def test_bad_input_is_explained(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(*words) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert message in captured.err
-    assert "Traceback" not in captured.err
-    assert captured.err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
     "words", [["swim"], ["show"], ["show", "stack", "--index", "three"]]
 )
 def test_arguments_that_cannot_be_parsed(words: list[str]) -> None:

@@ -163,18 +163,3 @@ def test_sub_instructions_are_printed(capsys: pytest.CaptureFixture[str]) -> Non
 def test_instructions_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("instructions", "pass", "--n", 3) == 0
     assert capsys.readouterr().out.count(f"{BENCHMARK_VERSION}/pass/train/") == 3
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("stak",), "Did you mean 'stack'?"),
-        (("stack", "--n", "0"), "from 1 up"),
-        (("stack", "--seed", "-1"), "from 0"),
-    ],
-)
-def test_bad_input_is_explained(
-    words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("instructions", *words) == 2
-    assert message in capsys.readouterr().err

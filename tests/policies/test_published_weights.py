@@ -131,17 +131,6 @@ def test_without_a_hub_the_command_is_named(
     assert "Did you mean 'small'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "words",
-    [["pull"], ["pull", "org/data"], ["pull", "org/data", "--weights", "small"]],
-)
-def test_pull_says_what_it_fetches(
-    words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(*words) == 2
-    assert "lemma pull" in capsys.readouterr().err
-
-
 def test_models_load_from_the_hub(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,18 +3,20 @@
 import os
 import subprocess
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 
 def python(
-    *words: object, folder: Path | None = None, **variables: str
+    *words: object,
+    folder: Path | None = None,
+    variables: Mapping[str, str] | None = None,
 ) -> "subprocess.CompletedProcess[str]":
     """Run Python with some words in a folder, and return how that ended."""
     return subprocess.run(
         [sys.executable, *map(str, words)],
         cwd=folder,
-        env={**os.environ, **variables},
+        env={**os.environ, **(variables or {})},
         capture_output=True,
         text=True,
         check=False,
@@ -25,7 +27,7 @@ def python(
 def told_without(packages: Collection[str], code: str) -> str:
     """Return what code prints where packages cannot be imported; it may not warn."""
     missing = f"import sys\nsys.modules.update(dict.fromkeys({packages!r}))\n"
-    path = os.pathsep.join(sys.path)
-    done = python("-W", "error", "-c", missing + code, PYTHONPATH=path)
+    path = {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = python("-W", "error", "-c", missing + code, variables=path)
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout

@@ -229,24 +229,3 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert run(*words, "--size", "80x60") == 0
     assert "0 were made by this run" in capsys.readouterr().out
     assert "map_height" in (out / "README.md").read_text()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--size", "640"), "640x480"),
-        (("--tasks", "stak"), "Did you mean 'stack'?"),
-        (("--form", "lerobot", "--fps", "30"), "10 is common"),
-        (("--workers", "0"), "1 or more"),
-    ],
-)
-def test_bad_input_is_explained(
-    words: tuple[str, ...],
-    message: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    out = tmp_path / "set"
-    assert run("render", recipe_folder(), "--out", out, *words) == 2
-    assert message in capsys.readouterr().err
-    assert not out.exists()
