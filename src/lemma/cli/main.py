@@ -17,9 +17,10 @@ from lemma.core.version import VERSION as __version__
 from lemma.core.version import extra_of
 
 VERBS = (
-    *("tasks", "play", "demo", "show", "doctor", "bench", "audit", "generate"),
-    *("replay", "inspect", "push-to-hub", "pull", "render", "instructions", "train"),
-    *("evaluate", "serve", "verify", "compare", "report", "reproduce"),
+    *("tasks", "play", "demo", "show", "schedule", "doctor", "bench", "audit"),
+    *("generate", "replay", "inspect", "push-to-hub", "pull", "render"),
+    *("instructions", "train", "evaluate", "serve", "verify"),
+    *("compare", "report", "reproduce"),
 )
 """The verbs, in the order of the help.
 

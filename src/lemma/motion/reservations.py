@@ -177,6 +177,11 @@ class Reservations:
             if name != but and (cells & other.cells).any()
         )
 
+    def is_going_home(self, robot: str) -> bool:
+        """Whether an arm has no more work in its sub-task, and does not wait."""
+        held = self._holders.get(robot)
+        return held is not None and held.goes_home and robot not in self.waits
+
     def ask_for_home(self, robot: str) -> bool:
         """Reserve an arm's way home, which whoever holds a sector has already."""
         if robot not in self._holders:
