@@ -16,7 +16,7 @@ from lemma.core.workers.pool import ProcessPool
 from lemma.env.episode import Episode
 from lemma.evaluation.protocol.schedules import SCHEDULED_SPLIT, SCHEDULES, jobs_of
 from lemma.expert.together import solve_together
-from lemma.planning.schedule import Job, in_order, least_makespan
+from lemma.planning.schedule import Job, Schedule, in_order, least_makespan
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.names import SUITES
 from lemma.tasks.subtask import SubTask
@@ -41,15 +41,23 @@ def schedule_one(instance: Instance) -> tuple[str, float]:
     planned = tuple(job.subtask.robot for job in jobs)
     if found is None or not found.is_optimal or found.robots != planned:
         raise SamplingError(f"The least makespan of {instance.key} is not known.")
-    again = in_order(jobs, found.order)
-    if again.makespan_s != found.makespan_s or again.faults():
-        raise SamplingError(f"The order of {instance.key} does not say its times.")
+    order = next((o for stage in (0, 1) if _says(found, o := found.order(stage))), None)
+    if order is None:
+        raise SamplingError(f"No order of {instance.key} says its times.")
     orders = {_by_robot(order): order for order in (found.steps, plan_of(jobs))}
     times = [seconds for o in orders.values() if (seconds := _executed_s(instance, o))]
     if not times:
         raise SamplingError(f"No schedule of {instance.key} can be carried out.")
-    order = "".join("0123456789abcdefghijklmnopqrstuvwxyz"[k] for k in found.order)
-    return order, round(min(times), 2)
+    return "".join(map(str, order)), round(min(times), 2)
+
+
+def _says(schedule: Schedule, order: tuple[int, ...]) -> bool:
+    """Whether the times of a schedule follow from an order of its sub-tasks."""
+    needs = [(k, m) for m, job in enumerate(schedule.jobs) for k in job.needs]
+    if any(order.index(k) > order.index(m) for k, m in needs):
+        return False
+    again = in_order(schedule.jobs, order)
+    return again.makespan_s == schedule.makespan_s and not again.faults()
 
 
 def plan_of(jobs: tuple[Job, ...]) -> tuple[SubTask, ...]:

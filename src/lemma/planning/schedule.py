@@ -89,16 +89,20 @@ class Schedule:
         """Whether it is known to be of least makespan, as the solver says it."""
         return "optimal" if self.is_optimal else "feasible"
 
-    @property
-    def order(self) -> tuple[int, ...]:
-        """The sub-tasks in the order of their effects: each after all that it needs."""
-        return tuple(sorted(range(len(self.jobs)), key=lambda k: (self.at(k, 2), k)))
+    def order(self, stage: int = 2) -> tuple[int, ...]:
+        """Return the sub-tasks in the order in which they get to a stage.
+
+        Args:
+            stage: See :meth:`at`. By default the effect, which each has after all that
+                it needs.
+        """
+        return tuple(sorted(range(len(self.jobs)), key=lambda k: self.at(k, stage)))
 
     @property
     def steps(self) -> tuple[SubTask, ...]:
-        """The plan in that order, with the robots of the schedule."""
+        """The plan in the order of effects, with the robots of the schedule."""
         return tuple(
-            replace(self.jobs[k].subtask, robot=self.robots[k]) for k in self.order
+            replace(self.jobs[k].subtask, robot=self.robots[k]) for k in self.order()
         )
 
     @property
@@ -167,7 +171,7 @@ class Schedule:
         path = [max(range(len(self.jobs)), key=lambda k: self.at(k, 3))]
         while self.starts[path[0]] > 0:
             before = next(
-                (k for k in self.order if k not in path and self._holds_up(k, path[0])),
+                (k for k in self.order() if k not in path and self._holds_up(k, path[0])),
                 None,
             )
             if before is None:

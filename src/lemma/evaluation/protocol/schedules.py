@@ -60,7 +60,7 @@ def schedule_of(instance: Instance) -> Schedule:
     found = least_makespan(jobs) if frozen is None else None
     if frozen is not None:
         # Every schedule of the table is optimal, or it would not have been written.
-        order = tuple(int(digit, 36) for digit in frozen)
+        order = tuple(map(int, frozen))
         found = in_order(jobs, order, is_optimal=True)
     if found is None:
         raise SamplingError(f"No schedule of {instance.key} was found.")
