@@ -16,7 +16,8 @@ from lemma.core.workers.pool import ProcessPool
 from lemma.env.episode import Episode
 from lemma.evaluation.protocol.schedules import SCHEDULED_SPLIT, SCHEDULES, jobs_of
 from lemma.expert.together import solve_together
-from lemma.planning.schedule import Job, Schedule, in_order, least_makespan
+from lemma.planning.least_makespan import least_makespan
+from lemma.planning.schedule import Job, Schedule, in_order
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.names import SUITES
 from lemma.tasks.subtask import SubTask

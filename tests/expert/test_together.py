@@ -15,14 +15,15 @@ from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
 from lemma.env.simulation import Ended, Simulation
 from lemma.evaluation.run.watches import ClearanceWatch
-from lemma.expert.together import predecessors, solve_together
+from lemma.expert.together import solve_together
 from lemma.motion.arm_motion import largest_turn
 from lemma.motion.reservations import cell_at
+from lemma.planning.schedule import predecessors
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
 from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
-from lemma.tasks.suite import SUITE
+from lemma.tasks.suite import SUITE, load_instance
 
 ALONE = tuple(task for task in SUITE if task not in ("pass2", "stack2"))
 
@@ -58,19 +59,35 @@ def test_a_sub_task_depends_on_earlier_ones_about_the_same_objects() -> None:
         SubTask("robot_1", Primitive.MOVE, "blue_cube", "red_cube"),
     ]
     needs = predecessors(steps, ("shared",))
-    assert [set(of) for of in needs] == [set(), set(), {0}, {0, 1, 2}]
+    assert needs == ({}, {}, {0: "pick"}, {0: "place", 1: "pick", 2: "place"})
 
 
 @pytest.mark.parametrize("task", slow_but(ALONE, "pass"))
-def test_plans_in_which_nothing_is_parallel_give_the_same_state(task: str) -> None:
+def test_robots_that_begin_one_after_the_other_give_the_same_state(task: str) -> None:
     instance = first_instance(task, "ur5+ur10")
     one_by_one, _, _, _ = run_expert(instance)
     episode = Episode(instance)
-    for _ in solve_together(episode):
-        pass
+    for done in one_by_one.executed:
+        episode.begin(done.grounded)
+        while episode.simulation.busy:
+            episode.advance(episode.simulation.time_s + 0.05)
+    episode.stop()
     assert episode.is_success
     found = episode.simulation.scene.state_hash()
     assert found == one_by_one.simulation.scene.state_hash()
+
+
+def test_a_robot_begins_when_what_it_needs_is_there() -> None:
+    """In a relay nothing is parallel but the way home of the one before."""
+    instance = load_instance("relay", "test", 0)
+    episode = Episode(instance)
+    watch = watch_sectors(episode.simulation)
+    steps = list(solve_together(episode))
+    assert episode.is_success
+    ends = [step.start_s + step.result.duration_s for step in steps]
+    starts = [step.start_s for step in steps]
+    assert all(start < end - 0.5 for start, end in zip(starts[1:], ends, strict=False))
+    assert watch.least_m > 0.05
 
 
 @pytest.mark.parametrize("task", slow_but(("pass2", "stack2"), "stack2"))

@@ -6,7 +6,6 @@ from dataclasses import replace
 from itertools import permutations, product
 
 import pytest
-from allocation import allocate, pose_problem
 from recorded_episodes import first_instance
 from small_tables import cube, facing, pad
 from tiers import slow_but
@@ -66,21 +65,6 @@ def test_a_plan_is_a_chain_that_ends_in_the_goal(task: str) -> None:
         assert plan.duration_s < 100.0
         for top, bottom in instance.goal.pairs:
             assert now.supports[top] == bottom
-
-
-@pytest.mark.parametrize("task", SUITE)
-def test_who_does_what_is_the_exact_allocation(task: str) -> None:
-    """Given the plan's sub-tasks without their robots, the solver names the same."""
-    for index in TEN:
-        instance = load_instance(task, "test", index)
-        now, grounder, plan = planned(instance)
-        utilities, durations = pose_problem(now, plan, instance.goal, grounder)
-        chosen = allocate(utilities, durations, 100.0)
-        assert chosen is not None
-        robots = [tuple(grounder.robots)[robot] for robot in chosen]
-        assert robots == [subtask.robot for subtask in plan.subtasks]
-        worth = sum(utilities[robot, m] for m, robot in enumerate(chosen))
-        assert worth == pytest.approx(plan.utility)
 
 
 # --- Highest utility ---------------------------------------------------------------

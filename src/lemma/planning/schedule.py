@@ -1,11 +1,11 @@
 """Schedules: which robot does each sub-task of a plan, and when.
 
 A sub-task takes its predicted time tau. After :data:`PICKED` of it the hand has risen
-with what it picked, after :data:`PLACED` it has let go and goes home. A sub-task begins
-when what it touches has been put down, and reaches its place when what it puts things
-on is there. A robot does one thing at a time. Two stages of different robots, picking or
-placing, exclude each other where the lines from base to hand come nearer than
-:data:`APART_M`: the sectors that the arms reserve would overlap.
+with what it picked, after :data:`PLACED` it has let go and goes home. A sub-task
+begins when what it touches has been put down, and reaches its place when what it puts
+things on is there. A robot does one thing at a time. Two stages of different robots,
+picking or placing, exclude each other where the lines from base to hand come nearer
+than :data:`APART_M`: the sectors that the arms reserve would overlap.
 
 The least makespan is the paper's allocation with times: binary v says who does what,
 each sub-task once, sum tau v <= T_max, and among the schedules of least makespan that
@@ -15,7 +15,6 @@ of the highest utility sum u v.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any
 
 from lemma.core.poses import Pose2
@@ -35,9 +34,8 @@ APART_M = 2 * MARGIN_M
 """Least distance between the lines from base to hand of two arms at work [m]."""
 HORIZON_S = 100.0
 """T_max: largest summed duration (paper, section IV) [s]."""
-_CS = 100
+CS = 100
 """Times are whole hundredths of a second while they are compared."""
-_WORTH = 10_000
 _STAGES = (0, 1)
 """Picking and placing; each ends when the next one begins."""
 
@@ -62,10 +60,10 @@ class Job:
     lines: Mapping[str, tuple[Line, Line]]
     """By robot: from its base to its hand, as it picks and as it places."""
 
-    def times(self, robot: str) -> tuple[int, int, int, int]:
+    def times(self, robot: str) -> tuple[int, ...]:
         """Return begin, picked, effect and end, from its beginning [1/100 s]."""
         tau = self.options[robot].duration_s
-        return (0, *(round(_CS * part * tau) for part in (PICKED, PLACED, 1.0)))
+        return (0, *(round(CS * part * tau) for part in (PICKED, PLACED, 1.0)))
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ class Schedule:
     @property
     def makespan_s(self) -> float:
         """When the last sub-task ends [s]."""
-        return max((self.at(k, 3) for k in range(len(self.jobs))), default=0) / _CS
+        return max((self.at(k, 3) for k in range(len(self.jobs))), default=0) / CS
 
     @property
     def sequential_s(self) -> float:
@@ -116,7 +114,7 @@ class Schedule:
         total = 0
         for job, robot in zip(self.jobs, self.robots, strict=True):
             total += job.times(robot)[3]
-        return total / _CS
+        return total / CS
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for JSON, in the way of flexible job shops.
@@ -135,7 +133,7 @@ class Schedule:
                     "pick": sub.pick,
                     "place": sub.place,
                     "duration_s": {
-                        robot: job.times(robot)[3] / _CS for robot in job.options
+                        robot: job.times(robot)[3] / CS for robot in job.options
                     },
                     "needs": {str(i): why for i, why in job.needs.items()},
                     "excludes": [
@@ -144,11 +142,11 @@ class Schedule:
                         for i in _STAGES
                         for other in _STAGES
                         if self.robots[k] != self.robots[m]
-                        and _are_near(self.stays(m)[i][2], self.stays(k)[other][2])
+                        and are_near(self.stays(m)[i][2], self.stays(k)[other][2])
                     ],
                 }
             )
-            times = [self.at(m, stage) / _CS for stage in range(4)]
+            times = [self.at(m, stage) / CS for stage in range(4)]
             schedule.append({"robot": self.robots[m], "times_s": times})
         return {
             "jobs": jobs,
@@ -171,7 +169,11 @@ class Schedule:
         path = [max(range(len(self.jobs)), key=lambda k: self.at(k, 3))]
         while self.starts[path[0]] > 0:
             before = next(
-                (k for k in self.order() if k not in path and self._holds_up(k, path[0])),
+                (
+                    k
+                    for k in self.order()
+                    if k not in path and self._holds_up(k, path[0])
+                ),
                 None,
             )
             if before is None:
@@ -186,12 +188,16 @@ class Schedule:
         follows = same and self.at(k, 3) == self.starts[m]
         stage = {"pick": 0, "place": 1}.get(job.needs.get(k, ""))
         needed = stage is not None and self.at(k, 2) == self.at(m, stage)
-        return follows or needed or (
-            not same
-            and any(
-                came == left and _are_near(line, other)
-                for came, _, line in self.stays(m)
-                for _, left, other in self.stays(k)
+        return (
+            follows
+            or needed
+            or (
+                not same
+                and any(
+                    came == left and are_near(line, other)
+                    for came, _, line in self.stays(m)
+                    for _, left, other in self.stays(k)
+                )
             )
         )
 
@@ -212,7 +218,7 @@ class Schedule:
                 if same and _meet(*(self.at(i, e) for i in (k, m) for e in (0, 3))):
                     found.append(f"{self.robots[m]} does {k} and {m} at once")
                 clash = any(
-                    _meet(*stay, *other) and _are_near(line, line_of_other)
+                    _meet(*stay, *other) and are_near(line, line_of_other)
                     for *stay, line in self.stays(k)
                     for *other, line_of_other in self.stays(m)
                 )
@@ -226,7 +232,7 @@ def _meet(a: int, b: int, c: int, d: int) -> bool:
     return a < d and c < b
 
 
-def _are_near(one: Line, another: Line) -> bool:
+def are_near(one: Line, another: Line) -> bool:
     """Whether two arms at work keep each other away."""
     for line, other in ((one, another), (another, one)):
         if any(_distance_m(end, other) < APART_M for end in line):
@@ -339,7 +345,7 @@ def in_order(
             if who[k] != who[m]
             for entered, left, line in schedule.stays(k)
             for i in _STAGES
-            if _are_near(lines[i], line)
+            if are_near(lines[i], line)
         ]
         first = _after_others(times, first, others)
         starts[m] = first
@@ -370,73 +376,3 @@ def _after_others(
         if later == first:
             return first
         first = later
-
-
-def least_makespan(jobs: Sequence[Job], limit_s: float = 10.0) -> Schedule | None:
-    """Return a schedule of least makespan, and of those one of highest utility.
-
-    Args:
-        jobs: The sub-tasks.
-        limit_s: How long the solver may look, each of two times [s].
-
-    Returns:
-        The schedule; None where the solver finds none, such as where the sub-tasks take
-        longer than T_max.
-
-    Raises:
-        ImportError: OR-Tools is missing, the extra ``schedule``.
-    """
-    from ortools.sat.python import cp_model
-
-    model, late = cp_model.CpModel(), round(_CS * HORIZON_S)
-    # Of each sub-task: begin, picked, effect, end.
-    at = [[model.new_int_var(0, late, "") for _ in range(4)] for _ in jobs]
-    who: list[dict[str, Any]] = []
-    busy: dict[str, list[Any]] = {}
-    stays: list[tuple[int, str, Line, Any]] = []
-    taken, worth = [], []
-    for m, (job, stages) in enumerate(zip(jobs, at, strict=True)):
-        who.append({robot: model.new_bool_var("") for robot in job.options})
-        model.add_exactly_one(who[-1].values())
-        for robot, here in who[-1].items():
-            times = job.times(robot)
-            for stage, time in zip(stages, times, strict=True):
-                model.add(stage == stages[0] + time).only_enforce_if(here)
-            spans = [
-                model.new_optional_interval_var(
-                    stages[i], times[k] - times[i], stages[k], here, ""
-                )
-                for i, k in ((0, 3), (0, 1), (1, 2))
-            ]
-            busy.setdefault(robot, []).append(spans[0])
-            for line, span in zip(job.lines[robot], spans[1:], strict=True):
-                stays.append((m, robot, line, span))
-            taken.append(times[3] * here)
-            worth.append(round(_WORTH * job.utilities[robot]) * here)
-    for of_one in busy.values():
-        model.add_no_overlap(of_one)
-    for (m, robot, line, span), (k, other, too, span_too) in combinations(stays, 2):
-        if m != k and robot != other and _are_near(line, too):
-            model.add_no_overlap((span, span_too))
-    for m, job in enumerate(jobs):
-        for k, why in job.needs.items():
-            model.add(at[m][0 if why == "pick" else 1] >= at[k][2])
-    model.add(cp_model.LinearExpr.sum(taken) <= late)
-    makespan = model.new_int_var(0, late, "")
-    model.add_max_equality(makespan, [stages[3] for stages in at])
-    solver = cp_model.CpSolver()
-    solver.parameters.max_time_in_seconds = limit_s
-    solver.parameters.num_workers = 1
-    model.minimize(makespan)
-    status = solver.solve(model)
-    if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
-        return None
-    model.add(makespan <= solver.value(makespan))
-    model.maximize(cp_model.LinearExpr.sum(worth))
-    solver.solve(model)
-    robots = tuple(
-        next(robot for robot, here in chosen.items() if solver.value(here))
-        for chosen in who
-    )
-    starts = tuple(solver.value(stages[0]) for stages in at)
-    return Schedule(tuple(jobs), robots, starts, status == cp_model.OPTIMAL)

@@ -2,8 +2,8 @@
 
 A small table in the package, made by ``python scripts/schedules.py``: for each test
 instance of the suite ``teams``, of pass2 and of stack2 the order of the sub-tasks in
-the schedule of least makespan, and how long the executed oracle takes. The sub-tasks are
-those of the planner, and the times of the schedule follow from the order.
+the schedule of least makespan, and how long the executed oracle takes. The sub-tasks
+are those of the planner, and the times of the schedule follow from the order.
 """
 
 import gzip
@@ -19,13 +19,7 @@ from lemma.core.seeding import ordered_sum
 from lemma.env.simulation import Simulation
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
-from lemma.planning.schedule import (
-    Job,
-    Schedule,
-    in_order,
-    least_makespan,
-    pose_jobs,
-)
+from lemma.planning.schedule import Job, Schedule, in_order, pose_jobs
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.instance import Instance
 
@@ -57,11 +51,13 @@ def schedule_of(instance: Instance) -> Schedule:
             ``schedule``.
     """
     jobs, frozen = jobs_of(instance), _entry(instance, "order")
-    found = least_makespan(jobs) if frozen is None else None
     if frozen is not None:
         # Every schedule of the table is optimal, or it would not have been written.
-        order = tuple(map(int, frozen))
-        found = in_order(jobs, order, is_optimal=True)
+        return in_order(jobs, tuple(map(int, frozen)), is_optimal=True)
+    # OR-Tools is an extra.
+    from lemma.planning.least_makespan import least_makespan  # noqa: PLC0415
+
+    found = least_makespan(jobs)
     if found is None:
         raise SamplingError(f"No schedule of {instance.key} was found.")
     return found
