@@ -7,7 +7,9 @@ of the evaluation bank, and the sentences of that bank that are none
 (``tests/policies/sentences/refusals.toml``); each with random colors, on a table with
 up to three distractors. Printed are readings that are right, wrong or refused, then
 certainty against how often it is right, and the expected calibration error.
-``--fit`` prints the temperature that suits the lines kept from training, and voices.
+``--fit`` prints the temperature that suits the lines kept from training, and voices;
+``--kept`` reads these instead of the evaluation bank and templates, so that one can
+choose by them.
 ``--as-before`` refuses as the page did when readers could not: below 50 % and after
 "not".
 """
@@ -96,6 +98,12 @@ def asked(bank: RefusalBank, draws: int) -> Iterator[Said]:
                 yield Said(group, bank.render(line, rng, goal), goal)
 
 
+def kept(draws: int) -> list[Said]:
+    """Return what options are chosen by: lines kept from training, and voices."""
+    said = [one for one in orders(draws) if one.group == "voices"]
+    return [*said, *asked(refusal_bank(kept=True), draws)]
+
+
 def answers(reader: GoalReader, said: list[Said], *, as_before: bool) -> Answers:
     """Return what a reader makes of sentences on random tables."""
     rng = stream("refusals", "tables")
@@ -175,8 +183,7 @@ def report(said: list[Said], found: Answers) -> None:
 
 def fitted(reader: GoalReader) -> float:
     """Return the temperature that makes kept lines and voices likeliest."""
-    said = [one for one in orders(4) if one.group == "voices"]
-    said += list(asked(refusal_bank(kept=True), 12))
+    said = kept(12)
     config, best = reader.config, (np.inf, 1.0)
     for value in np.arange(0.6, 4.05, 0.1).tolist():
         reader.config = replace(config, temperature=value)
@@ -197,6 +204,9 @@ def main() -> None:
     parser.add_argument("--temperature", type=float)
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--as-before", action="store_true")
+    parser.add_argument(
+        "--kept", action="store_true", help="lines kept from training, and voices alone"
+    )
     parser.add_argument("--blind", action="store_true", help="blind orders, unlisted")
     parser.add_argument("--list", action="store_true", help="print what is wrong")
     options = parser.parse_args()
@@ -213,8 +223,12 @@ def main() -> None:
         value = fitted(reader)
         print(f"temperature {value:.1f}")
         reader.config = replace(reader.config, temperature=value)
-    bank = RefusalBank.of(tomllib.loads(BANK.read_text(encoding="utf-8")))
-    said = [*orders(options.draws, blind=options.blind), *asked(bank, options.draws)]
+    if options.kept:
+        said = kept(options.draws)
+    else:
+        bank = RefusalBank.of(tomllib.loads(BANK.read_text(encoding="utf-8")))
+        said = [*orders(options.draws, blind=options.blind)]
+        said += asked(bank, options.draws)
     found = answers(reader, said, as_before=options.as_before)
     report(said, found)
     if options.list:

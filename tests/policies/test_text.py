@@ -48,6 +48,19 @@ def test_typing_errors_are_put_right_and_real_words_are_left_alone() -> None:
         assert known.number(word) == UNKNOWN
 
 
+def test_the_nearest_of_all_words_is_found() -> None:
+    known, rng = Vocabulary(word_vectors().words), stream("typing errors")
+    for _ in range(40):
+        letters = list(known.words[int(rng.integers(len(known.words)))])
+        at = int(rng.integers(len(letters)))
+        letters[at : at + 2] = [*"zq"][: int(rng.integers(3))]
+        word = "".join(letters)
+        if (found := known.corrected(word)) != word:
+            others = (each for each in known.words if len(each) > 2)
+            least = min(edit_distance(word, each) for each in others)
+            assert edit_distance(word, found) == least
+
+
 def test_words_of_templates_and_rules_have_numbers_of_their_own() -> None:
     known = Vocabulary()
     told = {*vocabulary(), *grammar().words}

@@ -100,6 +100,22 @@ def test_it_overfits_one_episode(expert: ReachNet) -> None:
             assert math.dist(pose.xy, wanted[:2].tolist()) < 0.02
 
 
+@pytest.mark.parametrize(("lessons", "count"), [(0.0, 0), (0.15, 1), (0.9, 4)])
+def test_lessons_for_the_reader_come_behind_the_instructions(
+    lessons: float, count: int
+) -> None:
+    model, batch = tiny(), drawn_batch(4)
+    model.reader.config = replace(model.reader.config, lessons=lessons)
+    told = model.told(batch)
+    assert len(told["goal"]) == len(told["reasons"]) == 4 + count
+    assert told["words"].shape[1] == 4 + count
+    assert (told["reasons"][:4] == -1).all()
+    ((top, bottom),) = batch.labels.goals[0] if batch.labels else ()
+    assert told["goal"][0, 0].tolist() == [
+        batch.entities.number(name) for name in (top, bottom)
+    ]
+
+
 def test_it_says_why_it_decides(novice: ReachNet) -> None:
     inputs = inputs_of(drawn_batch(3))
     read = [found.goal for found in novice.understand(inputs)]

@@ -113,6 +113,8 @@ class Vocabulary:
         self.numbers = {word: i for i, word in enumerate(self.words, UNKNOWN + 1)}
         self.colors = tuple(self.numbers[color] for color in BENCHMARK_COLORS)
         self._english = frozenset(english)
+        long = [word for word in self.words if len(word) >= _SHORTEST - 1]
+        self._long = tuple((word, _letters(word)) for word in long)
         self.corrected = lru_cache(maxsize=65536)(self._corrected)
 
     def __len__(self) -> int:
@@ -133,14 +135,24 @@ class Vocabulary:
         if len(word) < (_SHORTEST - 1 if self._english else _SHORTEST):
             return word
         limit = 1 if len(word) <= _SHORT else 2
+        letters = _letters(word)
         near = [
             (distance, known[0] != word[0], known)
-            for known in self.words
-            if abs(len(known) - len(word)) <= limit
-            and len(known) >= _SHORTEST - 1
+            for known, theirs in self._long
+            # An error changes two letters at most; this is quickly seen.
+            if (letters ^ theirs).bit_count() <= 2 * limit
+            and abs(len(known) - len(word)) <= limit
             and (distance := edit_distance(word, known)) <= limit
         ]
         return min(near)[2] if near else word
+
+
+def _letters(word: str) -> int:
+    """Return the letters of a word as bits of a number."""
+    found = 0
+    for letter in word:
+        found |= 1 << (ord(letter) & 31)
+    return found
 
 
 def edit_distance(a: str, b: str) -> int:

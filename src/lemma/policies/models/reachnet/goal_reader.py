@@ -70,6 +70,9 @@ class ReaderConfig:
     nothing: for a reader that is taught without sentences."""
     refuses: bool = True
     """Whether it can say that a sentence is no order, and why."""
+    lessons: Share = 0.15
+    """Sentences for the reader alone, for each frame of a batch of training: some that
+    are no orders, and orders that look like them. For a reader that refuses."""
     refuse_from: Share = 0.7
     """How likely a sentence must be no order for the policy to stop."""
     temperature: Temperature = 1.0

@@ -17,8 +17,6 @@ from lemma.policies.models.reachnet.goal_reader import (
 )
 from lemma.policies.text.refusals import REASONS, refusal_bank
 
-_BESIDE = 0.15
-"""Sentences that only the reader learns from, for each frame of a batch."""
 WHY = tuple(REASONS.values())
 """Why a sentence is refused, in words, by the number of the reason."""
 
@@ -30,7 +28,7 @@ def lesson(reader: GoalReader, batch: Batch, device: torch.device) -> dict[str, 
     the number of the reason, and orders that look like them.
 
     Args:
-        reader: Its options say whether it refuses.
+        reader: Its options say whether it refuses, and how many such sentences come.
         batch: With labels.
         device: Where the result lies.
 
@@ -44,7 +42,8 @@ def lesson(reader: GoalReader, batch: Batch, device: torch.device) -> dict[str, 
     if reader.config.refuses and not reader.config.guesses:
         # Drawn from what is said, which is a function of the step.
         rng, bank = stream("refusals", *batch.instructions), refusal_bank()
-        said += [bank.draw(rng) for _ in range(math.ceil(_BESIDE * len(batch)))]
+        count = math.ceil(reader.config.lessons * len(batch))
+        said += [bank.draw(rng) for _ in range(count)]
     texts, goals, reasons = map(list, zip(*said, strict=True))
     return {
         "goal": goal_numbers(goals, device, batch.entities),
