@@ -3,12 +3,13 @@
 lemma --plugin examples/14_write_an_attack.py audit --attacks set_down_near
 """
 
-from lemma.audit.attack import ATTACKS, Attack
+from lemma.audit.attack import attack
 from lemma.audit.run import audit_instance
 from lemma.audit.skill_trial import SkillTrial
 from lemma.tasks.suite import load_instance
 
 
+@attack("skill", cheap=True)
 def set_down_near(trial: SkillTrial) -> None:
     """Sets every cube down as near to its goal as the arm allows."""
     goal = trial.goal.conjuncts
@@ -18,8 +19,6 @@ def set_down_near(trial: SkillTrial) -> None:
         radius_m = min(trial.radius(bottom), trial.reach.travel_m - 0.001)
         trial.move(trial.pose(on.top), trial.at(radius_m, trial.outward(bottom)))
 
-
-ATTACKS.add("set_down_near", Attack(set_down_near, "skill", cheap=True))
 
 if __name__ == "__main__":
     for index in range(3):

@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 
 import lemma
+import lemma.audit.run
+from lemma.audit.attack import ATTACKS, attack
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.registry import Registry, fits
+from lemma.tasks.library import task
+from lemma.tasks.suite import TASKS
 
 
 @pytest.fixture
@@ -49,6 +53,32 @@ def test_a_name_of_another_module_is_not_taken(colors: Registry[int]) -> None:
     with pytest.raises(InvalidConfigError, match=f"'red' is already .*{__name__}"):
         add_from("somebody", colors, "red", 4)
     assert colors["red"] == 1
+
+
+@pytest.mark.parametrize(
+    ("registry", "shipped", "source"),
+    [
+        (ATTACKS, "greedy_skills", "attack('skill')(greedy_skills)"),
+        (
+            TASKS,
+            "relay",
+            "task('relay', 'Mine.', subtasks=1, distractors=(0, 0))(relay)",
+        ),
+    ],
+)
+def test_a_decorator_takes_no_name_of_another_module(
+    registry: Registry[Any], shipped: str, source: str
+) -> None:
+    before = registry[shipped]
+
+    def mine(placer: object) -> None:
+        """Do nothing."""
+
+    mine.__name__ = shipped
+    names = {"attack": attack, "task": task, shipped: mine, "__name__": "somebody"}
+    with pytest.raises(InvalidConfigError, match=f"'{shipped}' is already .* lemma"):
+        exec(source, names)
+    assert registry[shipped] is before
 
 
 def test_a_module_replaces_its_own_with_a_warning(colors: Registry[int]) -> None:

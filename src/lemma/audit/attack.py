@@ -15,7 +15,7 @@ from lemma.audit.control_trial import ControlTrial
 from lemma.audit.skill_trial import SkillTrial
 from lemma.core.arguments import known, real, whole
 from lemma.core.errors import InvalidConfigError
-from lemma.core.registry import Registry
+from lemma.core.registry import Registry, calling_module
 from lemma.env.simulation import HORIZON_S
 
 TRIALS: dict[str, type[SkillTrial] | type[ControlTrial]] = {
@@ -103,9 +103,11 @@ def attack(level: str, **record: Any) -> Callable[[P], P]:
         level: ``"skill"`` or ``"control"``.
         record: Further fields of :class:`Attack`.
     """
+    module = calling_module()
 
     def add(play: P) -> P:
-        ATTACKS.add(play.__name__, Attack(play, level, **record))
+        made = Attack(play, level, **record)
+        ATTACKS.add(play.__name__, made, module=module)
         return play
 
     return add

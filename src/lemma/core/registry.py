@@ -45,7 +45,9 @@ class Registry(Generic[T]):
         self._records: dict[str, T] = {}
         self._added_by: dict[str, str] = {}
 
-    def add(self, name: str, record: T, *, replace: bool = False) -> T:
+    def add(
+        self, name: str, record: T, *, replace: bool = False, module: str | None = None
+    ) -> T:
         """Add a record and return it.
 
         A module may add a name of its own again, as when a notebook's cell is run
@@ -55,6 +57,7 @@ class Registry(Generic[T]):
             name: Name to look the record up by.
             record: The record; its own ``name``, if it has one, must be the same.
             replace: Replace a record of another module, without a warning.
+            module: Module that the name belongs to; the caller's if None.
 
         Raises:
             InvalidConfigError: The name is taken, is not the record's own or cannot be
@@ -66,7 +69,9 @@ class Registry(Generic[T]):
             raise InvalidConfigError(
                 f"The {self._kind} {own!r} cannot be added as {name!r}. Use one name."
             )
-        module = sys._getframe(1).f_globals.get("__name__", "")
+        # A decorator that says whose a name is stands between.
+        level = 2 if module is None else 3
+        module = calling_module() if module is None else module
         if name in self._records and not replace:
             if module != self._added_by[name]:
                 raise InvalidConfigError(
@@ -75,7 +80,7 @@ class Registry(Generic[T]):
                     "replace=True."
                 )
             warnings.warn(
-                f"The {self._kind} {name!r} is replaced by a new one.", stacklevel=2
+                f"The {self._kind} {name!r} is replaced by a new one.", stacklevel=level
             )
         if self._on_add is not None:
             self._on_add(name, record)
@@ -115,6 +120,12 @@ class Registry(Generic[T]):
     def __len__(self) -> int:
         """Return the number of records."""
         return len(self._records)
+
+
+def calling_module() -> str:
+    """Return the module from which the function that asks was called."""
+    name: str = sys._getframe(2).f_globals.get("__name__", "")
+    return name
 
 
 def check_fields(kind: str, name: str, record: Any) -> None:

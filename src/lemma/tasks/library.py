@@ -16,6 +16,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from lemma.core.registry import calling_module
 from lemma.tasks.goal import Goal, Lifted, On, Reached
 from lemma.tasks.language.bank import bank_for
 from lemma.tasks.names import RUNGS, rung_task
@@ -37,6 +38,7 @@ def task(name: str, summary: str, **record: Any) -> Callable[[_Arrange], _Arrang
         summary: One sentence for people.
         record: Further fields of :class:`~lemma.tasks.task.Task`.
     """
+    module = calling_module()
 
     def add(arrange: _Arrange) -> _Arrange:
         made = Task(
@@ -46,7 +48,7 @@ def task(name: str, summary: str, **record: Any) -> Callable[[_Arrange], _Arrang
             language=bank_for(name),
             **record,
         )
-        TASKS.add(name, made)
+        TASKS.add(name, made, module=module)
         return arrange
 
     return add
