@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from lemma.env.control_env import ControlEnv
     from lemma.env.learning.parallel_env import LemmaParallelEnv
     from lemma.env.skill_env import SkillEnv
+    from lemma.env.team.team_env import TeamPlanEnv, TeamSkillEnv
     from lemma.expert.plan_env import PlanEnv
 
 LEVELS = {
@@ -21,6 +22,12 @@ LEVELS = {
     "plan": "lemma.expert.plan_env:PlanEnv",
 }
 """The environment of each level of action."""
+TOGETHER = {
+    "skill": "lemma.env.team.team_env:TeamSkillEnv",
+    "plan": "lemma.env.team.team_env:TeamPlanEnv",
+}
+"""The same where several robots act at once."""
+ACTING = ("turns", "together")
 
 
 def register_environments() -> None:
@@ -51,19 +58,53 @@ def make(
     task: str,
     *,
     level: Literal["skill"],
+    acting: Literal["turns"] = "turns",
     render_mode: str | None = None,
     **options: Any,
 ) -> "SkillEnv": ...
 @overload
 def make(
-    task: str, *, level: Literal["plan"], render_mode: str | None = None, **options: Any
+    task: str,
+    *,
+    level: Literal["plan"],
+    acting: Literal["turns"] = "turns",
+    render_mode: str | None = None,
+    **options: Any,
 ) -> "PlanEnv": ...
 @overload
 def make(
-    task: str, *, level: str, render_mode: str | None = None, **options: Any
+    task: str,
+    *,
+    level: Literal["skill"],
+    acting: Literal["together"],
+    render_mode: str | None = None,
+    **options: Any,
+) -> "TeamSkillEnv": ...
+@overload
+def make(
+    task: str,
+    *,
+    level: Literal["plan"],
+    acting: Literal["together"],
+    render_mode: str | None = None,
+    **options: Any,
+) -> "TeamPlanEnv": ...
+@overload
+def make(
+    task: str,
+    *,
+    level: str,
+    acting: str = "turns",
+    render_mode: str | None = None,
+    **options: Any,
 ) -> "LemmaEnv": ...
 def make(
-    task: str, *, level: str = "control", render_mode: str | None = None, **options: Any
+    task: str,
+    *,
+    level: str = "control",
+    acting: str = "turns",
+    render_mode: str | None = None,
+    **options: Any,
 ) -> "LemmaEnv":
     """Make an environment, without Gymnasium's wrappers.
 
@@ -72,6 +113,8 @@ def make(
             your own.
         level: ``"control"`` for commands to motors, ``"skill"`` for grounded sub-tasks,
             ``"plan"`` for symbolic ones.
+        acting: ``"turns"``: one sub-task at a time; ``"together"``, at the levels of
+            sub-tasks: orders to all free robots (:mod:`lemma.env.team.team_env`).
         render_mode: ``"rgb_array"`` to render, or None.
         **options: Fields of :class:`lemma.env.config.EnvConfig`.
 
@@ -79,14 +122,23 @@ def make(
         UnknownNameError: No such task, level, option, or value of an option.
         InvalidConfigError: An option has an impossible value.
     """
-    import_module("lemma.core.arguments").known("level", level, LEVELS)
+    known = import_module("lemma.core.arguments").known
+    known("level", level, LEVELS)
+    known("acting", acting, ACTING)
+    if acting == "together" and level not in TOGETHER:
+        raise import_module("lemma.core.errors").InvalidConfigError(
+            'acting="together" is for level="skill" and "plan". At control level all '
+            "robots are commanded at once anyway."
+        )
     tasks = import_module("lemma.tasks.suite").TASKS
     by_id = {gym_id(name): name for name in tasks}
     known_task = by_id.get(task, task) if isinstance(task, str) else task
     config = import_module("lemma.env.config").EnvConfig.from_options(
         {"task": known_task, **options}
     )
-    module, _, name = LEVELS[level].partition(":")
+    module, _, name = (TOGETHER if acting == "together" else LEVELS)[level].partition(
+        ":"
+    )
     env: LemmaEnv = getattr(import_module(module), name)(config, render_mode)
     return env
 

@@ -235,9 +235,12 @@ class Episode:
             start_s: Simulated time at which the step began [s].
             least_s: Simulated time that it takes at least [s].
         """
+        self.rest_until(start_s + least_s)
+
+    def rest_until(self, time_s: float) -> None:
+        """Let time pass while no robot is busy, at most to the horizon [s]."""
         if not self.is_over:
-            end_s = min(start_s + least_s, self.horizon_s)
-            self.simulation.rest(end_s - self.elapsed_s)
+            self.simulation.rest(min(time_s, self.horizon_s) - self.elapsed_s)
             self.conclude()
 
     def conclude(self) -> None:

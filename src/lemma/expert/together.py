@@ -11,19 +11,15 @@ import math
 from collections.abc import Iterator, Sequence
 
 from lemma.env.episode import Episode
+from lemma.env.team.orders import LOOK_S, Team
 from lemma.expert.expert import ExpertStep
-from lemma.planning.grounding import GeometricGrounder, GroundedOption
+from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
 from lemma.planning.schedule import predecessors
-from lemma.planning.symbolic_state import TABLE, SymbolicState
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.subtask import SubTask
 
 _MOST_PLANS = 4
-_LOOK_S = 0.05
-"""Time between two looks for effects [s]."""
-_AS_PREDICTED_M = 0.03
-_UnderWay = dict[str, tuple[int, GroundedOption, SymbolicState]]
-"""By robot: number of the sub-task, with poses, and the state it was grounded in."""
 
 
 def solve_together(
@@ -68,61 +64,32 @@ def carry_out(
     """
     needs = predecessors(steps, tuple(episode.instance.scene.regions))
     todo, done, failed = list(range(len(steps))), set[int](), False
-    under_way: _UnderWay = {}
+    team, numbers = Team(episode, grounder), dict[str, int]()
     while True:
-        now = SymbolicState.observe(episode.simulation.scene)
-        have = done | _effects(episode, under_way, now)
+        now = team.observe()
+        settled = team.settled(now)
+        have = done | {numbers[robot] for robot in settled}
         for robot in () if failed or episode.is_over else grounder.robots:
             mine = (k for k in todo if steps[k].robot == robot)
             k = next((k for k in mine if needs[k].keys() <= have), None)
-            if robot in under_way or k is None or failed:
+            if robot in team.orders or k is None or failed:
                 continue
-            expected = now
-            for number, other, before in under_way.values():
-                if number not in have:
-                    expected = _with_effect(expected, other, before)
+            expected = team.expected(now, settled)
             option = grounder.ground(steps[k], expected)
             if option is None:
                 failed = True
                 continue
             todo.remove(k)
-            under_way[robot] = (k, option, expected)
-            episode.begin(option.grounded)
-        if not under_way:
+            numbers[robot] = k
+            team.begin(option, expected)
+        if not team.orders:
             return
         # Where somebody is free and has work, it may begin before another robot is.
-        waits = any(steps[k].robot not in under_way for k in todo) and not failed
-        until_s = episode.simulation.time_s + _LOOK_S if waits else math.inf
-        for ended in episode.advance(until_s):
-            k, option, _ = under_way.pop(ended.grounded.robot)
-            done.add(k)
+        waits = any(steps[k].robot not in team.orders for k in todo) and not failed
+        until_s = episode.simulation.time_s + LOOK_S if waits else math.inf
+        for ended in team.pass_time(until_s):
+            done.add(numbers[ended.robot])
             failed |= not ended.result.ok
-            yield ExpertStep(
-                option.subtask, ended.grounded, ended.result, ended.start_s
-            )
-
-
-def _effects(episode: Episode, under_way: _UnderWay, now: SymbolicState) -> set[int]:
-    """Return the sub-tasks under way that have had their effect."""
-    found = set()
-    for robot, (k, option, before) in under_way.items():
-        after = option.after
-        if episode.simulation.reservations.is_going_home(robot) and all(
-            now.supports.get(name) == after.supports.get(name)
-            and now.poses[name].distance(pose) < _AS_PREDICTED_M
-            for name, pose in after.poses.items()
-            if pose != before.poses[name] and name in now.poses
-        ):
-            found.add(k)
-    return found
-
-
-def _with_effect(
-    now: SymbolicState, option: GroundedOption, before: SymbolicState
-) -> SymbolicState:
-    """Return a state in which a sub-task that is under way has ended well."""
-    for name, pose in option.after.poses.items():
-        if pose != before.poses[name]:
-            support = option.after.supports.get(name, TABLE)
-            now = now.moved(name, pose, support, option.after.labels[name])
-    return now
+            assert ended.subtask is not None
+            assert ended.grounded is not None
+            yield ExpertStep(ended.subtask, ended.grounded, ended.result, ended.start_s)

@@ -1,0 +1,390 @@
+"""Orders to the free robots of a team: what is under way, and what it will leave.
+
+The expert, environments and evaluation give orders here. An order is grounded in the
+state that everything under way will leave behind. If an earlier order touches what it
+is about, its robot waits until that has had its effect: what it needs lies where it
+should, and the arm that brought it goes home. Sectors of arms at work are reserved by
+:mod:`lemma.motion.reservations`.
+"""
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+from lemma.core.errors import InvalidActionError, ResetNeededError, UnknownNameError
+from lemma.core.poses import Pose2
+from lemma.env.episode import LEAST_STEP_S, Episode, ExecutedSubTask
+from lemma.motion.outcome import SkillResult
+from lemma.planning.grounding import GeometricGrounder, GroundedOption, ground_or_refuse
+from lemma.planning.schedule import predecessors
+from lemma.planning.symbolic_state import TABLE, SymbolicState
+from lemma.scene.build import TIME_STEP_S
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+
+LOOK_S = 0.05
+"""Time between two looks for effects [s]."""
+_AS_PREDICTED_M = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What one robot of a team is doing, or is about to do."""
+
+    subtask: SubTask | None
+    """In symbols; None where only poses are known."""
+    grounded: GroundedSubTask
+    start_s: float
+    """Simulated time at which it was given [s]."""
+    option: GroundedOption | None = None
+    """Its predicted effect, if that is known."""
+    before: SymbolicState | None = None
+    """The state in which that was predicted."""
+    waits_for: frozenset[str] = frozenset()
+    """Robots whose effects must come first; it begins when nobody is left."""
+    own_poses: bool = False
+    """Whether the poses are those of a policy, and the effect may be elsewhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """An order that has come to its end."""
+
+    robot: str
+    subtask: SubTask | None
+    grounded: GroundedSubTask | None
+    """None where no poses were found."""
+    result: SkillResult
+    start_s: float
+    """Simulated time at which it began or was refused [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class TeamState:
+    """What a team knows beside its episode; plain data."""
+
+    orders: dict[str, Order]
+    rests: dict[str, float]
+
+
+class Team:
+    """The robots of an episode, each free or with an order.
+
+    A robot whose order was refused, or ended at once, is free again after
+    ``refusal_s`` or ``least_s``, so that every episode comes to an end.
+    """
+
+    def __init__(
+        self,
+        episode: Episode,
+        grounder: GeometricGrounder | None = None,
+        *,
+        least_s: float = LEAST_STEP_S,
+        refusal_s: float = LEAST_STEP_S,
+    ) -> None:
+        """Take over the robots of an episode, none of which is busy.
+
+        Args:
+            episode: The instance being worked on.
+            grounder: Of the same scene; a new one if None.
+            least_s: Simulated time that an order takes at least [s].
+            refusal_s: The same for an order that its robot cannot carry out [s].
+        """
+        self.episode = episode
+        self.grounder = grounder or GeometricGrounder(episode.instance.scene)
+        self.orders: dict[str, Order] = {}
+        """By robot; also those that wait for an effect."""
+        self._rests: dict[str, float] = {}
+        self._least_s, self._refusal_s = least_s, refusal_s
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Robots that can be given an order, in the order of the team."""
+        now = self.episode.simulation.time_s + 0.5 * TIME_STEP_S
+        return tuple(
+            name
+            for name in self.episode.simulation.arms
+            if name not in self.orders and self._rests.get(name, 0.0) <= now
+        )
+
+    @property
+    def waits_for(self) -> dict[str, tuple[str, ...]]:
+        """For whom each waiting robot waits: for an effect, or for its sector."""
+        waits = self.episode.simulation.reservations.waits
+        found = {}
+        for name, order in self.orders.items():
+            held = waits[name].holders if name in waits else ()
+            if order.waits_for or held:
+                found[name] = tuple(sorted(order.waits_for)) or held
+        return found
+
+    def observe(self) -> SymbolicState:
+        """Return the present state, in symbols."""
+        return SymbolicState.observe(self.episode.simulation.scene)
+
+    def settled(self, now: SymbolicState) -> set[str]:
+        """Return the robots whose orders have had their effect.
+
+        Args:
+            now: The present state.
+        """
+        simulation, found = self.episode.simulation, set()
+        for robot, order in self.orders.items():
+            if order.waits_for or not simulation.reservations.is_going_home(robot):
+                continue
+            if order.own_poses or order.option is None or order.before is None:
+                # A retreat goes home as well, with its load.
+                if robot not in simulation.held():
+                    found.add(robot)
+            elif _is_as_predicted(now, order.option, order.before):
+                found.add(robot)
+        return found
+
+    def expected(
+        self, now: SymbolicState, settled: Collection[str] = ()
+    ) -> SymbolicState:
+        """Return the state that all that is under way will leave behind.
+
+        Args:
+            now: The present state.
+            settled: Robots whose effects it shows already.
+        """
+        for robot, order in self.orders.items():
+            if robot in settled or order.option is None or order.before is None:
+                continue
+            for name, pose in order.option.after.poses.items():
+                if pose != order.before.poses[name]:
+                    after = order.option.after
+                    support = after.supports.get(name, TABLE)
+                    now = now.moved(name, pose, support, after.labels[name])
+        return now
+
+    def begin(self, option: GroundedOption, before: SymbolicState) -> None:
+        """Let a free robot begin what was grounded in a state.
+
+        Raises:
+            InvalidActionError: The robot is busy.
+        """
+        robot, now_s = option.grounded.robot, self.episode.simulation.time_s
+        self.episode.begin(option.grounded)
+        self.orders[robot] = Order(
+            option.subtask, option.grounded, now_s, option, before
+        )
+
+    def order(
+        self, subtask: SubTask | None, grounded: GroundedSubTask | None = None
+    ) -> Done | None:
+        """Give an order to a free robot.
+
+        Args:
+            subtask: In symbols; None if only poses are known.
+            grounded: With a policy's own poses; the expert's if None.
+
+        Returns:
+            None, or how it ended where it cannot be carried out.
+
+        Raises:
+            InvalidActionError: The robot is not free, or nothing is ordered.
+            ResetNeededError: The episode is over.
+            UnknownNameError: There is no such robot in this scene.
+        """
+        given = grounded or subtask
+        if given is None:
+            raise InvalidActionError("There is neither a sub-task nor poses to order.")
+        robot = given.robot
+        self._check_free(robot)
+        now = self.observe()
+        settled = self.settled(now)
+        expected = self.expected(now, settled)
+        found = self._ground(subtask, expected)
+        start_s = self.episode.simulation.time_s
+        if isinstance(found, SkillResult) and grounded is None:
+            return self._end(Done(robot, subtask, None, found, start_s))
+        option = found if isinstance(found, GroundedOption) else None
+        if grounded is not None and option is not None:
+            option = _at(option, grounded)
+        needs = frozenset(self._needs(subtask) - settled)
+        poses = grounded or (option.grounded if option else None)
+        assert poses is not None
+        self.orders[robot] = Order(
+            subtask, poses, start_s, option, expected, needs, grounded is not None
+        )
+        if not needs:
+            self.episode.begin(poses)
+        return None
+
+    def _check_free(self, robot: str) -> None:
+        if self.episode.is_over:
+            raise ResetNeededError(
+                f"The episode {self.episode.instance.key} is over. Reset before you "
+                "act again."
+            )
+        if robot not in self.episode.simulation.arms:
+            raise UnknownNameError(
+                "robot in this scene", robot, self.episode.simulation.arms
+            )
+        if robot not in self.free:
+            raise InvalidActionError(
+                f"{robot} is busy. Orders are for free robots: "
+                f"{', '.join(self.free) or 'there is none now'}."
+            )
+
+    def _ground(
+        self, subtask: SubTask | None, state: SymbolicState
+    ) -> GroundedOption | SkillResult | None:
+        if subtask is None:
+            return None
+        return ground_or_refuse(subtask, state, self.grounder)
+
+    def _needs(self, subtask: SubTask | None) -> set[str]:
+        """Return the robots whose orders are about the same objects."""
+        if subtask is None:
+            return set()
+        regions = tuple(self.episode.instance.scene.regions)
+        return {
+            robot
+            for robot, order in self.orders.items()
+            if order.subtask is not None
+            and predecessors((order.subtask, subtask), regions)[1]
+        }
+
+    def advance(self) -> tuple[Done, ...]:
+        """Let time pass until there is something to decide.
+
+        That is when a robot becomes free, and when an order has its effect while
+        a robot is free. Where nobody has an order it is ``least_s`` later.
+
+        Returns:
+            The orders that ended meanwhile.
+        """
+        episode, done = self.episode, list[Done]()
+        free, settled = set(self.free), self.settled(self.observe())
+        end_s = math.inf
+        if not self.orders and not self._resting():
+            end_s = episode.simulation.time_s + self._least_s
+        while not episode.is_over:
+            done += self._begin_ready()
+            done += self._pass_a_moment(end_s, looks=bool(free))
+            effects = self.settled(self.observe()) - settled if free else set()
+            if set(self.free) - free or effects or self._is_past(end_s):
+                break
+        if episode.is_over:
+            self.orders.clear()
+        # Nobody may wait for the next order of a robot that has just become free.
+        return (*done, *self._begin_ready())
+
+    def _pass_a_moment(self, end_s: float, *, looks: bool) -> list[Done]:
+        """Let time pass to the next moment at which something may happen."""
+        episode = self.episode
+        until_s = min([end_s, *self._resting().values()])
+        if looks or any(order.waits_for for order in self.orders.values()):
+            until_s = min(until_s, episode.simulation.time_s + LOOK_S)
+        if not episode.simulation.busy:
+            episode.rest_until(until_s)
+            return []
+        return self.pass_time(until_s)
+
+    def pass_time(self, until_s: float = math.inf) -> list[Done]:
+        """Let time pass until an order ends, or up to a time [s]; return what ended."""
+        return [self._ended(one) for one in self.episode.advance(until_s)]
+
+    def _ended(self, one: ExecutedSubTask) -> Done:
+        order = self.orders.pop(one.grounded.robot)
+        return self._end(
+            Done(
+                one.grounded.robot,
+                order.subtask,
+                one.grounded,
+                one.result,
+                one.start_s,
+            )
+        )
+
+    def _end(self, done: Done) -> Done:
+        least_s = self._refusal_s if done.result.refused else self._least_s
+        self._rests[done.robot] = done.start_s + least_s
+        return done
+
+    def _resting(self) -> dict[str, float]:
+        now = self.episode.simulation.time_s + 0.5 * TIME_STEP_S
+        return {name: end for name, end in self._rests.items() if end > now}
+
+    def _is_past(self, end_s: float) -> bool:
+        return self.episode.simulation.time_s > end_s - 0.5 * TIME_STEP_S
+
+    def _begin_ready(self) -> list[Done]:
+        """Let those begin who have waited for effects that are there now."""
+        waiting = [name for name, order in self.orders.items() if order.waits_for]
+        if not waiting:
+            return []
+        done, now = [], self.observe()
+        settled = self.settled(now)
+        for robot in waiting:
+            order = self.orders[robot]
+            left = order.waits_for & (self.orders.keys() - settled)
+            if left:
+                self.orders[robot] = replace(order, waits_for=left)
+                continue
+            # Those that still wait were given later, or are about something else.
+            begun = settled.union(n for n, o in self.orders.items() if o.waits_for)
+            refused = self._begin_waiting(order, self.expected(now, begun))
+            done += [refused] if refused else []
+        return done
+
+    def _begin_waiting(self, order: Order, state: SymbolicState) -> Done | None:
+        """Begin an order that has waited, in the state that there is now."""
+        found = self._ground(order.subtask, state)
+        robot, now_s = order.grounded.robot, self.episode.simulation.time_s
+        if not order.own_poses and isinstance(found, SkillResult):
+            del self.orders[robot]
+            return self._end(Done(robot, order.subtask, None, found, now_s))
+        if not order.own_poses and isinstance(found, GroundedOption):
+            order = replace(order, option=found, grounded=found.grounded, before=state)
+        self.episode.begin(order.grounded)
+        self.orders[robot] = replace(order, waits_for=frozenset())
+        return None
+
+    def stop(self) -> tuple[Done, ...]:
+        """Let those at work finish, and end the episode.
+
+        Returns:
+            The orders that ended meanwhile; those that have not begun never do.
+        """
+        done = list[Done]()
+        while self.episode.simulation.busy:
+            done += self.pass_time()
+        self.orders.clear()
+        if not self.episode.is_over:
+            self.episode.stop()
+        return tuple(done)
+
+    def state(self) -> TeamState:
+        """Return what it knows beside the episode."""
+        return TeamState(dict(self.orders), dict(self._rests))
+
+    def restore(self, state: TeamState) -> None:
+        """Take back what :meth:`state` returned, after the episode was restored."""
+        self.orders, self._rests = dict(state.orders), dict(state.rests)
+
+
+def _is_as_predicted(
+    now: SymbolicState, option: GroundedOption, before: SymbolicState
+) -> bool:
+    after = option.after
+    return all(
+        now.supports.get(name) == after.supports.get(name)
+        and now.poses[name].distance(pose) < _AS_PREDICTED_M
+        for name, pose in after.poses.items()
+        if pose != before.poses[name] and name in now.poses
+    )
+
+
+def _at(option: GroundedOption, given: GroundedSubTask) -> GroundedOption:
+    """Return an option whose effect is where a policy's own poses say."""
+    pick = option.subtask.pick
+    pose = option.after.poses.get(pick)
+    if option.subtask.primitive is not Primitive.MOVE or pose is None:
+        return replace(option, grounded=given)
+    at = Pose2(given.place.x, given.place.y, pose.yaw)
+    after, support = option.after, option.after.supports.get(pick, TABLE)
+    moved = after.moved(pick, at, support, after.labels[pick])
+    return replace(option, grounded=given, after=moved)
