@@ -8,7 +8,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from lemma.core.version import VERSION as __version__
-from lemma.registration import make, parallel_env, register_environments
+from lemma.registration import (
+    make,
+    parallel_env,
+    register_environments,
+    team_aec_env,
+    team_parallel_env,
+)
 
 if TYPE_CHECKING:
     from lemma.core.plugins import load_plugins
@@ -52,6 +58,8 @@ __all__ = [
     "make",
     "parallel_env",
     "solve",
+    "team_aec_env",
+    "team_parallel_env",
 ]
 
 _HOMES = {

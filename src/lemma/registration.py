@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from lemma.env.base_env import LemmaEnv
     from lemma.env.control_env import ControlEnv
     from lemma.env.learning.parallel_env import LemmaParallelEnv
+    from lemma.env.learning.team_views import TeamAECEnv, TeamParallelEnv
     from lemma.env.skill_env import SkillEnv
     from lemma.env.team.team_env import TeamPlanEnv, TeamSkillEnv
     from lemma.expert.plan_env import PlanEnv
@@ -162,3 +163,52 @@ def parallel_env(
         "lemma.env.learning.parallel_env"
     ).LemmaParallelEnv(inner)
     return env
+
+
+def team_parallel_env(
+    task: str, *, level: str = "plan", render_mode: str | None = None, **options: Any
+) -> "TeamParallelEnv":
+    """Make a PettingZoo environment whose agents are asked for orders, all at once.
+
+    Args:
+        task: As for :func:`make`.
+        level: ``"plan"`` or ``"skill"``.
+        render_mode: ``"rgb_array"`` to render, or None.
+        **options: Fields of :class:`lemma.env.config.EnvConfig`.
+
+    Raises:
+        UnknownNameError: No such task, option, or value of an option.
+        InvalidConfigError: An option has an impossible value.
+    """
+    env: TeamParallelEnv = _team_view(
+        "TeamParallelEnv", task, level, render_mode, options
+    )
+    return env
+
+
+def team_aec_env(
+    task: str, *, level: str = "plan", render_mode: str | None = None, **options: Any
+) -> "TeamAECEnv":
+    """Make a PettingZoo environment whose free agents are asked one after another.
+
+    Args:
+        task: As for :func:`make`.
+        level: ``"plan"`` or ``"skill"``.
+        render_mode: ``"rgb_array"`` to render, or None.
+        **options: Fields of :class:`lemma.env.config.EnvConfig`.
+
+    Raises:
+        UnknownNameError: No such task, option, or value of an option.
+        InvalidConfigError: An option has an impossible value.
+    """
+    env: TeamAECEnv = _team_view("TeamAECEnv", task, level, render_mode, options)
+    return env
+
+
+def _team_view(
+    name: str, task: str, level: str, render_mode: str | None, options: dict[str, Any]
+) -> Any:
+    inner = make(
+        task, level=level, acting="together", render_mode=render_mode, **options
+    )
+    return getattr(import_module("lemma.env.learning.team_views"), name)(inner)

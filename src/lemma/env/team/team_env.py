@@ -114,7 +114,7 @@ class TeamEnv(LemmaEnv):
             ResetNeededError: The episode is over.
         """
         episode, team = self._running(), self.team
-        stops, orders = self._read(action)
+        stops, orders = self.read(action)
         start_s, ended = episode.elapsed_s, list[Done]()
         for subtask, grounded in orders:
             refused = team.order(subtask, grounded)
@@ -127,7 +127,7 @@ class TeamEnv(LemmaEnv):
         truncated = episode.out_of_time and not terminated
         return self.observe(), reward, terminated, truncated, self.info()
 
-    def _read(
+    def read(
         self, action: Mapping[str, Action]
     ) -> tuple[bool, list[tuple[SubTask | None, GroundedSubTask | None]]]:
         """Return whether the team stops, and the orders as they were given."""
