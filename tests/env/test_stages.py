@@ -12,11 +12,14 @@ from lemma.core.poses import Pose, Pose2
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
+from lemma.env.signals.stage_events import StageEvents
 from lemma.env.stages import Stage, stages_of
 from lemma.expert.expert import Expert, solve
 from lemma.motion.outcome import Outcome
+from lemma.scene.objects.entity import HAND
+from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive
-from lemma.tasks.suite import SUITE, load_instance
+from lemma.tasks.suite import SUITE, TASKS, load_instance
 
 
 def begin(task: str, index: int = 0) -> Episode:
@@ -52,6 +55,45 @@ def test_the_expert_climbs_stage_by_stage(task: str) -> None:
     verdicts = [record[name] for name in ("understood", "allocated", "executed")]
     assert verdicts == [True, True, True]
     assert record["by"] == done[0].robot
+
+
+def stages_seen(
+    instance: Instance, monkeypatch: pytest.MonkeyPatch, *, always: bool
+) -> tuple[list[object], int]:
+    """Return the stages after every tick, and how often they were told."""
+    told = 0
+
+    def look(self: StageEvents) -> bool:
+        nonlocal told
+        must = original(self) or always
+        told += must
+        return must
+
+    original = StageEvents.look
+    seen: list[object] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(StageEvents, "look", look)
+        episode = Episode(instance)
+        episode.simulation.observers.append(
+            lambda: seen.append(
+                (episode.progress, episode.stages.furthest, episode.stages.first)
+            )
+        )
+        list(play(episode))
+    return seen, told
+
+
+@pytest.mark.parametrize("task", slow_but(TASKS, "pass", "hook", "lift", "relay"))
+def test_skipped_looks_would_have_seen_the_same(
+    task: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    instance = load_instance(task, "free", 0)
+    seen, told = stages_seen(instance, monkeypatch, always=False)
+    wanted, most = stages_seen(instance, monkeypatch, always=True)
+    assert seen == wanted
+    # What a hand shall do is looked at all the time that one is near.
+    hands = any(HAND in pair for pair in instance.goal.pairs)
+    assert told == most if hands else told < most / 2
 
 
 def stop_at(episode: Episode, seconds: float) -> None:

@@ -31,6 +31,13 @@ from weakref import proxy
 import numpy as np
 
 from lemma.core.poses import Pose2
+from lemma.env.signals.stage_events import (
+    LIFT_M,
+    MOVED_M,
+    NEAR_M,
+    EventState,
+    StageEvents,
+)
 from lemma.env.simulation import Simulation
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
@@ -48,12 +55,6 @@ from lemma.tasks.subtask import Primitive, SubTask
 
 LOOK_TICKS = 5
 """Servo ticks between two looks: 50 ms."""
-NEAR_M = 0.10
-"""A hand is near an object if its tool centre point is within this of the grasp [m]."""
-LIFT_M = 0.015
-"""An object is lifted if it is so much higher than it was at first [m]."""
-MOVED_M = 0.03
-"""An object has moved if it is so far from where it was at first [m]."""
 
 _PREPARES = {Primitive.PREHOOK: Primitive.HOOK, Primitive.PREPOKE: Primitive.POKE}
 _DRAGS = tuple(_PREPARES.values())
@@ -124,6 +125,7 @@ class StageState:
     ticks: int
     near: bool
     seen: tuple[float, ...]
+    events: EventState | None
     stood: tuple[bool, ...] | None
     progress: float
     furthest: Furthest
@@ -169,6 +171,10 @@ class StageWatch:
         found = find_plan(self._start, self._goal, self._grounder)
         return () if found is None else found.subtasks
 
+    @cached_property
+    def _events(self) -> StageEvents:
+        return StageEvents(self._scene, self._goal, self.plan, self._first_seen)
+
     def record(self) -> dict[str, Any]:
         """Return the furthest stage and the verdicts, ready for JSON.
 
@@ -195,13 +201,18 @@ class StageWatch:
         """Return what is known so far."""
         stood = None if self._stood is None else tuple(self._stood)
         seen = tuple(self._seen.ravel().tolist())
-        watched = (self._ticks, self._near, seen, stood)
+        looked = "_events" in self.__dict__
+        events = self._events.state() if looked else None
+        watched = (self._ticks, self._near, seen, events, stood)
         return StageState(*watched, self.progress, self.furthest, self.first)
 
     def restore(self, state: StageState) -> None:
         """Go back to what was known before."""
         self._ticks, self._near, self.progress = state.ticks, state.near, state.progress
         self._seen[:] = np.reshape(state.seen, self._seen.shape)
+        self.__dict__.pop("_events", None)
+        if state.events is not None:
+            self._events.restore(state.events)
         self._stood = None if state.stood is None else list(state.stood)
         self.furthest, self.first = state.furthest, state.first
 
@@ -217,6 +228,8 @@ class StageWatch:
         if not (near or moved or self._near):
             return
         self._near = near
+        if not self._events.look():
+            return
         self._touch[:] = 0
         self._led = self._scene.coasting.led()
         find_touches(

@@ -56,9 +56,11 @@ class Coasting:
         self._qpos, self._qvel = data.qpos, data.qvel
         self.qpos_at = model.jnt_qposadr[free].astype(np.int64)
         """Where the position of each object begins in ``qpos``, (objects,)."""
-        self._qvel_at = model.jnt_dofadr[free].astype(np.int64)
-        self._mass_at = model.body_ipos[[int(model.jnt_bodyid[j]) for j in free]]
-        self._mass_at = np.ascontiguousarray(self._mass_at.reshape(-1, 3))
+        self.qvel_at = model.jnt_dofadr[free].astype(np.int64)
+        """Where its velocity begins in ``qvel``, (objects,)."""
+        self.mass_at = model.body_ipos[[int(model.jnt_bodyid[j]) for j in free]]
+        self.mass_at = np.ascontiguousarray(self.mass_at.reshape(-1, 3))
+        """Its middle of mass in its frame, (objects, 3) [m]."""
         self.owner = _owners(model, [int(model.jnt_bodyid[j]) for j in free])
         """Owner of each geom, (ngeom,): an object; below 0 the room, a robot."""
         self.names = tuple(model.body(int(model.jnt_bodyid[j])).name for j in free)
@@ -79,7 +81,7 @@ class Coasting:
     def put(self, name: str) -> None:
         """Begin anew with an object that somebody has put where it is now."""
         k = self.names.index(name)
-        self.left_m[k] = _middle(self._qpos, self.qpos_at[k], self._mass_at[k])
+        self.left_m[k] = _middle(self._qpos, self.qpos_at[k], self.mass_at[k])
         self.since_s[k] = self._data.time
 
     @property
@@ -102,14 +104,14 @@ class Coasting:
 
     def middles(self) -> FloatArray:
         """Return where the middles of mass are, seen from above, (objects, 2) [m]."""
-        pairs = zip(self.qpos_at, self._mass_at, strict=True)
+        pairs = zip(self.qpos_at, self.mass_at, strict=True)
         found = [_middle(self._qpos, at, mass) for at, mass in pairs]
         return np.array(found).reshape(-1, 2)
 
     def led(self) -> NDArray[np.bool_]:
         """Return which objects a robot leads at this moment, (objects,)."""
         led, carried = np.zeros_like(self._held), np.zeros_like(self._held)
-        _note(self._data.contact.geom, self.owner, led, carried)
+        note_leads(self._data.contact.geom, self.owner, led, carried)
         return led
 
     def note(self) -> None:
@@ -118,12 +120,12 @@ class Coasting:
         A cube that is pushed is knocked ahead again and again, each time for a step.
         """
         if self._awake:
-            _note(self._data.contact.geom, self.owner, self._held, self._resting)
+            note_leads(self._data.contact.geom, self.owner, self._held, self._resting)
 
     def look(self) -> None:
         """Look at the present state. Call it once a servo tick."""
         now = self._data.time
-        if not _is_slow(self._qvel, self._qvel_at):
+        if not _is_slow(self._qvel, self.qvel_at):
             asleep, self._awake = not self._awake, _REST_TICKS
             if asleep:
                 self.note()
@@ -133,7 +135,7 @@ class Coasting:
             _rest(
                 self._qpos,
                 self.qpos_at,
-                self._mass_at,
+                self.mass_at,
                 self.left_m,
                 self.since_s,
                 now,
@@ -142,7 +144,7 @@ class Coasting:
         self.is_thrown |= _follow(
             self._qpos,
             self.qpos_at,
-            self._mass_at,
+            self.mass_at,
             self._held,
             self._resting,
             self.left_m,
@@ -202,7 +204,7 @@ def _rest(
 
 
 @kernel
-def _note(
+def note_leads(
     contacts: NDArray[np.int32],
     owner: NDArray[np.int64],
     held: NDArray[np.bool_],

@@ -10,7 +10,8 @@ from lemma.core.poses import FloatArray
 LEFT, RIGHT = 2, 4
 """Bits of the pads of the fingers; every other part of a robot has the bit 1."""
 
-_WATCH_M = 0.2
+WATCH_M = 0.2
+"""A hand watches what is within this of its tool centre point [m]."""
 _STILL_M = 0.0005
 
 
@@ -45,7 +46,7 @@ def is_near_or_moved(
             seen[k, 0], seen[k, 1], seen[k, 2] = x, y, z
         for hand in hands:
             dx, dy, dz = x - sites[hand, 0], y - sites[hand, 1], z - sites[hand, 2]
-            if dx * dx + dy * dy + dz * dz < _WATCH_M * _WATCH_M:
+            if dx * dx + dy * dy + dz * dz < WATCH_M * WATCH_M:
                 near = True
     return near, moved
 
