@@ -31,6 +31,7 @@ CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     "12_write_a_primitive.py": ("push blue_cube -> shared: success", ()),
     "13_write_a_robot.py": ("(ur5+ur16e)\nsuccess", ()),
     "14_write_an_attack.py": ("not solved", ()),
+    "15_act_together.py": ("success after 2", ()),
 }
 RENDERS = ("00", "03", "04", "06", "08")
 REPORTS_PROGRESS = ("04_train_a_model.py",)
