@@ -94,12 +94,12 @@ $(LEROBOT_VENV)/stamp: pyproject.toml $(LEROBOT_PLUGIN)/pyproject.toml
 	@$(LEROBOT_VENV)/bin/python -m pip install -qq -e '.[lerobot]' -e $(LEROBOT_PLUGIN) pytest
 	@touch $@
 
-# Only the parity of renderers needs MuJoCo Warp (0.5 GB); a CPU will do.
+# Only parity with MuJoCo Warp needs it (0.5 GB, and torch); a CPU will do.
 WARP_VENV := .venv-warp
 
-test-warp: $(WARP_VENV)/stamp ## MuJoCo Warp sees what OpenGL sees.
+test-warp: $(WARP_VENV)/stamp ## MuJoCo Warp sees and does what the CPU does.
 	$(WARP_VENV)/bin/python -m pytest -q -p no:cacheprovider \
-		tests/scene/test_ray_tracer.py
+		tests/scene/test_ray_tracer.py tests/gpu
 
 $(WARP_VENV)/stamp: pyproject.toml constraints.txt
 	@echo "Installing MuJoCo Warp into $(WARP_VENV) ..."

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from lemma.core.version import VERSION as __version__
 from lemma.registration import (
     make,
+    make_gpu_vec,
     parallel_env,
     register_environments,
     team_aec_env,
@@ -56,6 +57,7 @@ __all__ = [
     "load_instance",
     "load_plugins",
     "make",
+    "make_gpu_vec",
     "parallel_env",
     "solve",
     "team_aec_env",

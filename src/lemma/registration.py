@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from lemma.env.skill_env import SkillEnv
     from lemma.env.team.team_env import TeamPlanEnv, TeamSkillEnv
     from lemma.expert.plan_env import PlanEnv
+    from lemma.warp.vector_env import GpuVecEnv
 
 LEVELS = {
     "control": "lemma.env.control_env:ControlEnv",
@@ -141,6 +142,24 @@ def make(
         ":"
     )
     env: LemmaEnv = getattr(import_module(module), name)(config, render_mode)
+    return env
+
+
+def make_gpu_vec(task: str, num_envs: int = 4096, **options: Any) -> "GpuVecEnv":
+    """Make many environments at once on a GPU, for training; see ``docs/gpu.md``.
+
+    Args:
+        task: Name of a task with cubes and pads.
+        num_envs: How many tables.
+        **options: Of :class:`lemma.warp.vector_env.GpuVecEnv`.
+
+    Raises:
+        UnknownNameError: No such task or arm.
+        InvalidConfigError: An option or the task is impossible there.
+    """
+    env: GpuVecEnv = import_module("lemma.warp.vector_env").GpuVecEnv(
+        task, num_envs, **options
+    )
     return env
 
 

@@ -1,0 +1,256 @@
+"""Hands that point down and are moved step by step, in batches of tensors.
+
+A row has five numbers in [-1, 1] for each robot: forward, left, up, turn, fingers.
+*Forward* is horizontally away from the axis of the robot's base, *left* is to the left
+of that. Fingers are open above 0, closed below. The same functions move thousands of
+hands on a GPU, in :mod:`lemma.warp`, and one on the CPU, in :class:`HandPolicy`.
+
+Targets are (x, y, z, yaw) of tool centre points in the world, (..., robots, 4); bases
+(x, y, yaw), (..., robots, 3) [m, rad].
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lemma.core.poses import matrix_from_quaternion
+from lemma.env.control.pose_controllers import LEASH_STEPS
+from lemma.env.signals.goal_state import NUMBERS
+from lemma.motion.arm_motion import park_joints
+from lemma.policies.control.interfaces import Actions, ControlInput
+from lemma.robots.gripper import FINGER_OPENING_M, TCP_OFFSET_M
+from lemma.robots.reach import reach_of
+from lemma.robots.ur.arms import ARMS
+from lemma.robots.ur.kinematics import forward
+
+COLUMNS = ("forward", "left", "up", "turn", "fingers")
+CONTROL_HZ = 10.0
+STEP_M, TURN_RAD = 0.03, 0.25
+"""Longest step along each axis, and about the vertical [m, rad]."""
+LOWEST_M, HIGHEST_M = 0.016, 0.5
+"""Least and largest height of a target: fingertips stay above the table."""
+_UNITS = (1.0, 1.0, 1.0, 1.0, 0.1, 1.0, *[0.3] * 3, 0.5, *[0.3] * 3)
+_NEAR_M = 0.05
+_NEAR = (NUMBERS.index("object_forward"), NUMBERS.index("place_forward"))
+FEATURES = len(NUMBERS) + 6 + 4
+"""Numbers that a policy is given for one robot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arms:
+    """Numbers of the arms of a team, one row for each robot."""
+
+    dh: Tensor
+    """(robots, 6) [m]."""
+    ring: Tensor
+    """Nearest and farthest from the base that a hand is sent, (robots, 2) [m]."""
+    park: Tensor
+    """Where arms wait, (robots, 6) [rad]."""
+    branch: Tensor
+    """Signs of shoulder, wrist and elbow in which they wait, (robots, 3)."""
+
+    @classmethod
+    def of(cls, names: Sequence[str], device: Any = "cpu") -> "Arms":
+        """Return the numbers of arms by name."""
+        dh = torch.tensor(np.array([ARMS[name].dh for name in names]))
+        park = torch.tensor([park_joints(name) for name in names])
+        reach = [reach_of(name) for name in names]
+        ring = torch.tensor([(one.inner_m + 0.02, one.grasp_m) for one in reach])
+        branch = torch.ones(len(names), 3)
+        for k, name in enumerate(names):
+            pose = forward(ARMS[name].dh, park[k].double().numpy())
+            x, y, z = pose[:3, 3] + TCP_OFFSET_M * pose[:3, 2]
+            here = [x, y, z, math.atan2(pose[1, 0], pose[0, 0])]
+            signs = torch.cartesian_prod(*[torch.tensor([1.0, -1.0])] * 3)
+            arms = cls(dh[[k] * 8], ring[[k] * 8], park[[k] * 8], signs)
+            ways = joints(
+                torch.tensor(here).expand(8, 4), torch.zeros(8, 3), arms, arms.park
+            )
+            branch[k] = signs[(ways - park[k]).abs().amax(1).argmin()]
+        return cls(*(part.float().to(device) for part in (dh, ring, park, branch)))
+
+
+def joints(target: Tensor, base: Tensor, arms: Arms, near: Tensor) -> Tensor:
+    """Return the joint angles of hands that point down, (..., robots, 6) [rad].
+
+    Out of reach an arm is stretched towards its target.
+
+    Args:
+        target: See the module.
+        base: See the module.
+        arms: The robots' arms.
+        near: Joint angles; whole turns are added to come near them.
+    """
+    d1, a2, a3, d4, d5, d6 = arms.dh.unbind(-1)
+    shoulder, wrist, elbow = arms.branch.unbind(-1)
+    away, turn = target[..., :2] - base[..., :2], base[..., 2]
+    radius = torch.linalg.vector_norm(away, dim=-1).clamp_min(1e-6)
+    heading = torch.atan2(away[..., 1], away[..., 0]) - turn
+    q1 = heading + shoulder * torch.acos((d4 / radius).clamp(-1, 1)) + math.pi / 2
+    yaw = target[..., 3] - turn
+    q5 = wrist * math.pi / 2 + torch.zeros_like(q1)
+    q6 = torch.atan2(-wrist * torch.cos(yaw - q1), wrist * torch.sin(q1 - yaw))
+    x = radius * torch.cos(heading - q1) - wrist * d5
+    y = target[..., 2] + TCP_OFFSET_M + d6 - d1
+    cos_q3 = (x * x + y * y - a2 * a2 - a3 * a3) / (2.0 * a2 * a3)
+    q3 = elbow * torch.acos(cos_q3.clamp(-1, 1))
+    q2 = torch.atan2(-y, -x) - torch.atan2(a3 * torch.sin(q3), a2 + a3 * torch.cos(q3))
+    found = torch.stack([q1, q2, q3, q5 - q2 - q3, q5, q6], -1)
+    turned = found - math.tau * torch.round((found - near) / math.tau)
+    # No joint turns farther than one whole turn; the elbow, half.
+    return torch.where(turned.abs() > math.tau, found, turned)
+
+
+def advance(
+    target: Tensor, rows: Tensor, here: Tensor, base: Tensor, arms: Arms
+) -> Tensor:
+    """Return the next targets.
+
+    Args:
+        target: The last ones.
+        rows: Actions, (..., robots, 5).
+        here: Where the hands are, like targets.
+        base: Of the robots.
+        arms: Their arms.
+    """
+    rows = rows.clamp(-1.0, 1.0)
+    away = here[..., :2] - base[..., :2]
+    ahead = away / torch.linalg.vector_norm(away, dim=-1, keepdim=True).clamp_min(1e-6)
+    left = torch.stack([-ahead[..., 1], ahead[..., 0]], -1)
+    flat = rows[..., :1] * ahead + rows[..., 1:2] * left
+    wanted = target[..., :3] + STEP_M * torch.cat([flat, rows[..., 2:3]], -1)
+    lead = wanted - here[..., :3]
+    length = torch.linalg.vector_norm(lead, dim=-1, keepdim=True).clamp_min(1e-6)
+    wanted = here[..., :3] + lead * (LEASH_STEPS * STEP_M / length).clamp_max(1.0)
+    out = wanted[..., :2] - base[..., :2]
+    radius = torch.linalg.vector_norm(out, dim=-1).clamp_min(1e-6)
+    bounded = torch.minimum(torch.maximum(radius, arms.ring[:, 0]), arms.ring[:, 1])
+    flat = base[..., :2] + out * (bounded / radius)[..., None]
+    height = wanted[..., 2:].clamp(LOWEST_M, HIGHEST_M)
+    turn = wrapped(target[..., 3] + TURN_RAD * rows[..., 3] - here[..., 3])
+    most = LEASH_STEPS * TURN_RAD
+    yaw = here[..., 3:] + turn.clamp(-most, most)[..., None]
+    return torch.cat([flat, height, yaw], -1)
+
+
+def wrapped(angle: Tensor) -> Tensor:
+    """Return angles in [-pi, pi] [rad]."""
+    return torch.remainder(angle + math.pi, math.tau) - math.pi
+
+
+def openings(rows: Tensor) -> Tensor:
+    """Return the openings of grippers that rows ask for, (..., robots) [m]."""
+    return FINGER_OPENING_M * (rows[..., 4] > 0.0)
+
+
+def features(goal_state: Tensor, target: Tensor, here: Tensor, base: Tensor) -> Tensor:
+    """Return what a policy is given of each hand, (..., robots, FEATURES).
+
+    The goal state in units of about 1, its two ways once more, magnified nearby, and
+    how far the target is ahead of the hand, in steps.
+
+    Args:
+        goal_state: (..., robots, 13); see :mod:`lemma.env.signals.goal_state`.
+        target: Of the hands.
+        here: Where they are.
+        base: Of the robots.
+    """
+    near = [torch.tanh(goal_state[..., at : at + 3] / _NEAR_M) for at in _NEAR]
+    away = here[..., :2] - base[..., :2]
+    x, y = (away / torch.linalg.vector_norm(away, dim=-1, keepdim=True)).unbind(-1)
+    lead = (target - here)[..., :3] / STEP_M
+    flat = torch.stack(
+        [
+            x * lead[..., 0] + y * lead[..., 1],
+            x * lead[..., 1] - y * lead[..., 0],
+            lead[..., 2],
+            wrapped(target[..., 3] - here[..., 3]) / TURN_RAD,
+        ],
+        -1,
+    )
+    units = torch.tensor(_UNITS, device=goal_state.device)
+    return torch.cat([goal_state / units, *near, flat], -1)
+
+
+def network(hidden: int = 128, out: int = len(COLUMNS)) -> torch.nn.Sequential:
+    """Return a small network from the features of one hand to its row."""
+    return torch.nn.Sequential(
+        torch.nn.Linear(FEATURES, hidden), torch.nn.ELU(),
+        torch.nn.Linear(hidden, hidden), torch.nn.ELU(),
+        torch.nn.Linear(hidden, out),
+    )  # fmt: skip
+
+
+class HandPolicy:
+    """Plays a learned network on the CPU; robot 0 acts, the others stand still.
+
+    It is told the truth by the goal state, so it is no fair comparison, and it does not
+    read the sentence.
+    """
+
+    control_options = {  # noqa: RUF012 - read, never changed
+        "control": "joint_position",
+        "control_hz": CONTROL_HZ,
+        "clip_actions": True,
+        "observation": "goal_state",
+    }
+
+    def __init__(self, weights: str) -> None:
+        """Load a network.
+
+        Args:
+            weights: File of the state of a :func:`network`, by ``torch.save``.
+        """
+        state = torch.load(weights, weights_only=True, map_location="cpu")
+        self.actor = network(len(state["0.bias"]))
+        self.actor.load_state_dict(state)
+
+    @torch.no_grad()
+    def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
+        """Return the next action for each episode."""
+        return [self._act(given) for given in inputs]
+
+    def _act(self, given: ControlInput) -> Actions:
+        seen = given.observation
+        count = len(given.robots)
+        parts = np.asarray(seen["agent_pos"], np.float32).reshape(count, 7)
+        here, base = _hands(seen["tcp_pose"]), _hands(seen["base_pose"])[:, [0, 1, 3]]
+        if given.memory is None:
+            name = _arm_of(parts[0, :6], here[0, 2])
+            rows = parts.copy()
+            target = here[:1]
+        else:
+            name, target, rows = given.memory
+        arms = Arms.of([name])
+        goal = torch.tensor(seen["goal_state"]).reshape(count, -1)[:1]
+        row = self.actor(features(goal, target, here[:1], base[:1]))
+        target = advance(target, row, here[:1], base[:1], arms)
+        rows = rows.copy()
+        near = torch.from_numpy(rows[:1, :6].copy())
+        rows[0, :6] = joints(target, base[:1], arms, near)[0].numpy()
+        rows[0, 6] = float(openings(row)[0])
+        return Actions(rows, (name, target, rows))
+
+
+def _hands(poses: Any) -> Tensor:
+    """Return (x, y, z, yaw) of poses with quaternions, (robots, 4)."""
+    found = []
+    for row in np.asarray(poses, float).reshape(-1, 7):
+        turn = matrix_from_quaternion(tuple(row[3:].tolist()))
+        found.append([*row[:3], math.atan2(turn[1, 0], turn[0, 0])])
+    return torch.tensor(found, dtype=torch.float32)
+
+
+def _arm_of(q: Any, height_m: Any) -> str:
+    """Return the arm whose hand is so high at joint angles (6,) [rad]."""
+
+    def error(name: str) -> float:
+        pose = forward(ARMS[name].dh, np.asarray(q, float))
+        return abs(float(pose[2, 3] + TCP_OFFSET_M * pose[2, 2]) - float(height_m))
+
+    return min(ARMS, key=error)

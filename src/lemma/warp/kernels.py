@@ -1,0 +1,175 @@
+"""What runs between the physics steps of MuJoCo Warp: servos, touches, throws."""
+
+import math
+
+import warp as wp
+
+from lemma.env.control.motor_commands import ACCELERATION_RAD_S2
+from lemma.robots.gripper import TCP_OFFSET_M
+from lemma.scene.build import TIME_STEP_S
+from lemma.scene.coasting import COAST_M, FLIGHT_S
+
+_H, _A = wp.constant(TIME_STEP_S), wp.constant(ACCELERATION_RAD_S2)
+_STEEP = wp.constant(math.cos(math.radians(30.0)))
+_COAST, _FLIGHT = wp.constant(COAST_M), wp.constant(FLIGHT_S)
+_TCP = wp.constant(TCP_OFFSET_M)
+
+
+@wp.kernel
+def drive(
+    qpos: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    targets: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    numbers: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    addresses: wp.array2d(dtype=int),  # type: ignore[valid-type]
+    angle: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    rate: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    ctrl: wp.array2d(dtype=float),  # type: ignore[valid-type]
+) -> None:
+    """Advance the reference of each joint as ``drive_positions`` does on the CPU.
+
+    There is no safety filter. ``numbers`` has speed, lag and range of each joint;
+    ``addresses`` its places in ``qpos`` and ``ctrl``.
+    """
+    w, j = wp.tid()
+    speed, lag, limit = numbers[j, 0], numbers[j, 1], numbers[j, 2]
+    error = targets[w, j] - angle[w, j]
+    gap = wp.abs(error)
+    most = 0.5 * (wp.sqrt(_A * _H * _A * _H + 8.0 * _A * gap) - _A * _H)
+    most = wp.min(most, wp.min(speed, gap / _H))
+    change = wp.sign(error) * most - rate[w, j]
+    v = rate[w, j] + wp.clamp(change, -_A * _H, _A * _H)
+    q = angle[w, j] + v * _H
+    if wp.abs(q) > limit:
+        q = wp.clamp(q, -limit, limit)
+        v = float(0.0)
+    angle[w, j] = q
+    rate[w, j] = v
+    here = qpos[w, addresses[j, 0]]
+    span = lag * speed
+    ctrl[w, addresses[j, 1]] = wp.clamp(q + lag * v, here - span, here + span)
+
+
+@wp.kernel
+def note(
+    count: wp.array(dtype=int),  # type: ignore[valid-type]
+    worlds: wp.array(dtype=int),  # type: ignore[valid-type]
+    geoms: wp.array(dtype=wp.vec2i),  # type: ignore[valid-type]
+    frames: wp.array(dtype=wp.mat33),  # type: ignore[valid-type]
+    owner: wp.array(dtype=int),  # type: ignore[valid-type]
+    objects: int,
+    touch: wp.array3d(dtype=int),  # type: ignore[valid-type]
+) -> None:
+    """Note who touches each object, as bits of owners: at all, below, not from above.
+
+    Owners are 0 for the room, then objects, then robots: palm, left and right pad.
+    """
+    c = wp.tid()
+    if c >= count[0]:
+        return
+    w, pair = worlds[c], geoms[c]
+    rise = float(frames[c][0, 2])
+    for side in range(2):
+        a = int(owner[pair[side]])
+        b = int(owner[pair[1 - side]])
+        if a >= 1 and a <= objects:
+            bit = wp.int32(1) << b
+            wp.atomic_or(touch, w, a - 1, 0, bit)
+            if rise <= -_STEEP:
+                wp.atomic_or(touch, w, a - 1, 1, bit)
+            if rise < _STEEP:
+                wp.atomic_or(touch, w, a - 1, 2, bit)
+        rise = -rise
+
+
+@wp.kernel
+def follow(  # noqa: PLR0913
+    qpos: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    qvel: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    addresses: wp.array2d(dtype=int),  # type: ignore[valid-type]
+    robots: int,
+    room: int,
+    touch: wp.array3d(dtype=int),  # type: ignore[valid-type]
+    left: wp.array3d(dtype=float),  # type: ignore[valid-type]
+    awake: wp.array(dtype=int),  # type: ignore[valid-type]
+    thrown: wp.array(dtype=int),  # type: ignore[valid-type]
+) -> None:
+    """Follow what moves by itself, as :mod:`lemma.scene.coasting` does on the CPU.
+
+    ``left`` has where each movable object was led last, and for how long it has touched
+    nothing.
+    """
+    w = wp.tid()
+    count = addresses.shape[0]
+    led = int(0)
+    carried = int(0)
+    fast = int(0)
+    for _ in range(count):
+        for k in range(count):
+            t = int(touch[w, k, 0])
+            bit = wp.int32(2) << k
+            if (t & (robots | led)) != 0:
+                led = led | bit
+            if (t & (robots | room | carried)) != 0:
+                carried = carried | bit
+    for k in range(count):
+        v = int(addresses[k, 1])
+        speed = wp.vec3(qvel[w, v], qvel[w, v + 1], qvel[w, v + 2])
+        if wp.length(speed) > 0.02:
+            fast = int(1)
+    if fast == 1:
+        awake[w] = 20
+    elif awake[w] > 0:
+        awake[w] = awake[w] - 1
+    for k in range(count):
+        at = int(addresses[k, 0])
+        bit = wp.int32(2) << k
+        x = float(qpos[w, at])
+        y = float(qpos[w, at + 1])
+        if awake[w] == 0 or (led & bit) != 0:
+            left[w, k, 0] = x
+            left[w, k, 1] = y
+        left[w, k, 2] = left[w, k, 2] + _H
+        if awake[w] == 0 or (carried & bit) != 0:
+            left[w, k, 2] = float(0.0)
+        dx = x - left[w, k, 0]
+        dy = y - left[w, k, 1]
+        if dx * dx + dy * dy > _COAST * _COAST or left[w, k, 2] > _FLIGHT:
+            thrown[w] = 1
+
+
+@wp.kernel
+def place_hands(
+    qpos: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    addresses: wp.array(dtype=int),  # type: ignore[valid-type]
+    dh: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    base: wp.array3d(dtype=float),  # type: ignore[valid-type]
+    out: wp.array3d(dtype=float),  # type: ignore[valid-type]
+) -> None:
+    """Write position and rotation (rows) of each tool centre point, 12 numbers."""
+    w, r = wp.tid()
+    turn = base[w, r, 2]
+    c0, s0 = wp.cos(turn), wp.sin(turn)
+    rot = wp.mat33(c0, -s0, 0.0, s0, c0, 0.0, 0.0, 0.0, 1.0)
+    pos = wp.vec3(base[w, r, 0], base[w, r, 1], 0.0)
+    for i in range(6):
+        q = qpos[w, addresses[r] + i]
+        c, s = wp.cos(q), wp.sin(q)
+        a = float(0.0)
+        d = float(dh[r, i])
+        ca = float(0.0)
+        sa = float(1.0)
+        if i == 1 or i == 2:
+            a = -dh[r, i]
+            d = 0.0
+        if i == 1 or i == 2 or i == 5:
+            ca = 1.0
+            sa = 0.0
+        if i == 4:
+            sa = -1.0
+        pos = pos + rot * wp.vec3(a * c, a * s, d)
+        rot = rot * wp.mat33(c, -s * ca, s * sa, s, c * ca, -c * sa, 0.0, sa, ca)
+    pos = pos + rot * wp.vec3(0.0, 0.0, _TCP)
+    for i in range(3):
+        out[w, r, i] = pos[i]
+        for j in range(3):
+            out[w, r, 3 + 3 * i + j] = rot[i, j]

@@ -1,0 +1,196 @@
+"""Goals, potentials and goal states of many worlds at once, in torch.
+
+The same as :mod:`lemma.tasks.goal`, :mod:`lemma.env.signals.rewards` and
+:mod:`lemma.env.signals.goal_state` on the CPU, for cubes and pads.
+"""
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from lemma.scene.objects.entity import kind_of
+from lemma.tasks.goal import (
+    HOVER_M,
+    LIFTED_M,
+    OVER_M,
+    REST_M_S,
+    REST_RAD_S,
+    TILT_RAD,
+)
+
+
+class Signals:
+    """What holds in the worlds of a :class:`~lemma.warp.vector_env.GpuVecEnv`."""
+
+    def __init__(self, env: Any) -> None:
+        """Take the environment, whose tensors are read."""
+        self._env = env
+        self._goal = env.pool.goal
+        scene = env.pool.scene
+        self._kinds = [kind_of(name) for name in scene.object_names]
+        self._free = [scene.qpos_of(name) for name in scene.movable_names]
+        self._dofs = [
+            int(scene.model.joint(name).dofadr[0]) for name in scene.movable_names
+        ]
+        self._slots, self._count = len(self._kinds), len(env.robots)
+
+    def look(self) -> None:
+        """Read where objects are now; the hands' poses are those of the environment."""
+        env = self._env
+        poses = env._rows["fixed"][env.instance].clone()
+        motion = poses.new_zeros(len(poses), self._slots, 2)
+        for k, (at, dof) in enumerate(zip(self._free, self._dofs, strict=True)):
+            poses[:, k] = env.qpos[:, at : at + 7]
+            for i in range(2):
+                part = env.qvel[:, dof + 3 * i : dof + 3 * i + 3]
+                motion[:, k, i] = torch.linalg.vector_norm(part, dim=-1)
+        self.at, self._turn = poses[..., :3], poses[..., 3:]
+        self._rests = (motion[..., 0] < REST_M_S) & (motion[..., 1] < REST_RAD_S)
+        self._touch = env.touch
+        self._tcp = env.hands[..., :3]
+        hold = [self._pads(r) for r in range(self._count)]
+        self.holds = torch.stack(hold, -1)
+
+    def _pads(self, robot: int) -> Tensor:
+        both = 6 << (1 + self._slots + 3 * robot)
+        return (self._touch[..., 0] & both) == both
+
+    def _robots(self, slot: int) -> Tensor:
+        mask = ((1 << 3 * self._count) - 1) << (1 + self._slots)
+        return (self._touch[:, slot, 0] & mask) != 0
+
+    def _part(self, pair: tuple[int, int]) -> Tensor:
+        """Return whether a part of the goal holds, (n,)."""
+        top, bottom = pair
+        if top < 0:
+            off = self._tcp - self.at[:, bottom, None]
+            above = off[..., 2] - self._kinds[bottom].top_m
+            over = torch.linalg.vector_norm(off[..., :2], dim=-1) <= OVER_M
+            near = (over & (above >= 0.0) & (above <= HOVER_M)).any(1)
+            calm = self._rests[:, bottom] & (self.at[:, bottom, 2] >= 0.0)
+            return near & calm & ~self._robots(bottom)
+        touch = self._touch[:, top]
+        if bottom < 0:
+            high = self.at[:, top, 2] - self._kinds[top].origin_m >= LIFTED_M
+            others = touch[:, 0] & ((1 << (1 + self._slots)) - 1)
+            return high & (others == 0) & (self.holds[:, top].sum(-1) == 1)
+        off = self.at[:, top] - self.at[:, bottom]
+        limit = self._kinds[bottom].support_m or 0.0
+        above = (torch.linalg.vector_norm(off[:, :2], dim=-1) <= limit) & (
+            off[:, 2] > 0.0
+        )
+        calm = self._rests[:, top] & self._rests[:, bottom]
+        level = self._upright(top) & self._upright(bottom)
+        bit, things = 1 << (1 + bottom), ((1 << self._slots) - 1) << 1
+        alone = (touch[:, 0] & ~things) == 0
+        alone &= (touch[:, 2] & things & ~bit) == 0
+        carried = (touch[:, 1] & bit) != 0
+        if not self._kinds[bottom].fixed:
+            alone &= ~self._robots(bottom)
+        high = (self.at[:, top, 2] >= 0.0) & (self.at[:, bottom, 2] >= 0.0)
+        return above & calm & level & alone & carried & high
+
+    def _upright(self, slot: int) -> Tensor:
+        w, x, y, z = self._turn[:, slot].unbind(-1)
+        up = torch.stack(
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1
+        )
+        return up.abs().amax(-1) >= math.cos(TILT_RAD)
+
+    def succeeds(self) -> Tensor:
+        """Return whether the whole goal holds, with nothing held besides, (n,)."""
+        wanted = [top for top, bottom in self._goal if bottom < 0]
+        others = [k for k in range(self._slots) if k not in wanted]
+        found = ~self.holds[:, others].any(-1).any(-1)
+        for pair in self._goal:
+            found = found & self._part(pair)
+        return found
+
+    def potential(self) -> Tensor:
+        """Return how far each world has come, as ``goal_potential``, (n,)."""
+        parts = [
+            torch.where(self._part(pair), 1.0, self._share(pair)) for pair in self._goal
+        ]
+        return torch.stack(parts).mean(0)
+
+    def _share(self, pair: tuple[int, int]) -> Tensor:
+        top, bottom = pair
+        if top < 0:
+            over = self.at[:, bottom].clone()
+            over[:, 2] += self._kinds[bottom].top_m + 0.5 * HOVER_M
+            return 0.9 * self._near(over)
+        at, held = self.at[:, top], self.holds[:, top].any(-1)
+        lifted = (at[:, 2] - self._kinds[top].origin_m).clamp_min(0.0)
+        if bottom < 0:
+            share = 0.2 + 0.3 * lifted.clamp_max(LIFTED_M) / LIFTED_M
+            return 0.4 * self._near(at) + torch.where(held, share, 0.0)
+        place, limit = self._place(pair), self._kinds[bottom].support_m or 0.0
+        beside = torch.linalg.vector_norm((at - place)[:, :2], dim=-1) <= limit
+        placed = beside & ((at - place)[:, 2].abs() <= 0.01)
+        share = 0.15 + 0.15 * lifted.clamp_max(0.1) / 0.1
+        hand = 0.2 * self._near(at) + torch.where(held, share, 0.0)
+        there = nearness(torch.linalg.vector_norm(at - place, dim=-1))
+        return torch.where(placed, 0.5, hand) + 0.4 * there
+
+    def _near(self, at: Tensor) -> Tensor:
+        way = torch.linalg.vector_norm(self._tcp - at[:, None], dim=-1).amin(1)
+        return nearness(way)
+
+    def _place(self, pair: tuple[int, int]) -> Tensor:
+        top, bottom = pair
+        found = self.at[:, bottom if top < 0 or bottom >= 0 else top].clone()
+        if top >= 0 and bottom >= 0:
+            found[:, 2] += self._kinds[bottom].top_m + self._kinds[top].origin_m
+        elif top >= 0:
+            found[:, 2] = self._kinds[top].origin_m + LIFTED_M
+        return found
+
+    def goal_state(self, opening: Tensor) -> Tensor:
+        """Return the numbers of :data:`.goal_state.NUMBERS`, (n, robots, 13)."""
+        found = self._of_part(self._goal[-1], opening)
+        for pair in self._goal[-2::-1]:
+            mine = self._of_part(pair, opening)
+            found = torch.where(self._part(pair)[:, None, None], found, mine)
+        return found
+
+    def _of_part(self, pair: tuple[int, int], opening: Tensor) -> Tensor:
+        slot = pair[1] if pair[0] < 0 else pair[0]
+        kind, here = self._kinds[slot], self.at[:, slot]
+        at = here.clone()
+        quarter = 0.0
+        if kind.grasp is not None:
+            at[:, 2] += kind.grasp.height_m - kind.origin_m
+            quarter = kind.grasp.turn_rad
+        w, x, y, z = self._turn[:, slot].unbind(-1)
+        yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        env, hands = self._env, self._env.hands
+        away = self._tcp[..., :2] - env.base[..., :2]
+        reach = torch.linalg.vector_norm(away, dim=-1)
+        ahead = away / reach[..., None].clamp_min(1e-6)
+
+        def seen(vector: Tensor) -> list[Tensor]:
+            a, b = ahead.unbind(-1)
+            return [
+                a * vector[..., 0] + b * vector[..., 1],
+                a * vector[..., 1] - b * vector[..., 0],
+                vector[..., 2] + 0.0 * a,
+            ]
+
+        turn = yaw[:, None] - torch.atan2(hands[..., 6], hands[..., 3])
+        if quarter:
+            turn = turn - torch.round(turn / quarter) * quarter
+        else:
+            turn = torch.zeros_like(turn)
+        axis = hands[..., [5, 8, 11]]
+        way = (self._place(pair) - here)[:, None].expand_as(self._tcp)
+        numbers = [reach, self._tcp[..., 2], *seen(axis)[:2], opening]
+        numbers += [self.holds[:, slot].float(), *seen(at[:, None] - self._tcp), turn]
+        return torch.stack([*numbers, *seen(way)], -1)
+
+
+def nearness(distance_m: Tensor) -> Tensor:
+    """Return :func:`lemma.env.signals.rewards.nearness` of tensors."""
+    coarse = 1.0 - (distance_m / 2.0).clamp_max(1.0)
+    return 0.5 * coarse + 0.5 * (1.0 - torch.tanh(distance_m / 0.1))

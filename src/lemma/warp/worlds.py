@@ -1,0 +1,214 @@
+"""The physics of many worlds in MuJoCo Warp, and its memory as torch tensors."""
+
+from typing import Any
+
+import mujoco_warp as mjw
+import torch
+import warp as wp
+from torch import Tensor
+
+from lemma.core.errors import PhysicsError
+from lemma.env.control.guarded_arm import SPEED_FRACTION
+from lemma.policies.control.hand_steps import Arms
+from lemma.warp.instances import Pool
+from lemma.warp.kernels import drive, follow, note, place_hands
+
+_LOST = (
+    mjw.OverflowType.NEFC | mjw.OverflowType.NARROWPHASE | mjw.OverflowType.BROADPHASE
+)
+
+
+class Worlds:
+    """Worlds of one model; :class:`~lemma.warp.vector_env.GpuVecEnv` plays in them."""
+
+    pool: Pool
+    num_envs: int
+    device: str
+    _substeps: int
+
+    def _make_physics(self) -> None:
+        scene, n = self.pool.scene, self.num_envs
+        self.robots, movable = scene.robots, len(scene.movable_names)
+        with wp.ScopedDevice(self.device):
+            batch = dict.fromkeys(("body_pos", "body_quat", "body_gravcomp"), n)
+            self.model = mjw.put_model(scene.model, batch_sizes=batch)
+            self.model.opt.warn_overflow = 0
+            self.data = mjw.make_data(
+                scene.model,
+                nworld=n,
+                nconmax=32 + 16 * movable,
+                njmax=96 + 64 * movable,
+            )
+        self._rows = {
+            key: torch.tensor(value, dtype=torch.float32, device=self.device)
+            for key, value in self.pool.rows.items()
+        }
+        view = wp.to_torch
+        model, data = self.model, self.data
+        self.qpos, self.qvel, self.ctrl = (
+            view(a) for a in (data.qpos, data.qvel, data.ctrl)
+        )
+        self._warm, self._overflow = view(data.qacc_warmstart), view(data.overflow)
+        self._bodies = {
+            "body_pos": view(model.body_pos),
+            "body_quat": view(model.body_quat),
+        }
+        self._gravcomp = view(model.body_gravcomp)
+        self._geoms = {
+            "geom_xpos": view(data.geom_xpos),
+            "geom_xmat": view(data.geom_xmat).view(n, -1, 9),
+        }
+
+    def _make_memory(self) -> None:
+        scene, n, device = self.pool.scene, self.num_envs, self.device
+        count, slots = len(self.robots), len(self.pool.slots)
+        arms = [robot.arm for robot in self.robots]
+        self.arms = Arms.of([arm.name for arm in arms], device)
+        self.joint_at = torch.tensor(
+            [[*range(r.qpos.start, r.qpos.stop)] for r in self.robots], device=device
+        )
+        self._fingers = torch.tensor([r.finger_qpos for r in self.robots])
+        self._dofs = torch.tensor(
+            [[*range(r.dof.start, r.dof.stop + 2)] for r in self.robots]
+        )
+        self._grips = [robot.gripper_ctrl for robot in self.robots]
+
+        def zeros(*shape: int, dtype: Any = torch.float32) -> Tensor:
+            return torch.zeros(shape, dtype=dtype, device=device)
+
+        self.angle, self.rate = zeros(n, 6 * count), zeros(n, 6 * count)
+        self._wanted, self.hands = zeros(n, 6 * count), zeros(n, count, 12)
+        self.target, self.base = zeros(n, count, 4), zeros(n, count, 3)
+        self.touch = zeros(n, slots, 3, dtype=torch.int32)
+        self._left = zeros(n, len(scene.movable_names), 3)
+        self._awake, self._thrown = (zeros(n, dtype=torch.int32) for _ in range(2))
+        self.instance, self._age, self._settled = (
+            zeros(n, dtype=torch.int64) for _ in range(3)
+        )
+        self.potential = zeros(n)
+
+    def _make_constants(self) -> None:
+        scene, device = self.pool.scene, self.device
+        arms = [robot.arm for robot in self.robots]
+        numbers = [
+            (SPEED_FRACTION * arm.velocity_limits[i], arm.lag_s, arm.joint_range[i])
+            for arm in arms
+            for i in range(6)
+        ]
+        places = [
+            (r.qpos.start + i, r.ctrl.start + i) for r in self.robots for i in range(6)
+        ]
+        free = [
+            (scene.qpos_of(name), int(scene.model.joint(name).dofadr[0]))
+            for name in scene.movable_names
+        ]
+        owner = self._owners()
+        self._constants = tuple(
+            wp.array(value, dtype=kind, device=device)
+            for value, kind in (
+                (numbers, float),
+                (places, int),
+                (free, int),
+                (owner, int),
+                ([r.qpos.start for r in self.robots], int),
+                ([list(arm.dh) for arm in arms], float),
+            )
+        )
+
+    def _owners(self) -> list[int]:
+        """Return the owner of each geom; see :func:`lemma.warp.kernels.note`."""
+        scene = self.pool.scene
+        slots = {name: k for k, name in enumerate(scene.object_names)}
+        found = []
+        for geom in range(scene.model.ngeom):
+            body = scene.model.body(int(scene.model.geom_bodyid[geom])).name
+            robot, bit = scene.parts[geom].tolist()
+            part = {2: 1, 4: 2}.get(bit, 0)
+            own = 1 + len(slots) + 3 * robot + part if robot >= 0 else 0
+            found.append(1 + slots[body] if body in slots else own)
+        return found
+
+    def _advance(self) -> None:
+        """Advance the physics by one control step, in Warp."""
+        numbers, places, free, owner, _, _ = self._constants
+        data, n, slots = self.data, self.num_envs, len(self.pool.slots)
+        movable = len(self.pool.scene.movable_names)
+        robots = sum(1 << (1 + slots + k) for k in range(3 * len(self.robots)))
+        room = 1 + sum(1 << (1 + k) for k in range(movable, slots))
+        touch = wp.from_torch(self.touch)
+        for _ in range(self._substeps):
+            wp.launch(
+                drive,
+                (n, 6 * len(self.robots)),
+                [data.qpos, wp.from_torch(self._wanted), numbers, places,
+                 wp.from_torch(self.angle), wp.from_torch(self.rate), data.ctrl],
+            )  # fmt: skip
+            mjw.step(self.model, data)
+            touch.zero_()
+            contact = data.contact
+            wp.launch(
+                note,
+                data.naconmax,
+                [data.nacon, contact.worldid, contact.geom, contact.frame, owner,
+                 slots, touch],
+            )  # fmt: skip
+            wp.launch(
+                follow,
+                n,
+                [data.qpos, data.qvel, free, robots, room, touch,
+                 wp.from_torch(self._left), wp.from_torch(self._awake),
+                 wp.from_torch(self._thrown)],
+            )  # fmt: skip
+
+    def _capture(self) -> None:
+        self._graph = None
+        with wp.ScopedDevice(self.device):
+            if not self.device.startswith("cuda"):
+                return
+            self._advance()
+            with wp.ScopedCapture() as capture:
+                self._advance()
+            self._graph = capture.graph
+            wp.synchronize()
+            torch.cuda.synchronize()
+
+    def _simulate(self) -> None:
+        if self._graph is None:
+            with wp.ScopedDevice(self.device):
+                self._advance()
+        else:
+            stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
+            wp.capture_launch(self._graph, stream=stream)
+
+    def _place_hands(self) -> None:
+        *_, starts, dh = self._constants
+        stream = None
+        if self._graph is not None:
+            stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
+        wp.launch(
+            place_hands,
+            (self.num_envs, len(self.robots)),
+            [self.data.qpos, starts, dh, wp.from_torch(self.base),
+             wp.from_torch(self.hands)],
+            device=self.device,
+            stream=stream,
+        )  # fmt: skip
+
+    @property
+    def here(self) -> Tensor:
+        """Where the hands are: x, y, z, yaw, (n, robots, 4) [m, rad]."""
+        yaw = torch.atan2(self.hands[..., 6], self.hands[..., 3])
+        return torch.cat([self.hands[..., :3], yaw[..., None]], -1)
+
+    def check(self) -> None:
+        """Look whether a buffer of the physics was too small.
+
+        Raises:
+            PhysicsError: It was: contacts were lost.
+        """
+        lost = (self._overflow & int(_LOST)) != 0
+        if bool(lost.any()):
+            raise PhysicsError(
+                f"Contacts or constraints of {int(lost.sum())} worlds did not fit into "
+                "their buffers, and what is simulated there means nothing."
+            )
