@@ -127,7 +127,7 @@ if __name__ == "__main__":
         rounds, steps = rounds + 1, steps + len(batch[0])
         env.near = min(env.near, max(0.1, 1.0 - rate) * NEAR_AT_FIRST)
         if rounds % 10 == 1:
-            std = learner.log_std.exp().mean()
+            std = learner.log_std.detach().exp().mean()
             print(
                 f"{steps} steps, {spent:.0f} s: {rate:.0%} of {ended} succeeded, "
                 f"potential {float(env.potential.mean()):.2f}, std {float(std):.2f}, "
