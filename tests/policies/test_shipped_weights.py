@@ -5,34 +5,20 @@ from pathlib import Path
 
 import pytest
 from command import run
-from safetensors.torch import load_file
 from tiers import slow_but
 
-from lemma.core.files import read_json
 from lemma.core.poses import Pose2
 from lemma.evaluation.analysis.result import read_result
-from lemma.evaluation.experiments.catalog import (
-    CONTROL_LEVEL,
-    EXPERIMENTS,
-    TRAININGS,
-    selected,
-)
+from lemma.evaluation.experiments.catalog import TRAININGS
 from lemma.evaluation.protocol.language_controls import LanguageControl
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
-from lemma.policies.class_path import LEROBOT, privileged
-from lemma.policies.control.checkpoint_file import MODEL, unpack_checkpoint
+from lemma.policies.class_path import privileged
 from lemma.policies.models.catalog import MODELS
 from lemma.policies.spec import PolicySpec
 from lemma.policies.weights import find_weights, load_model, published_weights
-from lemma.policies.weights_file import TIME_LIMIT
 from lemma.tasks.suite import SUITE, load_instance
 
-CHECKPOINTS = tuple(
-    name
-    for name, entry in published_weights().items()
-    if entry["model"].startswith(LEROBOT)
-)
-NAMES = tuple(name for name in published_weights() if name not in CHECKPOINTS)
+NAMES = tuple(published_weights())
 LADDER = {"keypose"}
 """Weights whose rows are of the ladder alone."""
 READERS = {name for name in NAMES if "base" in published_weights()[name]}
@@ -50,26 +36,6 @@ RESULTS = sorted((Path(__file__).parents[2] / "results").glob("*/seed-0.json"))
 def test_all_trainings_of_the_tables_are_published() -> None:
     needed = {one for one in TRAININGS if TRAININGS[one].samples is None}
     assert set(NAMES) - LADDER - READERS == needed
-    assert set(CHECKPOINTS) == {
-        one.name for one in selected(CONTROL_LEVEL) if not privileged(one.policy.name)
-    }
-
-
-@pytest.mark.parametrize("name", CHECKPOINTS)
-def test_checkpoints_are_small_and_what_is_said_of_them(
-    name: str, tmp_path: Path
-) -> None:
-    entry = published_weights()[name]
-    path = find_weights(name)
-    assert path.stat().st_size == entry["bytes"] < 17e6
-    # A time ended their training: what is said is how they were begun.
-    assert entry["command"] == EXPERIMENTS[name].training
-    assert entry["ended"] == TIME_LIMIT
-    assert entry["steps"] > 0
-    unpack_checkpoint(path, tmp_path)
-    weights = load_file(tmp_path / MODEL)
-    assert all(bool(value.isfinite().all()) for value in weights.values())
-    assert read_json(tmp_path / "config.json")["type"] == name
 
 
 def test_there_are_results() -> None:
