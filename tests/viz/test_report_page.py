@@ -311,7 +311,12 @@ def test_demo_fits_a_phone_and_its_subtasks_lead_into_the_video(
         "/replays/hook_stack.html"
     )
     at = "document.querySelector('video').currentTime"
-    for selector in ("li:last-child button", ".bar"):
-        wanted = browser.run(f"Number(document.querySelector('{selector}').dataset.s)")
-        browser.run(f"document.querySelector('{selector}').click()")
-        assert browser.run(at) == pytest.approx(wanted, abs=0.01)
+    button, span = "li:last-child button", ".span[data-number='2']"
+    leads = {
+        button: f"Number(document.querySelector('{button}').dataset.s)",
+        span: f'document.querySelector("{span}").dataset.start / 4',
+    }
+    for selector, wanted in leads.items():
+        click = "dispatchEvent(new MouseEvent('click', { bubbles: true }))"
+        browser.run(f'document.querySelector("{selector}").{click}')
+        assert browser.run(at) == pytest.approx(browser.run(wanted), abs=0.01)

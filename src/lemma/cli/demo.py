@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -25,6 +25,7 @@ from lemma.viz.recording import (
     Recording,
     main_sentence,
     record,
+    record_together,
     robot_titles,
 )
 from lemma.viz.video import VideoStyle
@@ -46,6 +47,7 @@ def demo(
     say: Annotated[
         str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")
     ] = None,
+    acting: Literal["turns", "together"] = "turns",
     out: Path = _OUT,
     no_video: Flag = False,
     as_json: JsonFlag = False,
@@ -57,6 +59,7 @@ def demo(
         which: Which instance.
         policy: oracle: the expert; a model; PLANNER+GROUNDER; or package.module:Class.
         say: A sentence of your own, said at the table of one task.
+        acting: together: all robots at the same time, the expert alone.
         out: Folder for the videos and for index.html.
         no_video: Solve only; write nothing.
         as_json: Print a JSON list on the output, and the progress elsewhere.
@@ -69,20 +72,25 @@ def demo(
         names = (None,)
     if say is not None and len(names) != 1:
         raise InvalidConfigError("--say is about one table: name one task.")
+    if acting == "together" and policy != ORACLE:
+        raise InvalidConfigError(
+            f"--acting together is for the expert, --policy {ORACLE}: policies take "
+            "turns here."
+        )
     instances = [select_instance(name, which) for name in names]
     if not no_video:
         out.mkdir(parents=True, exist_ok=True)
     console = messages() if as_json else output()
     with console.status("Preparing (the first run compiles, for half a minute) ..."):
         record(instances[0], horizon_s=2.0)
-        player = Player.load(PolicySpec(policy))
+        loaded = Player.load(PolicySpec(policy))
+    player = None if acting == "together" else loaded
     if say is not None:
-        instances = [_listen(console, say, instances[0], player, policy)]
-    if no_video:
+        instances = [_listen(console, say, instances[0], loaded, policy)]
+    page = None if no_video else out / "index.html"
+    if page is None:
         recordings = [_solve(console, instance, player, None) for instance in instances]
-        page = None
     else:
-        page = out / "index.html"
         recordings = _solve_and_film(console, instances, player, page)
     console.print()
     console.print(summary(recordings).terminal())
@@ -110,7 +118,7 @@ def _listen(
 
 
 def _solve_and_film(
-    console: Console, instances: list[Instance], player: Player, page: Path
+    console: Console, instances: list[Instance], player: Player | None, page: Path
 ) -> list[Recording]:
     """Solve all instances, then render; at once, it would spoil the times."""
     style = VideoStyle()
@@ -155,9 +163,12 @@ def _replay_all(
 
 
 def _solve(
-    console: Console, instance: Instance, player: Player, frame_s: float | None
+    console: Console, instance: Instance, player: Player | None, frame_s: float | None
 ) -> Recording:
-    """Let a policy solve an instance, reporting what it does."""
+    """Let a policy solve an instance, reporting what it does.
+
+    Without one, the expert lets all robots work at the same time.
+    """
     instruction = main_sentence(instance)
     line = Text.assemble(
         (f"\n{instance.task}", "bold"), "  ", (f"“{instruction}”", "italic")
@@ -168,6 +179,8 @@ def _solve(
     def report(line: Line) -> None:
         _report(console, line, robots)
 
+    if player is None:
+        return record_together(instance, frame_s=frame_s, on_step=report)
     return record(instance, player, title=_WHO, frame_s=frame_s, on_step=report)
 
 

@@ -28,6 +28,7 @@ from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.viewer.scene.bodies import Bodies, light_room, name_bodies
 from lemma.viewer.scene.viewpoint import Viewpoint
 from lemma.viewer.server import close_server, open_server
+from lemma.viz.gantt import gantt_of
 from lemma.viz.pages.templates import fill, macro, script_text
 from lemma.viz.recording import (
     FRAME_S,
@@ -292,6 +293,7 @@ def replays_page(replays: Sequence[Replay], player: str | None) -> str:
                     "verdict": side.verdict,
                     "solved": side.success,
                     "reached": _reached(side),
+                    "gantt": gantt_of(side),
                     "steps": [_step(line, side.frames[-1][0]) for line in side.lines],
                 }
                 for side in replay.sides

@@ -90,14 +90,14 @@ def annotated_map(
 
 
 def _shade(fused: MapImage, instance: Instance) -> NDArray[np.uint8]:
-    """Tint the region that all robots reach; pale where no camera sees anything."""
+    """Tint where two robots work, or more; pale where no camera sees anything."""
     x = np.array([RASTER.world_from_pixel(0, c)[0] for c in range(RASTER.columns)])
     y = np.array([RASTER.world_from_pixel(r, 0)[1] for r in range(RASTER.rows)])
-    shared = np.ones((RASTER.rows, RASTER.columns), np.bool_)
+    at_work = np.zeros((RASTER.rows, RASTER.columns), np.int64)
     for placed in instance.scene.robots:
-        shared &= reach_map(placed.arm, placed.base, x, y) > 0.0
+        at_work += reach_map(placed.arm, placed.base, x, y) > 0.0
     rgb = fused.rgb.astype(np.float64)
-    flat = shared & (np.abs(fused.height_m) < 0.003)
+    flat = (at_work > 1) & (np.abs(fused.height_m) < 0.003)
     rgb[flat] = 0.72 * rgb[flat] + 0.28 * _SHARED_TINT
     rgb[~fused.coverage] = _NOT_SEEN
     return rgb.astype(np.uint8)

@@ -13,12 +13,14 @@ from lemma.env.simulation import HORIZON_S
 from lemma.evaluation.records import older_versions
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
 from lemma.expert.expert import ExpertStep
+from lemma.expert.together import solve_together
 from lemma.motion.outcome import SkillResult
 from lemma.policies.spec import PolicySpec
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.bank import robot_phrases, sub_instruction
 from lemma.tasks.subtask import SubTask
+from lemma.viz.team_watch import TeamWatch
 
 FRAME_S = 0.05
 """Simulated time from one state to the next where nothing else is asked for [s]."""
@@ -45,11 +47,30 @@ class Line:
     ok: bool = True
     subtask: SubTask | None = None
     """None where it is no sub-task."""
+    waits: tuple[tuple[float, float], ...] = ()
+    """Simulated times from and to which its robot waited for a region [s]."""
+    effect_s: float | None = None
+    """Simulated time from which on others could build on it [s]; None where that is not
+    known, which is no later than its end."""
 
     @property
     def duration_s(self) -> float:
         """Simulated time that it took [s]; 0 while it runs."""
         return 0.0 if self.end_s is None else self.end_s - self.start_s
+
+    def watched(self, watch: TeamWatch, now_s: float) -> "Line":
+        """Return the same with what a watch has noted about its robot.
+
+        Args:
+            watch: Of its simulation.
+            now_s: The present simulated time [s], for a line that runs.
+        """
+        if self.subtask is None:
+            return self
+        during = self.start_s, now_s if self.end_s is None else self.end_s
+        robot = self.subtask.robot
+        waits, effect_s = watch.waits(robot, *during), watch.effect_s(robot, *during)
+        return replace(self, waits=waits, effect_s=effect_s)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""
@@ -165,10 +186,11 @@ def record(
     started = time.perf_counter()
     play = Rollout(instance, horizon_s=horizon_s)
     taker = FrameTaker(play.episode.simulation, frame_s) if frame_s else None
-    lines = []
+    lines, watch = [], TeamWatch(play.episode.simulation)
 
     def take_step(_: Rollout, step: TakenStep) -> None:
-        lines.append(describe_step(step, instance))
+        line = describe_step(step, instance)
+        lines.append(line.watched(watch, play.episode.elapsed_s))
         if on_step:
             on_step(lines[-1])
 
@@ -178,6 +200,40 @@ def record(
     done = Recording.of(title, play.episode, lines, taker.frames if taker else ())
     wall_s = time.perf_counter() - started
     return replace(done, success=play.success, failure=play.failure, wall_s=wall_s)
+
+
+def record_together(
+    instance: Instance,
+    *,
+    title: str = "The expert, all robots at once",
+    frame_s: float | None = None,
+    on_step: Callable[[Line], None] | None = None,
+    horizon_s: float = HORIZON_S,
+) -> Recording:
+    """Let the expert work on an instance with all robots at the same time.
+
+    Args:
+        instance: The problem.
+        title: The policy in words.
+        frame_s: Simulated time from one frame to the next [s]; no frames if None.
+        on_step: Called with every sub-task as soon as it has ended.
+        horizon_s: Simulated time after which the episode ends [s].
+
+    Returns:
+        The episode, with its sub-tasks in the order in which they began.
+    """
+    started = time.perf_counter()
+    episode = Episode(instance, horizon_s=horizon_s)
+    taker = FrameTaker(episode.simulation, frame_s) if frame_s else None
+    lines, watch = [], TeamWatch(episode.simulation)
+    for step in solve_together(episode):
+        line = describe_step(step, instance)
+        lines.append(line.watched(watch, episode.elapsed_s))
+        if on_step:
+            on_step(lines[-1])
+    lines.sort(key=lambda line: line.start_s)
+    done = Recording.of(title, episode, lines, taker.frames if taker else ())
+    return replace(done, wall_s=time.perf_counter() - started)
 
 
 def reached_words(stages: Mapping[str, Any]) -> str:

@@ -18,7 +18,7 @@ from lemma.expert.expert import Expert, solve
 from lemma.motion.outcome import Outcome
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.instance import Instance
-from lemma.tasks.subtask import SubTask
+from lemma.tasks.subtask import Primitive, SubTask
 from lemma.viz.recording import (
     FRAME_S,
     Line,
@@ -28,6 +28,7 @@ from lemma.viz.recording import (
     line_of,
     robot_titles,
 )
+from lemma.viz.team_watch import TeamWatch
 
 EXPERT = "The expert"
 BY_HAND = "By hand"
@@ -93,11 +94,13 @@ def replay_record(record: EpisodeRecord) -> Recording:
     """Execute the sub-tasks of an episode of a recipe."""
     episode = Episode(Instance.from_dict(record.instance_data()))
     taker = FrameTaker(episode.simulation, FRAME_S)
+    watch = TeamWatch(episode.simulation)
     play_steps(episode, [step.grounded for step in record.subtasks])
-    lines = [
-        line_of(step.instruction, step.start_s, done.result)
-        for step, done in zip(record.subtasks, episode.executed, strict=False)
-    ]
+    lines = []
+    for step, done in zip(record.subtasks, episode.executed, strict=False):
+        names = step.robot, Primitive(step.primitive), step.pick, step.place
+        line = line_of(step.instruction, step.start_s, done.result, SubTask(*names))
+        lines.append(line.watched(watch, episode.elapsed_s))
     episode.stop()
     return Recording.of(EXPERT, episode, lines, taker.frames)
 
@@ -113,15 +116,17 @@ def replay_teleoperation(done: Teleoperation) -> tuple[Recording, bool]:
     """
     episode = Episode(done.instance)
     taker = FrameTaker(episode.simulation, FRAME_S)
+    watch = TeamWatch(episode.simulation)
     perform(done, episode)
     ends_s = [*(part.start_s for part in done.parts[1:]), done.end_s]
     lines = []
     for part, end_s in zip(done.parts, ends_s, strict=True):
-        words, outcome = LED, "by hand"
+        line = Line(LED, part.start_s, end_s, "by hand")
         if not isinstance(part, Commanded):
             words = describe_subtask(part.subtask, done.instance)
             outcome = "" if part.until_s is None else "taken over"
-        lines.append(Line(words, part.start_s, end_s, outcome))
+            line = replace(line, words=words, outcome=outcome, subtask=part.subtask)
+        lines.append(line.watched(watch, end_s))
     for nudged in done.nudged:
         words = f"The {entity_named(nudged.name).phrase} was moved"
         lines.append(Line(words, nudged.time_s, nudged.time_s, "by hand"))
@@ -155,11 +160,13 @@ def replay_line(
     """
     row, turn = case.row, turn_of(case)
     takers: list[FrameTaker] = []
+    watches: list[TeamWatch] = []
     turns: list[tuple[EpisodeSnapshot, float]] = []
 
     def look(episode: Episode, number: int) -> None:
         if not takers:
             takers.append(FrameTaker(episode.simulation, frame_s))
+            watches.append(TeamWatch(episode.simulation))
         # An episode that goes differently here may end before the turn.
         if number <= turn or not turns:
             # The expert goes on even where the policy stopped.
@@ -180,7 +187,7 @@ def replay_line(
                 step["explanation"],
                 step["outcome"] == Outcome.SUCCESS,
                 SubTask.from_dict(dict(step)),
-            )
+            ).watched(watches[0], row["elapsed_s"])
             for step in row["subtasks"]
         ),
         takers[0].frames,
@@ -207,7 +214,11 @@ def expert_instead(case: Case, again: Replayed) -> Recording:
     taker = FrameTaker(episode.simulation, FRAME_S, before)
     expert, kept = Expert(episode.simulation.scene, case.instance.goal), turn_of(case)
     lines = [*again.recording.lines[:kept]]
-    lines += [describe_step(step, case.instance) for step in solve(episode, expert)]
+    watch = TeamWatch(episode.simulation)
+    lines += [
+        describe_step(step, case.instance).watched(watch, episode.elapsed_s)
+        for step in solve(episode, expert)
+    ]
     title = f"{EXPERT}, from sub-task {kept + 1} on" if kept else EXPERT
     found = Recording.of(title, episode, lines, taker.frames)
     if len(lines) == kept and not found.success:

@@ -10,6 +10,7 @@ from lemma.core.version import VERSION as __version__
 from lemma.core.workers.pool import ProcessPool, numbered
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import TASKS
+from lemma.viz.gantt import gantt_of
 from lemma.viz.map_overlay import annotated_map, camera_images
 from lemma.viz.pages.templates import fill, jpeg
 from lemma.viz.recording import Recording, main_sentence, pose, robot_titles
@@ -58,6 +59,7 @@ def write_page(
         illustrations=illustrations,
         sentence_of=main_sentence,
         titles_of=robot_titles,
+        gantt_of=gantt_of,
         tasks=TASKS,
         speed=speed,
         replays=replays or {},

@@ -2,7 +2,7 @@
 const told = JSON.parse(document.getElementById("told").textContent);
 const frame = document.querySelector(".player");
 const find = (selector) => document.querySelector(selector);
-let steps = [];
+let steps = [], cursors = [];
 
 /* Elements with text that is never read as HTML. */
 function make(tag, attributes, ...children) {
@@ -42,25 +42,41 @@ function led(opens) {
   }, 100);
 }
 
+function seek(seconds) {
+  frame.contentWindow.postMessage({ seek: seconds }, "*");
+  frame.scrollIntoView({ block: "nearest" });
+}
+
+/* The chart of a side. It comes with the page, which escapes all words in it. */
+function chart(side) {
+  const box = make("div", { class: "chart" });
+  box.innerHTML = side.gantt;
+  const cursor = box.querySelector(".cursor");
+  if (cursor) cursors.push([cursor, Number(box.querySelector(".gantt").dataset.until)]);
+  box.addEventListener("click", (event) => {
+    const span = event.target.closest(".span");
+    if (span) seek(Number(span.dataset.start));
+  });
+  return box;
+}
+
 function open(replay) {
   find("h1").textContent = replay.title;
   find(".sentence").textContent = replay.sentence ? `“${replay.sentence}”` : "";
   find(".note").textContent = replay.note;
   steps = [];
+  cursors = [];
   document.body.classList.toggle("beside", replay.sides.length > 1);
   delete document.body.dataset.at;
   find(".sides").replaceChildren(...replay.sides.map((side) => {
     const list = make("ol", {}, ...side.steps.map((step) => {
       const button = make("button", { type: "button" }, step.words);
-      button.addEventListener("click", () => {
-        frame.contentWindow.postMessage({ seek: step.start }, "*");
-        frame.scrollIntoView({ block: "nearest" });
-      });
+      button.addEventListener("click", () => seek(step.start));
       const item = make("li", {}, button, make("span", { class: step.ok ? "" : "bad" }, step.outcome));
       steps.push([item, step]);
       return item;
     }));
-    return make("section", {}, make("h2", {}, side.title), list,
+    return make("section", {}, make("h2", {}, side.title), chart(side), list,
       make("div", { class: side.solved ? "verdict solved" : "verdict" }, side.verdict),
       make("div", { class: "reached" }, side.reached));
   }));
@@ -79,6 +95,11 @@ addEventListener("message", (event) => {
   if (event.source !== frame.contentWindow || typeof event.data?.at !== "number") return;
   const now = event.data.at + 0.05;
   document.body.dataset.at = event.data.at;
+  for (const [cursor, until] of cursors) {
+    const at = `${Math.min(100, 100 * event.data.at / until).toFixed(2)}%`;
+    cursor.setAttribute("x1", at);
+    cursor.setAttribute("x2", at);
+  }
   for (const [item, step] of steps) {
     item.classList.toggle("later", now < step.start);
     item.classList.toggle("now", step.start <= now && now < step.end);

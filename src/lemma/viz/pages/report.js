@@ -222,6 +222,13 @@ function card(c) {
   box.append(make("p", { class: "faint" }, [c.reached, c.trained].join(". ")));
   box.append(make("ol", {}, ...c.steps.map((s, i) => step(s, i === c.mistake))));
   if (!c.steps.length) box.append(make("p", { class: "faint" }, "It did nothing."));
+  if (c.gantt) {
+    const chart = make("div", { class: "gantt-box" });
+    // It comes with the page, which escapes all words in it.
+    chart.innerHTML = c.gantt;
+    chart.querySelector(".cursor").remove();
+    box.append(chart);
+  }
   if (c.differs)
     box.append(make("p", { class: "warning" },
       "Played again here, the episode went differently, as with other versions or machines. " + c.differs));

@@ -184,7 +184,8 @@ def _case_data(case: Case, policy: int, pictures: Pictures | None) -> dict[str, 
     if pictures is not None:
         for name in ("map", "before", "after"):
             data[name] = data_uri("image/jpeg", getattr(pictures, name))
-        data |= {"differs": pictures.differs, "video": pictures.video}
+        for name in ("differs", "video", "gantt"):
+            data[name] = getattr(pictures, name)
     return data
 
 

@@ -17,6 +17,7 @@ from lemma.scene.scene import Scene
 from lemma.tasks.subtask import GroundedSubTask
 from lemma.viz.annotate import LIGHT, Box, Canvas, Color, Point
 from lemma.viz.camera_fit import views
+from lemma.viz.gantt import gantt_of
 from lemma.viz.map_overlay import annotated_map, camera_images, pixel_of
 from lemma.viz.pages.templates import jpeg
 from lemma.viz.recording import robot_titles
@@ -43,6 +44,8 @@ class Pictures:
     """Where the replay differs from the line; ``""`` if nowhere."""
     video: str = ""
     """File beside the page, if there is one."""
+    gantt: str = ""
+    """Which robot did what, and when; SVG."""
 
     @property
     def size(self) -> int:
@@ -113,7 +116,8 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
         told = replace(again.recording, instance=replace(instance, instructions=said))
         write_video(told, video, style)
         name = f"{video.parent.name}/{video.name}"
-    return Pictures(jpeg(top), jpeg(first), jpeg(end), again.differs, name)
+    chart = gantt_of(again.recording)
+    return Pictures(jpeg(top), jpeg(first), jpeg(end), again.differs, name, chart)
 
 
 def _map(
