@@ -156,8 +156,9 @@ class Episode:
             return self._verdict
         if self.is_thrown:
             return False
-        held = set(self.simulation.held().values())
-        return goal_progress == 1.0 and held <= self.instance.goal.held
+        if goal_progress < 1.0:
+            return False
+        return set(self.simulation.held().values()) <= self.instance.goal.held
 
     @property
     def failure(self) -> str | None:

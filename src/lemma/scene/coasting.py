@@ -70,6 +70,7 @@ class Coasting:
         self.since_s = np.zeros(len(free))
         """When it last touched something, (objects,) [s]."""
         self._thrown = np.zeros(len(free), np.bool_)
+        self._fallen = np.zeros(len(free), np.bool_)
         self._held = np.zeros(len(free), np.bool_)
         self._resting = np.zeros(len(free), np.bool_)
         self._awake = 0
@@ -87,8 +88,19 @@ class Coasting:
     @property
     def thrown(self) -> tuple[str, ...]:
         """Names of the objects that have been thrown."""
+        if not self.is_thrown:
+            return ()
         pairs = zip(self.names, self._thrown.tolist(), strict=True)
         return tuple(name for name, thrown in pairs if thrown)
+
+    @property
+    def fallen(self) -> tuple[str, ...]:
+        """Names of the objects whose middle of mass is below the table's top."""
+        # Environments ask for this in every control step: one call for all.
+        if not _find_fallen(self._qpos, self.qpos_at, self.mass_at, self._fallen):
+            return ()
+        pairs = zip(self.names, self._fallen.tolist(), strict=True)
+        return tuple(name for name, fallen in pairs if fallen)
 
     def state(self) -> CoastingState:
         """Return what is known so far."""
@@ -125,22 +137,24 @@ class Coasting:
     def look(self) -> None:
         """Look at the present state. Call it once a servo tick."""
         now = self._data.time
-        if not _is_slow(self._qvel, self.qvel_at):
+        if _settle(
+            self._awake,
+            self._qvel,
+            self.qvel_at,
+            self._qpos,
+            self.qpos_at,
+            self.mass_at,
+            self.left_m,
+            self.since_s,
+            now,
+        ):
+            self._awake = max(0, self._awake - 1)
+            if not self._awake:
+                return
+        else:
             asleep, self._awake = not self._awake, _REST_TICKS
             if asleep:
                 self.note()
-        elif self._awake:
-            self._awake -= 1
-        if not self._awake:
-            _rest(
-                self._qpos,
-                self.qpos_at,
-                self.mass_at,
-                self.left_m,
-                self.since_s,
-                now,
-            )
-            return
         self.is_thrown |= _follow(
             self._qpos,
             self.qpos_at,
@@ -167,13 +181,24 @@ def _owners(model: mujoco.MjModel, bodies: list[int]) -> NDArray[np.int64]:
 
 
 @kernel
-def _is_slow(qvel: FloatArray, qvel_at: NDArray[np.int64]) -> bool:
-    """Whether all objects are slow."""
-    for at in qvel_at:
-        x, y, z = qvel[at], qvel[at + 1], qvel[at + 2]
-        if x * x + y * y + z * z > _SLOW_M_S * _SLOW_M_S:
-            return False
-    return True
+def _find_fallen(
+    qpos: FloatArray,
+    qpos_at: NDArray[np.int64],
+    mass_at: FloatArray,
+    fallen: NDArray[np.bool_],
+) -> bool:
+    """Note which objects are below the table's top; return whether any is."""
+    found = False
+    for k in range(len(qpos_at)):
+        at = qpos_at[k]
+        w, x, y, z = qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6]
+        a, b, c = mass_at[k, 0], mass_at[k, 1], mass_at[k, 2]
+        height = qpos[at + 2]
+        height += 2.0 * (x * z - w * y) * a + 2.0 * (y * z + w * x) * b
+        height += (1.0 - 2.0 * (x * x + y * y)) * c
+        fallen[k] = height < 0.0
+        found |= fallen[k]
+    return found
 
 
 @kernel
@@ -189,18 +214,27 @@ def _middle(qpos: FloatArray, at: int, mass_at: FloatArray) -> tuple[float, floa
 
 
 @kernel
-def _rest(
+def _settle(  # noqa: PLR0913
+    awake: int,
+    qvel: FloatArray,
+    qvel_at: NDArray[np.int64],
     qpos: FloatArray,
     qpos_at: NDArray[np.int64],
     mass_at: FloatArray,
     left_m: FloatArray,
     since_s: FloatArray,
     now: float,
-) -> None:
-    """Take where objects are as where they rest."""
-    for k in range(len(qpos_at)):
-        left_m[k, 0], left_m[k, 1] = _middle(qpos, qpos_at[k], mass_at[k])
-        since_s[k] = now
+) -> bool:
+    """Return whether all objects are slow; after long enough, take it as their rest."""
+    for at in qvel_at:
+        x, y, z = qvel[at], qvel[at + 1], qvel[at + 2]
+        if x * x + y * y + z * z > _SLOW_M_S * _SLOW_M_S:
+            return False
+    if awake <= 1:
+        for k in range(len(qpos_at)):
+            left_m[k, 0], left_m[k, 1] = _middle(qpos, qpos_at[k], mass_at[k])
+            since_s[k] = now
+    return True
 
 
 @kernel

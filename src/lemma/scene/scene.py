@@ -67,9 +67,12 @@ class Scene:
             for placed in spec.objects
             if not placed.entity.kind.fixed
         }
-        self._mass_at = {
-            name: tuple(self.model.body(name).ipos.tolist()) for name in self._free_qpos
+        self._free_dof = {
+            name: int(self.model.joint(name).dofadr[0]) for name in self._free_qpos
         }
+        # Asked for so often that making the view anew would show.
+        self._qpos: FloatArray = self.data.qpos
+        self._qvel: FloatArray = self.data.qvel
         self._fixed_poses = {
             placed.name: _lying(placed)
             for placed in spec.objects
@@ -138,7 +141,7 @@ class Scene:
             if name not in self._fixed_poses:
                 raise self._unknown(name)
             return self._fixed_poses[name]
-        q = self.data.qpos[address : address + 7].tolist()
+        q = self._qpos[address : address + 7].tolist()
         return Pose((q[0], q[1], q[2]), (q[3], q[4], q[5], q[6]))
 
     def _unknown(self, name: str) -> UnknownNameError:
@@ -149,7 +152,7 @@ class Scene:
         address = self._free_qpos.get(name)
         row: FloatArray
         if address is not None:
-            row = self.data.qpos[address : address + 7].copy()
+            row = self._qpos[address : address + 7].copy()
         elif name in self._fixed_rows:
             row = self._fixed_rows[name].copy()
         else:
@@ -165,7 +168,7 @@ class Scene:
         address = self._free_qpos.get(name)
         if address is None:
             return list(self.pose(name).position)
-        found: list[float] = self.data.qpos[address : address + 3].tolist()
+        found: list[float] = self._qpos[address : address + 3].tolist()
         return found
 
     def pose2(self, name: str) -> Pose2:
@@ -180,26 +183,26 @@ class Scene:
         address = self._free_qpos.get(name)
         if address is None:
             raise UnknownNameError("movable object", name, self._free_qpos)
-        self.data.qpos[address : address + 3] = pose.position
-        self.data.qpos[address + 3 : address + 7] = pose.quaternion
-        dof = int(self.model.joint(name).dofadr[0])
-        self.data.qvel[dof : dof + 6] = 0.0
+        self._qpos[address : address + 3] = pose.position
+        self._qpos[address + 3 : address + 7] = pose.quaternion
+        dof = self._free_dof[name]
+        self._qvel[dof : dof + 6] = 0.0
         self.coasting.put(name)
 
     def speed(self, name: str) -> float:
         """Return the linear speed of an object [m/s]; 0 where it is fixed."""
-        if name not in self._free_qpos:
+        dof = self._free_dof.get(name)
+        if dof is None:
             return 0.0
-        dof = int(self.model.joint(name).dofadr[0])
-        vx, vy, vz = self.data.qvel[dof : dof + 3].tolist()
+        vx, vy, vz = self._qvel[dof : dof + 3].tolist()
         return math.sqrt(vx * vx + vy * vy + vz * vz)
 
     def turn_rate(self, name: str) -> float:
         """Return how fast an object turns [rad/s]; 0 where it is fixed."""
-        if name not in self._free_qpos:
+        dof = self._free_dof.get(name)
+        if dof is None:
             return 0.0
-        dof = int(self.model.joint(name).dofadr[0]) + 3
-        wx, wy, wz = self.data.qvel[dof : dof + 3].tolist()
+        wx, wy, wz = self._qvel[dof + 3 : dof + 6].tolist()
         return math.sqrt(wx * wx + wy * wy + wz * wz)
 
     @property
@@ -208,21 +211,7 @@ class Scene:
 
         Their center of mass is below its top, where no skill goes.
         """
-        # One list for all: environments ask for this in every control step.
-        qpos = self.data.qpos.tolist()
-        return tuple(
-            name
-            for name, at in self._free_qpos.items()
-            if self._is_below(name, qpos[at + 2 : at + 7])
-        )
-
-    def _is_below(self, name: str, row: list[float]) -> bool:
-        """Whether the center of mass of a movable object is below the table's top."""
-        z, qw, qx, qy, qz = row
-        cx, cy, cz = self._mass_at[name]
-        z += 2.0 * (qx * qz - qw * qy) * cx + 2.0 * (qy * qz + qw * qx) * cy
-        z += (1.0 - 2.0 * (qx * qx + qy * qy)) * cz
-        return bool(z < 0.0)
+        return self.coasting.fallen
 
     def set_joints(self, robot: RobotIndex, q: FloatArray, opening_m: float) -> None:
         """Put one arm at joint angles ``q`` (6,) [rad], at rest, servos there too."""
