@@ -59,3 +59,16 @@ def test_a_bad_order_is_refused_and_its_agent_asked_again() -> None:
     with pytest.raises(InvalidActionError, match="primitive"):
         env.step({"primitive": 99, "pick": 0, "place": 0})
     assert env.agent_selection == "robot_0"
+
+
+def test_masks_are_computed_once_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = lemma.team_parallel_env("stack2", **OPTIONS, horizon_s=2.5)
+    inner, asked = env.inner, list[str]()
+    monkeypatch.setattr(
+        inner, "_mask", lambda robot: asked.append(robot) or inner._busy_mask()
+    )
+    infos = env.reset()[1]
+    assert asked == env.possible_agents
+    wait = {name: info["action_mask"] for name, info in infos.items()}
+    env.step({name: env.action_space(name).sample(mask=wait[name]) for name in wait})
+    assert asked == [*env.possible_agents] * 2

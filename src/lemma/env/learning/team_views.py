@@ -52,7 +52,7 @@ class _Agents:
         )
 
     def _infos_of(self, info: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-        masks = self.inner.action_masks()
+        masks = self.inner.last_masks
         return {name: {**info, "action_mask": masks[name]} for name in masks}
 
     def state_hash(self) -> str:

@@ -9,11 +9,12 @@ should, and the arm that brought it goes home. Sectors of arms at work are reser
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from lemma.core.errors import InvalidActionError, ResetNeededError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.env.episode import LEAST_STEP_S, Episode, ExecutedSubTask
+from lemma.env.team.records import Done, Order, TeamState
 from lemma.motion.outcome import SkillResult
 from lemma.planning.grounding import GeometricGrounder, GroundedOption, ground_or_refuse
 from lemma.planning.schedule import predecessors
@@ -24,46 +25,6 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 LOOK_S = 0.05
 """Time between two looks for effects [s]."""
 _AS_PREDICTED_M = 0.03
-
-
-@dataclass(frozen=True, slots=True)
-class Order:
-    """What one robot of a team is doing, or is about to do."""
-
-    subtask: SubTask | None
-    """In symbols; None where only poses are known."""
-    grounded: GroundedSubTask
-    start_s: float
-    """Simulated time at which it was given [s]."""
-    option: GroundedOption | None = None
-    """Its predicted effect, if that is known."""
-    before: SymbolicState | None = None
-    """The state in which that was predicted."""
-    waits_for: frozenset[str] = frozenset()
-    """Robots whose effects must come first; it begins when nobody is left."""
-    own_poses: bool = False
-    """Whether the poses are those of a policy, and the effect may be elsewhere."""
-
-
-@dataclass(frozen=True, slots=True)
-class Done:
-    """An order that has come to its end."""
-
-    robot: str
-    subtask: SubTask | None
-    grounded: GroundedSubTask | None
-    """None where no poses were found."""
-    result: SkillResult
-    start_s: float
-    """Simulated time at which it began or was refused [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class TeamState:
-    """What a team knows beside its episode; plain data."""
-
-    orders: dict[str, Order]
-    rests: dict[str, float]
 
 
 class Team:
@@ -94,6 +55,7 @@ class Team:
         self.orders: dict[str, Order] = {}
         """By robot; also those that wait for an effect."""
         self._rests: dict[str, float] = {}
+        self._effects: dict[str, float] = {}
         self._least_s, self._refusal_s = least_s, refusal_s
 
     @property
@@ -127,7 +89,7 @@ class Team:
         Args:
             now: The present state.
         """
-        simulation, found = self.episode.simulation, set()
+        simulation, found = self.episode.simulation, set[str]()
         for robot, order in self.orders.items():
             if order.waits_for or not simulation.reservations.is_going_home(robot):
                 continue
@@ -137,6 +99,8 @@ class Team:
                     found.add(robot)
             elif _is_as_predicted(now, order.option, order.before):
                 found.add(robot)
+        for robot in found:
+            self._effects.setdefault(robot, simulation.time_s)
         return found
 
     def expected(
@@ -211,6 +175,16 @@ class Team:
         if not needs:
             self.episode.begin(poses)
         return None
+
+    def refuse(self, subtask: SubTask, result: SkillResult) -> Done:
+        """Tell a free robot that it was ordered what has no poses.
+
+        Raises:
+            LemmaError: As :meth:`order`.
+        """
+        self._check_free(subtask.robot)
+        start_s = self.episode.simulation.time_s
+        return self._end(Done(subtask.robot, subtask, None, result, start_s))
 
     def _check_free(self, robot: str) -> None:
         if self.episode.is_over:
@@ -296,6 +270,7 @@ class Team:
                 one.grounded,
                 one.result,
                 one.start_s,
+                self._effects.pop(one.grounded.robot, None),
             )
         )
 
@@ -359,11 +334,12 @@ class Team:
 
     def state(self) -> TeamState:
         """Return what it knows beside the episode."""
-        return TeamState(dict(self.orders), dict(self._rests))
+        return TeamState(dict(self.orders), dict(self._rests), dict(self._effects))
 
     def restore(self, state: TeamState) -> None:
         """Take back what :meth:`state` returned, after the episode was restored."""
         self.orders, self._rests = dict(state.orders), dict(state.rests)
+        self._effects = dict(state.effects)
 
 
 def _is_as_predicted(

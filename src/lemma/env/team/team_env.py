@@ -29,8 +29,9 @@ from lemma.env.action_spaces import (
 from lemma.env.base_env import LemmaEnv, StepResult
 from lemma.env.config import EnvConfig
 from lemma.env.episode import LEAST_STEP_S, Episode
-from lemma.env.team.orders import Done, Team
-from lemma.planning.grounding import GroundedOption, ground_or_refuse
+from lemma.env.team.orders import Team
+from lemma.env.team.records import Done
+from lemma.env.team.valid_orders import valid_options
 from lemma.tasks.subtask import (
     GroundedSubTask,
     Primitive,
@@ -72,6 +73,8 @@ class TeamEnv(LemmaEnv):
         self.action_space = spaces.Dict(
             {name: self._order_space() for name in self.robot_names}
         )
+        self.last_masks: dict[str, Mask] = {}
+        """The masks of the last info."""
         self._team: Team | None = None
         self._duration_s = 0.0
         self._ended: tuple[Done, ...] = ()
@@ -179,7 +182,7 @@ class TeamEnv(LemmaEnv):
             }
             for done in self._ended
         ]
-        found["masks"] = self.action_masks()
+        found["masks"] = self.last_masks = self.action_masks()
         return found
 
     def action_masks(self) -> dict[str, Mask]:
@@ -251,22 +254,8 @@ class TeamPlanEnv(TeamEnv):
         team = self.team
         now = team.observe()
         state = team.expected(now, team.settled(now))
-        ends = (*state.poses, *state.spec.regions)
-        return tuple(
-            subtask
-            for primitive in map(Primitive, primitive_names())
-            if primitive is not Primitive.STOP
-            for pick in state.poses
-            for place in ends
-            if isinstance(
-                ground_or_refuse(
-                    subtask := SubTask(robot, primitive, pick, place),
-                    state,
-                    team.grounder,
-                ),
-                GroundedOption,
-            )
-        )
+        options = valid_options(robot, state, team.grounder)
+        return tuple(option.subtask for option in options)
 
     def _mask(self, robot: str) -> Mask:
         found = self._busy_mask()
